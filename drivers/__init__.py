@@ -1,0 +1,1 @@
+"""Frames <-> SI: protocols, codecs and the bus. No control, no clock, no files."""

@@ -1,0 +1,1 @@
+"""The controller: geometry, dynamics, control laws, safety, the cycle, recording and replay."""

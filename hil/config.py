@@ -1,0 +1,224 @@
+"""Configuration sections of the controller: platform, loop, controller, reference, limits, recording."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.config import Section
+
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+SixVectors = Annotated[list[Vector3], Field(min_length=6, max_length=6)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Pose(Section):
+    """Platform pose: origin in the base frame and rotation vector."""
+
+    position_m: Vector3
+    rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
+
+
+class BodySettings(Section):
+    """The moving platform, in its own frame."""
+
+    mass_kg: Positive
+    com_m: Vector3
+    inertia_kg_m2: Matrix3
+    """About the centre of mass, platform axes."""
+
+
+class LegBodySettings(Section):
+    """One half of every leg."""
+
+    mass_kg: NonNegative
+    com_m: NonNegative
+    """Cylinder: from the base joint. Rod: from the platform joint. Along the leg."""
+    inertia_axial_kg_m2: NonNegative | None = None
+    """About the leg's own axis; has no effect unless the legs spin."""
+    inertia_transverse_kg_m2: NonNegative
+
+
+class PlatformSettings(Section):
+    """Geometry and inertia of the robot."""
+
+    base_joints_m: SixVectors
+    """a_i in the base frame."""
+    platform_joints_m: SixVectors
+    """b_i in the platform frame."""
+    platform: BodySettings
+    cylinder: LegBodySettings
+    rod: LegBodySettings
+    gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
+    leg_spin: Literal["none", "universal"] = "none"
+    universal_joint_base_axes: SixVectors | None = None
+    home: Pose
+    """Where forward kinematics is seeded and the virtual plant starts."""
+    length_min_m: Positive
+    length_max_m: Positive
+
+
+class LoopSettings(Section):
+    """The fixed-rate loop."""
+
+    rate_Hz: Positive = 1000.0
+    feedback_window_us: Positive | None = None
+    """Longest wait for the six feedbacks after SYNC; default 65 % of the period."""
+    cpu: int | None = None
+    """CPU to pin the loop to (only together with SCHED_FIFO)."""
+    priority: Annotated[int, Field(ge=1, le=99)] = 80
+    """SCHED_FIFO priority."""
+    spin_us: NonNegative = 100.0
+    """Busy-wait this long before each deadline."""
+    without_realtime: Literal["slow", "refuse"] = "slow"
+    """Without SCHED_FIFO: drop to a rate that can be held, or refuse to run."""
+
+
+class ModelSettings(Section):
+    """The controller's model of the robot."""
+
+    variant: Literal["full", "no_H", "printed", "constant", "constant_MG", "massless_legs"] = "full"
+    inertia_scale: Positive = 1.0
+    """Mass, inertia and centres of mass times this; lengths, J, its rate and gravity stay exact."""
+    frozen_at: Pose | None = None
+    """Pose of the constant variants."""
+
+
+class PDSettings(Section):
+    """Decentralised PD on leg lengths: tau = Kp (q_d - q) + Kv (dq_d - dq)."""
+
+    law: Literal["pd"]
+    kp_N_m: Positive | Six
+    kv_N_s_m: Positive | Six
+
+
+class InverseDynamicsSettings(Section):
+    """Exact inverse dynamics in joint space."""
+
+    law: Literal["inverse_dynamics"]
+    wn_rad_s: Positive | Six
+    """Natural frequency of the error dynamics, K_P = wn^2."""
+    damping_ratio: Positive = 1.0
+    """K_D = 2 zeta wn."""
+    model: ModelSettings = ModelSettings()
+
+
+ControllerSettings = Annotated[PDSettings | InverseDynamicsSettings, Field(discriminator="law")]
+
+
+class EngageSettings(Section):
+    """From rest to the first reference sample, without a bump."""
+
+    force_ramp_s: NonNegative = 0.3
+    """The static holding force builds up against the closed brakes; 0 starts with the law at once."""
+    brake_release_s: NonNegative = 0.1
+    """Time given to the brakes to open."""
+    approach_speed_m_s: Positive = 0.2
+    """Mean leg speed of the quintic move from the measured pose to the reference's start."""
+    blend_s: NonNegative = 0.5
+    """Time over which the holding-force offset fades into the law."""
+
+
+class HoldReference(Section):
+    """Stay at a pose."""
+
+    type: Literal["hold"]
+    pose: Pose | None = None
+    """Default: home."""
+    duration_s: Positive | None = None
+    """Default: until stopped."""
+
+
+class Waypoint(Section):
+    """One way-point: pose at a time after the start."""
+
+    t_s: NonNegative
+    position_m: Vector3
+    rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
+
+
+class WaypointReference(Section):
+    """Rest-to-rest segments through way-points; position and rotation vector interpolated."""
+
+    type: Literal["waypoints"]
+    interpolation: Literal["cubic", "quintic"] = "quintic"
+    points: Annotated[list[Waypoint], Field(min_length=2)]
+    periods: Annotated[int, Field(ge=1)] | None = 1
+    """How many times the list is run through; null is for ever."""
+
+
+class Sinusoid(Section):
+    """amplitude * sin(2 pi frequency t + phase) on one axis."""
+
+    axis: Literal["x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg"]
+    amplitude: float
+    """In the axis' unit."""
+    frequency_Hz: Positive
+    phase_rad: float = 0.0
+
+
+class SinusoidReference(Section):
+    """Sum of sinusoids about a centre pose, faded in and out by quintics."""
+
+    type: Literal["sinusoids"]
+    centre: Pose | None = None
+    """Default: home."""
+    components: Annotated[list[Sinusoid], Field(min_length=1)]
+    ramp_s: NonNegative = 1.0
+    duration_s: Positive
+
+
+class SampledReference(Section):
+    """A CSV file: t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector), cubic spline through it."""
+
+    type: Literal["sampled"]
+    path: str
+    """Relative to the configuration file."""
+    periods: Annotated[int, Field(ge=1)] = 1
+
+
+ReferenceSettings = Annotated[
+    HoldReference | WaypointReference | SinusoidReference | SampledReference,
+    Field(discriminator="type"),
+]
+
+
+class LimitSettings(Section):
+    """Safety limits of the controller."""
+
+    force_N: Positive
+    """Per leg."""
+    force_step_N: Positive
+    """Largest change of a leg's force from one tick to the next."""
+    force_window_N: Positive
+    """Largest change of a leg's force within 250 ms."""
+    speed_m_s: Positive
+    """Leg speed; faults above."""
+    deceleration_m_s2: Positive
+    """The square-root speed cap before the soft ends: |dq| <= sqrt(2 a distance)."""
+    stroke_margin_m: NonNegative = 0.0
+    """Soft ends lie this far inside length_min_m and length_max_m."""
+    following_error_m: Positive
+    """Leg error that faults at rest."""
+    following_error_s: NonNegative = 0.0
+    """Added per m/s of reference leg rate."""
+    consistency_m: Positive = 1e-4
+    """Residual of forward kinematics that faults."""
+    condition: Positive = 50.0
+    """Condition number of J (lengths made comparable) that faults."""
+    stale_warn_ticks: Annotated[int, Field(ge=1)] = 2
+    stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
+
+
+class RecordingSettings(Section):
+    """The log."""
+
+    folder: str = "runs"
+    on_recorder_loss: Literal["continue", "stop"] = "continue"
+    """What the daemon does when the recorder dies."""
+    ring_ticks: Annotated[int, Field(ge=256)] = 8192
+    """Length of the shared-memory ring."""

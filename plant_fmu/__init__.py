@@ -1,0 +1,1 @@
+"""The other end of the bus: plant physics, emulated drives and FMU hosting. Never imports ``hil``."""

@@ -1,0 +1,85 @@
+"""Configuration section `plant`: the other end of a virtual bus."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.config import Section
+
+
+class DriveEmulation(Section):
+    """What the six emulated drives add in front of the plant."""
+
+    encoder_resolution_m: Annotated[float, Field(ge=0)] = 1e-6
+    """Quantum of the length measurement; 0 is exact."""
+    damping_N_s_m: Annotated[float, Field(ge=0)] = 20_000.0
+    """Gain of the `damp` reaction."""
+    hold_stiffness_N_m: Annotated[float, Field(ge=0)] = 2e6
+    """Stiffness of the `hold` reaction; its damping is `damping_N_s_m`."""
+    force_bandwidth_Hz: Annotated[float, Field(ge=0)] = 0.0
+    """First-order force lag for plants without one of their own; 0 is none."""
+
+
+class StewartPlant(Section):
+    """Our FMU: the platform of section `platform` with drives, friction, brakes and end stops."""
+
+    type: Literal["stewart"]
+    fmi_version: Literal["2.0", "3.0"] = "3.0"
+    isolation: Literal["in_process", "child_process"] = "in_process"
+    force_bandwidth_Hz: Annotated[float, Field(ge=0)] = 200.0
+    """First-order force loop of the drives; 0 is ideal."""
+    viscous_friction_N_s_m: Annotated[float, Field(ge=0)] = 0.0
+    coulomb_friction_N: Annotated[float, Field(ge=0)] = 0.0
+    reflected_mass_kg: Annotated[float, Field(ge=0)] = 0.0
+    """Motor and screw inertia seen along each leg."""
+    internal_step_us: Annotated[float, Field(gt=0)] = 100.0
+    """Fixed step of the integrator inside the FMU."""
+
+
+class BenchPlant(Section):
+    """Six uncoupled legs, m x'' + b x'|x'| + k0 x + k1 x^3 = f: for commissioning drives."""
+
+    type: Literal["bench"]
+    mass_kg: Annotated[float, Field(gt=0)] = 200.0
+    damping_N_s2_m2: Annotated[float, Field(ge=0)] = 500.0
+    stiffness_N_m: Annotated[float, Field(ge=0)] = 5_000.0
+    stiffness_N_m3: Annotated[float, Field(ge=0)] = 20_000.0
+    rest_length_m: Annotated[float, Field(gt=0)] = 1.6
+    internal_step_us: Annotated[float, Field(gt=0)] = 100.0
+
+
+class FmuPlant(Section):
+    """Any co-simulation FMU, with a map from our six legs to its variables."""
+
+    type: Literal["fmu"]
+    path: str
+    """The .fmu file, relative to the configuration file."""
+    isolation: Literal["in_process", "child_process"] = "child_process"
+    force: list[str]
+    """Six input variable names (or one array variable of six), unit N."""
+    length: list[str]
+    """Six output variable names (or one array of six), unit m."""
+    rate: list[str]
+    """Six output variable names (or one array of six), unit m/s."""
+    brake: list[str] = []
+    """Six input variable names (or one array of six), 1 engaged; empty if the FMU has no brakes."""
+    wrench: list[str] = []
+    """Six input variable names (or one array of six), N and N m; empty if none."""
+    parameters: dict[str, float | int | bool | str | list[float]] = {}
+    """Start values to set before initialisation."""
+    step_us: Annotated[float, Field(gt=0)] = 1000.0
+    """Communication steps are whole multiples of this."""
+
+
+class PlantSettings(Section):
+    """What stands in for drives and platform."""
+
+    model: Annotated[StewartPlant | BenchPlant | FmuPlant, Field(discriminator="type")]
+    drives: DriveEmulation = DriveEmulation()
+    initial_position_m: tuple[float, float, float] | None = None
+    """Platform origin at the start; default is the platform's home."""
+    initial_rotation_vector_deg: tuple[float, float, float] | None = None
+    log: bool = True
+    """Write the plant's own log with the true pose."""

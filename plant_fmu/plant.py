@@ -1,0 +1,57 @@
+"""The Plant protocol: physics behind six force inputs.
+
+Rule of the room: no clock, no bus, no controller code.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Truth(NamedTuple):
+    """What the plant knows and the controller does not, for the plant's log."""
+
+    p: NDArray[np.float64]
+    """(3,) m, platform origin in the base frame."""
+    R: NDArray[np.float64]
+    """(3, 3) platform to base."""
+    twist: NDArray[np.float64]
+    """(6,) m/s and rad/s, [v of the platform origin; omega], base frame."""
+    applied_force: NDArray[np.float64]
+    """(6,) N, after the drives' force lag, without friction."""
+
+
+class Plant(Protocol):
+    """Six legs that answer to six forces.
+
+    Mutable state: the physics. `reset` restores the initial one exactly.
+    """
+
+    internal_step_s: float
+    """Every `dt_s` given to `step` is a whole multiple of this."""
+
+    def reset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Back to the initial state; return lengths (6,) m and rates (6,) m/s."""
+
+    def step(
+        self,
+        force: NDArray[np.float64],
+        brake: NDArray[np.float64],
+        wrench: NDArray[np.float64],
+        dt_s: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
+
+        force (6,) N commanded, > 0 extends; brake (6,) 1 engaged, 0 released;
+        wrench (6,) N, N m on the platform at its origin, base frame.
+        Raises PlantError on a dt that is no multiple of the internal step or a non-finite input.
+        """
+
+    def truth(self) -> Truth | None:
+        """Pose and forces now; None for a plant without a platform."""
+
+    def close(self) -> None:
+        """Free what the plant holds."""

@@ -1,1 +1,19 @@
 """Frames <-> SI: protocols, codecs and the bus. No control, no clock, no files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.config import BusSettings, DriveSettings
+from drivers.dbc import LegsProtocol
+from drivers.protocol import DriveProtocol
+
+
+def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    return LegsProtocol(bus.layout, drives.node_ids)
+
+
+PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
+    "legs": _legs,
+}
+"""`drives.protocol` -> the codec made from the sections `bus` and `drives`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 
 class Section(BaseModel):
@@ -53,3 +53,14 @@ class DriveSettings(Section):
     """Period of each drive's status message."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0
     """Rated force: the controller never asks for more and the drive clips there."""
+
+    @field_validator("node_ids")
+    @classmethod
+    def _each_once(cls, ids: list[int]) -> list[int]:
+        twice = sorted({n for n in ids if ids.count(n) > 1})
+        if twice:
+            numbers = ", ".join(map(str, twice))
+            raise ValueError(
+                f"two legs have the same node number, allowed: each once, given twice: {numbers}"
+            )
+        return ids

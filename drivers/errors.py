@@ -25,7 +25,11 @@ class HilError(Exception):
 
 
 class ConfigurationError(HilError):
-    """A configuration that cannot be used."""
+    """A configuration that cannot be used; `problems` holds all that is wrong, one line each."""
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
 
 
 class BusError(HilError):

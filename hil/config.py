@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from drivers.config import Section
 
@@ -14,6 +14,8 @@ Six = Annotated[list[float], Field(min_length=6, max_length=6)]
 SixVectors = Annotated[list[Vector3], Field(min_length=6, max_length=6)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+LegSpin = Literal["none", "universal"]
+SixPositive = Annotated[list[Positive], Field(min_length=6, max_length=6)]
 
 
 class Pose(Section):
@@ -54,12 +56,24 @@ class PlatformSettings(Section):
     cylinder: LegBodySettings
     rod: LegBodySettings
     gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
-    leg_spin: Literal["none", "universal"] = "none"
+    leg_spin: LegSpin = "none"
     universal_joint_base_axes: SixVectors | None = None
     home: Pose
     """Where forward kinematics is seeded and the virtual plant starts."""
     length_min_m: Positive
+    """Hard end of the stroke, joint centre to joint centre."""
     length_max_m: Positive
+
+    @model_validator(mode="after")
+    def _spinning_legs_are_known(self) -> Self:
+        if self.leg_spin == "universal":
+            halves = {"cylinder": self.cylinder, "rod": self.rod}
+            lacking = [f"{n}.inertia_axial_kg_m2" for n, h in halves.items() if h.inertia_axial_kg_m2 is None]
+            if self.universal_joint_base_axes is None:
+                lacking.append("universal_joint_base_axes")
+            if lacking:
+                raise ValueError(f"leg_spin universal needs {', '.join(lacking)}")
+        return self
 
 
 class LoopSettings(Section):
@@ -87,21 +101,35 @@ class ModelSettings(Section):
     frozen_at: Pose | None = None
     """Pose of the constant variants."""
 
+    @model_validator(mode="after")
+    def _frozen_somewhere(self) -> Self:
+        constant = self.variant in {"constant", "constant_MG"}
+        if constant and self.frozen_at is None:
+            raise ValueError(
+                f"frozen_at is missing: variant {self.variant} needs the pose at which it is frozen"
+            )
+        if self.frozen_at is not None and not constant:
+            raise ValueError(
+                f"frozen_at has no meaning for variant {self.variant}, allowed: constant, constant_MG"
+            )
+        return self
+
 
 class PDSettings(Section):
     """Decentralised PD on leg lengths: tau = Kp (q_d - q) + Kv (dq_d - dq)."""
 
     law: Literal["pd"]
-    kp_N_m: Positive | Six
-    kv_N_s_m: Positive | Six
+    kp_N_m: Positive | SixPositive
+    """One for all legs, or one per leg."""
+    kv_N_s_m: Positive | SixPositive
 
 
 class InverseDynamicsSettings(Section):
     """Exact inverse dynamics in joint space."""
 
     law: Literal["inverse_dynamics"]
-    wn_rad_s: Positive | Six
-    """Natural frequency of the error dynamics, K_P = wn^2."""
+    wn_rad_s: Positive | SixPositive
+    """Natural frequency of the error dynamics, K_P = wn^2; one for all legs, or one per leg."""
     damping_ratio: Positive = 1.0
     """K_D = 2 zeta wn."""
     model: ModelSettings = ModelSettings()
@@ -119,6 +147,8 @@ class EngageSettings(Section):
     """Time given to the brakes to open."""
     approach_speed_m_s: Positive = 0.2
     """Mean leg speed of the quintic move from the measured pose to the reference's start."""
+    stop_s: Positive = 0.5
+    """Time in which a controlled stop comes to rest along the path."""
     blend_s: NonNegative = 0.5
     """Time over which the holding-force offset fades into the law."""
 
@@ -212,6 +242,15 @@ class LimitSettings(Section):
     """Condition number of J (lengths made comparable) that faults."""
     stale_warn_ticks: Annotated[int, Field(ge=1)] = 2
     stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
+
+    @model_validator(mode="after")
+    def _warn_before_fault(self) -> Self:
+        if self.stale_warn_ticks > self.stale_fault_ticks:
+            raise ValueError(
+                f"stale_warn_ticks is above stale_fault_ticks, allowed: at most {self.stale_fault_ticks}, "
+                f"given: {self.stale_warn_ticks}"
+            )
+        return self
 
 
 class RecordingSettings(Section):

@@ -131,6 +131,16 @@ class State(NamedTuple):
     """m, largest leg residual of forward kinematics; inf when it did not converge."""
 
 
+class Estimate(NamedTuple):
+    """The state, and how far it can be trusted."""
+
+    state: State
+    condition: float
+    """Of J, lengths and angles made comparable; inf where it is singular."""
+    hop: float
+    """>= 1: not safely reachable from the last pose; forward kinematics may have changed assembly."""
+
+
 class Reference(NamedTuple):
     """Where the platform should be."""
 
@@ -157,6 +167,8 @@ class Verdict(NamedTuple):
     """(6,) N, limited."""
     warnings: Warn
     faults: Fault
+    stop: bool = False
+    """A controlled stop is asked for: ticks missed in a row, or no recorder."""
 
 
 class TickOutput(NamedTuple):
@@ -167,51 +179,71 @@ class TickOutput(NamedTuple):
     """One element of ROW."""
 
 
-INPUT_COLUMNS: list[tuple[str, str]] = [
-    ("tick", "<i8"),
-    ("t_ns", "<i8"),
-    ("lateness_ns", "<i8"),
-    ("skipped", "<i8"),
-    ("sends_failed", "<i8"),
-    ("bus_errors", "<i8"),
-    ("bus_off", "<i8"),
-    ("bus_overflow", "<i8"),
-    ("recorder_alive", "<i8"),
-    ("recorder_dropped", "<i8"),
-    ("compute_ns", "<i8"),
-]
-"""Columns of the row that replay reads back as TickInput (frames and operator commands have channels)."""
+INPUT_COLUMNS = (
+    "tick",
+    "t_ns",
+    "lateness_ns",
+    "skipped",
+    "sends_failed",
+    "bus_errors",
+    "bus_off",
+    "bus_overflow",
+    "recorder_alive",
+    "recorder_dropped",
+    "compute_ns",
+)
+"""Columns that replay reads back as TickInput (frames and operator commands have channels of their own)."""
 
-COMPUTED_COLUMNS: list[tuple[str, str] | tuple[str, str, tuple[int, ...]]] = [
-    ("frames_received", "<i8"),
-    ("frames_crc32", "<i8"),
-    ("mode", "<i8"),
-    ("faults", "<i8"),
-    ("warnings", "<i8"),
-    ("drive_state", "<i8", (6,)),
-    ("drive_fault", "<i8", (6,)),
-    ("age", "<i8", (6,)),
-    ("rejected", "<i8"),
-    ("q", "<f8", (6,)),
-    ("dq", "<f8", (6,)),
-    ("drive_force", "<f8", (6,)),
-    ("p", "<f8", (3,)),
-    ("R", "<f8", (9,)),
-    ("twist", "<f8", (6,)),
-    ("fk_iterations", "<i8"),
-    ("fk_residual", "<f8"),
-    ("p_d", "<f8", (3,)),
-    ("R_d", "<f8", (9,)),
-    ("twist_d", "<f8", (6,)),
-    ("dtwist_d", "<f8", (6,)),
-    ("q_d", "<f8", (6,)),
-    ("dq_d", "<f8", (6,)),
-    ("ddq_d", "<f8", (6,)),
-    ("tau_law", "<f8", (6,)),
-    ("tau", "<f8", (6,)),
-    ("command_mode", "<i8"),
-    ("reference_time_s", "<f8"),
-]
+INTEGER_COLUMNS: dict[str, int] = {
+    **dict.fromkeys(INPUT_COLUMNS, 1),
+    "frames_received": 1,
+    "frames_crc32": 1,
+    "mode": 1,
+    "faults": 1,
+    "warnings": 1,
+    "rejected": 1,
+    "command_mode": 1,
+    "fk_iterations": 1,
+    "drive_state": 6,
+    "drive_fault": 6,
+    "age": 6,
+}
+"""Columns of the row that are int64, with their lengths, in order."""
 
-ROW = np.dtype([*INPUT_COLUMNS, *COMPUTED_COLUMNS])
-"""One tick of the log. Every element is eight bytes: i8 or f8."""
+FLOAT_COLUMNS: dict[str, int] = {
+    "q": 6,
+    "dq": 6,
+    "drive_force": 6,
+    "p": 3,
+    "R": 9,
+    "twist": 6,
+    "p_d": 3,
+    "R_d": 9,
+    "twist_d": 6,
+    "dtwist_d": 6,
+    "q_d": 6,
+    "dq_d": 6,
+    "ddq_d": 6,
+    "tau_law": 6,
+    "tau": 6,
+    "fk_residual": 1,
+    "condition": 1,
+    "reference_time_s": 1,
+}
+"""Columns of the row that are float64, after the integers."""
+
+COMPUTED_COLUMNS = tuple(n for n in (*INTEGER_COLUMNS, *FLOAT_COLUMNS) if n not in INPUT_COLUMNS)
+"""What replay compares."""
+
+
+def _field(name: str, kind: str, length: int) -> tuple[str, str] | tuple[str, str, tuple[int]]:
+    return (name, kind) if length == 1 else (name, kind, (length,))
+
+
+ROW = np.dtype(
+    [_field(name, "<i8", length) for name, length in INTEGER_COLUMNS.items()]
+    + [_field(name, "<f8", length) for name, length in FLOAT_COLUMNS.items()]
+)
+"""One tick of the log. Every element is eight bytes, integers first."""
+ROW_INTEGERS = sum(INTEGER_COLUMNS.values())
+ROW_FLOATS = sum(FLOAT_COLUMNS.values())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from drivers.config import Section
 
@@ -34,6 +34,8 @@ class StewartPlant(Section):
     coulomb_friction_N: Annotated[float, Field(ge=0)] = 0.0
     reflected_mass_kg: Annotated[float, Field(ge=0)] = 0.0
     """Motor and screw inertia seen along each leg."""
+    brake_force_N: Annotated[float, Field(ge=0)] = 20_000.0
+    """Largest force of each engaged brake; below the static load the legs slip."""
     internal_step_us: Annotated[float, Field(gt=0)] = 100.0
     """Fixed step of the integrator inside the FMU."""
 
@@ -71,6 +73,21 @@ class FmuPlant(Section):
     """Start values to set before initialisation."""
     step_us: Annotated[float, Field(gt=0)] = 1000.0
     """Communication steps are whole multiples of this."""
+
+    @field_validator("force", "length", "rate", "brake", "wrench")
+    @classmethod
+    def _six_or_one_array(cls, names: list[str], info: ValidationInfo) -> list[str]:
+        optional = info.field_name in {"brake", "wrench"}
+        if len(names) not in (1, 6) and not (optional and not names):
+            empty = ", or an empty list" if optional else ""
+            raise ValueError(
+                "wrong number of variables, allowed: six names in leg order, or one name of an array of six"
+                f"{empty}, given: {len(names)}"
+            )
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"the same variable twice: {', '.join(twice)}")
+        return names
 
 
 class PlantSettings(Section):

@@ -1,0 +1,48 @@
+# hexapod-hil. `make help` lists the targets. Needs Python 3.11 to 3.14 and make, nothing else.
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+BIN := .venv/bin
+UV ?= uv
+PYTEST_FLAGS ?=
+
+.PHONY: help run test lint bench docs format lock clean venv fmu
+
+help:  ## this list
+	@echo "make TARGET, where TARGET is"
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-8s %s\n", $$1, $$2}' Makefile
+
+run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the platform's FMU, in real time
+	@exec $(BIN)/hil run virtual --plant
+
+test: lint fmu  ## import contracts, ruff, mypy, pytest (its summary is the last line)
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
+
+lint: venv  ## import contracts, ruff, mypy
+	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/ruff check --quiet && echo "ruff check: clean"
+	@$(BIN)/ruff format --check --quiet && echo "ruff format: clean"
+	@$(BIN)/mypy
+
+bench: fmu  ## the benchmark: compute per tick, wake-up, latency, recorder, replay, FMU, memory
+	@exec $(BIN)/python -m hil.app.bench
+
+docs: venv  ## the documentation, to build/docs/index.html; a warning is an error
+	@$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
+	@echo "build/docs/index.html"
+
+format: venv  ## let ruff format and mend what it can
+	@$(BIN)/ruff check --fix --quiet; $(BIN)/ruff format
+
+lock:  ## resolve the dependencies anew into the two lock files (needs uv)
+	@UV="$(UV)" sh tools/lock
+
+clean:  ## remove .venv, builds and caches; logs in runs/ stay
+	@rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+venv:
+	@python=$$(sh tools/find-python) && exec "$$python" tools/bootstrap.py
+
+fmu: venv
+	@exec $(BIN)/hil fmu build

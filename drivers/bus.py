@@ -1,0 +1,397 @@
+"""Bus: the door to the CAN bus, whatever interface is behind it.
+
+Rule of the room: the only importer of python-can beside localcan's own interface. No thread; a call blocks
+only up to a deadline on CLOCK_MONOTONIC.
+Frames go out and come in as they are; what they mean is the protocol's.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, NamedTuple, Protocol, Self
+
+import can
+
+from drivers.bustime import BitTiming
+from drivers.config import BusSettings
+from drivers.errors import BusError
+from drivers.localcan import Participant
+from drivers.localcan.interface import from_message, to_message
+from drivers.protocol import ERROR, Frame, Received
+from drivers.runtime import RoleLock
+from drivers.socketcan import SocketCan
+
+EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
+"""At most one of each on a channel of this machine."""
+DEAD_AFTER_NS = 50_000_000
+"""A bus that takes no frame at all for this long is dead; for less, it is busy."""
+
+
+class BusEvents(NamedTuple):
+    """What happened on the bus beside frames since the last call."""
+
+    errors: int
+    """Error frames."""
+    off: bool
+    """The bus is off, down, or has taken no frame for `DEAD_AFTER_NS`, as of now."""
+    overflow: int
+    """Received frames that were lost because they were not read in time."""
+
+
+class Link(Protocol):
+    """One interface behind a Bus. Received frames may be error frames."""
+
+    @property
+    def off(self) -> bool:
+        """The interface says that the bus is off or down."""
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far."""
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Return how many frames were taken, from the first on."""
+
+    def receive(self) -> list[Received]:
+        """Return what is there."""
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Receive until every wanted identifier has come or the deadline."""
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Receive until anything has come or the deadline."""
+
+    def flush_tx(self) -> None:
+        """Drop frames that wait to be sent."""
+
+    def close(self) -> None:
+        """Free the interface."""
+
+
+class Bus:
+    """An open bus.
+
+    Mutable state: the link, the error count since the last `events`, and since when it refuses frames.
+    """
+
+    def __init__(self, link: Link, role: RoleLock | None = None) -> None:
+        self._link = link
+        self._role = role
+        self._errors = 0
+        self._overflow_seen = 0
+        self._refused_since = 0
+        self._dead = False
+
+    @classmethod
+    def open(cls, settings: BusSettings, role: str) -> Bus:
+        """Open the bus of the configuration.
+
+        role: `controller` and `plant` are exclusive on a channel of this machine, any other name is not.
+        Raises RunError when another process has the role, BusError when the bus cannot be opened.
+        """
+        if settings.layout == "ideal":
+            raise BusError("bus.layout: ideal takes no bus time and is for hil sim only; use classic or fd")
+        lock = RoleLock(settings.interface, settings.channel, role) if role in EXCLUSIVE_ROLES else None
+        try:
+            return cls(_LINKS.get(settings.interface, _open_python_can)(settings), lock)
+        except BaseException:
+            if lock is not None:
+                lock.close()
+            raise
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Send frames and return the number of those that the bus did not take.
+
+        A refusal that passes is a busy bus; one that lasts makes `events().off`. Never blocks, and raises
+        only for frames that this bus cannot carry at all (BusError).
+        """
+        if not frames:
+            return 0
+        taken = self._link.send(frames)
+        if taken:
+            self._refused_since = 0
+            self._dead = False
+        else:
+            now = time.monotonic_ns()
+            self._refused_since = self._refused_since or now
+            self._dead = now - self._refused_since >= DEAD_AFTER_NS
+        return len(frames) - taken
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Return all frames in the order received, as soon as one of every wanted identifier has come.
+
+        Returns at the deadline with what is there. What came before the call counts: to wait for answers,
+        `drain_now` before asking. An empty `wanted` is fulfilled at once.
+        """
+        return self._sift(self._link.drain(deadline_ns, wanted))
+
+    def drain_now(self) -> list[Received]:
+        """Return what has been received. Does not block."""
+        return self._sift(self._link.receive())
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Return as soon as anything has come, or at the deadline with nothing."""
+        while True:
+            raw = self._link.wait(deadline_ns)
+            received = self._sift(raw)
+            if received or not raw or time.monotonic_ns() >= deadline_ns:
+                return received
+
+    def _sift(self, received: list[Received]) -> list[Received]:
+        """Count error frames and keep the rest."""
+        frames = [r for r in received if not r.frame.flags & ERROR]
+        self._errors += len(received) - len(frames)
+        return frames
+
+    def events(self) -> BusEvents:
+        """Return error frames and losses since the last call, and whether the bus is off now."""
+        overflow = self._link.overflow
+        events = BusEvents(self._errors, self._link.off or self._dead, overflow - self._overflow_seen)
+        self._errors = 0
+        self._overflow_seen = overflow
+        return events
+
+    def flush_tx(self) -> None:
+        """Drop frames that still wait to be sent. Raises BusError when the interface cannot."""
+        self._link.flush_tx()
+
+    def close(self) -> None:
+        """Leave the bus and give the role back."""
+        self._link.close()
+        if self._role is not None:
+            self._role.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class LocalCan:
+    """localcan without the detour over python-can's messages."""
+
+    off = False
+
+    def __init__(self, settings: BusSettings) -> None:
+        spin_us = _number(settings, "spin_us", 50.0)
+        tx_limit = int(_number(settings, "tx_limit", 64))
+        _refuse_options(settings, {"spin_us", "tx_limit"})
+        self._node = Participant(
+            settings.channel,
+            BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s),
+            fd=settings.layout == "fd",
+            spin_us=spin_us,
+            tx_limit=tx_limit,
+        )
+        self.send = self._node.send
+        self.receive = self._node.receive
+        self.drain = self._node.drain
+        self.wait = self._node.wait
+        self.close = self._node.close
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far, unsent ones that died with another participant included."""
+        return self._node.overflow + self._node.lost
+
+    def flush_tx(self) -> None:
+        """Drop this node's frames that have not started."""
+        self._node.flush_tx()
+
+
+class PythonCan:
+    """Any other interface of python-can.
+
+    Mutable state: the bus, whether its last call failed.
+    """
+
+    overflow = 0
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.off = False
+        self._bus = bus
+        self._held: list[Received] = []
+        try:
+            self._selectable = bus.fileno() >= 0
+        except NotImplementedError:
+            self._selectable = False
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Send until the interface refuses one."""
+        now = Received(0, Frame(0, b""))
+        for i, frame in enumerate(frames):
+            try:
+                self._bus.send(to_message(now._replace(frame=frame), 0, ""), timeout=0)
+            except ValueError as error:
+                raise BusError(f"bus: frame 0x{frame.id:X} cannot be sent: {error}") from error
+            except (can.CanError, OSError):
+                return i
+        self.off = False
+        return len(frames)
+
+    def _take(self, timeout_s: float) -> bool:
+        try:
+            message = self._bus.recv(timeout_s)
+        except (can.CanError, OSError):
+            self.off = True
+            return False
+        if message is None:
+            return False
+        now = time.monotonic_ns()
+        age = time.time_ns() - int(message.timestamp * 1e9)
+        # interfaces stamp in Unix time, or in a time of their own
+        self._held.append(Received(now - age if 0 <= age < 1_000_000_000 else now, from_message(message)))
+        return True
+
+    def receive(self) -> list[Received]:
+        """Return what is there."""
+        while self._take(0.0):
+            pass
+        received, self._held = self._held, []
+        return received
+
+    def _block(self, seconds: float) -> None:
+        if self.off:
+            time.sleep(min(seconds, 1e-3))
+        elif self._selectable:
+            select.select([self._bus], [], [], seconds)
+        else:
+            self._take(seconds)
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Receive until every wanted identifier has come or the deadline."""
+        return collect(self.receive, self._block, deadline_ns, wanted, first=False)
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Receive until anything has come or the deadline."""
+        return collect(self.receive, self._block, deadline_ns, frozenset(), first=True)
+
+    def flush_tx(self) -> None:
+        """Drop frames that wait to be sent, where the interface can."""
+        with suppress(NotImplementedError):
+            self._bus.flush_tx_buffer()
+
+    def close(self) -> None:
+        """Shut the bus down."""
+        self._bus.shutdown()
+
+
+class RawSocket:
+    """SocketCAN, past python-can."""
+
+    def __init__(self, settings: BusSettings) -> None:
+        _refuse_options(settings, set())
+        self._socket = SocketCan(settings.channel, fd=settings.layout == "fd")
+        self.send = self._socket.send
+        self.receive = self._socket.receive
+        self.flush_tx = self._socket.flush_tx
+        self.close = self._socket.close
+
+    @property
+    def off(self) -> bool:
+        """Bus off, or the interface is down."""
+        return self._socket.off
+
+    @property
+    def overflow(self) -> int:
+        """Frames that the kernel or the controller dropped so far."""
+        return self._socket.overflow
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Receive until every wanted identifier has come or the deadline."""
+        return collect(self.receive, self._socket.block, deadline_ns, wanted, first=False)
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Receive until anything has come or the deadline."""
+        return collect(self.receive, self._socket.block, deadline_ns, frozenset(), first=True)
+
+
+def collect(
+    receive: Callable[[], list[Received]],
+    block: Callable[[float], None],
+    deadline_ns: int,
+    wanted: AbstractSet[int],
+    *,
+    first: bool,
+) -> list[Received]:
+    """Receive until all of `wanted` (with `first`: anything) has come, or the monotonic deadline."""
+    received: list[Received] = []
+    missing = set(wanted)
+    while True:
+        new = receive()
+        received += new
+        if missing:
+            missing.difference_update([frame.id for _, frame in new if not frame.flags & ERROR])
+        if not missing and (received or not first):
+            return received
+        left = deadline_ns - time.monotonic_ns()
+        if left <= 0:
+            return received
+        block(left * 1e-9)
+
+
+def _open_python_can(settings: BusSettings) -> Link:
+    options: dict[str, Any] = dict(settings.options)
+    if settings.interface == "udp_multicast":
+        if options.setdefault("hop_limit", 0) != 0:
+            raise BusError(
+                "bus.options.hop_limit: must be 0 (or left out); with more, every frame goes out to the "
+                "local network, where others can read and send drive commands"
+            )
+    else:
+        options.setdefault("bitrate", settings.bitrate_bit_s)
+    if settings.layout == "fd":
+        options.setdefault("fd", True)
+        if settings.interface != "udp_multicast":
+            options.setdefault("data_bitrate", settings.data_bitrate_bit_s)
+    if settings.interface not in can.VALID_INTERFACES:
+        known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
+        raise BusError(
+            f"bus.interface: {settings.interface} is unknown; known are {known}; localcan needs no hardware"
+        )
+    try:
+        bus = can.Bus(settings.channel, settings.interface, ignore_config=True, **options)
+    except Exception as error:
+        raise BusError(
+            f"bus {settings.interface}:{settings.channel} does not open: {error}; "
+            "check bus.channel and bus.options, or use bus.interface: localcan, which needs no hardware"
+        ) from error
+    return PythonCan(bus)
+
+
+def _refuse_virtual(settings: BusSettings) -> Link:
+    raise BusError(
+        f"bus.interface: virtual ({settings.channel}) lives inside one process, "
+        "and controller and drives are two; use localcan, or hil sim for both in one process"
+    )
+
+
+def _number(settings: BusSettings, key: str, default: float) -> float:
+    value = settings.options.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 10_000:
+        raise BusError(f"bus.options.{key}: a number from 0 to 10000 is allowed, not {value!r}")
+    return float(value)
+
+
+def _refuse_options(settings: BusSettings, known: set[str]) -> None:
+    unknown = sorted(set(settings.options) - known)
+    if unknown:
+        allowed = ", ".join(sorted(known)) or "none"
+        raise BusError(
+            f"bus.options: {', '.join(unknown)} unknown for {settings.interface}; allowed: {allowed}"
+        )
+
+
+_LINKS: dict[str, Callable[[BusSettings], Link]] = {
+    "localcan": LocalCan,
+    "socketcan": RawSocket,
+    "virtual": _refuse_virtual,
+}

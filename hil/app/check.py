@@ -1,0 +1,269 @@
+"""`hil check CONFIG`: what the bus, the legs and the limits say about a configuration, before anything moves.
+
+Rule of the room: reads a configuration, starts nothing, opens no bus.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import PROTOCOLS
+from drivers.bustime import BitTiming, frame_time_ns
+from drivers.errors import ConfigurationError, HilError
+from hil.app.configuration import Configuration, load, platform_dict
+from hil.app.consistency import bus_budget
+from hil.app.reach import WINDOW_S, Walk, span_s, violations, walk, window_swing
+from hil.app.yaml_positions import Problem, parse
+from hil.clock import real_time
+from hil.config import HoldReference, InverseDynamicsSettings
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.kinematics import condition, leg_lengths
+from hil.trajectory import build_trajectory
+
+CROSS_OVER = 2.058
+"""Gain cross-over over wn of (2 zeta wn s + wn^2) / s^2 at zeta = 1: sqrt(2 + sqrt 5)."""
+PHASE_MARGIN_DEG = 76.35
+"""Of that loop without delay: atan(2 sqrt(2 + sqrt 5))."""
+
+
+@dataclass
+class Report:
+    """Figures of a configuration, in sections, and what is worth a warning."""
+
+    name: str
+    sections: dict[str, list[str]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    figures: dict[str, Any] = field(default_factory=dict)
+    """The same as plain values, for `--json`."""
+
+    @property
+    def lines(self) -> list[str]:
+        """All as text."""
+        text = [f"configuration {self.name}"]
+        for title, lines in self.sections.items():
+            text += [title, *(f"  {line}" for line in lines)]
+        return text + [f"warning: {w}" for w in self.warnings]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        return {"configuration": self.name, "figures": self.figures, "warnings": self.warnings}
+
+
+def check(path: str | Path) -> Report:
+    """Load a configuration and walk its reference.
+
+    Raises ConfigurationError with all problems: those of the file, or the limits that the reference breaks,
+    each with its first instant.
+    """
+    return inspect(load(path))
+
+
+def inspect(c: Configuration) -> Report:
+    """Return the report on a loaded configuration. Raises ConfigurationError as `check`."""
+    report = Report(c.name)
+    platform = Platform.from_dict(platform_dict(c.platform))
+    model = Model(platform, leg_spin=c.platform.leg_spin)
+    _robot(report, c, platform, model)
+    _bus(report, c)
+    _drives(report, c)
+    _controller(report, c)
+    _reference(report, c, platform, model)
+    _permissions(report, c)
+    return report
+
+
+def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
+    home = build_trajectory(_hold(c), c.platform.home, c.folder).sample(0.0)
+    still = np.zeros(6)
+    q = leg_lengths(platform, home.p, home.R)
+    tau = model.inverse_dynamics(home.p, home.R, still, still)
+    number = condition(platform, home.p, home.R)
+    report.sections["robot at home"] = [
+        f"leg lengths    {_six(q, 4)} m (stroke {c.platform.length_min_m:g} to {c.platform.length_max_m:g})",
+        f"static forces  {_six(tau, 1)} N",
+        f"condition of J {number:.2f} (limit {c.limits.condition:g})",
+    ]
+    report.figures["home"] = {
+        "leg_lengths_m": q.tolist(),
+        "static_forces_N": tau.tolist(),
+        "condition": float(number),
+    }
+
+
+def _bus(report: Report, c: Configuration) -> None:
+    title = f"bus {c.bus.interface} {c.bus.channel}, layout {c.bus.layout}"
+    if c.bus.layout == "ideal":
+        report.sections[title] = ["no bus time: exists only in lockstep (hil sim)"]
+        return
+    budget = bus_budget(c.bus, c.drives, c.loop)
+    lines = budget.table().splitlines()
+    lines.append(f"  highest rate at {c.bus.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
+    report.sections[title] = [line.removeprefix("  ") for line in lines]
+    report.figures["bus"] = {
+        "load_percent": budget.load_percent,
+        "total_us": budget.total_ns / 1e3,
+        "allowed_rate_Hz": budget.allowed_rate_Hz,
+    }
+    protocol = PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+    timing = BitTiming(c.bus.bitrate_bit_s, c.bus.data_bitrate_bit_s)
+    times = {
+        f.id: frame_time_ns(len(f.data), f.flags, timing)
+        for f in (*protocol.cyclic_frames(), *protocol.sync(0))
+        if f.id in protocol.feedback_ids or f.id == protocol.sync(0)[0].id
+    }
+    feedback_us = sum(times.values()) / 1e3
+    window_us = c.loop.feedback_window_us or 0.65e6 / c.loop.rate_Hz
+    report.sections[title].append(
+        f"SYNC to sixth feedback {feedback_us:.0f} us of a window of {window_us:.0f} us"
+    )
+    report.figures["bus"]["feedback_us"] = feedback_us
+    if feedback_us > window_us:
+        report.warnings.append(
+            f"SYNC and six feedbacks take {feedback_us:.0f} us of bus time and the window is "
+            f"{window_us:.0f} us (loop.feedback_window_us): legs will be stale"
+        )
+
+
+def _drives(report: Report, c: Configuration) -> None:
+    period_ms = 1e3 / c.loop.rate_Hz
+    periods = c.drives.watchdog_ms / period_ms
+    report.sections["drives"] = [
+        f"nodes {', '.join(map(str, c.drives.node_ids))}; rated force {c.drives.force_limit_N:g} N",
+        f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {c.drives.reaction}",
+    ]
+    report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.drives.reaction}
+
+
+def _controller(report: Report, c: Configuration) -> None:
+    lines = [f"law {c.controller.law}"]
+    if isinstance(c.controller, InverseDynamicsSettings):
+        model = c.controller.model
+        w_n = float(np.max(c.controller.wn_rad_s))
+        lag = 0.0
+        if c.plant is not None and c.plant.model.type == "stewart" and c.plant.model.force_bandwidth_Hz > 0:
+            lag = 1 / (2 * np.pi * c.plant.model.force_bandwidth_Hz)
+        # SYNC to force at most one period, the zero-order hold half of one, the drives' force loop.
+        transport = 0.0 if c.bus.layout == "ideal" else 1.0
+        delay = (transport + 0.5) / c.loop.rate_Hz + lag
+        loss = np.rad2deg(CROSS_OVER * w_n * delay)
+        lines.append(
+            f"model {model.variant}, wn up to {w_n:g} rad/s; {1e3 * delay:.1f} ms of delay cost about "
+            f"{loss:.0f} of {PHASE_MARGIN_DEG:.0f} degrees of phase margin (damping ratio 1)"
+        )
+        report.figures["controller"] = {"delay_ms": 1e3 * delay, "phase_loss_deg": float(loss)}
+        if PHASE_MARGIN_DEG - loss < 30:
+            report.warnings.append(
+                f"controller.wn_rad_s {w_n:g} leaves about {PHASE_MARGIN_DEG - loss:.0f} degrees of phase "
+                f"margin at loop.rate_Hz {c.loop.rate_Hz:g}: lower wn or raise the rate"
+            )
+        if model.variant in MODEL_WARNINGS:
+            report.warnings.append(
+                f"controller.model.variant {model.variant}: {MODEL_WARNINGS[model.variant]}"
+            )
+    report.sections["controller"] = lines
+
+
+MODEL_WARNINGS = {
+    "constant": (
+        "M, G and J frozen at one pose: good for small motion only. On the book's path (0.6 m, 19 deg) it "
+        "ends 395 mm off, through a singularity at 1.011 s into another assembly; constant_MG ends at 2.2 mm"
+    ),
+    "constant_MG": "M and G frozen at one pose: 2.2 mm on the book's path, full 0.03 mm",
+    "printed": (
+        "without H and without J_dot twist: the latter is up to 15.7 % of the force on the book's path "
+        "(2.6 mm of leg error there)"
+    ),
+}
+"""Figures: book platform, book path, wn 20 rad/s, 1 kHz."""
+
+
+def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
+    period = 1 / c.loop.rate_Hz
+    try:
+        trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+        w = walk(platform, model, trajectory, span_s(c.reference, trajectory), period, c.plant)
+    except ConfigurationError:
+        raise
+    except HilError as error:
+        raise ConfigurationError(_line(c, str(error))) from error
+    found = violations(w, c.platform, c.limits, period)
+    if found:
+        raise ConfigurationError(*(_line(c, f"at t = {v.t:.3f} s: {v.message}") for v in found))
+    step, swing = _changes(w, period)
+    peak = float(np.abs(w.tau).max())
+    whole = trajectory.duration_s
+    change = f"not seen: {len(w.t)} samples are fewer than ticks"
+    if w.every_tick:
+        change = (
+            f"{step:.0f} N from tick to tick (limit {c.limits.force_step_N:g}), "
+            f"{swing:.0f} N within 250 ms (limit {c.limits.force_window_N:g})"
+        )
+    report.sections[
+        f"reference {c.reference.type}, {'until stopped' if whole is None else f'{whole:g} s'}"
+    ] = [
+        f"leg lengths    {w.q.min():.4f} to {w.q.max():.4f} m",
+        f"leg rates      up to {np.abs(w.dq).max():.3f} m/s (limit {c.limits.speed_m_s:g})",
+        f"leg forces     {w.tau.min():.0f} to {w.tau.max():.0f} N (limit {c.limits.force_N:g})",
+        f"force change   {change}",
+        f"condition of J up to {w.condition.max():.2f} (limit {c.limits.condition:g})",
+    ]
+    report.figures["reference"] = {
+        "duration_s": whole,
+        "length_min_m": float(w.q.min()),
+        "length_max_m": float(w.q.max()),
+        "rate_max_m_s": float(np.abs(w.dq).max()),
+        "force_min_N": float(w.tau.min()),
+        "force_max_N": float(w.tau.max()),
+        "force_step_N": step if w.every_tick else None,
+        "force_window_N": swing if w.every_tick else None,
+        "condition_max": float(w.condition.max()),
+    }
+    if peak > 0.9 * c.limits.force_N:
+        report.warnings.append(
+            f"the reference needs {peak:.0f} N of limits.force_N {c.limits.force_N:g}: less than 10 % "
+            "is left for control"
+        )
+
+
+def _changes(w: Walk, period: float) -> tuple[float, float]:
+    forces = np.vstack([w.rest[:1], w.tau, w.rest[1:]])
+    ticks = max(1, round(WINDOW_S / period))
+    return float(np.abs(np.diff(forces, axis=0)).max()), float(window_swing(forces, ticks).max())
+
+
+def _permissions(report: Report, c: Configuration) -> None:
+    with real_time(c.loop.priority, c.loop.cpu) as granted:
+        lines = [f"granted: {', '.join(granted.granted) or 'nothing'}"]
+        lines.append(f"missing: {', '.join(granted.missing) or 'nothing'}")
+        fifo = granted.fifo
+    report.sections["real time on this machine"] = lines
+    report.figures["real_time"] = {"granted": granted.granted, "missing": granted.missing}
+    if not fifo and c.bus.layout != "ideal":
+        then = (
+            "`hil run` will refuse (loop.without_realtime)"
+            if c.loop.without_realtime == "refuse"
+            else "`hil run` will drop to a rate it can hold"
+        )
+        report.warnings.append(
+            f"no SCHED_FIFO: {then}. To get it: `ulimit -r {c.loop.priority}` from a limits.conf entry "
+            f"`@realtime - rtprio {c.loop.priority}` (and `- memlock unlimited`), or CAP_SYS_NICE"
+        )
+
+
+def _hold(c: Configuration) -> HoldReference:
+    return HoldReference(type="hold", pose=c.platform.home)
+
+
+def _line(c: Configuration, message: str) -> str:
+    """Point at the section `reference` of the file."""
+    document = parse(c.text)
+    return Problem(document.key_position(("reference",)), ("reference",), message).line(c.source)
+
+
+def _six(x: Any, digits: int) -> str:
+    return " ".join(f"{v:.{digits}f}" for v in x)

@@ -1,0 +1,48 @@
+"""`hil replay`: a log's recorded inputs through the same code, compared to the bit."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import LogError
+from hil.app.compose import build_cycle
+from hil.app.configuration import loads
+from hil.log import Log
+from hil.replay import Verdict, replay
+
+
+def replay_log(path: Path) -> tuple[Verdict, dict[str, Any]]:
+    """Replay a log of `hil run` or `hil sim`; return the verdict and its summary.
+
+    Raises LogError for a file that is no such log.
+    """
+    log = Log.open(path)
+    run = log.metadata.get("hil", {})
+    if run.get("kind") not in {"run", "sim"}:
+        raise LogError(
+            f"{path}: holds a log of kind {run.get('kind')!r}; only logs of `hil run` and `hil sim` replay"
+        )
+    configuration = loads(log.configuration, f"{path}:config.yaml")
+    cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]))
+    begun = time.perf_counter()
+    verdict = replay(log, cycle)
+    wall = time.perf_counter() - begun
+    return verdict, summary(verdict, wall, verdict.ticks / float(run["rate_Hz"]))
+
+
+def summary(verdict: Verdict, wall_s: float, logged_s: float) -> dict[str, Any]:
+    """Return a verdict as plain values."""
+    return {
+        "exact": verdict.exact,
+        "ticks": verdict.ticks,
+        "frames": verdict.frames,
+        "different_ticks": verdict.different_ticks,
+        "wire_different_ticks": verdict.wire_different_ticks,
+        "largest_relative_difference": verdict.largest,
+        "first": [str(d) for d in verdict.first],
+        "gaps": [f"{count} ticks missing from tick {tick}" for tick, count in verdict.gaps],
+        "wall_s": wall_s,
+        "times_real_time": logged_s / wall_s if wall_s > 0 else 0.0,
+    }

@@ -1,0 +1,164 @@
+"""Fixed-rate deadlines and the operating system's real-time settings.
+
+Rule of the room: the only place of the controller that reads a clock, sleeps, or asks the kernel for
+scheduling. Nothing here decides anything about the platform.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import resource
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+
+
+class Wake(NamedTuple):
+    """One wake-up of the loop."""
+
+    tick: int
+    t_ns: int
+    """Scheduled time."""
+    lateness_ns: int
+    skipped: int
+    """Whole periods that were over before the loop came back."""
+
+
+class Deadlines:
+    """Absolute deadlines t0 + k T that keep phase: periods that are over are skipped, never caught up.
+
+    Mutable state: the last tick. Times are CLOCK_MONOTONIC in ns.
+    """
+
+    def __init__(self, rate_Hz: float, spin_us: float, start_ns: int | None = None) -> None:
+        self.period_ns = round(1e9 / rate_Hz)
+        self.spin_ns = round(spin_us * 1e3)
+        self.start_ns = time.monotonic_ns() + 2 * self.period_ns if start_ns is None else start_ns
+        self.tick = -1
+
+    def wait(self) -> Wake:
+        """Sleep, then spin, until the next deadline that is still ahead."""
+        tick = self.tick + 1
+        now = time.monotonic_ns()
+        skipped = max(0, (now - self.start_ns) // self.period_ns - tick)
+        tick += skipped
+        due = self.start_ns + tick * self.period_ns
+        rest = due - now - self.spin_ns
+        if rest > 0:
+            time.sleep(rest * 1e-9)
+        while (now := time.monotonic_ns()) < due:
+            pass
+        self.tick = tick
+        return Wake(tick, due, now - due, skipped)
+
+
+@dataclass
+class RealTime:
+    """What the kernel granted, and what it did not."""
+
+    granted: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def fifo(self) -> bool:
+        """Whether the loop has SCHED_FIFO."""
+        return "SCHED_FIFO" in self.granted
+
+
+@contextlib.contextmanager
+def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
+    """Ask for real-time scheduling of this process, each part only as far as the rights go.
+
+    SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep,
+    garbage collector frozen and off. Undone on exit. Compile and allocate before entering.
+    """
+    report = RealTime()
+    latency = None
+    before = os.sched_getaffinity(0)
+    _attempt(report, "SCHED_FIFO", lambda: _fifo(priority))
+    if report.fifo and cpu is not None:
+        _attempt(report, f"CPU {cpu}", lambda: os.sched_setaffinity(0, {cpu}))
+    _attempt(report, "locked memory", lambda: _mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT))
+    try:
+        latency = os.open("/dev/cpu_dma_latency", os.O_WRONLY)
+        os.write(latency, struct.pack("i", 0))
+        report.granted.append("cpu_dma_latency 0")
+    except OSError as error:
+        report.missing.append(f"cpu_dma_latency ({error.strerror})")
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield report
+    finally:
+        gc.enable()
+        gc.unfreeze()
+        if latency is not None:
+            os.close(latency)
+        if report.fifo:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, before)
+        with contextlib.suppress(OSError):
+            _mlockall(0)
+
+
+def fifo_allowed(priority: int) -> bool:
+    """Say whether this process may have SCHED_FIFO at this priority; leaves it as it was."""
+    try:
+        _fifo(priority)
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+def _attempt(report: RealTime, name: str, action: Callable[[], None]) -> None:
+    try:
+        action()
+    except OSError as error:
+        report.missing.append(f"{name} ({error.strerror})")
+    else:
+        report.granted.append(name)
+
+
+def _fifo(priority: int) -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _mlockall(flags: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    result = libc.mlockall(flags) if flags else libc.munlockall()
+    if result != 0:
+        error = ctypes.get_errno()
+        raise OSError(error, os.strerror(error))
+
+
+STALL_S = 0.040
+"""Longest stall expected of a loaded machine without SCHED_FIFO (32 ms was seen)."""
+
+
+def holdable_rate(rate_Hz: float, missed_in_a_row: int, seconds: float = 1.0) -> float:
+    """Return the highest of rate, rate/2, rate/4 ... that this machine holds without SCHED_FIFO.
+
+    So many misses in a row stop the platform, so as many periods must outlast the longest stall: twice
+    the worst wake-up measured now under the present load, and never less than STALL_S.
+    """
+    deadlines = Deadlines(rate_Hz, 0.0)
+    wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
+    worst = max(w.lateness_ns + w.skipped * deadlines.period_ns for w in wakes) * 1e-9
+    rate = rate_Hz
+    while missed_in_a_row / rate < max(STALL_S, 2.0 * worst):
+        rate /= 2.0
+    return rate
+
+
+def resident_MB() -> float:
+    """Return the peak resident memory of this process, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -1,0 +1,66 @@
+"""Exact inverse dynamics control in joint space (control notes, section 6.1.3).
+
+The notes drop the term J_dot twist when they pass from leg to pose accelerations; with it the error
+dynamics is linear: E'' + K_D E' + K_P E = 0 for a model that is exact. What the controller believes of
+the robot is the model's business (hil.dynamics.Model), not the law's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config import InverseDynamicsSettings, LegSpin
+from hil.control.law import per_leg
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.kernels.dynamics import joint_idc_kernel
+from hil.rotations import rotation_from_vector
+from hil.signals import Array, Effort, Reference, State
+
+_NO_WRENCH = np.zeros(6)
+
+
+class JointInverseDynamics:
+    """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench], ddq* = ddq_d + K_D dE + K_P E.
+
+    E = q_d - q (6,) m. No mutable state.
+    """
+
+    def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
+        """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals."""
+        self.model = model
+        self.K_P = K_P
+        self.K_D = K_D
+
+    @classmethod
+    def build(
+        cls, settings: InverseDynamicsSettings, platform: Platform, leg_spin: LegSpin
+    ) -> JointInverseDynamics:
+        """Make the law and its model from their section of the configuration."""
+        w_n = per_leg(settings.wn_rad_s)
+        frozen = settings.model.frozen_at
+        model = Model(
+            platform,
+            settings.model.variant,
+            leg_spin,
+            inertia_scale=settings.model.inertia_scale,
+            frozen_at=None
+            if frozen is None
+            else (
+                np.array(frozen.position_m, float),
+                rotation_from_vector(np.deg2rad(frozen.rotation_vector_deg)),
+            ),
+        )
+        return cls(model, w_n**2, 2.0 * settings.damping_ratio * w_n)
+
+    def reset(self) -> None:
+        """Nothing is accumulated."""
+
+    def effort(self, state: State, reference: Reference) -> Effort:
+        """Return tau (6,) N; NaN where J is singular."""
+        ddq = reference.ddq + self.K_D * (reference.dq - state.dq) + self.K_P * (reference.q - state.q)
+        return Effort(
+            joint_idc_kernel(
+                self.model.constants, self.model.code, state.p, state.R, state.twist, state.J, ddq, _NO_WRENCH
+            )
+        )

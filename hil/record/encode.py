@@ -1,0 +1,242 @@
+"""From a batch of ticks in the ring to MCAP messages as bytes.
+
+Rule of the room: pure; the same ticks give the same messages, however they were batched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
+
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
+from hil.record import schema
+from hil.record.recording import Scene
+from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, Batch
+from hil.record.scene import SceneDrawer, transforms
+from hil.record.schema import RX, TX, Schema
+
+TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
+"""Channel ids."""
+_DLC = np.array([schema.data_length_code(length) for length in range(schema.MAX_DATA + 1)], np.uint8)
+_LAST = 1 << 24
+_BITS = {"is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI}
+
+
+class Messages(NamedTuple):
+    """Complete MCAP Message records in file order, and what the index needs of them."""
+
+    data: list[memoryview | bytes]
+    channel: NDArray[np.int64]
+    log_time: NDArray[np.int64]
+    length: NDArray[np.int64]
+    tick: NDArray[np.int64]
+    """Position of the tick in the batch: chunks are cut between ticks."""
+
+
+class _Block(NamedTuple):
+    """Messages of one channel and one length."""
+
+    key: NDArray[np.int64]
+    channel: int
+    log_time: NDArray[np.int64]
+    data: list[memoryview | bytes]
+
+
+class Encoder:
+    """Turns batches into messages. State: the tick that comes next, for events between ticks."""
+
+    def __init__(
+        self,
+        dtype: np.dtype[np.void],
+        *,
+        topic: str,
+        epoch_ns: int,
+        can_channel: str,
+        units: Mapping[str, str],
+        scene: Scene | None,
+        view_every: int,
+    ) -> None:
+        self._row_layout = schema.row_layout(dtype)
+        self._epoch = epoch_ns
+        self._bus = can_channel.encode()
+        self._view_every = view_every
+        self._drawer = SceneDrawer(scene) if scene else None
+        self._operator = schema.message_class(schema.operator_schema())
+        self._next_tick = 0
+        row_name = f"{schema.PACKAGE}.{topic.strip('/').title().replace('/', '').replace('_', '')}"
+        self.channels: dict[int, tuple[str, Schema, dict[str, str]]] = {
+            TICK: (
+                topic,
+                schema.row_schema(row_name, dtype, units),
+                {f"unit.{k}": v for k, v in units.items()},
+            ),
+            CAN: ("/can", schema.frame_schema(), {"channel": can_channel}),
+            COMMANDS: ("/operator", schema.operator_schema(), {}),
+            EVENTS: ("/events", _foxglove(Log), {}),
+            TF: ("/tf", _foxglove(FrameTransform), {}),
+            SCENE: ("/scene", _foxglove(SceneUpdate), {}),
+        }
+
+    def encode(self, batch: Batch) -> Messages:
+        """Return the messages of a batch: per tick the row, its items in order, its views."""
+        rows, items, position = batch
+        count = len(rows)
+        ticks = np.append(rows["tick"], rows["tick"][-1] + 1 if count else self._next_tick)
+        times = np.append(rows["t_ns"], 0)
+        self._next_tick = int(ticks[-1])
+        index = np.arange(len(items)) - np.searchsorted(position, position)
+        key = position * _LAST + 1 + index
+        blocks = [self._rows(rows)] if count else []
+        frames = items["kind"] <= SENT
+        lengths = np.where(frames, items["length"], 255)
+        for length in np.unique(lengths[frames]).tolist():
+            mine = np.flatnonzero(lengths == length)
+            at = position[mine]
+            blocks.append(self._frames(items[mine], length, ticks[at], times[at], index[mine], key[mine]))
+        for i in np.flatnonzero(~frames).tolist():
+            n = int(position[i])
+            blocks.extend(self._rare(items, i, int(ticks[n]), int(times[n]), int(index[i]), key[i : i + 1]))
+        for i in np.flatnonzero(rows["tick"] % self._view_every == 0).tolist():
+            blocks.extend(self._views(rows[i], i * _LAST + _LAST - 3))
+        return _in_order(blocks)
+
+    def _rows(self, rows: NDArray[np.void]) -> _Block:
+        records = self._row_layout.new(len(rows))
+        for name in rows.dtype.names or ():
+            records[name] = rows[name]
+        log_time = rows["t_ns"] + self._epoch
+        return self._block(records, TICK, rows["tick"], log_time, log_time, np.arange(len(rows)) * _LAST)
+
+    def _frames(
+        self,
+        items: NDArray[np.void],
+        length: int,
+        ticks: NDArray[np.int64],
+        times: NDArray[np.int64],
+        index: NDArray[np.int64],
+        key: NDArray[np.int64],
+    ) -> _Block:
+        records = schema.frame_layout(length, self._bus).new(len(items))
+        log_time = items["t_ns"] + self._epoch
+        seconds, nanos = np.divmod(log_time, 1_000_000_000)
+        records["seconds"] = schema.pack_varint5(seconds)
+        records["nanos"] = schema.pack_varint5(nanos)
+        records["id"] = items["id"]
+        flags = items["flags"]
+        for name, bit in _BITS.items():
+            records[name] = (flags & bit) != 0
+        records["dlc"] = _DLC[length]
+        if length:
+            records["data"] = items["data"][:, :length]
+        records["direction"] = np.where(items["kind"] == RECEIVED, RX, TX)
+        records["tick"] = ticks
+        records["index"] = index
+        return self._block(records, CAN, ticks, log_time, times + self._epoch, key)
+
+    @staticmethod
+    def _block(
+        records: NDArray[np.void],
+        channel: int,
+        ticks: NDArray[np.int64],
+        log_time: NDArray[np.int64],
+        publish_time: NDArray[np.int64],
+        key: NDArray[np.int64],
+    ) -> _Block:
+        records["@channel"] = channel
+        records["@sequence"] = ticks & 0xFFFFFFFF
+        records["@log_time"] = log_time
+        records["@publish_time"] = publish_time
+        size = records.itemsize
+        data = memoryview(records.tobytes())
+        return _Block(key, channel, log_time, [data[i : i + size] for i in range(0, len(data), size)])
+
+    def _rare(
+        self, items: NDArray[np.void], i: int, tick: int, t_ns: int, index: int, key: NDArray[np.int64]
+    ) -> list[_Block]:
+        """Return the message of an operator command or of the last piece of an event."""
+        item = items[i]
+        time_ns = int(item["t_ns"]) + self._epoch
+        if item["kind"] == OPERATOR:
+            message = self._operator(command=int(item["id"]), tick=tick, index=index)
+            message.stamp.seconds, message.stamp.nanos = divmod(time_ns, 1_000_000_000)
+            return [_single(COMMANDS, tick, time_ns, t_ns + self._epoch, message, key)]
+        if item["kind"] != EVENT or item["id"] != 0:
+            return []
+        first = i
+        while first > 0 and items[first - 1]["kind"] == EVENT and items[first - 1]["id"] > 0:
+            first -= 1
+        pieces = items[first : i + 1]
+        text = b"".join(bytes(piece["data"][: piece["length"]]) for piece in pieces)
+        message = Log(
+            timestamp=_stamp(time_ns),
+            level=Log.Level.ValueType(int(item["flags"])),
+            message=text.decode(errors="replace"),
+            name="hil",
+        )
+        return [_single(EVENTS, tick, time_ns, time_ns, message, key)]
+
+    def _views(self, row: NDArray[np.void], key: int) -> list[_Block]:
+        tick, time_ns = int(row["tick"]), int(row["t_ns"]) + self._epoch
+        stamp = _stamp(time_ns)
+        messages = [(TF, data) for data in transforms(row, stamp)]
+        scene = self._drawer.update(row, stamp) if self._drawer else None
+        if scene is not None:
+            messages.append((SCENE, scene))
+        return [
+            _single(channel, tick, time_ns, time_ns, data, np.array([key + i]))
+            for i, (channel, data) in enumerate(messages)
+        ]
+
+
+def _stamp(time_ns: int) -> Timestamp:
+    return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
+
+
+def _foxglove(message: Any) -> Schema:
+    return Schema(
+        message.DESCRIPTOR.full_name, build_file_descriptor_set(message).SerializeToString(deterministic=True)
+    )
+
+
+def _single(
+    channel: int, tick: int, log_time: int, publish_time: int, message: Any, key: NDArray[np.int64]
+) -> _Block:
+    payload = message if isinstance(message, bytes) else message.SerializeToString(deterministic=True)
+    record = b"".join(
+        (
+            b"\x05",
+            (22 + len(payload)).to_bytes(8, "little"),
+            channel.to_bytes(2, "little"),
+            (tick & 0xFFFFFFFF).to_bytes(4, "little"),
+            log_time.to_bytes(8, "little"),
+            publish_time.to_bytes(8, "little"),
+            payload,
+        )
+    )
+    return _Block(key, channel, np.array([log_time]), [record])
+
+
+def _in_order(blocks: list[_Block]) -> Messages:
+    """Merge blocks by key."""
+    if not blocks:
+        none = np.zeros(0, np.int64)
+        return Messages([], none, none, none, none)
+    key = np.concatenate([block.key for block in blocks])
+    order = np.argsort(key)
+    data = [record for block in blocks for record in block.data]
+    channel = np.repeat([block.channel for block in blocks], [len(block.key) for block in blocks])
+    length = np.repeat(
+        [len(block.data[0]) if block.data else 0 for block in blocks], [len(block.key) for block in blocks]
+    )
+    log_time = np.concatenate([block.log_time for block in blocks])
+    return Messages(
+        [data[i] for i in order.tolist()], channel[order], log_time[order], length[order], key[order] // _LAST
+    )

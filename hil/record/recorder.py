@@ -1,0 +1,219 @@
+"""The recorder process: drains the ring and writes the log.
+
+Rule of the room: the only process that writes log files. It lives as long as its producer does and ignores
+signals that ask it to end earlier: when the producer closes or dies it drains the ring, closes the file and
+leaves. Started as `python -m hil.record RING_FD PRODUCER_PID`; orders come on standard input (set-up as
+JSON and attachments, then the summary), answers go to standard output, one JSON object per line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import select
+import signal
+import struct
+import sys
+import time
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.record.encode import Encoder, Messages
+from hil.record.environment import product_version
+from hil.record.mcap_file import CHUNK_SIZE, McapFile
+from hil.record.recording import Scene
+from hil.record.ring import DROPPED, Ring
+from hil.record.schema import ENVIRONMENT, IDENTITY, LIBRARY, SUMMARY, row_type
+
+FLUSH_S = 0.1
+"""Real time: a chunk at least this often; half of what may be lost when all is killed at once."""
+_POLL_S = 0.02
+_LOCKSTEP_POLL_S = 0.004
+_SYNC_S = 1.0
+_MOST_TICKS = 2048
+_MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "text/plain", ".csv": "text/csv"}
+
+
+class Recorder:
+    """One log being written. State: the ring's read side, the file, what was counted."""
+
+    def __init__(self, ring: Ring, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]) -> None:
+        self._ring = ring
+        self._lockstep = bool(setup["lockstep"])
+        self._encoder = Encoder(
+            ring.rows.dtype,
+            topic=setup["topic"],
+            epoch_ns=setup["epoch_ns"],
+            can_channel=setup["can_channel"],
+            units=setup["units"],
+            scene=Scene(**setup["scene"]) if setup["scene"] else None,
+            view_every=setup["view_every"],
+        )
+        # fixed batches make the whole data section, not only its messages, the same for the same run
+        self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
+        self.batch = min(self.batch, ring.capacity // 2)
+        self.ticks = 0
+        self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
+        self._open(setup, attachments)
+
+    def _open(self, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]) -> None:
+        self.file.add_metadata(IDENTITY, setup["identity"])
+        self.file.add_metadata(ENVIRONMENT, setup["environment"])
+        for name, data in attachments:
+            media_type = _MEDIA.get(Path(name).suffix, "application/octet-stream")
+            self.file.add_attachment(name, data, setup["created_ns"], media_type)
+        for channel_id, (topic, schema, metadata) in self._encoder.channels.items():
+            schema_id = self.file.add_schema(schema.name, schema.descriptors)
+            if self.file.add_channel(topic, schema_id, metadata) != channel_id:
+                raise AssertionError(topic)
+        self.file.sync()
+
+    def run(self, control: _Control) -> None:
+        """Drain until the producer closes or dies."""
+        flushed = synced = time.monotonic()
+        while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else _POLL_S):
+            now = time.monotonic()
+            if self._lockstep:
+                while self._ring.ready(self.batch):
+                    self._drain(self.batch)
+            elif now - flushed >= FLUSH_S - _POLL_S / 2 or self._ring.ready(self._ring.capacity // 4):
+                flushed = now
+                self._drain(_MOST_TICKS)
+                if now - synced >= _SYNC_S:
+                    synced = now
+                    self.file.sync()
+        while self._drain(self.batch if self._lockstep else _MOST_TICKS):
+            pass
+
+    def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
+        """Write the summary, close the file; `summary` is None when the producer died."""
+        counts = {
+            "closed": "clean" if summary is not None else "producer died",
+            "ticks": self.ticks,
+            "messages": self.file.messages,
+            "dropped": self._ring.counters[DROPPED],
+        }
+        times = os.times()
+        self.file.add_metadata(
+            SUMMARY, {**(summary or {}), **{name: str(value) for name, value in counts.items()}}
+        )
+        self.file.finish()
+        return {**counts, "size_bytes": self.file.position, "recorder_cpu_s": times.user + times.system}
+
+    def _drain(self, limit: int) -> bool:
+        """Write up to `limit` ticks; return whether there was anything."""
+        batch = self._ring.take(limit)
+        if not len(batch.rows) and not len(batch.items):
+            return False
+        self._write(self._encoder.encode(batch))
+        self.ticks += len(batch.rows)
+        self._ring.release(batch)
+        return True
+
+    def _write(self, messages: Messages) -> None:
+        """Write messages as chunks of about CHUNK_SIZE, cut between ticks."""
+        stop = np.cumsum(messages.length)
+        start = stop - messages.length
+        chunks = math.ceil(int(stop[-1]) / CHUNK_SIZE)
+        tick_starts = np.flatnonzero(np.diff(messages.tick, prepend=-1))
+        wanted = np.linspace(0, int(stop[-1]), chunks + 1)[1:-1]
+        inner = tick_starts[np.minimum(np.searchsorted(start[tick_starts], wanted), len(tick_starts) - 1)]
+        cuts = np.unique([0, *inner.tolist(), len(stop)]).tolist()
+        for first, last in pairwise(cuts):
+            self.file.add_chunk(
+                b"".join(messages.data[first:last]),
+                messages.channel[first:last],
+                messages.log_time[first:last],
+                start[first:last] - start[first],
+            )
+
+
+class _Control:
+    """The producer's end: orders on a pipe, and whether it lives. State: what was read so far."""
+
+    def __init__(self, fd: int, producer: int) -> None:
+        self._fd = fd
+        self._received = b""
+        self.summary: dict[str, str] | None = None
+        self._poll = select.poll()
+        self._poll.register(fd, select.POLLIN)
+        self._pidfd = -1
+        # the pipe alone could be held open by a child of the producer that outlives it
+        with contextlib.suppress(OSError, AttributeError):
+            self._pidfd = os.pidfd_open(producer)
+            self._poll.register(self._pidfd, select.POLLIN)
+        self._orphan = os.getppid() != producer
+
+    def ended(self, timeout_s: float) -> bool:
+        """Wait up to `timeout_s`; return whether the producer has closed or died."""
+        ready = {fd for fd, _ in self._poll.poll(timeout_s * 1000.0)}
+        if self._fd in ready:
+            data = os.read(self._fd, 65536)
+            self._received += data
+            if self._received.endswith(b"\n"):
+                self.summary = json.loads(self._received)
+                return True
+            return not data
+        return self._orphan or self._pidfd in ready
+
+
+def read_exactly(fd: int, count: int) -> bytes:
+    """Read `count` bytes. Raises EOFError when the pipe ends before."""
+    data = bytearray()
+    while len(data) < count:
+        piece = os.read(fd, count - len(data))
+        if not piece:
+            raise EOFError
+        data += piece
+    return bytes(data)
+
+
+def read_setup(fd: int) -> tuple[dict[str, Any], list[tuple[str, bytes]]]:
+    """Read what `hil.record.recording` sends first: length, JSON, attachments."""
+    (length,) = struct.unpack("<Q", read_exactly(fd, 8))
+    setup = json.loads(read_exactly(fd, length))
+    return setup, [(name, read_exactly(fd, size)) for name, size in setup["attachments"]]
+
+
+def answer(message: Mapping[str, object]) -> None:
+    """Send one line to the producer, if it still listens."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stdout.fileno(), json.dumps(message).encode() + b"\n")
+
+
+def main(arguments: list[str]) -> int:
+    """Run the recorder; return the exit code."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, name), signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    ring_fd, producer = int(arguments[0]), int(arguments[1])
+    control_fd = sys.stdin.fileno()
+    file: McapFile | None = None
+    try:
+        setup, attachments = read_setup(control_fd)
+        ring = Ring(ring_fd, row_type(setup["dtype"]), setup["ring_ticks"])
+        ring.close_fd()
+        recorder = Recorder(ring, setup, attachments)
+        file = recorder.file
+        control = _Control(control_fd, producer)
+        answer({"ready": True})
+        recorder.run(control)
+        answer(recorder.close(control.summary))
+    except EOFError:
+        return 1
+    except FileExistsError as error:
+        answer(
+            {"error": f"{error.filename} exists and is never overwritten: choose another name for the log"}
+        )
+        return 1
+    except OSError as error:
+        written = f" after {file.position} bytes" if file else ""
+        answer({"error": f"the log cannot be written{written}: {error.strerror}: {setup['path']}"})
+        return 1
+    return 0

@@ -1,0 +1,391 @@
+"""The producer's end of a recording: what the loop calls, once per tick.
+
+Rule of the room: `tick` writes to shared memory and does nothing else: no file, no lock, no system call.
+In real time it never waits: when the ring is full the tick is dropped and counted. In lockstep it waits
+for room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import LogError
+from drivers.protocol import Frame, Received
+from hil.record.environment import environment
+from hil.record.ring import (
+    DROPPED,
+    EVENT,
+    EVENTS,
+    ITEM,
+    OPERATOR,
+    READ,
+    READ_ITEMS,
+    RECEIVED,
+    SENT,
+    WRITTEN,
+    Ring,
+    fence,
+    pack_item,
+)
+from hil.record.schema import CONFIGURATION, FORMAT, MAX_DATA, ROW_UNITS, check_row_type, describe_row_type
+from hil.signals import ROW
+
+LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
+"""2000-01-01T00:00:00Z: the UTC of t_ns = 0 in lockstep."""
+LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
+"""Levels of events, as foxglove.Log counts them."""
+_START_S = 20.0
+_PIECE = MAX_DATA
+
+
+class Scene(NamedTuple):
+    """What the 3D view of the log shows."""
+
+    base_joints: Sequence[Sequence[float]]
+    """(6, 3) m, base frame."""
+    platform_joints: Sequence[Sequence[float]]
+    """(6, 3) m, platform frame."""
+
+
+class LogSummary(NamedTuple):
+    """What became of the log."""
+
+    path: Path
+    ticks: int
+    """Ticks in the log."""
+    messages: int
+    dropped: int
+    """Ticks that found the ring full."""
+    lost: int
+    """Ticks that were in the ring when the recorder died."""
+    size_bytes: int
+    recorder_cpu_s: float
+    """Processor time of the recorder, its start included."""
+    complete: bool
+    """The log was closed and holds every tick."""
+    error: str
+    """Why not, or empty."""
+
+
+class Recording:
+    """A log being written by a recorder process. State: counters of the ring's write side."""
+
+    def __init__(self, ring: Ring, process: subprocess.Popen[bytes], path: Path, *, lockstep: bool) -> None:
+        self.path = path
+        self._ring = ring
+        self._process = process
+        self._lockstep = lockstep
+        self._counters = ring.counters
+        self._written = 0
+        self._items = 0
+        self._dropped = 0
+        self._summary: LogSummary | None = None
+
+    @classmethod
+    def start(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        configuration: str,
+        dtype: np.dtype[np.void] = ROW,
+        topic: str = "/tick",
+        attachments: Sequence[tuple[str, bytes]] = (),
+        metadata: Mapping[str, object] | None = None,
+        units: Mapping[str, str] | None = None,
+        scene: Scene | None = None,
+        view_every: int = 33,
+        can_channel: str = "can0",
+        lockstep: bool = False,
+        ring_ticks: int = 8192,
+    ) -> Self:
+        """Start a recorder process and open the log.
+
+        Call it before the process is pinned or made real-time: the recorder inherits the affinity.
+
+        Parameters
+        ----------
+        path
+            Final name of the log; never overwritten.
+        configuration
+            Text of the configuration, attached as `config.yaml`.
+        dtype, topic
+            Type of the rows (elements i8 or f8, with scalar columns `tick` and `t_ns`) and their topic.
+        attachments
+            Further (name, content).
+        metadata
+            Goes into the metadata record `hil`; values that are not text are written as JSON.
+        units
+            Unit of each column, for viewers; default: those of hil.signals.ROW.
+        scene, view_every
+            What `/scene` shows, and how many ticks lie between two messages of `/scene` and `/tf`.
+        can_channel
+            Name of the bus in the frames.
+        lockstep
+            Simulated time: wait when the ring is full, a fixed epoch, reproducible messages.
+        ring_ticks
+            Length of the ring.
+
+        Raises
+        ------
+        LogError
+            The log exists, cannot be written, or the recorder does not start.
+        ValueError
+            The row type cannot be recorded.
+
+        """
+        check_row_type(dtype)
+        file = Path(path).absolute()
+        now = time.time_ns()
+        epoch_ns = LOCKSTEP_EPOCH_NS if lockstep else now - time.monotonic_ns()
+        description = describe_row_type(dtype)
+        files = [(CONFIGURATION, configuration.encode()), *attachments]
+        setup = {
+            "path": str(file),
+            "dtype": description,
+            "topic": topic,
+            "ring_ticks": ring_ticks,
+            "lockstep": lockstep,
+            "epoch_ns": epoch_ns,
+            "created_ns": LOCKSTEP_EPOCH_NS if lockstep else now,
+            "can_channel": can_channel,
+            "units": dict(ROW_UNITS if units is None else units),
+            "scene": scene._asdict() if scene else None,
+            "view_every": max(1, view_every),
+            "attachments": [[name, len(data)] for name, data in files],
+            "environment": environment(),
+            "identity": {
+                **_texts(metadata or {}),
+                "format": FORMAT,
+                "topic": topic,
+                "dtype": json.dumps(description),
+                "epoch_ns": str(epoch_ns),
+                "can_channel": can_channel,
+                "mode": "lockstep" if lockstep else "realtime",
+            },
+        }
+        ring = Ring.create(dtype, ring_ticks)
+        process = _spawn(ring)
+        try:
+            _send(process, setup, [data for _, data in files])
+            reply = _reply(process, _START_S)
+        except OSError:
+            reply = _reply(process, 1.0)
+        if "ready" not in reply:
+            process.kill()
+            _finish(process)
+            raise LogError(str(reply.get("error", f"{file}: the recorder process did not start")))
+        return cls(ring, process, file, lockstep=lockstep)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the recorder process is still there."""
+        return self._process.poll() is None
+
+    @property
+    def dropped(self) -> int:
+        """Ticks that found the ring full."""
+        return self._dropped
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that went into the ring."""
+        return self._written
+
+    def tick(
+        self,
+        row: NDArray[np.void] | np.void,
+        received: Sequence[Received],
+        sent: Sequence[Frame],
+        operator: Sequence[int] = (),
+        sent_t_ns: Sequence[int] = (),
+    ) -> None:
+        """Record one tick: its row, the frames consumed and sent in their order, operator commands.
+
+        `sent_t_ns` gives the instant of each sent frame; by default it is the time of the tick.
+        A 0-d array as `row` is fastest.
+
+        Raises
+        ------
+        LogError
+            In lockstep: the recorder has died, or one tick has more frames than the ring. Always: a frame of
+            more than 64 bytes.
+
+        """
+        count = len(received) + len(sent) + len(operator)
+        if not self._has_room(count):
+            self._dropped += 1
+            self._counters[DROPPED] = self._dropped
+            return
+        ring = self._ring
+        slot = self._written % ring.capacity
+        ring.rows[slot] = row
+        if count:
+            buffer, size, capacity = ring.item_bytes, ITEM.itemsize, ring.item_capacity
+            item = self._items
+            for t_ns, (can_id, data, flags) in received:
+                length = len(data)
+                if length > MAX_DATA:
+                    raise _too_long(can_id, length)
+                pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, flags, length, data)
+                item += 1
+            if sent or operator:
+                now = int(row["t_ns"])
+                for can_id, data, flags in sent:
+                    length = len(data)
+                    if length > MAX_DATA:
+                        raise _too_long(can_id, length)
+                    pack_item(buffer, item % capacity * size, now, can_id, SENT, flags, length, data)
+                    item += 1
+                if sent_t_ns:
+                    first = item - len(sent)
+                    for i, t_ns in enumerate(sent_t_ns):
+                        struct.pack_into("<q", buffer, (first + i) % capacity * size, t_ns)
+                for command in operator:
+                    pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
+                    item += 1
+            self._items = item
+        ring.ends[slot] = self._items
+        fence()
+        self._written += 1
+        self._counters[WRITTEN] = self._written
+
+    def event(self, t_ns: int, level: str, text: str) -> None:
+        """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
+        data = text.encode()
+        pieces = [data[i : i + _PIECE] for i in range(0, len(data), _PIECE)] or [b""]
+        if not self._has_room(len(pieces)):
+            return
+        ring = self._ring
+        for left, piece in zip(range(len(pieces) - 1, -1, -1), pieces, strict=True):
+            offset = self._items % ring.item_capacity * ITEM.itemsize
+            pack_item(ring.item_bytes, offset, t_ns, left, EVENT, LEVELS[level], len(piece), piece)
+            self._items += 1
+        fence()
+        self._counters[EVENTS] = self._items
+
+    def close(self, summary: Mapping[str, object] | None = None, *, timeout_s: float = 60.0) -> LogSummary:
+        """Have the ring drained and the log closed; `summary` goes into its metadata.
+
+        A recorder that died raises nothing here: the result says so.
+        """
+        if self._summary is None:
+            with contextlib.suppress(OSError):
+                _write_all(self._process, json.dumps(_texts(summary or {})).encode() + b"\n")
+            reply = _reply(self._process, timeout_s)
+            _finish(self._process)
+            self._ring.close_fd()
+            self._summary = self._summarise(reply)
+        return self._summary
+
+    def _summarise(self, reply: Mapping[str, Any]) -> LogSummary:
+        lost = self._written - self._counters[READ]
+        error = reply.get("error", "" if "ticks" in reply else "the recorder died")
+        return LogSummary(
+            path=self.path,
+            ticks=reply.get("ticks", self._counters[READ]),
+            messages=reply.get("messages", 0),
+            dropped=self._dropped,
+            lost=lost,
+            size_bytes=reply.get("size_bytes", self.path.stat().st_size if self.path.exists() else 0),
+            recorder_cpu_s=reply.get("recorder_cpu_s", 0.0),
+            complete=not error and not self._dropped and not lost,
+            error=error,
+        )
+
+    def _has_room(self, count: int) -> bool:
+        """Return whether one row and `count` items fit; in lockstep wait until they do."""
+        ring, counters = self._ring, self._counters
+        while (
+            self._written - counters[READ] >= ring.capacity
+            or self._items + count - counters[READ_ITEMS] > ring.item_capacity
+        ):
+            if not self._lockstep:
+                return False
+            if not self.alive:
+                raise LogError(f"{self.path}: the recorder process died; recover the log with --salvage")
+            if count > ring.item_capacity:
+                raise LogError(f"one tick with {count} frames: the ring holds {ring.item_capacity}")
+            time.sleep(0.0002)
+        return True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _too_long(can_id: int, length: int) -> LogError:
+    return LogError(f"frame 0x{can_id:X} has {length} data bytes: CAN FD carries at most {MAX_DATA}")
+
+
+def _texts(values: Mapping[str, object]) -> dict[str, str]:
+    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
+
+
+def _spawn(ring: Ring) -> subprocess.Popen[bytes]:
+    """Start the recorder with the ring and two pipes."""
+    root = str(Path(__file__).resolve().parents[2])
+    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    variables["PYTHONPATH"] = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    command = [sys.executable, "-P", "-m", "hil.record", str(ring.fd), str(os.getpid())]
+    # a Ctrl-C while the recorder starts must not end it: it inherits the mask and opens it when it is ready
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    try:
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(ring.fd,), env=variables
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _send(
+    process: subprocess.Popen[bytes], setup: Mapping[str, object], attachments: Sequence[bytes]
+) -> None:
+    text = json.dumps(setup).encode()
+    _write_all(process, struct.pack("<Q", len(text)) + text)
+    for data in attachments:
+        _write_all(process, data)
+
+
+def _write_all(process: subprocess.Popen[bytes], data: bytes) -> None:
+    assert process.stdin is not None
+    process.stdin.write(data)
+    process.stdin.flush()
+
+
+def _reply(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, Any]:
+    """Return the recorder's next line, or {} when it is gone or does not answer in time."""
+    assert process.stdout is not None
+    if not select.select([process.stdout], [], [], timeout_s)[0]:
+        return {"error": f"the recorder did not answer within {timeout_s:g} s"}
+    line = process.stdout.readline()
+    reply: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {}
+    return reply
+
+
+def _finish(process: subprocess.Popen[bytes]) -> None:
+    """Close the pipes and reap."""
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with contextlib.suppress(OSError):
+                pipe.close()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(5.0)

@@ -1,0 +1,166 @@
+"""One-producer one-consumer ring in shared memory: rows of ticks, and what belongs to them.
+
+Rule of the room: memory only; no files, no waiting, no clock. Two rings side by side: `rows`, one
+element per tick, and `items`, one element per frame, operator command or piece of an event's text;
+`ends` says where a tick's items end. Each side stores only its own counters, as aligned eight-byte
+words, after the data they speak of; a producer that dies in the middle of a tick leaves it unpublished.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import platform
+import struct
+import tempfile
+from threading import Lock
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+ITEM = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("id", "<u4"),
+        ("kind", "u1"),
+        ("flags", "u1"),
+        ("length", "u1"),
+        ("spare", "u1"),
+        ("data", "u1", (64,)),
+    ]
+)
+pack_item = struct.Struct("<qIBBBx64s").pack_into
+"""pack_item(buffer, offset, t_ns, id, kind, flags, length, data)."""
+RECEIVED, SENT, OPERATOR, EVENT = range(4)
+"""Kinds of item. Operator: id is the command. Event: id is how many pieces follow, flags the level."""
+
+ITEMS_PER_TICK = 16
+_HEADER = 4096
+WRITTEN, EVENTS, DROPPED, READ, READ_ITEMS = 0, 1, 2, 16, 17
+"""Counters: rows published, items published by events, ticks dropped (producer); rows and items read."""
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+_lock = Lock()
+
+
+def _no_fence() -> None:
+    """x86 keeps the order of stores and of loads."""
+
+
+def _lock_fence() -> None:
+    """Order memory accesses by two lock round trips: release, then acquire."""
+    with _lock:
+        pass
+    with _lock:
+        pass
+
+
+fence = _no_fence if platform.machine() in {"x86_64", "AMD64", "i686"} else _lock_fence
+
+
+class Batch(NamedTuple):
+    """A run of ticks, possibly with events that follow the last of them."""
+
+    rows: NDArray[np.void]
+    items: NDArray[np.void]
+    tick: NDArray[np.int64]
+    """For each item the position of its row in `rows`; len(rows) for events after the last row."""
+
+
+class Ring:
+    """The mapping; `create` makes one, `Ring(fd, ...)` attaches to an inherited one."""
+
+    def __init__(self, fd: int, dtype: np.dtype[np.void], capacity: int) -> None:
+        self.fd = fd
+        self.capacity = capacity
+        self.item_capacity = capacity * ITEMS_PER_TICK
+        ends = _HEADER
+        rows = ends + _aligned(8 * capacity)
+        items = rows + _aligned(dtype.itemsize * capacity)
+        size = items + ITEM.itemsize * self.item_capacity
+        if os.fstat(fd).st_size < size:
+            os.ftruncate(fd, size)
+        # all pages mapped now: a first touch in the loop would cost a fault each
+        self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        self._view = memoryview(self._map)
+        self.counters = self._view[:_HEADER].cast("q")
+        self.ends = self._view[ends : ends + 8 * capacity].cast("q")
+        self._ends_array: NDArray[np.int64] = np.ndarray(capacity, np.int64, self._map, ends)
+        self.rows: NDArray[np.void] = np.ndarray(capacity, dtype, self._map, rows)
+        self._items: NDArray[np.void] = np.ndarray(self.item_capacity, ITEM, self._map, items)
+        self.item_bytes = self._view[items:size]
+        self._end = 0
+
+    @classmethod
+    def create(cls, dtype: np.dtype[np.void], capacity: int) -> Ring:
+        """Return a new ring over an anonymous file."""
+        if hasattr(os, "memfd_create"):
+            return cls(os.memfd_create("hil-ring"), dtype, capacity)
+        with tempfile.TemporaryFile() as file:
+            return cls(os.dup(file.fileno()), dtype, capacity)
+
+    def close_fd(self) -> None:
+        """Close the file descriptor; the mapping stays."""
+        if self.fd >= 0:
+            os.close(self.fd)
+        self.fd = -1
+
+    # consumer
+    @property
+    def waiting(self) -> int:
+        """Rows published and not yet read."""
+        return self.counters[WRITTEN] - self.counters[READ]
+
+    def ready(self, limit: int) -> bool:
+        """Return whether `limit` rows wait, or a quarter of the room for items is taken."""
+        events = self.counters[EVENTS]
+        written, read = self.counters[WRITTEN], self.counters[READ]
+        end = self.ends[(written - 1) % self.capacity] if written > read else 0
+        return (
+            written - read >= limit or max(end, events) - self.counters[READ_ITEMS] >= self.item_capacity // 4
+        )
+
+    def take(self, limit: int) -> Batch:
+        """Return up to `limit` published rows with their items; `release` gives their room back.
+
+        Fewer rows when their items take a quarter of the room: where a batch ends depends on what is in the
+        ring, not on when it is read. The arrays may be views of the ring: they are valid until `release`.
+        """
+        events = self.counters[EVENTS]  # first: every row that precedes these events is then visible
+        fence()
+        written = self.counters[WRITTEN]
+        fence()
+        read, first = self.counters[READ], self.counters[READ_ITEMS]
+        count = min(written - read, limit)
+        rows = _span(self.rows, read, read + count)
+        ends = _span(self._ends_array, read, read + count)
+        full = np.flatnonzero(ends - first >= self.item_capacity // 4)
+        if len(full):
+            count = int(full[0]) + 1
+            rows, ends = rows[:count], ends[:count]
+        end = int(ends[-1]) if count else first
+        tick = np.repeat(np.arange(count), np.diff(ends, prepend=first))
+        if read + count == written and events > end:
+            tick = np.concatenate((tick, np.full(events - end, count)))
+            end = events
+        self._end = end
+        return Batch(rows, _span(self._items, first, end), tick)
+
+    def release(self, batch: Batch) -> None:
+        """Give the room of the batch taken last back to the producer."""
+        fence()
+        self.counters[READ_ITEMS] = self._end
+        self.counters[READ] += len(batch.rows)
+
+
+def _aligned(size: int) -> int:
+    return (size + 4095) // 4096 * 4096
+
+
+def _span(ring: NDArray[Scalar], start: int, stop: int) -> NDArray[Scalar]:
+    """Return elements start..stop of the endless sequence that the ring holds the end of."""
+    first, last = start % len(ring), stop % len(ring)
+    if start == stop:
+        return ring[:0]
+    return ring[first:last] if first < last else np.concatenate((ring[first:], ring[:last]))

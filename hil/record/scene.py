@@ -1,0 +1,146 @@
+"""The moving platform for 3D views: foxglove.FrameTransform and foxglove.SceneUpdate from rows.
+
+Rule of the room: pictures only, at a low rate; nothing here is read back.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
+
+from hil.record.recording import Scene
+
+Array = NDArray[np.float64]
+BASE = "base"
+_POSES = (("platform", "p", "R"), ("reference", "p_d", "R_d"))
+_GREY = Color(r=0.45, g=0.48, b=0.52, a=1.0)
+_BLUE = Color(r=0.12, g=0.42, b=0.71, a=1.0)
+_ORANGE = Color(r=0.93, g=0.55, b=0.14, a=1.0)
+
+
+def quaternion(R: Array) -> tuple[float, float, float, float]:
+    """Return (x, y, z, w), w >= 0, of a rotation matrix (3, 3), by its largest component."""
+    trace = float(R[0, 0] + R[1, 1] + R[2, 2])
+    squares = (float(R[0, 0]), float(R[1, 1]), float(R[2, 2]), trace)
+    largest = int(np.argmax(squares))
+    s = 2.0 * sqrt(max(1.0 + 2.0 * squares[largest] - trace, 0.0)) if largest < 3 else 2.0 * sqrt(1.0 + trace)
+    if largest == 3:
+        return (R[2, 1] - R[1, 2]) / s, (R[0, 2] - R[2, 0]) / s, (R[1, 0] - R[0, 1]) / s, s / 4.0
+    i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+    v = [0.0, 0.0, 0.0]
+    v[i], v[j], v[k] = s / 4.0, (R[i, j] + R[j, i]) / s, (R[i, k] + R[k, i]) / s
+    w = (R[k, j] - R[j, k]) / s
+    sign = -1.0 if w < 0.0 else 1.0
+    return sign * v[0], sign * v[1], sign * v[2], sign * w
+
+
+def transforms(row: NDArray[np.void], stamp: Timestamp) -> list[bytes]:
+    """Return the serialised FrameTransforms of one row: platform, and reference where there is one."""
+    messages = []
+    for name, p_column, R_column in _POSES:
+        pose = _pose(row, p_column, R_column)
+        if pose is None:
+            continue
+        p, R = pose
+        x, y, z, w = quaternion(R)
+        message = FrameTransform(
+            timestamp=stamp,
+            parent_frame_id=BASE,
+            child_frame_id=name,
+            translation=Vector3(x=p[0], y=p[1], z=p[2]),
+            rotation=Quaternion(x=x, y=y, z=z, w=w),
+        )
+        messages.append(message.SerializeToString(deterministic=True))
+    return messages
+
+
+class SceneDrawer:
+    """Draws platform and legs; the parts that do not move are prepared once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._a = np.array(scene.base_joints, float)
+        self._b = np.array(scene.platform_joints, float)
+        self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
+
+    def update(self, row: NDArray[np.void], stamp: Timestamp) -> bytes | None:
+        """Return a serialised SceneUpdate, or None while there is no pose."""
+        pose = _pose(row, "p", "R")
+        if pose is None:
+            return None
+        p, R = pose
+        with np.errstate(all="ignore"):  # a pose that makes no sense makes a picture that makes none
+            return self._draw(p, R, stamp)
+
+    def _draw(self, p: Array, R: Array, stamp: Timestamp) -> bytes:
+        tops = p + self._b @ R.T
+        update = SceneUpdate(
+            entities=[
+                self._entity("base", BASE, stamp, lines=[self._outline(self._a, _GREY)]),
+                self._entity("platform", BASE, stamp, lines=[self._outline(tops, _BLUE)]),
+                self._entity(
+                    "legs",
+                    BASE,
+                    stamp,
+                    cylinders=[self._leg(a, b) for a, b in zip(self._a, tops, strict=True)],
+                ),
+            ]
+        )
+        return bytes(update.SerializeToString(deterministic=True))
+
+    @staticmethod
+    def _entity(name: str, frame: str, stamp: Timestamp, **primitives: Any) -> Any:
+        return SceneEntity(timestamp=stamp, frame_id=frame, id=name, frame_locked=True, **primitives)
+
+    def _outline(self, joints: Array, color: Any) -> Any:
+        centre = joints.mean(axis=0)
+        angle = np.arctan2(joints[:, 1] - centre[1], joints[:, 0] - centre[0])
+        return LinePrimitive(
+            type=LinePrimitive.LINE_LOOP,
+            thickness=self._thickness,
+            points=[Point3(x=x, y=y, z=z) for x, y, z in joints[np.argsort(angle)].tolist()],
+            color=color,
+        )
+
+    def _leg(self, a: Array, b: Array) -> Any:
+        axis = b - a
+        length = float(np.linalg.norm(axis))
+        x, y, z = (axis / length).tolist()
+        # the rotation that takes the z axis to the leg, about z cross leg
+        w = sqrt(max((1.0 + z) / 2.0, 0.0))
+        q = (1.0, 0.0, 0.0, 0.0) if w < 1e-9 else (-y / (2.0 * w), x / (2.0 * w), 0.0, w)
+        middle = ((a + b) / 2.0).tolist()
+        return CylinderPrimitive(
+            pose=Pose(
+                position=Vector3(x=middle[0], y=middle[1], z=middle[2]),
+                orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
+            ),
+            size=Vector3(x=self._thickness, y=self._thickness, z=length),
+            bottom_scale=1.5,
+            top_scale=1.0,
+            color=_ORANGE,
+        )
+
+
+def _pose(row: NDArray[np.void], p_column: str, R_column: str) -> tuple[Array, Array] | None:
+    """Return p (3,), R (3, 3) of a row, or None where there is no pose in it."""
+    names = row.dtype.names or ()
+    if p_column not in names or R_column not in names:
+        return None
+    p = np.asarray(row[p_column], float).reshape(3)
+    R = np.asarray(row[R_column], float).reshape(3, 3)
+    # all zero: no pose estimated or no reference yet
+    return (p, R) if np.isfinite(p).all() and np.isfinite(R).all() and R.any() else None

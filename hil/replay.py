@@ -1,0 +1,133 @@
+"""Replay: the recorded inputs through the same Cycle, compared to the bit.
+
+Rule of the room: reads a log, writes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.cycle import Cycle
+from hil.log import Tick
+from hil.signals import COMPUTED_COLUMNS, Operator, TickInput
+
+
+@dataclass
+class Difference:
+    """One column, or the sent frames, of one tick that came out differently."""
+
+    tick: int
+    column: str
+    recorded: str
+    replayed: str
+
+    def __str__(self) -> str:
+        return f"tick {self.tick}: {self.column}: recorded {self.recorded}, replayed {self.replayed}"
+
+
+@dataclass
+class Verdict:
+    """What a replay found."""
+
+    ticks: int = 0
+    frames: int = 0
+    different_ticks: int = 0
+    wire_different_ticks: int = 0
+    """Ticks whose sent frames differ."""
+    first: list[Difference] = field(default_factory=list)
+    """All differences of the first tick that differs."""
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    """(first missing tick, how many) where the recorder lost ticks: nothing after the first is comparable."""
+    largest: float = 0.0
+    """Largest |replayed - recorded| / max(1, |recorded|) over all float columns."""
+
+    @property
+    def exact(self) -> bool:
+        """Every sent frame and every computed column of every tick is identical."""
+        return self.ticks > 0 and not self.different_ticks and not self.gaps
+
+
+class Recorded(Protocol):
+    """Anything that gives recorded ticks in order; `hil.log.Log` above all."""
+
+    def ticks(self) -> Iterator[Tick]:
+        """Return the ticks."""
+
+
+def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Verdict:
+    """Run `cycle` from its initial state over all ticks of a log and compare what it sends and computes.
+
+    Raises LogError where the log cannot be read.
+    """
+    cycle.reset()
+    verdict = Verdict()
+    expected: int | None = None
+    for entry in log.ticks():
+        recorded = entry.row
+        tick = int(recorded["tick"])
+        skipped = int(recorded["skipped"])
+        if expected is None:
+            expected = skipped
+        if tick != expected + (skipped if verdict.ticks else 0):
+            verdict.gaps.append((expected, tick - expected - skipped))
+            break
+        expected = tick + 1
+        inp = TickInput(
+            tick=tick,
+            t_ns=int(recorded["t_ns"]),
+            lateness_ns=int(recorded["lateness_ns"]),
+            skipped=skipped,
+            frames=entry.received,
+            sends_failed=int(recorded["sends_failed"]),
+            bus_errors=int(recorded["bus_errors"]),
+            bus_off=bool(recorded["bus_off"]),
+            bus_overflow=int(recorded["bus_overflow"]),
+            recorder_alive=bool(recorded["recorder_alive"]),
+            recorder_dropped=int(recorded["recorder_dropped"]),
+            operator=tuple(Operator(o) for o in entry.operator),
+            compute_ns=int(recorded["compute_ns"]),
+        )
+        sent = cycle.begin(tick)
+        out = cycle.step(inp)
+        sent += out.frames
+        verdict.ticks += 1
+        verdict.frames += len(sent)
+        wire = sent != entry.sent
+        columns = out.row.tobytes() != recorded.tobytes()
+        if wire or columns:
+            verdict.different_ticks += 1
+            verdict.wire_different_ticks += wire
+            if columns:
+                verdict.largest = max(verdict.largest, _largest(out.row, recorded))
+            if not verdict.first:
+                verdict.first = _differences(tick, out.row, recorded)
+                if wire:
+                    verdict.first.append(Difference(tick, "sent frames", str(entry.sent), str(sent)))
+        if progress is not None and verdict.ticks % 1000 == 0:
+            progress(verdict.ticks)
+    return verdict
+
+
+def _differences(tick: int, replayed: NDArray[np.void], recorded: np.void) -> list[Difference]:
+    return [
+        Difference(tick, name, str(recorded[name]), str(replayed[name]))
+        for name in COMPUTED_COLUMNS
+        if replayed[name].tobytes() != recorded[name].tobytes()
+    ]
+
+
+def _largest(replayed: NDArray[np.void], recorded: np.void) -> float:
+    worst = 0.0
+    for name in COMPUTED_COLUMNS:
+        a, b = np.asarray(replayed[name]), np.asarray(recorded[name])
+        if a.dtype.kind == "f":
+            error = np.abs(a - b) / np.maximum(1.0, np.abs(b))
+            error = np.where(np.isnan(a) & np.isnan(b), 0.0, error)
+            worst = max(worst, float(np.max(np.nan_to_num(error, nan=math.inf))))
+    return worst

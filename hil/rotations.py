@@ -1,0 +1,183 @@
+"""Rotations: Cayley step, rotation vectors and their motion.
+
+Rule of the room: as in hil.kernels. Sine and cosine are power series, because those of the C library
+differ in the last bit from one processor to the next.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.compile_cache import MATRIX, VECTOR, helper, kernel
+from hil.kernels.vectors import Vector, add, cross, dot, scale
+
+Array = NDArray[np.float64]
+
+_TERMS = 24
+"""Enough for |r| <= 2 pi at rounding."""
+
+
+def _reciprocal_factorials(first: int) -> tuple[float, ...]:
+    """Return (-1)^k / (2 k + first)! for k = 0, 1, ... ."""
+    values = []
+    factorial = 1
+    for n in range(2, first + 1):
+        factorial *= n
+    for k in range(_TERMS):
+        values.append((-1) ** k / factorial)
+        factorial *= (2 * k + first + 1) * (2 * k + first + 2)
+    return tuple(values)
+
+
+_SINE = _reciprocal_factorials(1)
+_COSINE = _reciprocal_factorials(2)
+_REST = _reciprocal_factorials(3)
+
+
+@helper
+def _series(coefficients: tuple[float, ...], x: float) -> tuple[float, float]:
+    """Return the polynomial sum c_k x^k and its derivative (Horner)."""
+    value = 0.0
+    slope = 0.0
+    for k in range(_TERMS):
+        slope = slope * x + value
+        value = value * x + coefficients[_TERMS - 1 - k]
+    return value, slope
+
+
+@helper
+def cayley_step(R: Array, w: Vector) -> None:
+    """Replace R by C(w) R, C(w) = I + 2/(1 + a.a) ([a]x + [a]x^2), a = w/2.
+
+    C agrees with exp([w]x) up to w^2, which is what Newton's method asks for, and is orthogonal without
+    a sine (Cayley 1846).
+    """
+    a = scale(0.5, w)
+    k = 2.0 / (1.0 + dot(a, a))
+    for j in range(3):
+        x = (R[0, j], R[1, j], R[2, j])
+        t = cross(a, x)
+        y = add(x, scale(k, add(t, cross(a, t))))
+        R[0, j] = y[0]
+        R[1, j] = y[1]
+        R[2, j] = y[2]
+
+
+@helper
+def orthonormalise(R: Array) -> None:
+    """Replace R by R (3 I - R^T R) / 2: one Newton step towards the nearest rotation."""
+    x = (R[0, 0], R[1, 0], R[2, 0])
+    y = (R[0, 1], R[1, 1], R[2, 1])
+    z = (R[0, 2], R[1, 2], R[2, 2])
+    xy, yz, zx = -0.5 * dot(x, y), -0.5 * dot(y, z), -0.5 * dot(z, x)
+    xx, yy, zz = 1.5 - 0.5 * dot(x, x), 1.5 - 0.5 * dot(y, y), 1.5 - 0.5 * dot(z, z)
+    for i in range(3):
+        R[i, 0] = xx * x[i] + xy * y[i] + zx * z[i]
+        R[i, 1] = xy * x[i] + yy * y[i] + yz * z[i]
+        R[i, 2] = zx * x[i] + yz * y[i] + zz * z[i]
+
+
+@kernel(VECTOR, VECTOR, VECTOR)
+def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
+    """Return R = exp([r]x), omega and alpha (base frame) of a rotation vector r(t) and its derivatives.
+
+    With x = r.r: R = I + A [r]x + B [r]x^2, omega = dr + B r x dr + C r x (r x dr), where
+    A = sin|r|/|r|, B = (1 - cos|r|)/|r|^2, C = (|r| - sin|r|)/|r|^3 as power series in x; alpha is the
+    time derivative of omega. All (3,), rad; for |r| <= 2 pi.
+    """
+    rv = (r[0], r[1], r[2])
+    v = (dr[0], dr[1], dr[2])
+    a = (ddr[0], ddr[1], ddr[2])
+    x = dot(rv, rv)
+    dx = 2.0 * dot(rv, v)
+    A, _ = _series(_SINE, x)
+    B, Bx = _series(_COSINE, x)
+    C, Cx = _series(_REST, x)
+    R = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = B * rv[i] * rv[j]
+        R[i, i] += 1.0 - B * x
+    R[0, 1] -= A * rv[2]
+    R[1, 0] += A * rv[2]
+    R[0, 2] += A * rv[1]
+    R[2, 0] -= A * rv[1]
+    R[1, 2] -= A * rv[0]
+    R[2, 1] += A * rv[0]
+    rxv = cross(rv, v)
+    rxrxv = cross(rv, rxv)
+    omega = np.empty(3)
+    alpha = np.empty(3)
+    w = add(v, add(scale(B, rxv), scale(C, rxrxv)))
+    rxa = cross(rv, a)
+    second = add(cross(v, rxv), cross(rv, rxa))
+    dw = add(a, add(scale(B, rxa), scale(C, second)))
+    dw = add(dw, scale(dx, add(scale(Bx, rxv), scale(Cx, rxrxv))))
+    for i in range(3):
+        omega[i] = w[i]
+        alpha[i] = dw[i]
+    return R, omega, alpha
+
+
+@kernel(MATRIX)
+def rotation_vector_kernel(R: Array) -> Array:
+    """Return r with exp([r]x) = R, |r| <= pi, from the unit quaternion and a halved arc tangent. R (3, 3)."""
+    # Largest of w, x, y, z first: no small divisor.
+    q = np.empty(4)
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    if trace > 0.0:
+        q[0] = 1.0 + trace
+        q[1] = R[2, 1] - R[1, 2]
+        q[2] = R[0, 2] - R[2, 0]
+        q[3] = R[1, 0] - R[0, 1]
+    elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
+        q[0] = R[2, 1] - R[1, 2]
+        q[1] = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
+        q[2] = R[0, 1] + R[1, 0]
+        q[3] = R[0, 2] + R[2, 0]
+    elif R[1, 1] >= R[2, 2]:
+        q[0] = R[0, 2] - R[2, 0]
+        q[1] = R[0, 1] + R[1, 0]
+        q[2] = 1.0 + R[1, 1] - R[0, 0] - R[2, 2]
+        q[3] = R[1, 2] + R[2, 1]
+    else:
+        q[0] = R[1, 0] - R[0, 1]
+        q[1] = R[0, 2] + R[2, 0]
+        q[2] = R[1, 2] + R[2, 1]
+        q[3] = 1.0 + R[2, 2] - R[0, 0] - R[1, 1]
+    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    sign = -1.0 if q[0] < 0.0 else 1.0
+    cosine = sign * q[0] / norm
+    sine = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) / norm  # of half the angle
+    r = np.zeros(3)
+    if sine == 0.0:
+        return r
+    # The angle is 2 * 8 * atan of the tangent of an eighth of the half angle, at most tan(pi/16).
+    s = sine
+    c = cosine
+    for _ in range(3):
+        h = np.sqrt(0.5 * (1.0 + c))
+        s = s / (2.0 * h)
+        c = h
+    t = s / c
+    x = t * t
+    total = 0.0
+    for k in range(13):
+        n = 12 - k
+        total = (-total) * x + 1.0 / (2 * n + 1)
+    angle = 16.0 * t * total
+    for i in range(3):
+        r[i] = sign * q[i + 1] / norm / sine * angle
+    return r
+
+
+def rotation_from_vector(r: Array) -> Array:
+    """Return R = exp([r]x), (3, 3). r (3,) rad, |r| <= 2 pi."""
+    zero = np.zeros(3)
+    return rotation_motion_kernel(np.array(r, np.float64), zero, zero)[0]
+
+
+def rotation_vector(R: Array) -> Array:
+    """Return r (3,) rad with exp([r]x) = R and |r| <= pi. R (3, 3) a rotation."""
+    return rotation_vector_kernel(np.ascontiguousarray(R, np.float64))

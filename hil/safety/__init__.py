@@ -1,0 +1,22 @@
+"""Safety: what faults, what warns, and how far a force may go. One rule family per file.
+
+Rule of the room: every rule is a pure function of numbers and small arrays; only `Safety` remembers.
+
+=========== ======================================================= ==========================
+family      rules                                                   acts as
+=========== ======================================================= ==========================
+finite      every number is finite                                  NOT_FINITE, LAW
+legs        stale leg; drive in fault, rebooted, or out of RUN      STALE, DRIVE
+bus         bus off; sends failing tick after tick                  BUS
+kinematics  residual, assembly hop, condition of J                  KINEMATICS, ASSEMBLY, CONDITION
+stroke      hard ends, square-root speed cap, speed                 STROKE, SPEED
+following   leg error against a limit that grows with speed         FOLLOWING
+timing      late and missed ticks                                   warnings, controlled stop
+recorder    recorder dead or losing ticks                           warning, controlled stop
+effort      force, change per tick, change within 250 ms            limits, with a warning
+=========== ======================================================= ==========================
+"""
+
+from hil.safety.guard import Safety
+
+__all__ = ["Safety"]

@@ -1,0 +1,22 @@
+"""Rule on tracking: the leg error against a limit that grows with the commanded speed.
+
+Rule of the room: see `hil.safety`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.compile_cache import helper
+
+Array = NDArray[np.float64]
+
+
+@helper
+def lagging(q: Array, q_d: Array, dq_d: Array, at_rest: float, per_speed: float) -> bool:
+    """Tell whether |q_d - q| > at_rest + per_speed |dq_d| on some leg.
+
+    q, q_d (6,) m measured and reference lengths, dq_d (6,) m/s reference rates; at_rest m, per_speed s.
+    """
+    return bool(np.any(np.abs(q_d - q) > at_rest + per_speed * np.abs(dq_d)))

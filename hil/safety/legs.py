@@ -1,0 +1,34 @@
+"""Rules on what the drives say: how long ago, and in which state.
+
+Rule of the room: see `hil.safety`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.signals import DriveState
+from hil.compile_cache import helper
+
+Ints = NDArray[np.int64]
+
+_BOOT, _RUN, _FAULT = int(DriveState.BOOT), int(DriveState.RUN), int(DriveState.FAULT)
+
+
+@helper
+def stale(age: Ints, limit: int) -> bool:
+    """Tell whether some leg's last fresh feedback is `limit` ticks old or older. age (6,) ticks."""
+    return bool(np.any(age >= limit))
+
+
+@helper
+def drive_lost(state: Ints) -> bool:
+    """Tell whether some drive reports FAULT, or BOOT: it restarted under load. state (6,) DriveState."""
+    return bool(np.any((state == _FAULT) | (state == _BOOT)))
+
+
+@helper
+def all_running(state: Ints) -> bool:
+    """Tell whether all drives report RUN. state (6,) DriveState."""
+    return bool(np.all(state == _RUN))

@@ -1,0 +1,47 @@
+"""Rules on leg length and speed: hard ends, braking distance before the soft ends, top speed.
+
+Rule of the room: see `hil.safety`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.compile_cache import helper
+
+Array = NDArray[np.float64]
+
+CREEP = 1e-3
+"""m/s towards an end that is always allowed: encoder noise at rest beyond a soft end is no motion."""
+
+
+@helper
+def speed_cap(distance: float, deceleration: float) -> float:
+    """Fastest approach, m/s, from which `deceleration` (m/s^2) stops within `distance` (m): sqrt(2 a d)."""
+    return max(math.sqrt(2.0 * deceleration * max(distance, 0.0)), CREEP)
+
+
+@helper
+def beyond_hard_end(q: Array, length_min: float, length_max: float) -> bool:
+    """Tell whether some leg length q (6,) m is outside the hard ends."""
+    return bool(np.any((q < length_min) | (q > length_max)))
+
+
+@helper
+def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, deceleration: float) -> bool:
+    """Tell whether some leg moves towards a soft end faster than its speed cap. q (6,) m, dq (6,) m/s."""
+    for i in range(6):
+        if dq[i] > speed_cap(soft_max - q[i], deceleration):
+            return True
+        if -dq[i] > speed_cap(q[i] - soft_min, deceleration):
+            return True
+    return False
+
+
+@helper
+def overspeed(dq: Array, limit: float) -> bool:
+    """Tell whether some leg rate dq (6,) m/s is above the limit in size."""
+    return bool(np.any(np.abs(dq) > limit))

@@ -1,0 +1,43 @@
+"""Rules on the loop's own time: late ticks, many late ticks, missed ticks.
+
+Rule of the room: see `hil.safety`. Integer arithmetic on what the tick says about itself.
+"""
+
+from __future__ import annotations
+
+HISTORY = 32
+"""Ticks that are remembered."""
+DEGRADED_AT = 8
+"""Late ones among them that make a degraded loop."""
+MISSED_AT = 5
+"""Periods missed in a row that ask for a controlled stop."""
+
+
+def is_late(lateness_ns: int, period_ns: int) -> bool:
+    """Tell whether a tick woke up more than a fifth of a period late."""
+    return 5 * lateness_ns > period_ns
+
+
+def late_history(history: int, late: bool, skipped: int) -> int:
+    """Return the last HISTORY ticks as bits, 1 late, newest lowest; a skipped period counts as late."""
+    for _ in range(min(skipped, HISTORY)):
+        history = 2 * history + 1
+    return (2 * history + late) % (1 << HISTORY)
+
+
+def is_degraded(history: int) -> bool:
+    """Tell whether DEGRADED_AT or more of the remembered ticks were late."""
+    return history.bit_count() >= DEGRADED_AT
+
+
+def missed_run(run: int, skipped: int) -> int:
+    """Return the periods missed in a row, from their number so far and those skipped before this tick.
+
+    Only a tick with nothing skipped before it ends a run: a loop that runs one tick in three is no better.
+    """
+    return run + skipped if skipped > 0 else 0
+
+
+def too_many_missed(run: int) -> bool:
+    """Tell whether the run of missed periods asks for a controlled stop."""
+    return run >= MISSED_AT

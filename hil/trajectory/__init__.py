@@ -1,0 +1,30 @@
+"""Reference trajectories: pure functions of time that give pose, twist and its rate.
+
+Rule of the room: deterministic to the bit, no clock; only `build` and `sampled` read the configuration or a
+file, and only while the trajectory is built. A new kind is one file and one row in `build.BUILDERS`.
+"""
+
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.holding import HoldTrajectory, hold
+from hil.trajectory.move import GeodesicMove, quintic_move
+from hil.trajectory.path import PoseSample, Trajectory
+from hil.trajectory.piecewise import PiecewisePolynomial
+from hil.trajectory.sampled import sampled_trajectory
+from hil.trajectory.sinusoids import SinusoidTrajectory
+from hil.trajectory.stopping import StoppingTrajectory
+from hil.trajectory.waypoints import waypoint_trajectory
+
+__all__ = [
+    "GeodesicMove",
+    "HoldTrajectory",
+    "PiecewisePolynomial",
+    "PoseSample",
+    "SinusoidTrajectory",
+    "StoppingTrajectory",
+    "Trajectory",
+    "build_trajectory",
+    "hold",
+    "quintic_move",
+    "sampled_trajectory",
+    "waypoint_trajectory",
+]

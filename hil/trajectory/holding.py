@@ -1,0 +1,33 @@
+"""A trajectory that stays at one pose.
+
+Rule of the room: see `hil.trajectory`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.rotations import rotation_from_vector
+from hil.trajectory.path import Array, PoseSample
+
+
+class HoldTrajectory:
+    """Stay at p (3,) m, R (3, 3), base frame, for `duration_s`, or until stopped when it is None."""
+
+    def __init__(self, p: Array, R: Array, duration_s: float | None = None) -> None:
+        self.duration_s = duration_s
+        self._sample = PoseSample(np.array(p, float), np.array(R, float, order="C"), np.zeros(6), np.zeros(6))
+
+    def sample(self, t: float) -> PoseSample:  # noqa: ARG002
+        """Return the pose, at rest: the same arrays each time."""
+        return self._sample
+
+
+def hold(p: Array, R: Array) -> HoldTrajectory:
+    """Return the trajectory that stays at p (3,) m, R (3, 3), base frame, until stopped."""
+    return HoldTrajectory(p, R)
+
+
+def hold_words(chi: Array, duration_s: float | None) -> HoldTrajectory:
+    """Return the trajectory that stays at the six words chi (6,) m, rad."""
+    return HoldTrajectory(chi[:3], rotation_from_vector(chi[3:]), duration_s)

@@ -1,0 +1,61 @@
+"""A rest-to-rest move between two poses.
+
+Rule of the room: see `hil.trajectory`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.compile_cache import MATRIX, REAL, VECTOR, kernel
+from hil.rotations import rotation_motion_kernel, rotation_vector_kernel
+from hil.trajectory.path import Array, Kernel, PoseSample, quintic
+
+
+@kernel(MATRIX, MATRIX)
+def relative_rotation(R0: Array, R1: Array) -> Array:
+    """Rotation vector (3,) rad, base frame, of the shortest turn from R0 to R1: log(R1 R0^T)."""
+    product = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = R1[i, 0] * R0[j, 0] + R1[i, 1] * R0[j, 1] + R1[i, 2] * R0[j, 2]
+    return rotation_vector_kernel(product)
+
+
+@kernel(REAL, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
+def evaluate(t: float, p0: Array, R0: Array, dp: Array, phi: Array, duration: float) -> Kernel:
+    """Return p, R, twist, dtwist of p = p0 + s dp, R = exp([s phi]) R0, with s the quintic of t/duration."""
+    moving = 0.0 <= t <= duration
+    s, ds, dds = quintic(min(max(t / duration, 0.0), 1.0))
+    if not moving:
+        ds = dds = 0.0
+    ds /= duration
+    dds /= duration * duration
+    turn, omega, domega = rotation_motion_kernel(s * phi, ds * phi, dds * phi)
+    p, R, twist, dtwist = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6)
+    for i in range(3):
+        p[i] = p0[i] + s * dp[i]
+        for j in range(3):
+            R[i, j] = turn[i, 0] * R0[0, j] + turn[i, 1] * R0[1, j] + turn[i, 2] * R0[2, j]
+        twist[i], twist[3 + i] = ds * dp[i], omega[i]
+        dtwist[i], dtwist[3 + i] = dds * dp[i], domega[i]
+    return p, R, twist, dtwist
+
+
+class GeodesicMove:
+    """Quintic rest-to-rest move along the straight line and the shortest turn, in `duration_s` > 0."""
+
+    def __init__(self, p0: Array, R0: Array, p1: Array, R1: Array, duration_s: float) -> None:
+        self.duration_s = float(duration_s)
+        self._p0, self._R0 = np.array(p0, float), np.array(R0, float, order="C")
+        self._dp = np.array(p1, float) - self._p0
+        self._phi = relative_rotation(self._R0, np.array(R1, float, order="C"))
+
+    def sample(self, t: float) -> PoseSample:
+        """Return the sample at t (s); see `Trajectory`."""
+        return PoseSample(*evaluate(t, self._p0, self._R0, self._dp, self._phi, self.duration_s))
+
+
+def quintic_move(p0: Array, R0: Array, p1: Array, R1: Array, duration_s: float) -> GeodesicMove:
+    """Return the move from (p0, R0) to (p1, R1); p (3,) m, R (3, 3), base frame, `duration_s` > 0."""
+    return GeodesicMove(p0, R0, p1, R1, duration_s)

@@ -1,0 +1,83 @@
+"""What every trajectory gives, and the step from a six-word path to it.
+
+Rule of the room: values and pure kernels. The six words chi = (x, y, z, rx, ry, rz) are the position in m and
+the rotation vector in rad of the platform frame in the base frame.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from hil.compile_cache import helper
+from hil.config import Pose
+from hil.rotations import rotation_motion_kernel
+
+Array = NDArray[np.float64]
+Kernel = tuple[Array, Array, Array, Array]
+
+
+class PoseSample(NamedTuple):
+    """Pose and motion of the platform at one instant, base frame. Arrays are read-only to every reader."""
+
+    p: Array
+    """(3,) m, platform origin."""
+    R: Array
+    """(3, 3), x_base = p + R x_platform."""
+    twist: Array
+    """(6,) m/s, rad/s: [v of the platform origin; omega]."""
+    dtwist: Array
+    """(6,) m/s^2, rad/s^2."""
+
+
+class Trajectory(Protocol):
+    """A path in time. No state: the same t gives the same bits."""
+
+    @property
+    def duration_s(self) -> float | None:
+        """Length in s; None goes on until stopped."""
+
+    def sample(self, t: float) -> PoseSample:
+        """Return the sample at t (s). Outside [0, duration] the nearest end pose, at rest."""
+
+
+@helper
+def lift(chi: Array, dchi: Array, ddchi: Array) -> Kernel:
+    """Return p, R, twist, dtwist of a six-word path with value chi, first and second derivative."""
+    p = chi[:3].copy()
+    R, omega, domega = rotation_motion_kernel(chi[3:], dchi[3:], ddchi[3:])
+    twist = np.empty(6)
+    dtwist = np.empty(6)
+    for i in range(3):
+        twist[i], twist[3 + i] = dchi[i], omega[i]
+        dtwist[i], dtwist[3 + i] = ddchi[i], domega[i]
+    return p, R, twist, dtwist
+
+
+@helper
+def quintic(u: float) -> tuple[float, float, float]:
+    """Scaling s = 10 u^3 - 15 u^4 + 6 u^5 with ds/du, d2s/du2: 0 to 1, at rest without acceleration."""
+    s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
+    ds = 30.0 * u * u * (1.0 + u * (-2.0 + u))
+    dds = 60.0 * u * (1.0 + u * (-3.0 + 2.0 * u))
+    return s, ds, dds
+
+
+def six_words(pose: Pose) -> Array:
+    """Return chi (6,) of a configured pose: m and rad."""
+    return np.concatenate([np.asarray(pose.position_m, float), np.deg2rad(pose.rotation_vector_deg)])
+
+
+def require_half_turn(angle: float, where: str) -> None:
+    """Refuse a rotation vector longer than half a turn: no platform turns so far, and the series end there.
+
+    angle in rad. Raises ConfigurationError.
+    """
+    if angle > np.pi:
+        raise ConfigurationError(
+            f"{where}: the rotation vector reaches {np.rad2deg(angle):.6g} deg; at most 180 deg is allowed. "
+            "It is given in degrees, as axis times angle."
+        )

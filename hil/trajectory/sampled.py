@@ -1,0 +1,119 @@
+"""A path from a CSV file: one cubic spline per word through all rows.
+
+Rule of the room: reads its file once, while it is built; see `hil.trajectory`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from hil.config import SampledReference
+from hil.trajectory.path import Array, require_half_turn
+from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
+from hil.trajectory.waypoints import require_closed
+
+HEADER = ("t_s", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
+
+
+def read_samples(path: Path) -> tuple[Array, Array]:
+    """Read a CSV of poses; return times (n,) s from 0 and chi (n, 6) m, rad.
+
+    Blank lines are skipped; the first row's time is taken as 0. Raises ConfigurationError with every problem
+    as `file:line: ...`: the file cannot be read, its header is another, a value is no finite number, times
+    do not increase, or fewer than two rows are there.
+    """
+    rows: list[list[float]] = []
+    problems: list[str] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = csv.reader(file)
+            header = tuple(word.strip() for word in next(lines, []))
+            if header != HEADER:
+                given = ",".join(header) or "nothing"
+                raise ConfigurationError(f"{path}:1: the header must be {','.join(HEADER)}; given: {given}.")
+            for words in lines:
+                if words:
+                    row, problem = _row(words, rows[-1][0] if rows else -math.inf)
+                    rows.append(row)
+                    if problem:
+                        problems.append(f"{path}:{lines.line_num}: {problem}")
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}.") from error
+    if len(rows) < 2:
+        problems.append(f"{path}: {len(rows)} row(s) of samples; a path needs at least 2.")
+    if problems:
+        raise ConfigurationError(*problems)
+    table = np.array(rows)
+    chi = table[:, 1:].copy()
+    chi[:, 3:] = np.deg2rad(chi[:, 3:])
+    return table[:, 0] - table[0, 0], chi
+
+
+def _row(words: list[str], before: float) -> tuple[list[float], str]:
+    """Return the seven numbers of a line after the time `before`, and what is wrong with them, or nothing."""
+    if len(words) != len(HEADER):
+        return [before], f"{len(words)} values; {len(HEADER)} are needed: {','.join(HEADER)}."
+    numbers = []
+    for name, word in zip(HEADER, words, strict=True):
+        try:
+            number = float(word)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            return [before], f"{name} must be a finite number; given: {word.strip()!r}."
+        numbers.append(number)
+    if not numbers[0] > before:
+        return numbers, f"t_s {numbers[0]:g} is not after {before:g} of the row before; times must increase."
+    return numbers, ""
+
+
+def clamped_slopes(t: Array, y: Array) -> Array:
+    """Slopes (n, m) at the knots of the cubic spline through y (n, m) at t (n,), with slope 0 at both ends.
+
+    Continuity of the second derivative (de Boor, A Practical Guide to Splines, ch. IV): with chords c_i over
+    h_i, m_{i-1}/h_{i-1} + 2 m_i (1/h_{i-1} + 1/h_i) + m_{i+1}/h_i = 3 (c_{i-1}/h_{i-1} + c_i/h_i). Solved by
+    elimination down and up the diagonal, which needs no LAPACK: its kernels differ in the last bit.
+    """
+    h = np.diff(t)[:, None]
+    chord = np.diff(y, axis=0) / h
+    slopes = np.zeros_like(y)
+    n = len(t)
+    diagonal = 2.0 * (1.0 / h[:-1] + 1.0 / h[1:])
+    right = 3.0 * (chord[:-1] / h[:-1] + chord[1:] / h[1:])
+    for i in range(1, n - 2):
+        factor = 1.0 / h[i] / diagonal[i - 1]
+        diagonal[i] -= factor / h[i]
+        right[i] -= factor * right[i - 1]
+    for i in range(n - 3, -1, -1):
+        slopes[i + 1] = (right[i] - slopes[i + 2] / h[i + 1]) / diagonal[i]
+    return slopes
+
+
+def spline_coefficients(t: Array, y: Array) -> Array:
+    """Coefficients (n - 1, 6, m) [segment, power, word] in normalised time of the clamped cubic spline."""
+    h = np.diff(t)[:, None]
+    slopes = clamped_slopes(t, y)
+    m0, m1, rise = slopes[:-1] * h, slopes[1:] * h, np.diff(y, axis=0)
+    coefficients = np.zeros((len(t) - 1, DEGREE + 1, y.shape[1]))
+    coefficients[:, 0] = y[:-1]
+    coefficients[:, 1] = m0
+    coefficients[:, 2] = 3.0 * rise - 2.0 * m0 - m1
+    coefficients[:, 3] = m0 + m1 - 2.0 * rise
+    return coefficients
+
+
+def sampled_trajectory(settings: SampledReference, folder: Path) -> PiecewisePolynomial:
+    """Return the spline through the rows of `settings.path` (relative to `folder`), at rest at both ends.
+
+    Raises ConfigurationError; see `read_samples`; also when a repeated path does not close.
+    """
+    path = folder / settings.path
+    t, chi = read_samples(path)
+    require_half_turn(float(np.linalg.norm(chi[:, 3:], axis=1).max()), str(path))
+    require_closed(chi, settings.periods, str(path))
+    return PiecewisePolynomial(t, spline_coefficients(t, chi), settings.periods)

@@ -1,0 +1,96 @@
+"""Sums of sinusoids about a centre, faded in and out.
+
+Rule of the room: see `hil.trajectory`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from hil.compile_cache import INTEGER, MATRIX, REAL, VECTOR, helper, kernel
+from hil.config import Pose, SinusoidReference
+from hil.trajectory.path import Array, Kernel, PoseSample, lift, quintic, require_half_turn, six_words
+from hil.trig import sincos
+
+AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
+WORDS = VECTOR.copy(dtype=INTEGER)
+_TURN = 2.0 * math.pi
+
+
+@helper
+def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
+    """Envelope e(t) with de/dt, d2e/dt2: quintic from 0 to 1 over `ramp` s, and back before the end."""
+    if ramp > 0.0 and t < ramp:
+        s, ds, dds = quintic(t / ramp)
+        return s, ds / ramp, dds / (ramp * ramp)
+    if ramp > 0.0 and t > duration - ramp:
+        s, ds, dds = quintic((duration - t) / ramp)
+        return s, -ds / ramp, dds / (ramp * ramp)
+    return 1.0, 0.0, 0.0
+
+
+@kernel(REAL, VECTOR, WORDS, MATRIX, REAL, REAL)
+def evaluate(
+    t: float, centre: Array, axis: NDArray[np.int64], wave: Array, duration: float, ramp: float
+) -> Kernel:
+    """Return p, R, twist, dtwist at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase).
+
+    centre (6,) m, rad; axis (n,) word of each component; wave (n, 3) amplitude (m or rad), Hz, rad.
+    """
+    moving = 0.0 <= t <= duration
+    t = min(max(t, 0.0), duration)
+    e, de, dde = fade(t, duration, ramp)
+    chi, dchi, ddchi = centre.copy(), np.zeros(6), np.zeros(6)
+    for i in range(axis.shape[0]):
+        a, f, phase = wave[i, 0], wave[i, 1], wave[i, 2]
+        turns = f * t
+        s, c = sincos(_TURN * (turns - np.floor(turns)) + phase)
+        w = _TURN * f
+        x, dx, ddx = a * s, a * w * c, -a * w * w * s
+        k = axis[i]
+        chi[k] += e * x
+        if moving:
+            dchi[k] += de * x + e * dx
+            ddchi[k] += dde * x + 2.0 * de * dx + e * ddx
+    return lift(chi, dchi, ddchi)
+
+
+class SinusoidTrajectory:
+    """chi(t) = centre + e(t) sum of a sin(2 pi f t + phase) on single words, e(t) fading in and out.
+
+    With `ramp_s` 0 it starts and ends at speed. Raises ConfigurationError when the two ramps do not fit.
+    """
+
+    def __init__(self, settings: SinusoidReference, home: Pose) -> None:
+        if 2.0 * settings.ramp_s > settings.duration_s:
+            raise ConfigurationError(
+                f"reference.ramp_s: fading in and out takes 2 x {settings.ramp_s:g} s, more than duration_s "
+                f"{settings.duration_s:g}; at most {settings.duration_s / 2:g} s fits."
+            )
+        self.duration_s = settings.duration_s
+        self._ramp = settings.ramp_s
+        self._centre = six_words(settings.centre or home)
+        self._axis = np.array([AXES.index(c.axis) for c in settings.components], np.int64)
+        self._wave = np.array(
+            [
+                (
+                    np.deg2rad(c.amplitude) if c.axis.endswith("_deg") else c.amplitude,
+                    c.frequency_Hz,
+                    c.phase_rad,
+                )
+                for c in settings.components
+            ],
+            float,
+        )
+        reach = np.abs(self._centre)
+        np.add.at(reach, self._axis, np.abs(self._wave[:, 0]))
+        require_half_turn(float(np.linalg.norm(reach[3:])), "reference.components")
+        self.sample(0.0)
+
+    def sample(self, t: float) -> PoseSample:
+        """Return the sample at t (s); see `Trajectory`."""
+        return PoseSample(*evaluate(t, self._centre, self._axis, self._wave, self.duration_s, self._ramp))

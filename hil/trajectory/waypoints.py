@@ -1,0 +1,64 @@
+"""Rest-to-rest segments through way-points.
+
+Rule of the room: see `hil.trajectory`.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from hil.config import Pose, WaypointReference
+from hil.trajectory.path import Array, require_half_turn, six_words
+from hil.trajectory.piecewise import PiecewisePolynomial
+
+SCALING = {"cubic": (0.0, 0.0, 3.0, -2.0, 0.0, 0.0), "quintic": (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)}
+"""Coefficients of the scaling function s(u), s(0) = 0, s(1) = 1, with no speed at either end."""
+SAME = 1e-9
+"""m and rad: how far the last point may lie from the first one when the list is repeated."""
+
+
+def require_closed(chi: Array, periods: int | None, where: str) -> None:
+    """Refuse to repeat a path chi (n, 6) that does not end where it starts.
+
+    Raises ConfigurationError.
+    """
+    gap = float(np.max(np.abs(chi[-1] - chi[0])))
+    if periods != 1 and gap > SAME:
+        raise ConfigurationError(
+            f"{where}: periods is {'null' if periods is None else periods}, but the path ends {gap:.3g} m or "
+            "rad away from its start, so a repeat would jump. Let it end where it starts, or set periods: 1."
+        )
+
+
+def waypoint_trajectory(settings: WaypointReference) -> PiecewisePolynomial:
+    """Return the path chi_k + (chi_k+1 - chi_k) s(u) through the points; before the first point it holds.
+
+    The rotation vector is interpolated like the position. Raises ConfigurationError when the times do not
+    increase, or when a repeated path does not close.
+    """
+    times = [point.t_s for point in settings.points]
+    for k, (t0, t1) in enumerate(pairwise(times)):
+        if not t1 > t0:
+            raise ConfigurationError(
+                f"reference.points[{k + 1}].t_s: {t1:g} s is not after the point before it ({t0:g} s); "
+                "the times of the points must increase."
+            )
+    chi = np.array(
+        [
+            six_words(Pose(position_m=point.position_m, rotation_vector_deg=point.rotation_vector_deg))
+            for point in settings.points
+        ]
+    )
+    for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
+        require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
+    if times[0] > 0.0:
+        times.insert(0, 0.0)
+        chi = np.vstack([chi[:1], chi])
+    require_closed(chi, settings.periods, "reference.points")
+    s = np.array(SCALING[settings.interpolation])
+    coefficients = s[None, :, None] * np.diff(chi, axis=0)[:, None, :]
+    coefficients[:, 0, :] = chi[:-1]
+    return PiecewisePolynomial(np.array(times), coefficients, settings.periods)

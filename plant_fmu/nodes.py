@@ -1,0 +1,429 @@
+"""Six emulated drives in front of a plant: encoder, limits, watchdog, heartbeat, brake.
+
+Rule of the room: pure given frames and time. No clock, no bus, no controller code.
+
+Time. The plant moves on a grid of its internal step h from `start`. A command, a fault or a
+watchdog acts at the grid point nearest to its instant, at most h/2 away. An encoder is latched
+between grid points by length + rate dt, |dt| <= h/2: with leg acceleration a it is wrong by at most
+a h^2/8 in length and a h/2 in rate (10 m/s^2 and 100 us: 13 nm and 0.5 mm/s). An instant on the grid
+is exact. `Plant.step` is called once between two instants that matter, and once per grid
+point while a drive controls by itself (damp, hold) or lags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, floor, pi
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.config import DriveSettings
+from drivers.errors import PlantError
+from drivers.protocol import (
+    Configure,
+    DeviceCommand,
+    DriveProtocol,
+    EmergencyStop,
+    Feedback,
+    Frame,
+    Received,
+    Rejected,
+    Status,
+    Sync,
+)
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.config import DriveEmulation
+from plant_fmu.faults import FaultPlan
+from plant_fmu.plant import Plant, Truth
+
+_NEVER_NS = 1 << 62
+_NO_COUNTER = -1
+
+TRANSITIONS: dict[tuple[DriveState, DriveMode], DriveState] = {
+    (DriveState.OFF, DriveMode.READY): DriveState.READY,
+    (DriveState.READY, DriveMode.OFF): DriveState.OFF,
+    (DriveState.READY, DriveMode.RESET): DriveState.OFF,
+    (DriveState.READY, DriveMode.RUN): DriveState.RUN,
+    (DriveState.RUN, DriveMode.READY): DriveState.READY,
+    (DriveState.RUN, DriveMode.OFF): DriveState.OFF,
+    (DriveState.RUN, DriveMode.RESET): DriveState.OFF,
+    (DriveState.FAULT, DriveMode.RESET): DriveState.OFF,
+}
+"""What a commanded mode does to a drive; every other pair leaves it as it is."""
+
+
+class Snapshot(NamedTuple):
+    """The plant's end at one instant, for its log."""
+
+    t_ns: int
+    """Grid instant of length and rate."""
+    length: NDArray[np.float64]
+    """(6,) m, true."""
+    rate: NDArray[np.float64]
+    """(6,) m/s, true."""
+    command: NDArray[np.float64]
+    """(6,) N, last valid command."""
+    force: NDArray[np.float64]
+    """(6,) N, what the drives put on the plant."""
+    applied: NDArray[np.float64]
+    """(6,) N, the plant's own answer to that where it knows it, else `force`."""
+    state: NDArray[np.int64]
+    """(6,) DriveState."""
+    fault: NDArray[np.int64]
+    """(6,) DriveFault."""
+    brake: NDArray[np.float64]
+    """(6,) 1 engaged, 0 released."""
+    wrench: NDArray[np.float64]
+    """(6,) N, N m on the platform."""
+    truth: Truth | None
+    syncs: int
+    """SYNC frames heard since the start."""
+    commands: int
+    """Valid command frames with a new counter."""
+    repeated: int
+    """Valid command frames whose counter had been seen: they count for nothing."""
+    rejected: int
+    """Frames that could not be trusted."""
+
+
+class _Drive:
+    """One drive's memory. Owner: Nodes."""
+
+    def __init__(self, settings: DriveSettings) -> None:
+        self.state = DriveState.BOOT
+        self.fault = DriveFault.NONE
+        self.configured = False
+        self.watchdog_ns = round(settings.watchdog_ms * 1e6)
+        self.reaction = Reaction[settings.reaction.upper()]
+        self.acting = Reaction.BRAKE
+        """The reaction of the fault that is latched."""
+        self.hold_m = 0.0
+        self.command = 0.0
+        self.counter = _NO_COUNTER
+        self.lagged = 0.0
+        """N, state of the force lag."""
+        self.frozen_m: float | None = None
+
+
+class Nodes:
+    """Six drives and the plant behind them.
+
+    A drive boots with its brake engaged, CONFIG takes it to OFF, then `TRANSITIONS` hold. RUN is
+    reached through READY only. CONFIG counts in BOOT, OFF and FAULT. The watchdog runs in READY and
+    RUN, from the last valid command with a new counter. A fault latches until RESET; its reaction
+    is the configured one if it strikes in RUN, otherwise the brake, so that no fault opens a brake.
+
+    Mutable state: the plant, six drives, the time, the generator of frame faults. Owner of all
+    of it; `start` resets it.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        protocol: DriveProtocol,
+        emulation: DriveEmulation,
+        drives: DriveSettings,
+        faults: FaultPlan | None = None,
+    ) -> None:
+        self._plant = plant
+        self._protocol = protocol
+        self._emulation = emulation
+        self._settings = drives
+        self._faults = FaultPlan() if faults is None else faults
+        self._h_s = plant.internal_step_s
+        self._h_ns = plant.internal_step_s * 1e9
+        self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
+        # Exact first-order lag over one grid step: its end value and its mean.
+        x = 2.0 * pi * emulation.force_bandwidth_Hz * self._h_s
+        self._lag_end = exp(-x)
+        self._lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else 1.0
+        self._lags = x > 0.0
+        self.start(0)
+
+    def start(self, t0_ns: int) -> None:
+        """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
+        self._t0_ns = t0_ns
+        self._now_ns = t0_ns
+        self._k = 0
+        self._length, self._rate = self._plant.reset()
+        self._drives = [_Drive(self._settings) for _ in range(LEGS)]
+        self._deadline_ns = [_NEVER_NS] * LEGS
+        self._beats = 0
+        self._next_beat_ns = t0_ns
+        self._edges = [(t0_ns + round(edge_s * 1e9), edge_s) for edge_s in self._faults.edges_s()]
+        self._present = self._faults.present(0.0)
+        self._generator = np.random.default_rng(self._faults.seed)
+        self._truth: Truth | None = None
+        self._truth_k = -1
+        self._syncs = self._commands = self._repeated = self._rejected = 0
+        self._freeze()
+        self._actuate()
+
+    def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
+        """Live until `t_ns`, hearing `received`, and return (instant queued, frame) in time order.
+
+        `received` holds what arrived since the last step, times up to `t_ns`; a frame older than the
+        last step's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
+        status every heartbeat, one drive after the other, and at once when state or fault change.
+        A watchdog that ends at `t_ns` exactly waits for the next step: a command of that instant is in time.
+        Raises PlantError if `t_ns` lies before the last step's or the plant fails.
+        """
+        if t_ns < self._now_ns:
+            raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self._now_ns} ns")
+        out: list[tuple[int, Frame]] = []
+        frames = received if len(received) < 2 else sorted(received, key=itemgetter(0))
+        for t_frame_ns, frame in frames:
+            t = min(max(t_frame_ns, self._now_ns), t_ns)
+            self._run_timers(t, out)
+            self._receive(t, frame, out)
+        self._run_timers(t_ns, out)
+        self._advance(t_ns)
+        self._now_ns = t_ns
+        return out
+
+    @property
+    def syncs(self) -> int:
+        """SYNC frames heard since the start."""
+        return self._syncs
+
+    def snapshot(self) -> Snapshot:
+        """Return the plant's end as it is now; arrays are copies."""
+        truth = self._know()
+        return Snapshot(
+            t_ns=self._grid_ns(),
+            length=np.array(self._length),
+            rate=np.array(self._rate),
+            command=np.array([drive.command for drive in self._drives]),
+            force=self._force.copy(),
+            applied=self._force.copy() if truth is None else truth.applied_force,
+            state=np.array([drive.state for drive in self._drives], np.int64),
+            fault=np.array([drive.fault for drive in self._drives], np.int64),
+            brake=self._brake.copy(),
+            wrench=self._present.wrench.copy(),
+            truth=truth,
+            syncs=self._syncs,
+            commands=self._commands,
+            repeated=self._repeated,
+            rejected=self._rejected,
+        )
+
+    # time
+
+    def _grid_ns(self) -> int:
+        return self._t0_ns + round(self._k * self._h_ns)
+
+    def _run_timers(self, t: int, out: list[tuple[int, Frame]]) -> None:
+        """Let watchdogs (before t), plan edges and heartbeats (up to t) happen, in order."""
+        while True:
+            watchdog = min(self._deadline_ns)
+            edge, edge_s = self._edges[0] if self._edges else (_NEVER_NS, 0.0)
+            other = min(edge, self._next_beat_ns)
+            if watchdog < t and watchdog <= other:
+                self._now_ns = max(self._now_ns, watchdog)
+                for leg in range(LEGS):
+                    if self._deadline_ns[leg] <= watchdog:
+                        self._fail(leg, DriveFault.WATCHDOG, watchdog, out)
+            elif other > t:
+                break
+            elif edge <= self._next_beat_ns:
+                del self._edges[0]
+                self._advance(edge)
+                self._present = self._faults.present(edge_s)
+                self._freeze()
+                self._actuate()
+            else:
+                self._send_status(self._beats % LEGS, self._next_beat_ns, out)
+                self._beats += 1
+                self._next_beat_ns = self._t0_ns + round(self._beats * self._beat_ns)
+        self._now_ns = max(self._now_ns, t)
+
+    def _advance(self, t: int) -> None:
+        """Bring the plant to the grid point nearest to t."""
+        n = floor((t - self._t0_ns) / self._h_ns + 0.5) - self._k
+        if n <= 0:
+            return
+        if self._lags or self._controls:
+            for _ in range(n):
+                self._actuate(lag=self._lags)
+                self._move(1)
+        else:
+            self._move(n)
+
+    def _move(self, n: int) -> None:
+        self._length, self._rate = self._plant.step(
+            self._force, self._brake, self._present.wrench, n * self._h_s
+        )
+        self._k += n
+
+    def _know(self) -> Truth | None:
+        """Return the plant's truth, asked for once per instant."""
+        if self._truth_k != self._k:
+            self._truth = self._plant.truth()
+            self._truth_k = self._k
+        return self._truth
+
+    # drives
+
+    def _encoder(self, leg: int) -> tuple[float, float]:
+        """Return what the encoder reads at the grid point, before quantisation: m, m/s."""
+        frozen_m = self._drives[leg].frozen_m
+        if frozen_m is not None:
+            return frozen_m, 0.0
+        return float(self._length[leg]) + self._present.offset_m[leg], float(self._rate[leg])
+
+    def _freeze(self) -> None:
+        for leg, drive in enumerate(self._drives):
+            if not self._present.frozen[leg]:
+                drive.frozen_m = None
+            elif drive.frozen_m is None:
+                drive.frozen_m = self._encoder(leg)[0]
+
+    def _actuate(self, *, lag: bool = False) -> None:
+        """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
+        limit = self._settings.force_limit_N
+        force, brake = [0.0] * LEGS, [1.0] * LEGS
+        self._controls = False
+        gain, stuck = self._present.gain, self._present.stuck
+        for leg, drive in enumerate(self._drives):
+            f = 0.0
+            state = drive.state
+            if state is DriveState.RUN:
+                f = drive.command
+                brake[leg] = 0.0
+            elif state is DriveState.READY:
+                f = drive.command
+            elif state is DriveState.FAULT and drive.acting is not Reaction.BRAKE:
+                brake[leg] = 0.0
+                if drive.acting is not Reaction.ZERO:
+                    self._controls = True
+                    l, dl = self._encoder(leg)
+                    f = -self._emulation.damping_N_s_m * dl
+                    if drive.acting is Reaction.HOLD:
+                        f -= self._emulation.hold_stiffness_N_m * (l - drive.hold_m)
+            if not -limit <= f <= limit:
+                f = limit if f > 0.0 else -limit
+            if lag:
+                gap = drive.lagged - f
+                drive.lagged = f + gap * self._lag_end
+                f += gap * self._lag_mean
+            elif self._lags:
+                f = drive.lagged
+            force[leg] = f * gain[leg]
+            if stuck[leg] is not None:
+                brake[leg] = float(stuck[leg] is True)
+        self._force, self._brake = np.array(force), np.array(brake)
+
+    def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
+        """Latch a fault; the first one stays."""
+        drive = self._drives[leg]
+        if drive.state == DriveState.FAULT:
+            return
+        self._advance(t)
+        drive.acting = drive.reaction if drive.state == DriveState.RUN else Reaction.BRAKE
+        drive.hold_m = self._encoder(leg)[0]
+        self._enter(leg, DriveState.FAULT, fault, t, out)
+        self._actuate()
+
+    def _enter(
+        self, leg: int, state: DriveState, fault: DriveFault, t: int, out: list[tuple[int, Frame]]
+    ) -> None:
+        drive = self._drives[leg]
+        drive.state, drive.fault = state, fault
+        if state not in (DriveState.READY, DriveState.RUN):
+            drive.command = 0.0
+            self._deadline_ns[leg] = _NEVER_NS
+        self._send_status(leg, t, out)
+
+    # frames
+
+    def _receive(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
+        if self._faults.touches_frames:
+            arrived = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
+            if arrived is None:
+                return
+            frame = arrived
+        message = self._protocol.parse(frame)
+        match message:
+            case Sync():
+                self._latch(message, t, out)
+            case DeviceCommand():
+                self._obey(message, t, out)
+            case Configure():
+                self._configure(message, t, out)
+            case EmergencyStop():
+                for leg in range(LEGS):
+                    self._fail(leg, DriveFault.ESTOP, t, out)
+            case Rejected():
+                self._rejected += 1
+
+    def _latch(self, sync: Sync, t: int, out: list[tuple[int, Frame]]) -> None:
+        self._syncs += 1
+        self._advance(t)
+        dt = (t - self._grid_ns()) * 1e-9
+        truth = self._know()
+        force = (self._force if truth is None else truth.applied_force).tolist()
+        quantum = self._emulation.encoder_resolution_m
+        length, rate = self._length.tolist(), self._rate.tolist()
+        if self._present.encoders_disturbed:
+            length, rate = zip(*map(self._encoder, range(LEGS)), strict=True)
+        silent = self._present.silent
+        for leg, drive in enumerate(self._drives):
+            if silent[leg]:
+                continue
+            dl = rate[leg]
+            l = length[leg] + dl * dt
+            if quantum > 0.0:
+                l = round(l / quantum) * quantum
+            feedback = Feedback(leg, l, dl, force[leg], drive.state, sync.counter & 0xF)
+            self._send(t, self._protocol.feedback(feedback), out)
+
+    def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
+        self._advance(t)
+        mode = DriveMode(command.mode)
+        fresh = False
+        for leg, force in zip(command.legs, command.force, strict=True):
+            drive = self._drives[leg]
+            if command.counter == drive.counter:
+                continue
+            fresh = True
+            drive.counter = command.counter
+            state = TRANSITIONS.get((drive.state, mode), drive.state)
+            if state is not drive.state:
+                if not drive.configured:
+                    state = DriveState.BOOT
+                self._enter(leg, state, DriveFault.NONE, t, out)
+            if state is DriveState.RUN or state is DriveState.READY:
+                drive.command = force
+                self._deadline_ns[leg] = t + drive.watchdog_ns
+        if fresh:
+            self._commands += 1
+            self._actuate()
+        else:
+            self._repeated += 1
+
+    def _configure(self, configure: Configure, t: int, out: list[tuple[int, Frame]]) -> None:
+        drive = self._drives[configure.leg]
+        if drive.state in (DriveState.READY, DriveState.RUN):
+            self._rejected += 1
+            return
+        drive.watchdog_ns = round(configure.watchdog_s * 1e9)
+        drive.reaction = configure.reaction
+        drive.configured = True
+        if drive.state == DriveState.BOOT:
+            self._enter(configure.leg, DriveState.OFF, DriveFault.NONE, t, out)
+
+    def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
+        if not self._present.silent[leg]:
+            drive = self._drives[leg]
+            self._send(t, self._protocol.status(Status(leg, drive.state, drive.fault)), out)
+
+    def _send(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
+        if self._faults.touches_frames:
+            sent = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
+            if sent is None:
+                return
+            frame = sent
+        out.append((t, frame))

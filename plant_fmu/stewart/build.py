@@ -1,0 +1,235 @@
+"""Makes the .fmu: finds a compiler, compiles the C sources, packs and caches.
+
+Rule of the room: the only place that runs a compiler or writes the cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import uuid
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.errors import PlantError
+from plant_fmu.stewart.ctables import header, tables
+from plant_fmu.stewart.description import (
+    MODEL_IDENTIFIER,
+    FmiVersion,
+    build_description,
+    model_description_2,
+    model_description_3,
+    terminals,
+)
+
+SOURCES = Path(__file__).parent / "sources"
+_COMMON = ("mechanics", "contact", "plant", "instance")
+_FACE: dict[str, str] = {"2.0": "fmi2", "3.0": "fmi3"}
+FLAGS = (
+    "-O2",
+    "-funroll-loops",
+    "-ffp-contract=off",
+    "-std=c99",
+    "-fvisibility=hidden",
+    "-shared",
+)
+"""No contraction: every machine of one family computes the same bits."""
+_ZIP_DATE = (2000, 1, 1, 0, 0, 0)
+
+
+class Target(NamedTuple):
+    """One machine that a binary is made for."""
+
+    zig: str
+    """Target triple for zig; without one zig compiles for the CPU at hand."""
+    folder_2: str
+    folder_3: str
+    suffix: str
+
+
+TARGETS: dict[str, Target] = {
+    "linux-x86_64": Target("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux", ".so"),
+    "linux-aarch64": Target("aarch64-linux-gnu.2.17", "aarch64-linux", "aarch64-linux", ".so"),
+    "windows-x86_64": Target("x86_64-windows-gnu", "win64", "x86_64-windows", ".dll"),
+    "darwin-x86_64": Target("x86_64-macos", "darwin64", "x86_64-darwin", ".dylib"),
+    "darwin-aarch64": Target("aarch64-macos", "aarch64-darwin", "aarch64-darwin", ".dylib"),
+}
+
+
+class Compiler(NamedTuple):
+    """How to call a C compiler."""
+
+    command: tuple[str, ...]
+    zig: bool
+    identity: str
+    """What tells two compilers apart, for the cache."""
+
+
+def this_machine() -> str:
+    """Key of TARGETS for the running interpreter. Raises PlantError for one that we do not build for."""
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(
+        platform.machine().lower(), platform.machine().lower()
+    )
+    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, sys.platform)
+    key = f"{system}-{machine}"
+    if key not in TARGETS:
+        raise PlantError(f"no FMU binary can be built for {key}; allowed are {', '.join(TARGETS)}")
+    return key
+
+
+def _identity(command: tuple[str, ...], argument: str) -> str | None:
+    try:
+        answer = subprocess.run([*command, argument], capture_output=True, text=True, timeout=60, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return f"{shlex.join(command)}\n{answer.stdout}"
+
+
+def find_compiler(*, zig: bool = False) -> Compiler:
+    """Return $CC, the system's cc, or zig from the package ziglang; only zig if asked for.
+
+    Raises PlantError with what to install when there is none.
+    """
+    if not zig:
+        wanted = os.environ.get("CC")
+        found = shlex.split(wanted) if wanted else [p for p in [shutil.which("cc")] if p]
+        if found and (identity := _identity(tuple(found), "--version")):
+            return Compiler(tuple(found), zig=False, identity=identity)
+        if wanted:
+            raise PlantError(f"the compiler in CC={wanted!r} does not run; mend or unset CC")
+    if importlib.util.find_spec("ziglang") is not None:
+        command = (sys.executable, "-m", "ziglang")
+        if identity := _identity(command, "version"):
+            return Compiler((*command, "cc"), zig=True, identity=identity)
+    missing = "zig" if zig else "C compiler (cc, or zig from PyPI)"
+    raise PlantError(
+        f"no {missing} found to build the plant's FMU; install one of: pip install ziglang, apt install gcc"
+    )
+
+
+def cache_folder() -> Path:
+    """Return the per-user cache for built FMUs (XDG_CACHE_HOME, else ~/.cache)."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
+    return root / "hexapod-hil" / "fmu"
+
+
+def _source_files(version: FmiVersion) -> dict[str, bytes]:
+    names = [*(f"{n}.{x}" for n in _COMMON for x in ("c", "h")), f"{_FACE[version]}.c"]
+    try:
+        files = {name: (SOURCES / name).read_bytes() for name in names}
+    except OSError as error:
+        raise PlantError(
+            f"the plant's C source {error.filename} is not installed; reinstall hexapod-hil"
+        ) from error
+    files["model.h"] = header().encode()
+    files["model.c"] = tables("").encode()
+    return files
+
+
+def _digest(parts: dict[str, bytes]) -> str:
+    total = hashlib.sha256()
+    for name in sorted(parts):
+        total.update(name.encode() + b"\0" + hashlib.sha256(parts[name]).digest())
+    return total.hexdigest()
+
+
+def token(version: FmiVersion) -> str:
+    """Return the instantiation token: it changes with any source or description, and with nothing else."""
+    units = [name for name in _source_files(version) if name.endswith(".c")]
+    xml = model_description_3("") if version == "3.0" else model_description_2("", units)
+    digest = _digest({**_source_files(version), "modelDescription.xml": xml})
+    return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest)}}}"
+
+
+def _compile(compiler: Compiler, key: str, folder: Path, units: list[str]) -> bytes:
+    target = TARGETS[key]
+    out = folder / f"{key}{target.suffix}"
+    command = [*compiler.command, *FLAGS]
+    if compiler.zig:
+        command += ["-target", target.zig]
+    if target.suffix == ".so":
+        command += ["-fPIC"]
+    command += ["-o", str(out), *units]
+    if target.suffix != ".dll":
+        command += ["-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    if done.returncode != 0:
+        raise PlantError(
+            f"compiling the plant for {key} failed with exit code {done.returncode}:\n"
+            f"{shlex.join(command)}\n{done.stderr.strip()[-2000:]}"
+        )
+    return out.read_bytes()
+
+
+def _pack(
+    path: Path, version: FmiVersion, binaries: dict[str, bytes], sources: dict[str, bytes], guid: str
+) -> None:
+    units = sorted(name for name in sources if name.endswith(".c"))
+    members: dict[str, bytes] = {}
+    if version == "3.0":
+        members["modelDescription.xml"] = model_description_3(guid)
+        members["sources/buildDescription.xml"] = build_description(units)
+        members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals()
+    else:
+        members["modelDescription.xml"] = model_description_2(guid, units)
+    members |= {f"sources/{name}": data for name, data in sorted(sources.items())}
+    for key, data in binaries.items():
+        target = TARGETS[key]
+        folder = target.folder_2 if version == "2.0" else target.folder_3
+        members[f"binaries/{folder}/{MODEL_IDENTIFIER}{target.suffix}"] = data
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            entry = zipfile.ZipInfo(name, _ZIP_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)
+
+
+def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: bool = False) -> Path:
+    """Return the path of our plant's FMU, compiled now or taken from the cache.
+
+    out: where to put a copy; None returns the cached file itself. release: binaries for all of TARGETS,
+    cross-compiled with zig; else one for this machine. The same sources and compiler give the same bytes.
+
+    Raises PlantError without a compiler, on a compilation that fails, or a cache that cannot be written.
+    """
+    if fmi_version not in _FACE:
+        raise PlantError(f"FMI version {fmi_version!r} is not built; allowed are {', '.join(_FACE)}")
+    keys = list(TARGETS) if release else [this_machine()]
+    compiler = find_compiler(zig=release)
+    guid = token(fmi_version)
+    sources = _source_files(fmi_version)
+    sources["model.c"] = tables(guid).encode()
+    recipe = repr((compiler.identity, FLAGS, keys, [TARGETS[k] for k in keys], fmi_version))
+    cached = cache_folder() / _digest({**sources, "recipe": recipe.encode()})[:24]
+    cached = cached / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
+    try:
+        if not cached.is_file():
+            cached.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=cached.parent) as scratch:
+                folder = Path(scratch)
+                for name, data in sources.items():
+                    (folder / name).write_bytes(data)
+                units = sorted(name for name in sources if name.endswith(".c"))
+                binaries = {key: _compile(compiler, key, folder, units) for key in keys}
+                _pack(folder / cached.name, fmi_version, binaries, sources, guid)
+                (folder / cached.name).replace(cached)
+        if out is None:
+            return cached
+        partial = out.with_name(f".{out.name}.{os.getpid()}")
+        shutil.copyfile(cached, partial)
+        partial.replace(out)
+    except OSError as error:
+        raise PlantError(
+            f"the FMU could not be written: {error}; set XDG_CACHE_HOME to a folder that can be written"
+        ) from error
+    return out

@@ -1,0 +1,329 @@
+"""The plant's variables: one table behind both model descriptions and the C tables.
+
+Rule of the room: data only. A new variable is one row here and its use in ``sources/plant.c``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+Causality = Literal["independent", "parameter", "input", "output"]
+
+UNITS: dict[str, dict[str, int]] = {
+    "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "N/m": {"kg": 1, "s": -2},
+    "N.s/m": {"kg": 1, "s": -1},
+    "kg": {"kg": 1},
+    "kg.m2": {"kg": 1, "m": 2},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "Hz": {"s": -1},
+    "s": {"s": 1},
+    "J": {"kg": 1, "m": 2, "s": -2},
+}
+"""Unit name -> exponents of the SI base units."""
+
+
+class Type(NamedTuple):
+    """A type definition: quantity, unit and range of a kind of variable."""
+
+    quantity: str
+    unit: str | None
+    description: str
+    min: float | None = None
+    max: float | None = None
+
+
+TYPES: dict[str, Type] = {
+    "Length": Type("Length", "m", "Signed length or coordinate"),
+    "Distance": Type("Length", "m", "Length that is never negative", min=0.0),
+    "Velocity": Type("Velocity", "m/s", "Linear velocity"),
+    "Acceleration": Type("Acceleration", "m/s2", "Linear acceleration"),
+    "AngularVelocity": Type("AngularVelocity", "rad/s", "Angular velocity"),
+    "AngularAcceleration": Type("AngularAcceleration", "rad/s2", "Angular acceleration"),
+    "Force": Type("Force", "N", "Force"),
+    "ForceBound": Type("Force", "N", "Largest magnitude of a force", min=0.0),
+    "Torque": Type("Torque", "N.m", "Moment"),
+    "Mass": Type("Mass", "kg", "Mass", min=0.0),
+    "Inertia": Type("MomentOfInertia", "kg.m2", "Element of an inertia tensor"),
+    "PrincipalInertia": Type("MomentOfInertia", "kg.m2", "Principal moment of inertia", min=0.0),
+    "Stiffness": Type("TranslationalSpringConstant", "N/m", "Stiffness", min=1.0),
+    "Damping": Type("TranslationalDampingConstant", "N.s/m", "Viscous damping", min=0.0),
+    "Frequency": Type("Frequency", "Hz", "Frequency", min=0.0),
+    "Time": Type("Time", "s", "Time"),
+    "Energy": Type("Energy", "J", "Energy"),
+    "Engagement": Type("Engagement", None, "0 released to 1 fully engaged", min=0.0, max=1.0),
+    "Direction": Type("Direction", None, "Component of a direction"),
+    "RotationElement": Type("RotationElement", None, "Element of a rotation matrix"),
+    "Mixed": Type("Mixed", None, "Array of three linear and three angular components, SI units"),
+}
+
+LEG_SPIN = ("none", "universal")
+"""Items of the enumeration LegSpin, values 1 and 2."""
+
+
+class Variable(NamedTuple):
+    """One variable of the FMU; values flat in C order (last index fastest)."""
+
+    name: str
+    causality: Causality
+    type: str
+    shape: tuple[int, ...]
+    start: tuple[float, ...] | None
+    description: str
+    types: tuple[str, ...] = ()
+    """Type of each element where `type` is Mixed."""
+    depends: tuple[str, ...] = ()
+    """Inputs that an output depends on directly."""
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return math.prod(self.shape)
+
+
+def _ring(radius: float, degrees: tuple[float, ...]) -> tuple[float, ...]:
+    joints: list[float] = []
+    for angle in degrees:
+        joints += [radius * math.cos(math.radians(angle)), radius * math.sin(math.radians(angle)), 0.0]
+    return tuple(joints)
+
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+ZEROS6 = (0.0,) * 6
+
+# Start values: the platform of H. D. Taghirad, Parallel Robots (2013), chapter 5, at its home pose.
+VARIABLES: tuple[Variable, ...] = (
+    Variable("time", "independent", "Time", (), None, "Simulation time"),
+    Variable(
+        "base_joints",
+        "parameter",
+        "Length",
+        (6, 3),
+        _ring(2.0, (0, 60, 120, 180, 240, 300)),
+        "Joint centres a_i in the base frame",
+    ),
+    Variable(
+        "platform_joints",
+        "parameter",
+        "Length",
+        (6, 3),
+        _ring(1.0, (30, 30, 150, 150, 270, 270)),
+        "Joint centres b_i in the platform frame",
+    ),
+    Variable("mass", "parameter", "Mass", (), (1150.0,), "Mass of the moving platform"),
+    Variable("com", "parameter", "Length", (3,), (0.0,) * 3, "Its centre of mass, platform frame"),
+    Variable(
+        "inertia",
+        "parameter",
+        "Inertia",
+        (3, 3),
+        (570.0, 0.0, 0.0, 0.0, 285.0, 0.0, 0.0, 0.0, 285.0),
+        "Its inertia about the centre of mass, platform axes",
+    ),
+    Variable("cylinder_mass", "parameter", "Mass", (), (85.0,), "Mass of each leg's lower half"),
+    Variable(
+        "cylinder_com",
+        "parameter",
+        "Distance",
+        (),
+        (0.75,),
+        "Its centre of mass from the base joint, along the leg",
+    ),
+    Variable(
+        "cylinder_inertia",
+        "parameter",
+        "PrincipalInertia",
+        (2,),
+        (0.0, 16.0),
+        "Its inertia about its centre of mass: axial, transverse",
+    ),
+    Variable("rod_mass", "parameter", "Mass", (), (22.0,), "Mass of each leg's upper half"),
+    Variable(
+        "rod_com",
+        "parameter",
+        "Distance",
+        (),
+        (0.75,),
+        "Its centre of mass from the platform joint, along the leg",
+    ),
+    Variable(
+        "rod_inertia",
+        "parameter",
+        "PrincipalInertia",
+        (2,),
+        (0.0, 4.1),
+        "Its inertia about its centre of mass: axial, transverse",
+    ),
+    Variable("gravity", "parameter", "Acceleration", (3,), (0.0, 0.0, -9.81), "Gravity in the base frame"),
+    Variable(
+        "leg_spin",
+        "parameter",
+        "LegSpin",
+        (),
+        (1.0,),
+        "Legs keep from turning about their axes, or turn as their base universal joints make them",
+    ),
+    Variable(
+        "universal_joint_base_axes",
+        "parameter",
+        "Direction",
+        (6, 3),
+        (0.0, 0.0, 1.0) * 6,
+        "Base-side hinge axis of each universal joint, base frame, for leg_spin = universal",
+    ),
+    Variable(
+        "force_bandwidth",
+        "parameter",
+        "Frequency",
+        (),
+        (0.0,),
+        "Corner frequency of the drives' first-order force loop; 0 is ideal",
+    ),
+    Variable("viscous_friction", "parameter", "Damping", (6,), ZEROS6, "Viscous friction along each leg"),
+    Variable(
+        "coulomb_friction",
+        "parameter",
+        "ForceBound",
+        (6,),
+        ZEROS6,
+        "Dry friction along each leg, with stiction",
+    ),
+    Variable(
+        "reflected_mass", "parameter", "Mass", (6,), ZEROS6, "Motor and screw inertia seen along each leg"
+    ),
+    Variable("length_min", "parameter", "Distance", (6,), ZEROS6, "Lower end stop of each leg"),
+    Variable("length_max", "parameter", "Distance", (6,), (1e6,) * 6, "Upper end stop of each leg"),
+    Variable("stop_stiffness", "parameter", "Stiffness", (), (2e7,), "Stiffness of the end stops"),
+    Variable("stop_damping", "parameter", "Damping", (), (1e5,), "Damping of the end stops while pressed"),
+    Variable(
+        "brake_force",
+        "parameter",
+        "ForceBound",
+        (6,),
+        (20_000.0,) * 6,
+        "Largest force of each leg's engaged brake",
+    ),
+    Variable(
+        "initial_position", "parameter", "Length", (3,), (0.0, 0.0, 1.0), "Platform origin at the start"
+    ),
+    Variable(
+        "initial_rotation", "parameter", "RotationElement", (3, 3), IDENTITY, "Platform to base at the start"
+    ),
+    Variable(
+        "initial_twist",
+        "parameter",
+        "Mixed",
+        (6,),
+        ZEROS6,
+        "Velocity of the platform origin and angular velocity at the start, base frame, m/s and rad/s",
+        ("Velocity",) * 3 + ("AngularVelocity",) * 3,
+    ),
+    Variable(
+        "internal_step", "parameter", "Time", (), (1e-4,), "Fixed step of the integrator (Runge-Kutta 4)"
+    ),
+    Variable("force", "input", "Force", (6,), ZEROS6, "Commanded leg forces, > 0 extends"),
+    Variable("brake", "input", "Engagement", (6,), (1.0,) * 6, "Brakes, engaged unless told otherwise"),
+    Variable(
+        "wrench",
+        "input",
+        "Mixed",
+        (6,),
+        ZEROS6,
+        "Force and moment on the platform at its origin, base frame, N and N m",
+        ("Force",) * 3 + ("Torque",) * 3,
+    ),
+    Variable("length", "output", "Length", (6,), None, "Leg lengths, joint centre to joint centre"),
+    Variable("rate", "output", "Velocity", (6,), None, "Leg rates"),
+    Variable(
+        "applied_force",
+        "output",
+        "Force",
+        (6,),
+        None,
+        "Leg forces behind the force lag, without friction",
+        depends=("force",),
+    ),
+    Variable("position", "output", "Length", (3,), None, "Platform origin in the base frame"),
+    Variable("rotation", "output", "RotationElement", (3, 3), None, "Platform to base"),
+    Variable(
+        "twist",
+        "output",
+        "Mixed",
+        (6,),
+        None,
+        "Velocity of the platform origin and angular velocity, base frame, m/s and rad/s",
+        ("Velocity",) * 3 + ("AngularVelocity",) * 3,
+    ),
+    Variable(
+        "acceleration",
+        "output",
+        "Mixed",
+        (6,),
+        None,
+        "Time derivative of twist, m/s2 and rad/s2",
+        ("Acceleration",) * 3 + ("AngularAcceleration",) * 3,
+        ("force", "brake", "wrench"),
+    ),
+    Variable(
+        "kinetic_energy",
+        "output",
+        "Energy",
+        (),
+        None,
+        "Kinetic energy of platform, legs and reflected masses",
+    ),
+    Variable(
+        "potential_energy",
+        "output",
+        "Energy",
+        (),
+        None,
+        "Potential energy, zero level through the base origin",
+    ),
+)
+INTERNAL_STEP = 1e-4
+STEP_SIZE = 1e-3
+"""DefaultExperiment stepSize."""
+
+
+def type_of(variable: Variable, element: int) -> str:
+    """Name of the type of one element."""
+    return variable.types[element] if variable.types else variable.type
+
+
+def limits(variable: Variable) -> tuple[float | None, float | None]:
+    """Smallest and largest value allowed, None where there is no bound."""
+    if variable.type == "LegSpin":
+        return 1.0, float(len(LEG_SPIN))
+    kind = TYPES[variable.type]
+    return kind.min, kind.max
+
+
+def element_name(variable: Variable, element: int) -> str:
+    """Name of one element in FMI 2: ``name[i]`` or ``name[i,j]``, counted from 1."""
+    if not variable.shape:
+        return variable.name
+    if len(variable.shape) == 1:
+        return f"{variable.name}[{element + 1}]"
+    i, j = divmod(element, variable.shape[1])
+    return f"{variable.name}[{i + 1},{j + 1}]"
+
+
+def parameters_behind(output: str) -> tuple[str, ...]:
+    """Parameters that an output's initial value depends on."""
+    pose = ("initial_position", "initial_rotation")
+    if output in {"position", "rotation", "twist"}:
+        return {"position": pose[:1], "rotation": pose[1:], "twist": ("initial_twist",)}[output]
+    if output == "applied_force":
+        return ("force_bandwidth",)
+    if output == "length":
+        return ("base_joints", "platform_joints", *pose)
+    if output == "rate":
+        return ("base_joints", "platform_joints", *pose, "initial_twist")
+    return tuple(v.name for v in VARIABLES if v.causality == "parameter")

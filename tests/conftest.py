@@ -1,0 +1,51 @@
+"""Rules of the whole suite: a test marked `realtime` has the machine to itself, and comes late.
+
+The suite runs in several processes (pytest-xdist). Every test holds a shared lock, a real-time test the
+exclusive one; whoever waits for it stands in the door, so that no further test slips in before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+
+@contextlib.contextmanager
+def held(file: IO[str], kind: int) -> Iterator[None]:
+    """Hold a lock of `kind` on `file`; unlock by name, since forked children share the file."""
+    fcntl.flock(file, kind)
+    try:
+        yield
+    finally:
+        fcntl.flock(file, fcntl.LOCK_UN)
+
+
+@contextlib.contextmanager
+def place(folder: Path, alone: bool) -> Iterator[None]:
+    """Have a place beside the other test processes, or, `alone`, wait until they pause and be the only one."""
+    folder.mkdir(exist_ok=True)
+    with contextlib.ExitStack() as stay:
+        door = stay.enter_context((folder / "door.lock").open("w"))
+        room = stay.enter_context((folder / "room.lock").open("w"))
+        with held(door, fcntl.LOCK_EX):
+            stay.enter_context(held(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH))
+        yield
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Let each test run in its place."""
+    alone = item.get_closest_marker("realtime") is not None
+    with place(item.config.rootpath / ".pytest_cache", alone):
+        return (yield)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the real-time tests last: a mistake elsewhere shows sooner."""
+    items.sort(key=lambda item: item.get_closest_marker("realtime") is not None)

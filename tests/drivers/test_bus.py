@@ -1,0 +1,225 @@
+"""Bus: opening, roles, refusals, events, and the interfaces behind it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+
+import can
+import pytest
+
+from drivers.bus import Bus, LocalCan, PythonCan
+from drivers.config import BusSettings
+from drivers.errors import BusError, RunError
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.socketcan import pack, unpack
+
+LOCAL = BusSettings(interface="localcan", channel="t")
+GROUP = "239.74.163.2"
+
+
+@pytest.fixture(autouse=True)
+def runtime(monkeypatch):
+    folder = tempfile.mkdtemp(prefix="lc")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def soon(seconds=2.0):
+    return time.monotonic_ns() + int(seconds * 1e9)
+
+
+def test_frames_and_error_frames_are_told_apart():
+    with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
+        assert a.send([Frame(0x80, b"\x01"), Frame(0x100, bytes(32), FD | BRS)]) == 0
+        assert isinstance(a._link, LocalCan)
+        a._link._node.inject_error()
+        received = b.drain(soon(), {0x80, 0x100})
+        assert [r.frame.id for r in received] == [0x80, 0x100]
+        received += b.wait(soon(0.05))
+        assert not any(r.frame.flags & ERROR for r in received)
+        assert b.events() == (1, False, 0)
+        assert b.events() == (0, False, 0)
+        assert b.drain_now() == []
+
+
+def test_wait_returns_as_soon_as_a_frame_has_come():
+    with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
+        a.send([Frame(1, bytes(8))])
+        before = time.monotonic()
+        assert [r.frame.id for r in b.wait(soon(5))] == [1]
+        assert time.monotonic() - before < 1
+        deadline = soon(0.01)
+        assert b.wait(deadline) == []
+        assert time.monotonic_ns() >= deadline
+
+
+def test_a_busy_bus_refuses_frames_and_a_lasting_refusal_is_a_dead_bus():
+    # 200 bit/s: a frame of 8 bytes takes 0.675 s
+    slow = BusSettings(interface="localcan", channel="t", layout="classic", bitrate_bit_s=200)
+    frames = [Frame(i, bytes(8)) for i in range(70)]
+    with Bus.open(slow, "controller") as bus:
+        assert bus.send(frames[:1]) == 0
+        # one is on the wire, 64 wait
+        assert bus.send(frames) == 6
+        assert bus.send(frames[:2]) == 2
+        assert not bus.events().off
+        time.sleep(0.06)
+        assert bus.send(frames[:2]) == 2
+        assert bus.events().off
+        bus.flush_tx()
+        assert bus.send(frames[:2]) == 0
+        assert not bus.events().off
+
+
+def test_second_controller_is_refused_with_the_others_process_number():
+    code = (
+        "import time; from drivers.bus import Bus; from drivers.config import BusSettings\n"
+        "bus = Bus.open(BusSettings(interface='localcan', channel='t'), 'controller')\n"
+        "print('ready', flush=True); time.sleep(60)"
+    )
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    try:
+        assert child.stdout.readline() == "ready\n"
+        with pytest.raises(RunError, match=rf"localcan:t already has a controller, process {child.pid}"):
+            Bus.open(LOCAL, "controller")
+        Bus.open(LOCAL, "plant").close()
+        Bus.open(BusSettings(interface="localcan", channel="u"), "controller").close()
+        child.send_signal(signal.SIGKILL)
+        child.wait(10)
+        Bus.open(LOCAL, "controller").close()
+    finally:
+        child.kill()
+        child.wait(10)
+        child.stdout.close()
+
+
+def test_a_forked_child_does_not_keep_the_role_of_its_dead_parent(runtime):
+    code = (
+        "import os, time; from drivers.bus import Bus; from drivers.config import BusSettings\n"
+        "bus = Bus.open(BusSettings(interface='localcan', channel='t'), 'controller')\n"
+        "r, w = os.pipe(); child = os.fork()\n"
+        "if not child: os.write(w, b'x'); time.sleep(60)\n"
+        "os.read(r, 1); print(child, flush=True); os.kill(os.getpid(), 9)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    try:
+        assert parent.wait(10) == -signal.SIGKILL
+        other = BusSettings(interface="localcan", channel="t", layout="classic", bitrate_bit_s=500_000)
+        Bus.open(other, "controller").close()
+        os.kill(child, 0)
+    finally:
+        os.kill(child, signal.SIGKILL)
+        parent.stdout.close()
+
+
+def test_role_is_given_back_by_close_and_by_a_failed_open():
+    wrong = BusSettings(interface="localcan", channel="t", options={"colour": "red"})
+    with pytest.raises(BusError, match="colour"):
+        Bus.open(wrong, "controller")
+    with Bus.open(LOCAL, "controller"), pytest.raises(RunError, match=str(os.getpid())):
+        Bus.open(LOCAL, "controller")
+    with Bus.open(LOCAL, "controller"), Bus.open(LOCAL, "monitor"), Bus.open(LOCAL, "monitor"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"interface": "virtual", "channel": "t"}, ["virtual", "one process", "localcan"]),
+        ({"interface": "nonsense", "channel": "t"}, ["nonsense", "localcan", "socketcan"]),
+        ({"interface": "socketcan", "channel": "nocan7"}, ["nocan7", "localcan"]),
+        ({"interface": "slcan", "channel": "/nowhere/tty"}, ["slcan:/nowhere/tty", "bus.channel"]),
+        (
+            {"interface": "udp_multicast", "channel": GROUP, "options": {"hop_limit": 1}},
+            ["hop_limit", "network"],
+        ),
+        ({"interface": "udp_multicast", "channel": "t-e-x-t"}, ["udp_multicast:t-e-x-t", "bus.channel"]),
+        ({"interface": "localcan", "channel": "t", "layout": "ideal"}, ["ideal", "hil sim"]),
+        ({"interface": "localcan", "channel": "t", "options": {"spin_us": "x"}}, ["spin_us", "'x'"]),
+    ],
+)
+def test_what_cannot_be_opened_is_refused_in_clear_words(settings, words):
+    with pytest.raises(BusError) as caught:
+        Bus.open(BusSettings.model_validate(settings), "controller")
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_timing_that_disagrees_is_refused():
+    other = BusSettings(interface="localcan", channel="t", bitrate_bit_s=500_000, layout="classic")
+    with Bus.open(LOCAL, "controller"), pytest.raises(BusError, match="classic CAN 500000"):
+        Bus.open(other, "plant")
+
+
+def open_multicast(role):
+    settings = BusSettings(interface="udp_multicast", channel=GROUP, options={"port": 43217})
+    try:
+        return Bus.open(settings, role)
+    except BusError as error:
+        pytest.skip(f"no multicast on this machine: {error}")
+
+
+def test_udp_multicast_stays_on_this_machine_and_carries_frames():
+    with open_multicast("controller") as a, open_multicast("plant") as b:
+        assert isinstance(a._link, PythonCan)
+        sock = a._link._bus._multicast._socket  # type: ignore[attr-defined]
+        assert sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
+        before = time.monotonic_ns()
+        if a.send([Frame(0x181, bytes(range(12)), FD | BRS)]):
+            pytest.skip("no route for multicast on this machine")
+        (received,) = b.drain(soon(1), {0x181})
+        assert received.frame == Frame(0x181, bytes(range(12)), FD | BRS)
+        assert before - 1_000_000 <= received.t_ns <= time.monotonic_ns()
+        deadline = soon(0.01)
+        assert b.drain(deadline, {0x182}) == []
+        assert time.monotonic_ns() - deadline < 200_000_000
+
+
+def test_any_python_can_interface_works_through_messages():
+    # python-can's virtual bus in one process, past the refusal that Bus.open makes
+    a, b = (Bus(PythonCan(can.Bus("t", "virtual", ignore_config=True))) for _ in range(2))
+    with a, b:
+        frames = [Frame(0x7FF, b"12345678"), Frame(0x1FFFFFFF, b"", EXTENDED), Frame(1, bytes(64), FD | BRS)]
+        assert a.send(frames) == 0
+        assert [r.frame for r in b.drain(soon(1), {0x7FF, 1})] == frames
+        a.send([Frame(5, b"x")])
+        assert [r.frame.id for r in b.wait(soon(1))] == [5]
+        assert b.events() == (0, False, 0)
+
+
+# struct can_frame and canfd_frame of linux/can.h, little endian, written out by hand
+@pytest.mark.skipif(sys.byteorder != "little", reason="byte vectors are little endian")
+@pytest.mark.parametrize(
+    ("frame", "raw"),
+    [
+        (Frame(0x123, b"\x01\x02"), "23010000 02000000 0102000000000000"),
+        (Frame(0x1ABCDEF0, b"", EXTENDED), "f0debc9a 00000000 0000000000000000"),
+        (Frame(0x12, b"", REMOTE), "12000040 00000000 0000000000000000"),
+        (Frame(0x181, b"\xff" * 12, FD | BRS), "81010000 0c010000" + "ff" * 12 + "00" * 52),
+        (Frame(0x181, b"\xff" * 64, FD | ESI), "81010000 40020000" + "ff" * 64),
+    ],
+)
+def test_socketcan_frames_are_those_of_the_kernel(frame, raw):
+    assert pack(frame) == bytes.fromhex(raw)
+    assert unpack(bytes.fromhex(raw)) == frame
+
+
+def test_socketcan_error_frame_keeps_its_class():
+    # CAN_ERR_FLAG | CAN_ERR_BUSOFF
+    assert unpack(bytes.fromhex("40000020 08000000 0000000000000000")) == Frame(0x40, bytes(8), ERROR)
+
+
+def test_socketcan_refuses_too_long_data():
+    with pytest.raises(BusError, match="9 bytes"):
+        pack(Frame(1, bytes(9)))

@@ -1,0 +1,240 @@
+"""Bus time against the closed forms, bit streams built by hand, and a bit-by-bit arbitration."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.bustime import (
+    FD_LENGTHS,
+    BitTiming,
+    Wire,
+    arbitrate,
+    budget,
+    check,
+    frame_bits,
+    frame_time_ns,
+    priority,
+)
+from drivers.errors import BusError, ConfigurationError
+from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+
+CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
+FD_1M_5M = BitTiming(1_000_000, 5_000_000)
+
+
+@pytest.mark.parametrize(("length", "bits"), [(8, 135), (4, 95), (0, 55), (1, 65)])
+def test_classic_worst_case_is_that_of_davis_2007(length, bits):
+    # R. Davis et al., Real-Time Systems 35 (2007), eq. 1: 55 + 10 s bits for 11-bit identifiers
+    assert 55 + 10 * length == bits
+    assert frame_bits(length, 0) == (bits, 0)
+    # and 80 + 10 s for 29-bit identifiers
+    assert frame_bits(length, EXTENDED) == (80 + 10 * length, 0)
+
+
+def test_three_tick_layouts_take_the_time_of_the_design():
+    eight, four = Frame(1, bytes(8)), Frame(1, bytes(4))
+    assert budget([eight] * 12, CLASSIC_1M, 500).total_ns == 1_620_000
+    assert budget([eight] * 2 + [four] * 6, CLASSIC_1M, 500).total_ns == 840_000
+    fd = budget([Frame(1, bytes(32), FD | BRS)] + [Frame(2, bytes(12), FD | BRS)] * 6, FD_1M_5M, 1000)
+    assert fd.total_ns == 493_200
+    assert fd.load_percent == pytest.approx(49.32)
+    assert round(fd.highest_rate_Hz) == 2028
+
+
+def test_fd_without_rate_switch_takes_all_bits_at_the_slow_rate():
+    slow, fast = frame_bits(12, FD | BRS)
+    assert frame_bits(12, FD) == (slow + fast, 0)
+    assert frame_time_ns(12, FD, FD_1M_5M) == (34 + 153) * 1000
+
+
+def crc(bits: list[int], width: int, poly: int) -> list[int]:
+    register = 0
+    for bit in bits:
+        top = register >> (width - 1) & 1
+        register = (register << 1) & ((1 << width) - 1)
+        if top ^ bit:
+            register ^= poly
+    return [register >> (width - 1 - i) & 1 for i in range(width)]
+
+
+def number(value: int, width: int) -> list[int]:
+    return [value >> (width - 1 - i) & 1 for i in range(width)]
+
+
+def stuff_bits(bits: list[int]) -> int:
+    stuffed = 0
+    run, last = 0, -1
+    for bit in bits:
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            stuffed += 1
+            run, last = 1, 1 - bit
+    return stuffed
+
+
+def classic_length(id_: int, extended: bool, data: bytes) -> int:
+    head = (
+        [0, *number(id_ >> 18, 11), 1, 1, *number(id_ & 0x3FFFF, 18), 0, 0, 0]
+        if extended
+        else [
+            0,
+            *number(id_, 11),
+            0,
+            0,
+            0,
+        ]
+    )
+    bits = head + number(len(data), 4) + [b for byte in data for b in number(byte, 8)]
+    bits += crc(bits, 15, 0x4599)
+    return len(bits) + stuff_bits(bits) + 1 + 2 + 7 + 3
+
+
+def fd_length(id_: int, extended: bool, data: bytes) -> tuple[int, int]:
+    head = (
+        [0, *number(id_ >> 18, 11), 1, 1, *number(id_ & 0x3FFFF, 18)] if extended else [0, *number(id_, 11)]
+    )
+    head += [0, 1, 0, 1] if extended else [0, 0, 1, 0, 1]
+    tail = [0, *number(FD_LENGTHS.index(len(data)), 4)] + [b for byte in data for b in number(byte, 8)]
+    slow_stuff = stuff_bits(head)
+    fast_stuff = stuff_bits(head + tail) - slow_stuff
+    protected = 4 + (17 if len(data) <= 16 else 21)
+    fixed = len([i for i in range(protected) if i % 4 == 0])
+    return len(head) + slow_stuff + 1 + 2 + 7 + 3, len(tail) + fast_stuff + protected + fixed
+
+
+PATTERNS = st.one_of(
+    st.binary(max_size=64),
+    st.sampled_from([b"\x00" * 64, b"\xff" * 64, b"\x78" * 64, b"\x0f" * 64, b"\x87" * 64, b"\xc3" * 64]),
+)
+
+
+@given(st.integers(0, 0x7FF), st.booleans(), PATTERNS, st.integers(0, 8))
+def test_no_classic_bit_stream_is_longer_than_the_worst_case(id_, extended, data, n):
+    actual = classic_length(id_, extended, data[:n])
+    bound = frame_bits(len(data[:n]), EXTENDED if extended else 0)[0]
+    assert actual <= bound
+    stuffed = (54 if extended else 34) + 8 * len(data[:n])
+    assert actual >= bound - (stuffed - 1) // 4
+
+
+@given(st.integers(0, 0x7FF), st.booleans(), PATTERNS, st.sampled_from(FD_LENGTHS))
+def test_no_fd_bit_stream_takes_longer_than_the_worst_case(id_, extended, data, n):
+    payload = data.ljust(64, data[-1:] or b"\x00")[:n]
+    slow, fast = fd_length(id_, extended, payload)
+    slow_bound, fast_bound = frame_bits(n, FD | BRS | (EXTENDED if extended else 0))
+    assert slow <= slow_bound
+    assert slow + fast <= slow_bound + fast_bound
+    assert slow * 5 + fast <= slow_bound * 5 + fast_bound
+
+
+def test_worst_case_is_nearly_reached():
+    # identifier 0x078 and 0x78 bytes repeat 0000 1111: a stuff bit every fourth bit
+    best = max(
+        classic_length(id_, False, bytes([byte] * 8))
+        for id_ in (0x078, 0x787, 0x000)
+        for byte in (0x3C, 0x78, 0x0F, 0xC3)
+    )
+    assert best >= 135 - 4
+
+
+def test_lengths_that_no_frame_has_are_refused():
+    for length, flags in ((9, 0), (65, FD), (-1, 0)):
+        with pytest.raises(BusError, match=str(length)):
+            frame_bits(length, flags)
+
+
+def test_overload_is_refused_with_the_arithmetic():
+    with pytest.raises(ConfigurationError) as caught:
+        check([Frame(1, bytes(8))] * 12, CLASSIC_1M, 1000, 70)
+    text = str(caught.value)
+    for part in ("12 x classic", "135.0 us each", "1620.0 us", "162.0 %", "617 Hz", "432 Hz"):
+        assert part in text
+    assert check([Frame(1, bytes(8))] * 12, CLASSIC_1M, 432, 70).fits
+
+
+@st.composite
+def headers(draw):
+    extended = draw(st.booleans())
+    id_ = draw(st.integers(0, 0x1FFFFFFF if extended else 0x7FF))
+    if extended and draw(st.booleans()):
+        id_ = (id_ & 0x3FFFF) | draw(st.sampled_from([0x100, 0x101])) << 18
+    elif draw(st.booleans()):
+        id_ = draw(st.sampled_from([0x100, 0x101])) << (18 if extended else 0)
+    return id_, (EXTENDED if extended else 0) | (REMOTE if draw(st.booleans()) else 0)
+
+
+def field(id_: int, flags: int) -> list[int]:
+    remote = 1 if flags & REMOTE else 0
+    if flags & EXTENDED:
+        return [*number(id_ >> 18, 11), 1, 1, *number(id_ & 0x3FFFF, 18), remote]
+    return [*number(id_, 11), remote, 0]
+
+
+@given(headers(), headers())
+def test_priority_is_what_wired_and_decides(a, b):
+    first, second = field(*a), field(*b)
+    for x, y in zip(first, second, strict=False):
+        if x != y:
+            assert (priority(*a) < priority(*b)) == (x == 0)
+            return
+    assert a == b or priority(*a) != priority(*b)
+
+
+def test_priority_cases_by_hand():
+    assert priority(0x100, 0) < priority(0x100, REMOTE) < priority(0x100 << 18, EXTENDED)
+    assert priority(0x100 << 18 | 5, EXTENDED) < priority(0x101, 0)
+    assert priority(0, ERROR) < priority(0, 0)
+
+
+def test_lowest_identifier_wins_among_those_queued_when_the_bus_falls_free():
+    # 0x300 has the idle bus; 0x200 and 0x100 wait for its end; 0x050 comes too late for that and is next
+    queued = [(0, 0x300, 0, 100), (10, 0x200, 1, 100), (20, 0x100, 2, 100), (101, 0x050, 3, 100)]
+    sent, free = arbitrate(queued, 0, 10_000)
+    assert sent == [(0, 100), (2, 200), (3, 300), (1, 400)]
+    assert free == 400
+
+
+def test_only_what_has_begun_is_decided():
+    queued = [(0, 5, 0, 100), (0, 4, 1, 100), (0, 3, 2, 100)]
+    assert arbitrate(queued, 0, 0) == ([(2, 100)], 100)
+    assert arbitrate(queued, 0, 99) == ([(2, 100)], 100)
+    assert arbitrate(queued, 0, 100) == ([(2, 100), (1, 200)], 200)
+    assert arbitrate([(50, 1, 0, 100)], 0, 49) == ([], 0)
+    assert arbitrate([(50, 1, 0, 100)], 0, 50) == ([(0, 150)], 150)
+
+
+@given(st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 5), st.integers(1, 200)), max_size=20))
+def test_the_bus_never_idles_while_a_frame_waits_and_the_best_one_goes_first(frames):
+    queued = [(t, key, i, duration) for i, (t, key, duration) in enumerate(frames)]
+    random.Random(0).shuffle(queued)
+    by_number = {q[2]: q for q in queued}
+    sent, _ = arbitrate(queued, 100, 1 << 40)
+    assert sorted(i for i, _ in sent) == sorted(by_number)
+    free = 100
+    left = dict(by_number)
+    for i, end in sent:
+        t, key, _, duration = left.pop(i)
+        start = end - duration
+        assert start == max(free, min([t, *(q[0] for q in left.values())]))
+        assert all((key, i) < (q[1], q[2]) for q in left.values() if q[0] <= start)
+        free = end
+
+
+def test_wire_gives_answers_their_turn():
+    wire: Wire[str] = Wire()
+    wire.queue(1000, priority(0x80, 0), 50, "sync")
+    assert wire.advance(1000) == [(1050, "sync")]
+    for leg in (3, 1, 2):
+        wire.queue(1050, priority(0x180 + leg, 0), 65, f"leg {leg}")
+    wire.queue(1060, priority(0x100, 0), 100, "command")
+    assert wire.advance(1114) == [(1115, "leg 1")]
+    assert len(wire) == 3
+    assert wire.advance(5000) == [(1215, "command"), (1280, "leg 2"), (1345, "leg 3")]
+    wire.queue(6000, 1, 10, "late")
+    assert wire.clear() == ["late"]
+    assert wire.advance(9000) == []

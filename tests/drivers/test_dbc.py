@@ -1,0 +1,468 @@
+"""The own protocol: the DBC itself, what is refused, ages, and round trips against cantools."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import drivers
+from drivers import PROTOCOLS
+from drivers.config import BusSettings, DriveSettings
+from drivers.dbc import LAYOUTS, LegsProtocol, legs_dbc
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import (
+    BRS,
+    ERROR,
+    ESI,
+    EXTENDED,
+    FD,
+    REMOTE,
+    DeviceCommand,
+    EmergencyStop,
+    Feedback,
+    Frame,
+    Received,
+    Rejected,
+    Status,
+)
+from drivers.signals import NEVER, Command, DriveMode, DriveState, Reaction, no_measurement
+
+DATABASE: Any = cantools.database.load_file(Path(drivers.__file__).with_name("legs.dbc"))
+P = {layout: LegsProtocol(layout, (1, 2, 3, 4, 5, 6)) for layout in LAYOUTS}
+all_layouts = pytest.mark.parametrize("layout", LAYOUTS)
+
+
+def received(*frames: Frame) -> list[Received]:
+    return [Received(i, frame) for i, frame in enumerate(frames)]
+
+
+def feedback(
+    layout: str, counter: int, *, leg: int = 0, length: float = 1.5, state: int = DriveState.RUN
+) -> Frame:
+    return P[layout].feedback(Feedback(leg, length, 0.25, 1000.0, state, counter))
+
+
+def damaged(frame: Frame, bit: int) -> Frame:
+    data = bytearray(frame.data)
+    data[bit // 8] ^= 1 << bit % 8
+    return frame._replace(data=bytes(data))
+
+
+def bitwise_crc8(data: bytes) -> int:
+    register = 0xFF
+    for byte in data:
+        for position in range(7, -1, -1):
+            carry = (register >> 7) ^ (byte >> position & 1)
+            register = register << 1 & 0xFF
+            if carry:
+                register ^= 0x1D
+    return register ^ 0xFF
+
+
+def resealed(frame: Frame, at: int, byte: int) -> Frame:
+    """Change one byte and put the right CRC behind it."""
+    data = bytearray(frame.data)
+    data[at] = byte
+    data[-1] = bitwise_crc8(bytes([frame.id % 256, frame.id // 256]) + bytes(data[:-1]))
+    return frame._replace(data=bytes(data))
+
+
+# the DBC
+
+
+def test_dbc_loads_in_strict_cantools_without_a_warning(caplog):
+    with warnings.catch_warnings(), caplog.at_level(logging.WARNING):
+        warnings.simplefilter("error")
+        database: Any = cantools.database.load_string(legs_dbc(), "dbc", strict=True)
+    assert not caplog.records
+    assert len(database.messages) == 36
+
+
+def test_arbitration_order_is_estop_sync_command_feedback_config_status():
+    order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "CONFIG", "STATUS")
+    kinds = [m.name.split("_")[0] for m in sorted(DATABASE.messages, key=lambda m: m.frame_id)]
+    assert list(dict.fromkeys(kinds)) == list(order)
+
+
+def test_every_quantity_has_unit_and_range_and_every_enumeration_its_names():
+    units = {"Force": "N", "Length": "m", "Rate": "m/s", "Watchdog": "s"}
+    for message in DATABASE.messages:
+        for signal in message.signals:
+            assert signal.minimum is not None, signal
+            assert signal.maximum is not None, signal
+            assert signal.minimum < signal.maximum, signal
+            assert signal.unit == units.get(signal.name.rstrip("123456")), signal
+            assert bool(signal.choices) == (signal.name in {"Source", "Mode", "State", "Fault", "Reaction"})
+
+
+def test_drive_enumerations_have_the_names_of_the_dbc():
+    def names(message: str, signal: str) -> dict[int, str]:
+        choices = DATABASE.get_message_by_name(message).get_signal_by_name(signal).choices
+        return {int(value): str(name).upper() for value, name in choices.items()}
+
+    assert names("COMMAND_FD", "Mode") == {int(m): m.name for m in DriveMode}
+    assert names("FEEDBACK_FD_1", "State") == {int(s): s.name for s in DriveState}
+    assert names("CONFIG_1", "Reaction") == {int(r): r.name for r in Reaction}
+
+
+def test_fd_attributes_and_cycle_times():
+    for message in DATABASE.messages:
+        fd = message.name.startswith(("COMMAND_FD", "COMMAND_IDEAL", "FEEDBACK_FD", "FEEDBACK_IDEAL"))
+        assert message.is_fd == fd
+        attributes = message.dbc.attributes
+        assert str(attributes["CANFD_BRS"].value) == "1" if fd else "CANFD_BRS" not in attributes, message
+        cyclic = message.name.startswith(("SYNC", "COMMAND", "FEEDBACK"))
+        status = message.name.startswith("STATUS")
+        assert message.cycle_time == (1 if cyclic else 100 if status else None)
+
+
+# set-up
+
+
+def test_table_makes_the_protocol_of_the_configuration():
+    protocol = PROTOCOLS["legs"](BusSettings(layout="classic"), DriveSettings(node_ids=[9, 8, 7, 6, 5, 4]))
+    assert protocol.feedback_ids == {0x180 + n for n in (4, 5, 6, 7, 8, 9)}
+
+
+@pytest.mark.parametrize(
+    "nodes", [(1, 2, 3, 4, 5), (1, 2, 3, 4, 5, 5), (0, 1, 2, 3, 4, 5), (1, 2, 3, 4, 5, 128)]
+)
+def test_impossible_node_numbers_are_refused(nodes):
+    with pytest.raises(ConfigurationError, match="node_ids"):
+        LegsProtocol("fd", nodes)
+
+
+def test_unknown_layout_is_refused():
+    with pytest.raises(ConfigurationError, match="classic, fd, ideal"):
+        LegsProtocol("huge", (1, 2, 3, 4, 5, 6))
+
+
+@all_layouts
+def test_node_numbers_move_identifiers_and_keep_legs(layout):
+    protocol = LegsProtocol(layout, (127, 20, 30, 40, 50, 1))
+    base = {"classic": 0x180, "fd": 0x280, "ideal": 0x380}[layout]
+    frames = [protocol.feedback(Feedback(leg, 1.0 + leg, 0.0, 0.0, 1, 3)) for leg in range(6)]
+    assert [frame.id - base for frame in frames] == [127, 20, 30, 40, 50, 1]
+    assert protocol.decode(received(*frames), 3, no_measurement()).length.tolist() == [1, 2, 3, 4, 5, 6]
+    assert [frame.id for frame in protocol.configure(0.01, Reaction.DAMP)] == [
+        0x600 + node for node in (127, 20, 30, 40, 50, 1)
+    ]
+    assert protocol.status(Status(1, 1, 0)).id == 0x714
+
+
+@pytest.mark.parametrize(
+    ("layout", "lengths"),
+    [
+        ("classic", [1, 8, 8, 8, 8, 8, 8, 8, 8]),
+        ("fd", [1, 32, 12, 12, 12, 12, 12, 12]),
+        ("ideal", [1, 64, 32, 32, 32, 32, 32, 32]),
+    ],
+)
+def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
+    frames = P[layout].cyclic_frames()
+    assert [len(frame.data) for frame in frames] == lengths
+    assert len({frame.id for frame in frames}) == len(frames)
+    assert P[layout].feedback_ids < {frame.id for frame in frames}
+    assert [frame.flags for frame in frames[1:]] == [0 if layout == "classic" else FD | BRS] * (
+        len(frames) - 1
+    )
+
+
+# what does not fit
+
+
+@pytest.mark.parametrize(
+    ("layout", "force"),
+    [("classic", 65_536.0), ("classic", -65_539.0), ("fd", 2.2e6), ("ideal", 2e9)]
+    + [(layout, bad) for layout in LAYOUTS for bad in (np.nan, np.inf, -np.inf)],
+)
+def test_a_force_that_does_not_fit_is_refused_with_the_range(layout, force):
+    forces = np.zeros(6)
+    forces[4] = force
+    with pytest.raises(ProtocolError, match="N are allowed"):
+        P[layout].command(Command(DriveMode.RUN, forces), 0)
+
+
+@pytest.mark.parametrize("watchdog_s", [0.0, -0.01, 1e-7, 5000.0, np.nan, np.inf])
+def test_a_watchdog_that_does_not_fit_is_refused(watchdog_s):
+    with pytest.raises(ProtocolError, match="CONFIG"):
+        P["fd"].configure(watchdog_s, Reaction.BRAKE)
+
+
+@pytest.mark.parametrize(
+    ("layout", "ends"),
+    [
+        ("classic", (214.7483647, 3.2767, 0.0)),
+        ("fd", (214.7483647, 214.7483647, 65_534.0)),
+        ("ideal", (1e9, 1e9, 1e9)),
+    ],
+)
+def test_a_drive_saturates_what_its_feedback_cannot_carry(layout, ends):
+    frame = P[layout].feedback(Feedback(2, 1e12, np.inf, 1e12, DriveState.RUN, 0))
+    measurement = P[layout].decode(received(frame), 0, no_measurement())
+    got = (measurement.length[2], measurement.rate[2], measurement.force[2])
+    assert got == pytest.approx(ends, rel=1e-12)
+    assert measurement.rejected == 0
+
+
+@all_layouts
+def test_a_drive_never_sends_a_nan(layout):
+    with pytest.raises(ProtocolError, match="not a number"):
+        P[layout].feedback(Feedback(2, np.nan, 0.0, 0.0, DriveState.RUN, 0))
+
+
+# decode: what is refused
+
+
+@all_layouts
+def test_any_single_flipped_bit_of_a_feedback_is_refused(layout):
+    frame = feedback(layout, 5)
+    for bit in range(8 * len(frame.data)):
+        measurement = P[layout].decode(received(damaged(frame, bit)), 5, no_measurement())
+        assert measurement.rejected == 1
+        assert measurement.age[0] == NEVER
+
+
+@all_layouts
+@pytest.mark.parametrize("change", [lambda d: d[:-1], lambda d: d + b"\0", lambda d: b""])
+def test_wrong_length_is_refused(layout, change):
+    frame = feedback(layout, 5)
+    measurement = P[layout].decode(received(frame._replace(data=change(frame.data))), 5, no_measurement())
+    assert (measurement.rejected, measurement.age[0]) == (1, NEVER)
+
+
+@all_layouts
+def test_a_feedback_under_another_identifier_is_refused(layout):
+    frame = feedback(layout, 5)
+    measurement = P[layout].decode(received(frame._replace(id=frame.id + 1)), 5, no_measurement())
+    assert (measurement.rejected, measurement.age[1]) == (1, NEVER)
+
+
+@all_layouts
+@pytest.mark.parametrize("state", range(5, 16))
+def test_an_unknown_state_is_refused(layout, state):
+    at = {"classic": 6, "fd": 10, "ideal": 24}[layout]
+    frame = resealed(feedback(layout, 5), at, state << 4 | 5)
+    measurement = P[layout].decode(received(frame), 5, no_measurement())
+    assert (measurement.rejected, measurement.age[0]) == (1, NEVER)
+
+
+@pytest.mark.parametrize("at", [0, 8, 16])
+@pytest.mark.parametrize(
+    "word", ["000000000000F07F", "000000000000F8FF", "000000000000F0FF", "9C7500883CE4377E"]
+)
+def test_a_float_that_is_not_finite_or_absurd_is_refused(at, word):
+    frame = feedback("ideal", 5)
+    for offset, byte in enumerate(bytes.fromhex(word)):
+        frame = resealed(frame, at + offset, byte)
+    measurement = P["ideal"].decode(received(frame), 5, no_measurement())
+    assert (measurement.rejected, measurement.age[0]) == (1, NEVER)
+
+
+@pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\5\0", b"\1\6"])
+def test_a_senseless_status_is_refused(data):
+    measurement = P["fd"].decode(received(Frame(0x701, data)), 5, no_measurement())
+    assert measurement.rejected == 1
+    assert measurement.fault.tolist() == [0] * 6
+
+
+@all_layouts
+@pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR])
+def test_frames_of_other_kinds_are_foreign(layout, flag):
+    frame = feedback(layout, 5)
+    measurement = P[layout].decode(received(frame._replace(flags=frame.flags | flag)), 5, no_measurement())
+    assert (measurement.rejected, measurement.age[0]) == (0, NEVER)
+    assert P[layout].parse(Frame(0x001, b"", flag)) is None
+
+
+def test_foreign_identifiers_and_other_layouts_are_ignored_and_error_passive_senders_heard():
+    strange = [
+        Frame(0x555, b"\1"),
+        Frame(0x200, b""),
+        feedback("classic", 5),
+        feedback("ideal", 5),
+        *P["fd"].sync(5),
+    ]
+    measurement = P["fd"].decode(received(*strange), 5, no_measurement())
+    assert (measurement.rejected, measurement.age[0]) == (0, NEVER)
+    frame = feedback("fd", 5)
+    assert P["fd"].decode(received(frame._replace(flags=frame.flags | ESI)), 5, no_measurement()).age[0] == 0
+
+
+# decode: ages
+
+
+def test_age_grows_by_one_a_tick_and_stops_at_never():
+    measurement = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
+    ages = []
+    for tick in range(6, 9):
+        measurement = P["fd"].decode((), tick, measurement)
+        ages.append(measurement.age.tolist())
+    assert ages == [[n, *[NEVER] * 5] for n in (1, 2, 3)]
+
+
+@pytest.mark.parametrize("late", range(1, 9))
+def test_a_late_feedback_counts_with_its_age_when_nothing_newer_is_held(late):
+    measurement = P["fd"].decode(received(feedback("fd", (40 - late) & 15)), 40, no_measurement())
+    assert (measurement.age[0], measurement.length[0], measurement.rejected) == (late, 1.5, 0)
+
+
+@pytest.mark.parametrize("ahead", range(1, 8))
+def test_a_counter_from_the_future_is_refused(ahead):
+    measurement = P["fd"].decode(received(feedback("fd", (40 + ahead) & 15)), 40, no_measurement())
+    assert (measurement.age[0], measurement.rejected) == (NEVER, 1)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_newer_of_two_feedbacks_wins_in_either_order(order):
+    frames = [feedback("fd", 8, length=1.8), feedback("fd", 7, length=1.7)]
+    measurement = P["fd"].decode(received(*(frames[i] for i in order)), 8, no_measurement())
+    assert (measurement.age[0], measurement.length[0], measurement.rejected) == (0, pytest.approx(1.8), 0)
+
+
+def test_a_late_feedback_does_not_replace_what_the_tick_before_gave():
+    before = P["fd"].decode(received(feedback("fd", 7, length=1.7)), 7, no_measurement())
+    measurement = P["fd"].decode(received(feedback("fd", 6, length=1.6)), 8, before)
+    assert (measurement.age[0], measurement.length[0], measurement.rejected) == (1, 1.7, 0)
+
+
+def test_the_late_feedback_of_the_last_tick_fills_the_gap_it_left():
+    before = P["fd"].decode(received(feedback("fd", 6, length=1.6)), 6, no_measurement())
+    gap = P["fd"].decode((), 7, before)
+    measurement = P["fd"].decode(received(feedback("fd", 7, length=1.7)), 8, gap)
+    assert (gap.age[0], measurement.age[0], measurement.length[0]) == (1, 1, 1.7)
+
+
+def test_decode_leaves_the_previous_measurement_alone():
+    before = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
+    kept = copy.deepcopy(before)
+    frames = received(feedback("fd", 6, length=2.0), P["fd"].status(Status(0, 4, 2)))
+    after = P["fd"].decode(frames, 6, before)
+    for field, expected in zip(before, kept, strict=True):
+        np.testing.assert_array_equal(field, expected)
+    assert (after.length[0], after.fault[0]) == (2.0, 2)
+
+
+# device side
+
+
+@all_layouts
+def test_any_single_flipped_bit_of_a_command_is_refused_by_the_drives(layout):
+    for frame in P[layout].command(Command(DriveMode.RUN, np.arange(6.0) * 100), 5):
+        for bit in range(8 * len(frame.data)):
+            assert isinstance(P[layout].parse(damaged(frame, bit)), Rejected)
+        assert isinstance(P[layout].parse(frame._replace(data=frame.data[:-1])), Rejected)
+
+
+@all_layouts
+def test_an_unknown_mode_is_refused_by_the_drives(layout):
+    at = {"classic": 6, "fd": 24, "ideal": 48}[layout]
+    for frame in P[layout].command(Command(DriveMode.RUN, np.zeros(6)), 5):
+        assert isinstance(P[layout].parse(resealed(frame, at, 0x45)), Rejected)
+        assert isinstance(P[layout].parse(resealed(frame, at, 0x35)), DeviceCommand)
+
+
+def test_a_command_that_is_not_finite_is_refused_by_the_drives():
+    (frame,) = P["ideal"].command(Command(DriveMode.RUN, np.zeros(6)), 5)
+    assert isinstance(P["ideal"].parse(resealed(resealed(frame, 15, 0x7F), 14, 0xF0)), Rejected)
+
+
+@pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0)])
+def test_a_senseless_configuration_is_refused_by_the_drives(at, byte):
+    frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: byte 0 alone holds the watchdog
+    assert isinstance(P["fd"].parse(resealed(frame, at, byte)), Rejected)
+    assert isinstance(P["fd"].parse(damaged(frame, 3)), Rejected)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0", b"\x55\xaa"])
+def test_an_emergency_stop_counts_whatever_it_carries(data):
+    assert P["fd"].parse(Frame(0x001, data)) == EmergencyStop()
+
+
+def test_drives_ignore_what_is_not_for_them():
+    assert P["fd"].parse(feedback("fd", 1)) is None
+    assert P["fd"].parse(Frame(0x100, bytes(8))) is None
+    assert isinstance(P["fd"].parse(Frame(0x080, b"")), Rejected)
+
+
+# round trips
+
+RESOLUTION = {
+    "classic": (1e-7, 1e-4, None),
+    "fd": (1e-7, 1e-7, 2.0),
+    "ideal": (0.0, 0.0, 0.0),
+}
+FORCE_RESOLUTION = {"classic": 2.0, "fd": 1e-3, "ideal": 0.0}
+
+
+@all_layouts
+@given(
+    length=st.floats(-200, 200),
+    rate=st.floats(-3.2, 3.2),
+    force=st.floats(-65_000, 65_000),
+    state=st.sampled_from(DriveState),
+    tick=st.integers(0, 1 << 40),
+    leg=st.integers(0, 5),
+)
+def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, state, tick, leg):
+    frame = P[layout].feedback(Feedback(leg, length, rate, force, state, tick & 15))
+    measurement = P[layout].decode(received(frame), tick, no_measurement())
+    assert measurement.age[leg] == 0
+    assert measurement.state[leg] == state
+    sent = (length, rate, force)
+    got = (measurement.length[leg], measurement.rate[leg], measurement.force[leg])
+    for value, back, resolution in zip(sent, got, RESOLUTION[layout], strict=True):
+        if resolution is not None:
+            assert abs(value - back) <= resolution / 2 * (1 + 1e-6)
+
+    message = DATABASE.get_message_by_name(f"FEEDBACK_{layout.upper()}_{leg + 1}")
+    values = message.decode(frame.data, decode_choices=False)
+    assert (values["Length"], values["Rate"]) == got[:2]
+    assert (values["State"], values["Counter"]) == (state, tick & 15)
+    exact = {"Length": length, "Rate": rate, "Counter": tick & 15, "State": int(state), "CRC": values["CRC"]}
+    if "Force" in values:
+        assert values["Force"] == got[2]
+        exact["Force"] = force
+    assert message.encode(exact) == frame.data
+
+
+@all_layouts
+@given(
+    force=st.lists(st.floats(-60_000, 60_000), min_size=6, max_size=6),
+    mode=st.sampled_from(DriveMode),
+    tick=st.integers(0, 1 << 40),
+)
+def test_command_round_trip_and_cantools_agree(layout, force, mode, tick):
+    frames = P[layout].command(Command(mode, np.array(force)), tick)
+    back: dict[int, float] = {}
+    for frame in frames:
+        parsed = P[layout].parse(frame)
+        assert isinstance(parsed, DeviceCommand)
+        assert (parsed.mode, parsed.counter) == (mode, tick & 15)
+        back.update(zip(parsed.legs, parsed.force, strict=True))
+        message = DATABASE.get_message_by_frame_id(frame.id)
+        values = message.decode(frame.data, decode_choices=False)
+        assert [values[f"Force{leg + 1}"] for leg in parsed.legs] == list(parsed.force)
+        exact = {f"Force{leg + 1}": force[leg] for leg in parsed.legs}
+        exact |= {"Counter": tick & 15, "Mode": int(mode), "CRC": values["CRC"]}
+        assert message.encode(exact) == frame.data
+    assert sorted(back) == [0, 1, 2, 3, 4, 5]
+    for leg in range(6):
+        assert abs(back[leg] - force[leg]) <= FORCE_RESOLUTION[layout] / 2 * (1 + 1e-6)
+
+
+@given(st.floats(1e-6, 4000), st.sampled_from(Reaction))
+def test_configuration_round_trip(watchdog_s, reaction):
+    for leg, frame in enumerate(P["fd"].configure(watchdog_s, reaction)):
+        parsed: Any = P["fd"].parse(frame)
+        assert (parsed.leg, parsed.reaction) == (leg, reaction)
+        assert parsed.watchdog_s == pytest.approx(watchdog_s, abs=0.51e-6)

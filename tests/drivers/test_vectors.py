@@ -1,0 +1,248 @@
+"""One hand-computed byte vector per message and layout, so that a wrong scale at both ends cannot cancel.
+
+Little-endian. The arithmetic stands beside each vector; the CRC byte is divided bit by bit here.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cantools
+import numpy as np
+import pytest
+
+import drivers
+from drivers.dbc import LegsProtocol
+from drivers.protocol import (
+    BRS,
+    FD,
+    Configure,
+    DeviceCommand,
+    EmergencyStop,
+    Feedback,
+    Frame,
+    Received,
+    Status,
+    Sync,
+)
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction, no_measurement
+
+DATABASE: Any = cantools.database.load_file(Path(drivers.__file__).with_name("legs.dbc"))
+NODES = (1, 2, 3, 4, 5, 6)
+P = {layout: LegsProtocol(layout, NODES) for layout in ("classic", "fd", "ideal")}
+CLASSIC_FORCE = np.array([1000.0, -2000.0, 60_000.0, 2.0, -2.0, -60_000.0])
+FD_FORCE = np.array([1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256])
+IDEAL_FORCE = np.array([1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75])
+TICK = 423  # 0x1A7: SYNC carries 0xA7, the four-bit counter is 7
+
+
+class Vector(NamedTuple):
+    message: str
+    frame: Frame
+    identifier: int
+    flags: int
+    data: str
+    signals: dict[str, float]
+
+
+VECTORS = [
+    Vector("ESTOP", P["fd"].emergency_stop()[0], 0x001, 0, "00", {"Source": 0}),
+    Vector("SYNC", P["fd"].sync(TICK)[0], 0x080, 0, "A7", {"Cycle": 167}),
+    Vector(
+        "CONFIG_3",
+        P["fd"].configure(0.0125, Reaction.HOLD)[2],
+        0x603,
+        0,
+        # 12500 us = 0x30D4; hold = 2; third leg; a zero byte
+        "D4 30 00 00  02  03  00  48",
+        {"Watchdog": 0.0125, "Reaction": 2, "Leg": 3, "CRC": 0x48},
+    ),
+    Vector(
+        "STATUS_6",
+        P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP)),
+        0x706,
+        0,
+        "04 02",
+        {"State": 4, "Fault": 2},
+    ),
+    Vector(
+        "COMMAND_CLASSIC_A",
+        P["classic"].command(Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[0],
+        0x100,
+        0,
+        # 1000/2 = 500 = 0x01F4; -2000/2 = -1000 = 0x10000 - 0x03E8 = 0xFC18; 60000/2 = 30000 = 0x7530;
+        # mode 2 above counter 7
+        "F4 01  18 FC  30 75  27  96",
+        {"Force1": 1000, "Force2": -2000, "Force3": 60_000, "Counter": 7, "Mode": 2, "CRC": 0x96},
+    ),
+    Vector(
+        "COMMAND_CLASSIC_B",
+        P["classic"].command(Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[1],
+        0x101,
+        0,
+        # 2/2 = 1; -2/2 = -1 = 0xFFFF; -60000/2 = -30000 = 0x10000 - 0x7530 = 0x8AD0
+        "01 00  FF FF  D0 8A  27  35",
+        {"Force4": 2, "Force5": -2, "Force6": -60_000, "Counter": 7, "Mode": 2, "CRC": 0x35},
+    ),
+    Vector(
+        "COMMAND_FD",
+        P["fd"].command(Command(DriveMode.RUN, FD_FORCE), TICK)[0],
+        0x110,
+        FD | BRS,
+        # in mN: 1000500 = 0x000F4434; -1; 60000000 = 0x03938700; minus that = 0xFC6C7900; 0; 256 = 0x100
+        "34 44 0F 00  FF FF FF FF  00 87 93 03  00 79 6C FC  00 00 00 00  00 01 00 00  27  00 00 00 00 00 00  39",
+        {
+            "Force1": 1000.5,
+            "Force2": -0.001,
+            "Force3": 60_000,
+            "Force4": -60_000,
+            "Force5": 0,
+            "Force6": 0.256,
+            "Counter": 7,
+            "Mode": 2,
+            "CRC": 0x39,
+        },
+    ),
+    Vector(
+        "COMMAND_IDEAL",
+        P["ideal"].command(Command(DriveMode.RUN, IDEAL_FORCE), TICK)[0],
+        0x120,
+        FD | BRS,
+        # IEEE 754: exponent + 1023 in 11 bits, then the fraction. 1 -> 0x3FF0..., -2 -> 0xC000..., 0.5 -> 0x3FE0...,
+        # 60000 = 2^15 * 1.8310546875 -> exponent 1038 = 0x40E, fraction .8310546875 = 0xD4C/0x1000 -> 0x40ED4C...,
+        # -0.75 = -2^-1 * 1.5 -> 0xBFE8...
+        "00 00 00 00 00 00 F0 3F  00 00 00 00 00 00 00 C0  00 00 00 00 00 00 E0 3F  00 00 00 00 00 4C ED 40"
+        "00 00 00 00 00 00 00 00  00 00 00 00 00 00 E8 BF  27  00 00 00 00 00 00 00 00 00 00 00 00 00 00  64",
+        {
+            "Force1": 1,
+            "Force2": -2,
+            "Force3": 0.5,
+            "Force4": 60_000,
+            "Force5": 0,
+            "Force6": -0.75,
+            "Counter": 7,
+            "Mode": 2,
+            "CRC": 0x64,
+        },
+    ),
+    Vector(
+        "FEEDBACK_CLASSIC_1",
+        P["classic"].feedback(Feedback(0, 1.5, -0.25, 1234.0, DriveState.RUN, 7)),
+        0x181,
+        0,
+        # 1.5/1e-7 = 15000000 = 0x00E4E1C0; -0.25/1e-4 = -2500 = 0x10000 - 0x09C4 = 0xF63C; state 3 above counter 7
+        "C0 E1 E4 00  3C F6  37  F3",
+        {"Length": 1.5, "Rate": -0.25, "Counter": 7, "State": 3, "CRC": 0xF3},
+    ),
+    Vector(
+        "FEEDBACK_FD_2",
+        P["fd"].feedback(Feedback(1, 1.2345678, -0.25, 1234.0, DriveState.RUN, 7)),
+        0x282,
+        FD | BRS,
+        # 12345678 = 0x00BC614E; -0.25/1e-7 = -2500000 = 2^32 - 0x002625A0 = 0xFFD9DA60; 1234/2 = 617 = 0x0269
+        "4E 61 BC 00  60 DA D9 FF  69 02  37  41",
+        {"Length": 1.2345678, "Rate": -0.25, "Force": 1234, "Counter": 7, "State": 3, "CRC": 0x41},
+    ),
+    Vector(
+        "FEEDBACK_IDEAL_1",
+        P["ideal"].feedback(Feedback(0, 1.5, -0.25, 60_000.0, DriveState.RUN, 7)),
+        0x381,
+        FD | BRS,
+        # 1.5 -> 0x3FF8...; -0.25 = -2^-2 -> 0xBFD0...; 60000 as in the command
+        "00 00 00 00 00 00 F8 3F  00 00 00 00 00 00 D0 BF  00 00 00 00 00 4C ED 40  37  00 00 00 00 00 00  13",
+        {"Length": 1.5, "Rate": -0.25, "Force": 60_000, "Counter": 7, "State": 3, "CRC": 0x13},
+    ),
+]
+by_message = pytest.mark.parametrize("vector", VECTORS, ids=lambda v: v.message)
+
+
+def bitwise_crc8(data: bytes) -> int:
+    register = 0xFF
+    for byte in data:
+        for position in range(7, -1, -1):
+            carry = (register >> 7) ^ (byte >> position & 1)
+            register = register << 1 & 0xFF
+            if carry:
+                register ^= 0x1D
+    return register ^ 0xFF
+
+
+@by_message
+def test_codec_writes_the_bytes_computed_by_hand(vector):
+    assert vector.frame == Frame(vector.identifier, bytes.fromhex(vector.data), vector.flags)
+
+
+@pytest.mark.parametrize("vector", [v for v in VECTORS if "CRC" in v.signals], ids=lambda v: v.message)
+def test_crc_byte_covers_identifier_and_all_other_bytes(vector):
+    data = bytes.fromhex(vector.data)
+    lead = bytes([vector.identifier % 256, vector.identifier // 256])
+    assert bitwise_crc8(lead + data[:-1]) == data[-1] == vector.signals["CRC"]
+
+
+@by_message
+def test_cantools_decodes_the_vector_to_the_same_values(vector):
+    message = DATABASE.get_message_by_name(vector.message)
+    assert message.frame_id == vector.identifier
+    assert message.is_fd == bool(vector.flags & FD)
+    decoded = message.decode(bytes.fromhex(vector.data), decode_choices=False)
+    assert decoded == pytest.approx(vector.signals, rel=1e-15, abs=1e-15)
+
+
+@by_message
+def test_cantools_encodes_the_values_to_the_same_bytes(vector):
+    message = DATABASE.get_message_by_name(vector.message)
+    assert message.encode(vector.signals, strict=True) == bytes.fromhex(vector.data)
+
+
+def test_vectors_cover_every_kind_of_message():
+    kinds = {message.name.rstrip("123456") for message in DATABASE.messages}
+    assert {vector.message.rstrip("123456") for vector in VECTORS} == kinds
+
+
+def frame_of(message: str) -> Frame:
+    vector = next(v for v in VECTORS if v.message == message)
+    return Frame(vector.identifier, bytes.fromhex(vector.data), vector.flags)
+
+
+def test_drives_read_the_vectors():
+    assert P["fd"].parse(frame_of("ESTOP")) == EmergencyStop()
+    assert P["fd"].parse(frame_of("SYNC")) == Sync(0xA7)
+    configure = P["fd"].parse(frame_of("CONFIG_3"))
+    assert isinstance(configure, Configure)
+    assert (configure.leg, configure.reaction) == (2, Reaction.HOLD)
+    assert configure.watchdog_s == pytest.approx(0.0125, rel=1e-15)
+    assert P["classic"].parse(frame_of("COMMAND_CLASSIC_A")) == DeviceCommand(
+        (0, 1, 2), DriveMode.RUN, (1000.0, -2000.0, 60_000.0), 7
+    )
+    assert P["classic"].parse(frame_of("COMMAND_CLASSIC_B")) == DeviceCommand(
+        (3, 4, 5), DriveMode.RUN, (2.0, -2.0, -60_000.0), 7
+    )
+    fd = P["fd"].parse(frame_of("COMMAND_FD"))
+    assert isinstance(fd, DeviceCommand)
+    assert fd.legs == (0, 1, 2, 3, 4, 5)
+    assert fd.force == pytest.approx((1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256), rel=1e-15)
+    ideal = P["ideal"].parse(frame_of("COMMAND_IDEAL"))
+    assert ideal == DeviceCommand(
+        (0, 1, 2, 3, 4, 5), DriveMode.RUN, (1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75), 7
+    )
+
+
+@pytest.mark.parametrize(
+    ("layout", "message", "leg", "length", "force"),
+    [
+        ("classic", "FEEDBACK_CLASSIC_1", 0, 1.5, 0.0),  # no force on this wire
+        ("fd", "FEEDBACK_FD_2", 1, 1.2345678, 1234.0),
+        ("ideal", "FEEDBACK_IDEAL_1", 0, 1.5, 60_000.0),
+    ],
+)
+def test_controller_reads_the_vectors(layout, message, leg, length, force):
+    frames = [Received(0, frame_of(message)), Received(1, frame_of("STATUS_6"))]
+    measurement = P[layout].decode(frames, TICK, no_measurement())
+    assert measurement.length[leg] == pytest.approx(length, rel=1e-15)
+    assert measurement.rate[leg] == pytest.approx(-0.25, rel=1e-15)
+    assert measurement.force[leg] == force
+    assert measurement.state[leg] == DriveState.RUN
+    assert measurement.age[leg] == 0
+    assert measurement.fault.tolist() == [0, 0, 0, 0, 0, DriveFault.ESTOP]
+    assert measurement.rejected == 0

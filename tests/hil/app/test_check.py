@@ -1,0 +1,143 @@
+"""`hil check`: figures against the book's, and the first instant of every limit that the reference breaks."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.check import check, inspect
+from hil.app.configuration import load, loads
+from hil.app.reach import window_swing
+
+BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
+STATES = {
+    key: np.array([s[key] for s in BOOK["states"]]) for key in ("t", "length", "rate", "force", "cond_J")
+}
+VIRTUAL = load("virtual").text
+
+
+def edited(*changes):
+    text = VIRTUAL
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return loads(text, "my.yaml")
+
+
+@pytest.mark.parametrize("name", ["bench", "ideal", "lab", "socketcan", "vcan50", "virtual"])
+def test_every_shipped_configuration_passes(name):
+    report = check(name)
+    json.dumps(report.to_dict())
+    text = "\n".join(report.lines)
+    for word in ("robot at home", "bus", "watchdog", "reference", "real time on this machine"):
+        assert word in text
+    assert [w for w in report.warnings if "SCHED_FIFO" not in w] == []
+
+
+def test_the_figures_of_the_books_path_are_the_books():
+    figures = check("virtual").figures
+    home = BOOK["home_static"]
+    assert figures["home"]["leg_lengths_m"] == pytest.approx(home["length"], abs=1e-9)
+    assert figures["home"]["static_forces_N"] == pytest.approx(home["force"], rel=1e-9)
+    reference = figures["reference"]
+    # 41 samples of the source lie on the path; its extremes may lie between two of them.
+    assert reference["length_min_m"] == pytest.approx(STATES["length"].min(), abs=1e-4)
+    assert reference["length_max_m"] == pytest.approx(STATES["length"].max(), abs=1e-4)
+    assert reference["force_max_N"] == pytest.approx(STATES["force"].max(), rel=1e-9)
+    assert reference["force_min_N"] == pytest.approx(STATES["force"].min(), rel=1e-9)
+    assert reference["rate_max_m_s"] == pytest.approx(np.abs(STATES["rate"]).max(), rel=5e-3)
+    assert reference["force_step_N"] == pytest.approx(
+        np.abs(STATES["force"][0] - home["force"]).max(), rel=1e-6
+    )
+    # A bound: at most 6^(1/32) above the condition number.
+    assert STATES["cond_J"].max() <= reference["condition_max"] <= 1.0594 * STATES["cond_J"].max()
+
+
+def test_the_arithmetic_of_the_bus_is_shown():
+    report = check("virtual")
+    text = "\n".join(report.lines)
+    # 34 + 358 / 5 = 105.6 us, 34 + 153 / 5 = 64.6 us, SYNC of one byte 65 us.
+    assert "1 x CAN FD  32 byte: 34 bit + 358 fast bit = 105.6 us each" in text
+    assert "total 558.2 us of a 1000.0 us period = 55.8 %" in text
+    assert report.figures["bus"]["feedback_us"] == pytest.approx(65 + 6 * 64.6)
+
+
+BROKEN = [
+    ("force_N: 25000 ", "force_N: 15000 ", "force above limits.force_N 15000", "force", 15000),
+    ("speed_m_s: 2 ", "speed_m_s: 1 ", "rate above limits.speed_m_s 1", "rate", 1),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message", "column", "limit"), BROKEN)
+def test_the_first_instant_beyond_a_limit_lies_where_the_book_has_it(old, new, message, column, limit):
+    with pytest.raises(ConfigurationError) as caught:
+        inspect(edited((old, new)))
+    (problem,) = [p for p in caught.value.problems if message in p]
+    line = VIRTUAL[: VIRTUAL.index("\nreference:")].count("\n") + 2
+    assert problem.startswith(f"my.yaml:{line}:1: reference: at t = ")
+    t = float(re.findall(r"at t = ([\d.]+) s", problem)[0])
+    beyond = STATES["t"][(np.abs(STATES[column]) > limit).any(axis=1)][0]
+    assert beyond - 0.05 <= t <= beyond
+
+
+def test_a_step_of_force_that_the_limit_would_cut_is_named_at_the_start():
+    with pytest.raises(
+        ConfigurationError,
+        match=r"at t = 0\.000 s: leg 1: force changes by more than limits\.force_step_N 2000",
+    ):
+        inspect(edited(("force_step_N: 4000 ", "force_step_N: 2000 ")))
+
+
+def test_a_window_narrower_than_the_paths_own_change_is_named():
+    with pytest.raises(ConfigurationError, match=r"limits\.force_window_N 5000 within 250 ms"):
+        inspect(edited(("force_window_N: 12000 ", "force_window_N: 5000 ")))
+
+
+def test_a_path_that_leaves_the_stroke_between_reachable_points_is_refused():
+    """Both ends of a half turn about z are reachable; half way the legs would have to cross."""
+    c = edited(
+        ("{t_s: 1, position_m: [0.25, 0.5, 0.75], rotation_vector_deg: [5, 10, 15]}", "{t_s: 1, position_m: [0, 0, 1]}"),
+        ("length_max_m: 2.2", "length_max_m: 1.8"),
+        ("  type: waypoints\n", "  type: sinusoids\n  duration_s: 10\n  components: [{axis: z_m, amplitude: 0.5, frequency_Hz: 0.5}]\n"),
+        ("  interpolation: cubic ", "  #"),
+        ("  periods: 10\n", ""),
+        ("  points:\n", ""),
+        ("    - {t_s: 0, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 0]}\n", ""),
+        ("    - {t_s: 1, position_m: [0, 0, 1]}\n", ""),
+        ("    - {t_s: 2, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 0]}\n", ""),
+    )  # fmt: skip
+    with pytest.raises(ConfigurationError) as caught:
+        inspect(c)
+    # q = sqrt(1.24^2 + z^2) with 1.5925 at z = 1: 1.78 m at z = 1.2772, so it happens while z rises to 1.5.
+    assert any("length outside the soft ends 0.77 to 1.78 m: 1.78" in p for p in caught.value.problems)
+
+
+@pytest.mark.parametrize("variant", ["constant", "constant_MG", "printed"])
+def test_a_simplified_model_is_warned_of(variant):
+    frozen = "\n    frozen_at: {position_m: [0, 0, 1]}" if variant != "printed" else ""
+    warnings = inspect(edited(("variant: full", f"variant: {variant}{frozen}"))).warnings
+    assert any(w.startswith(f"controller.model.variant {variant}: ") for w in warnings)
+    if variant == "constant":
+        assert any("good for small motion only" in w for w in warnings)
+
+
+def test_a_bandwidth_that_the_delay_cannot_carry_is_warned_of():
+    assert any("phase margin" in w for w in inspect(edited(("wn_rad_s: 20\n", "wn_rad_s: 200\n"))).warnings)
+
+
+def test_a_window_shorter_than_the_feedbacks_is_warned_of():
+    c = edited(("  rate_Hz: 1000\n", "  rate_Hz: 1000\n  feedback_window_us: 400\n"))
+    assert any("SYNC and six feedbacks take 453 us" in w for w in inspect(c).warnings)
+
+
+def test_little_force_in_reserve_is_warned_of():
+    c = edited(("force_N: 25000 ", "force_N: 17000 "))
+    assert any("less than 10 % is left" in w for w in inspect(c).warnings)
+
+
+def test_the_swing_is_the_largest_change_against_the_rows_before():
+    forces = np.array([[0.0], [1.0], [5.0], [4.0], [-3.0]])
+    assert window_swing(forces, 2).ravel().tolist() == [0, 1, 5, 3, 8]

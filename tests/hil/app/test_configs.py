@@ -1,0 +1,129 @@
+"""The shipped configurations: valid, whole, and their figures those of the sources they name."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import jsonschema  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+import yaml
+
+from hil.app import schema
+from hil.app.configuration import load, platform_dict, shipped
+
+ROOT = Path(__file__).parents[3]
+BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())
+NAMES = ["bench", "ideal", "lab", "socketcan", "vcan50", "virtual"]
+
+
+class Floats(yaml.SafeLoader):
+    """PyYAML with the one number that its YAML 1.1 does not know."""
+
+
+Floats.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9.]+[eE][-+]?[0-9]+$"), list("-+0123456789.")
+)
+
+
+def test_these_are_shipped():
+    assert list(shipped()) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_file_names_its_schema_and_an_editor_accepts_it(name):
+    text = load(name).text
+    assert text.splitlines()[0] == "# yaml-language-server: $schema=hil.schema.json"
+    committed = json.loads((ROOT / "configs/hil.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(committed)
+    jsonschema.Draft202012Validator(committed).validate(yaml.load(text, Floats))
+
+
+def test_the_committed_schema_is_current():
+    """If not: python -c 'from hil.app import schema; print(schema.text(), end="")' > configs/hil.schema.json."""
+    assert (ROOT / "configs/hil.schema.json").read_text() == schema.text()
+
+
+def test_the_schema_refuses_what_the_loader_refuses():
+    validator = jsonschema.Draft202012Validator(schema.schema())
+    data = yaml.load(load("virtual").text, Floats)
+    data["loop"]["rate"] = 1000
+    assert not validator.is_valid(data)
+
+
+@pytest.mark.parametrize("name", ["virtual", "ideal", "vcan50"])
+def test_the_books_platform_is_the_books(name):
+    d = platform_dict(load(name).platform)
+    book = BOOK["geometry"]
+    for key in ("base_joints", "platform_joints", "gravity"):
+        assert np.array_equal(d[key], book[key])
+    for body in ("platform", "cylinder", "rod"):
+        for key, value in book[body].items():
+            assert np.array_equal(np.array(d[body][key], object), np.array(_tuples(value), object))
+
+
+def _tuples(value):
+    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+
+
+@pytest.mark.parametrize("name", ["virtual", "ideal"])
+def test_the_books_path_is_the_books(name):
+    reference: Any = load(name).reference
+    assert reference.interpolation == "cubic"
+    for point, knot in zip(reference.points, BOOK["trajectory"]["knots"], strict=True):
+        assert (point.t_s, list(point.position_m), list(point.rotation_vector_deg)) == (
+            knot["t"],
+            knot["p"],
+            knot["rotvec_deg"],
+        )
+
+
+def test_ideal_is_ideal():
+    c: Any = load("ideal")
+    assert c.bus.layout == "ideal"
+    assert c.plant.model.force_bandwidth_Hz == 0
+    assert c.plant.drives.encoder_resolution_m == 0
+    assert (c.engage.force_ramp_s, c.engage.brake_release_s, c.engage.blend_s) == (0, 0, 0)
+    assert c.controller.wn_rad_s == 20
+    assert c.reference.periods == 1
+
+
+def test_the_laboratory_platforms_inertia_is_that_of_a_disc_and_a_block():
+    """Two bodies about their common centre, each by its handbook formula."""
+    disc, block = 80.0, 220.0
+    z = np.array([0.025, 0.05 + 0.25])
+    com = (disc * z[0] + block * z[1]) / (disc + block)
+    across = (
+        disc * (3 * 0.6**2 + 0.05**2) / 12
+        + disc * (z[0] - com) ** 2
+        + block * (0.6**2 + 0.5**2) / 12
+        + block * (z[1] - com) ** 2
+    )
+    axial = disc * 0.6**2 / 2 + block * (0.6**2 + 0.6**2) / 12
+    body = load("lab").platform.platform
+    assert body.mass_kg == disc + block
+    assert body.com_m[2] == pytest.approx(com, abs=1e-4)
+    assert np.diag(body.inertia_kg_m2) == pytest.approx([across, across, axial], rel=1e-3)
+
+
+def test_the_laboratory_joints_lie_on_their_circles():
+    for name in ("lab", "socketcan"):
+        p = load(name).platform
+        for joints, radius, first in ((p.base_joints_m, 0.75, 350), (p.platform_joints_m, 0.6, 310)):
+            z = np.array([complex(x, y) for x, y, _ in joints])
+            assert np.abs(z) == pytest.approx(radius, abs=1e-6)
+            assert np.rad2deg(np.angle(z[0])) % 360 == pytest.approx(first, abs=1e-3)
+
+
+def test_real_drives_are_treated_as_real():
+    c = load("socketcan")
+    assert c.plant is None
+    assert (c.bus.interface, c.bus.channel) == ("socketcan", "can0")
+    assert c.loop.without_realtime == "refuse"
+
+
+def test_the_slow_bus_has_its_own_watchdog():
+    c = load("vcan50")
+    assert (c.bus.channel, c.loop.rate_Hz) == ("vcan0", 50)
+    assert c.drives.watchdog_ms >= 3 * 20

@@ -1,0 +1,299 @@
+"""What a user writes wrongly is named with file, line, column, path and what is allowed; all of it at once."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration import load, loads, platform_dict, shipped
+from hil.app.yaml_positions import Position, parse
+from hil.geometry import Platform
+
+VIRTUAL = load("virtual").text
+
+
+def edited(*changes, base=VIRTUAL):
+    """The shipped text with each (old, new) replaced exactly once."""
+    for old, new in changes:
+        assert base.count(old) == 1, (old, base.count(old))
+        base = base.replace(old, new)
+    return base
+
+
+def problems(text, folder=None):
+    with pytest.raises(ConfigurationError) as caught:
+        loads(text, "my.yaml", folder)
+    assert caught.value.problems
+    assert str(caught.value) == "\n".join(caught.value.problems)
+    return caught.value.problems
+
+
+def place(text, needle):
+    """`line:column` of the only occurrence of needle, counted by hand from the text."""
+    assert text.count(needle) == 1
+    before = text[: text.index(needle)]
+    return f"{before.count(chr(10)) + 1}:{len(before) - (before.rfind(chr(10)) + 1) + 1}"
+
+
+ONE_PROBLEM = [
+    ("rate_Hz: 1000\n", "rate: 1000\n", "rate: 1000\n", "loop.rate: missing unit: the key is rate_Hz"),
+    ("watchdog_ms: 10 ", "watchdog_s: 10 ", "watchdog_s", "drives.watchdog_s: wrong unit: the key is watchdog_ms (in ms)"),
+    ("channel: hil0", "chanel: hil0", "chanel", "bus.chanel: unknown key, did you mean channel?"),
+    ("loop:\n", "lop:\n", "lop:\n", "lop: unknown key, did you mean loop?"),
+    ("  priority: 80 ", "  zzz: 80 ", "zzz", "loop.zzz: unknown key, allowed: rate_Hz, feedback_window_us"),
+    ("    mass_kg: 1150", "    mass: 1150", "mass: 1150", "platform.platform.mass: missing unit: the key is mass_kg"),
+    ("  wn_rad_s: 20\n", "  wn_rad_s: .nan\n", ".nan", "controller.wn_rad_s: not a finite number, allowed: a number greater than 0 or a list of 6 numbers greater than 0, given: .nan"),
+    ("  wn_rad_s: 20\n", "  wn_rad_s: [1, 2, 3, 4, 5]\n", "[1, 2, 3, 4, 5]\n", "controller.wn_rad_s: wrong number of entries, allowed: a list of 6 numbers greater than 0, given: 5 entries"),
+    ("  wn_rad_s: 20\n", "  wn_rad_s: [1, 2, 3, 4, 5, -6]\n", "-6]", "controller.wn_rad_s[5]: out of range, allowed: a number greater than 0, given: -6"),
+    ("  wn_rad_s: 20\n", "  wn_rad_s: quick\n", "quick", 'controller.wn_rad_s: wrong type, allowed: a number greater than 0 or a list of 6 numbers greater than 0, given: "quick"'),
+    ("  wn_rad_s: 20\n", "  wn_rad_s: true\n", "true", "controller.wn_rad_s: wrong type"),
+    ("  law: inverse_dynamics\n", "  law: idc\n", "idc", 'controller.law: unknown value, allowed: inverse_dynamics, pd, given: "idc"'),
+    ("  type: waypoints\n", "", "reference:", "reference.type: missing, allowed: hold, sampled, sinusoids, waypoints"),
+    ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5]", "[1, 2, 3, 4, 5]", "drives.node_ids: wrong number of entries, allowed: a list of 6 whole numbers at least 1 and at most 127, given: 5 entries"),
+    ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5, 5]", "[1, 2, 3, 4, 5, 5]", "drives.node_ids: two legs have the same node number"),
+    ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5, 128]", "128", "drives.node_ids[5]: out of range"),
+    ("watchdog_ms: 10 ", "watchdog_ms: 2 ", "2                    # no command", "drives.watchdog_ms: shorter than three periods, allowed: at least 3 (3 x 1 ms at loop.rate_Hz 1000), given: 2"),
+    ("force_limit_N: 30000 ", "force_limit_N: 20000 ", "25000 ", "limits.force_N: above the drives' rated force, allowed: at most 20000 (drives.force_limit_N), given: 25000"),
+    ("length_min_m: 0.75", "length_min_m: 2.3", "2.3\n", "platform.length_min_m: not below length_max_m, allowed: less than 2.2, given: 2.3"),
+    ("stroke_margin_m: 0.02", "stroke_margin_m: 0.8", "0.8\n", "limits.stroke_margin_m: leaves no stroke, allowed: less than 0.725 (half of the stroke), given: 0.8"),
+    ("priority: 80", "priority: 80.5", "80.5", "loop.priority: wrong type, allowed: a whole number at least 1 and at most 99, given: 80.5"),
+    ('fmi_version: "3.0"', "fmi_version: 3.0", "3.0\n", "plant.model.fmi_version: unknown value, allowed: 2.0, 3.0, given: 3.0"),
+    ("variant: full", "variant: constant", "variant: constant", "controller.model: frozen_at is missing"),
+    ("com_m: [0, 0, 0]", "com_m: [0, 0]", "[0, 0]\n", "platform.platform.com_m: wrong number of entries, allowed: a list of 3 numbers, given: 2 entries"),
+    ("[0, 0, 285]]", "[0, 0, 28]]", "[[570, 0, 0], [0, 285, 0], [0, 0, 28]]", "platform.platform.inertia_kg_m2: got principal moments 28, 285, 570"),
+    ("stale_warn_ticks: 2", "stale_warn_ticks: 6", "force_N: 25000", "limits: stale_warn_ticks is above stale_fault_ticks"),
+    ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is no whole number of steps, allowed: 1000 us"),
+    ("{t_s: 1, pos", "{t_s: 0, pos", "0, position_m: [0.25", "reference.points[1].t_s: 0 s is not after the point before it"),
+    ("{t_s: 2, position_m: [0, 0, 1]", "{t_s: 2, position_m: [0, 0, 1.1]", "- {t_s: 0", "reference.points: periods is 10, but the path ends"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where", "message"), ONE_PROBLEM, ids=[row[3][:60] for row in ONE_PROBLEM]
+)
+def test_one_wrong_thing_is_one_problem_at_its_place(old, new, where, message):
+    text = edited((old, new))
+    (problem,) = problems(text)
+    if message.startswith(("limits: ", "controller.model: ")):
+        # A rule of a whole section: at the section's first key.
+        assert problem.startswith("my.yaml:")
+        assert message in problem
+    else:
+        assert problem.startswith(f"my.yaml:{place(text, where)}: {message}")
+
+
+def test_an_unreachable_way_point_is_named_with_legs_and_lengths():
+    text = edited(("position_m: [0.25, 0.5, 0.75], ", "position_m: [0.25, 0.5, 1.75], "))
+    (problem,) = problems(text)
+    at = place(text, "{t_s: 1, ")
+    assert problem.startswith(
+        f"my.yaml:{at}: reference.points[1]: out of reach, allowed leg lengths: 0.77 to 2.18 m"
+    )
+    assert "leg 4 2.5605" in problem
+
+
+def test_a_home_outside_the_stroke_is_refused():
+    text = edited(("length_max_m: 2.2", "length_max_m: 1.6"))
+    found = problems(text)
+    # 1.5925 m, from outside: the book's length at home.
+    assert any(
+        "platform.home: out of reach, allowed leg lengths: 0.77 to 1.58 m" in p and "leg 0 1.5925" in p
+        for p in found
+    )
+
+
+def test_frames_that_do_not_fit_the_bus_are_refused_with_the_arithmetic():
+    text = edited(("layout: fd ", "layout: classic "))
+    (problem,) = problems(text)
+    # 8 frames of 135 bit and SYNC of 65 bit at 1 Mbit/s against a period of 1000 us.
+    assert problem.startswith(
+        f"my.yaml:{place(text, 'interface: localcan')}: bus: the frames of one tick do not fit at 1 Mbit/s"
+    )
+    assert "8 x classic  8 byte: 135 bit = 135.0 us each, 1080.0 us" in problem
+    assert "total 1145.0 us of a 1000.0 us period = 114.5 % at 1000 Hz (allowed 70 %)" in problem
+
+
+def test_bit_rates_that_no_bus_has_are_refused():
+    found = problems(edited(("data_bitrate_bit_s: 5000000", "data_bitrate_bit_s: 500000")))
+    message = "bus.data_bitrate_bit_s: slower than arbitration, allowed: at least 1000000 (bus.bitrate_bit_s), given: 500000"
+    assert found[1].endswith(message)
+    found = problems(edited(("  bitrate_bit_s: 1000000", "  bitrate_bit_s: 2000000")))
+    assert found[0].endswith(
+        "bus.bitrate_bit_s: too fast for arbitration, allowed: at most 1000000, given: 2000000"
+    )
+
+
+def test_all_problems_of_all_sections_are_reported_at_once_in_order_of_the_file():
+    text = edited(
+        ("    mass_kg: 1150", "    mass_kg: heavy"),
+        ("channel: hil0", "chanel: hil0"),
+        ("watchdog_ms: 10 ", "watchdog_ms: 1 "),
+        ("damping_ratio: 1", "damping_ratio: -1"),
+        ("  speed_m_s: 2 ", "  speed: 2 "),
+        ("internal_step_us: 100", "internal_step_us: 300"),
+    )
+    found = problems(text)
+    paths = [p.split(": ")[1] for p in found]
+    assert paths == [
+        "platform.platform.mass_kg",
+        "bus.chanel",
+        "drives.watchdog_ms",
+        "controller.damping_ratio",
+        "limits.speed",
+        "plant.model.internal_step_us",
+    ]
+
+
+def test_a_missing_section_and_a_missing_key_are_named_with_what_is_allowed():
+    start, end = VIRTUAL.index("reference:"), VIRTUAL.index("limits:")
+    text = edited(("  force_window_N: 12000 ", "  # "), base=VIRTUAL[:start] + VIRTUAL[end:])
+    found = problems(text)
+    assert len(found) == 2
+    assert found[0].startswith("my.yaml:1:1: reference: missing, allowed: ")
+    at = place(text, "limits:")
+    assert found[1] == f"my.yaml:{at}: limits.force_window_N: missing, allowed: a number greater than 0"
+
+
+def test_a_missing_fmu_and_a_missing_path_file_are_refused(tmp_path):
+    start = VIRTUAL.index("plant:    ")
+    fmu = """plant:
+  model:
+    type: fmu
+    path: nowhere.fmu
+    force: [f]
+    length: [a, b, c, d, e, f]
+    rate: [v, w]
+"""
+    found = problems(VIRTUAL[:start] + fmu, tmp_path)
+    assert len(found) == 1
+    assert "plant.model.rate: wrong number of variables" in found[0]
+    found = problems(VIRTUAL[:start] + fmu.replace("[v, w]", "[v]"), tmp_path)
+    assert "plant.model.path: no such file, given: nowhere.fmu" in found[0]
+    start, end = VIRTUAL.index("reference:"), VIRTUAL.index("limits:")
+    text = VIRTUAL[:start] + "reference: {type: sampled, path: gone.csv}\n" + VIRTUAL[end:]
+    assert "reference.path" in problems(text, tmp_path)[0]
+    assert loads(text, "replayed").reference.type == "sampled"
+
+
+SYNTAX = [
+    ("name: a\nname: b\n", "2:1: name: key given twice, first in line 1: remove one of them"),
+    ("bus:\n\tlayout: fd\n", "2:1: tab: YAML indents with spaces only"),
+    ("a: [1, 2\nb: 3\n", "not YAML: while parsing a flow sequence"),
+    ("", "1:1: the file is empty"),
+    ("# only a remark\n", "1:1: the file is empty"),
+    ("- 1\n- 2\n", "1:1: expected sections"),
+    ("name: a\n---\nname: b\n", "2:1: a second document (`---`) is not allowed"),
+    ("a: &x 1\nb: *x\n", "2:4: alias *x is not supported: write the value out"),
+    (
+        "name: !!python/name:os.system x\n",
+        "1:7: name: tag tag:yaml.org,2002:python/name:os.system is not supported",
+    ),
+    ("name: a\x01\n", "1:8: character U+0001 is not allowed in YAML"),
+    ("name: {<<: {a: 1}}\n", "1:8: name.<<: merging (<<) is not supported"),
+    ("? [1, 2]\n: 3\n", "1:3: a key has to be a plain word"),
+    ("a: " + "[" * 3000 + "\n", "1:1: nested too deeply"),
+    ("a: " + "9" * 5000 + "\n", "1:4: a: number of 5000 digits: too long"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), SYNTAX)
+def test_text_that_is_no_plain_yaml_is_refused_with_its_place(text, message):
+    assert any(message in p for p in problems(text))
+
+
+def test_scalars_are_those_of_yaml_1_2():
+    text = "[1e3, 1E-3, 010, 0o10, 0xff, no, on, 12:30, 1_000, ~, true, '5', -.5, 1., .inf, 1e400]"
+    value: Any = (parse(f"a: {text}").value or {})["a"]
+    inf = float("inf")
+    assert value == [
+        1000,
+        0.001,
+        10,
+        8,
+        255,
+        "no",
+        "on",
+        "12:30",
+        "1_000",
+        None,
+        True,
+        "5",
+        -0.5,
+        1.0,
+        inf,
+        inf,
+    ]
+    assert isinstance(value[0], int)
+
+
+def test_positions_count_lines_and_columns_from_one():
+    document = parse("a:\n  b: [1, {c: 2}]\n")
+    assert document.values["a", "b", 1, "c"] == Position(2, 14)
+    assert document.keys["a", "b", 1, "c"] == Position(2, 11)
+    assert document.key_position(("a", "missing", "deeper")) == Position(1, 1)
+
+
+def test_a_file_that_is_not_there_names_the_shipped_configurations(tmp_path):
+    with pytest.raises(
+        ConfigurationError, match=r"no such file; shipped configurations are: .*ideal.*virtual"
+    ):
+        load(tmp_path / "none.yaml")
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load(tmp_path)
+    latin = tmp_path / "latin.yaml"
+    latin.write_bytes("name: a\n# \u00e9".encode("latin-1"))
+    with pytest.raises(ConfigurationError, match=r"latin\.yaml:2:3: not UTF-8 text"):
+        load(latin)
+
+
+def test_a_shipped_name_loads_from_any_folder_and_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load("virtual").name == "virtual"
+    assert {"virtual", "ideal", "socketcan", "lab"} <= set(shipped())
+    Path("virtual").write_text(edited(("name: virtual\n", "name: mine\n")))
+    assert load("virtual").name == "mine"
+
+
+def test_the_exact_text_is_kept(tmp_path):
+    file = tmp_path / "a.yaml"
+    file.write_bytes(VIRTUAL.replace("\n", "\r\n").replace("name: virtual", "description_: x", 0).encode())
+    c = load(file)
+    assert c.text.encode() == file.read_bytes()
+    assert c.folder == tmp_path
+    assert c.source == str(file)
+
+
+def test_the_name_defaults_to_that_of_the_file():
+    assert loads(edited(("name: virtual\n", "")), "bench/mine.yaml").name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("change", "command", "reason"),
+    [
+        (("interface: localcan ", "interface: virtual "), "run", "`virtual` bus lives inside one process"),
+        (("interface: localcan ", "interface: virtual "), "plant", "`virtual` bus lives inside one process"),
+        (("layout: fd ", "layout: ideal "), "run", "`ideal` is for theory"),
+    ],
+)
+def test_what_one_command_cannot_use_is_refused_by_that_command(change, command, reason):
+    c = loads(edited(change), "my.yaml")
+    c.require("sim")
+    with pytest.raises(ConfigurationError, match=reason):
+        c.require(command)
+
+
+def test_a_configuration_for_real_drives_is_refused_where_a_plant_is_needed():
+    c = load("socketcan")
+    c.require("run")
+    for command in ("sim", "plant"):
+        with pytest.raises(ConfigurationError, match="this configuration is for real drives"):
+            c.require(command)
+
+
+def test_platform_dict_has_the_keys_of_the_model():
+    d = platform_dict(load("virtual").platform)
+    platform = Platform.from_dict(d)
+    assert platform.platform.mass == 1150
+    assert d["cylinder"] == {"mass": 85.0, "com": 0.75, "inertia_axial": None, "inertia_transverse": 16.0}
+    assert "universal_joint_base_axes" not in d

@@ -1,0 +1,44 @@
+"""Rewrites a log with the mcap library's own reader and writer, message by message."""
+
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+
+def mcap_summary(path):
+    """Return the summary section of an MCAP file as the mcap library reads it."""
+    with Path(path).open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    return summary
+
+
+def rewrite_log(src, dst, edit=lambda topic, data, sequence: data, *, log_time_order=False, **options):
+    """Copy `src` to `dst`; `edit(topic, data, sequence)` returns the new data, or None to leave a message out.
+
+    `options` go to mcap.writer.Writer (compression, chunk_size, use_chunking).
+    """
+    with Path(src).open("rb") as source, Path(dst).open("xb") as target:
+        reader = make_reader(source, validate_crcs=True)
+        writer = Writer(target, **options)
+        writer.start()
+        for item in reader.iter_attachments():
+            writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        schemas, channels = {}, {}
+        for schema, channel, message in reader.iter_messages(log_time_order=log_time_order):
+            assert schema is not None
+            if channel.id not in channels:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                )
+            data = edit(channel.topic, message.data, message.sequence)
+            if data is not None:
+                writer.add_message(
+                    channels[channel.id], message.log_time, data, message.publish_time, message.sequence
+                )
+        writer.finish()

@@ -1,0 +1,54 @@
+"""Made-up ticks for the tests of recording: every value random, so that nothing can pass by being zero."""
+
+import numpy as np
+
+from drivers.protocol import BRS, ESI, EXTENDED, FD, Frame, Received
+from hil.log import Tick
+from hil.signals import ROW
+
+FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED)
+CAN_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+PERIOD_NS = 1_000_000
+
+
+def random_rows(count, seed=1, dtype=ROW):
+    rng = np.random.default_rng(seed)
+    rows = np.frombuffer(
+        rng.bytes(count * dtype.itemsize), dtype
+    ).copy()  # NaN, infinities, extremes: all bits
+    rows["tick"] = np.arange(count)
+    rows["t_ns"] = np.arange(count) * PERIOD_NS + 12345
+    return rows
+
+
+def random_frame(rng):
+    flags = FLAGS[rng.integers(len(FLAGS))]
+    length = CAN_LENGTHS[rng.integers(16 if flags & FD else 9)]
+    return Frame(int(rng.integers(1 << 29 if flags & EXTENDED else 1 << 11)), rng.bytes(length), flags)
+
+
+def random_ticks(count, seed=1, dtype=ROW):
+    rng = np.random.default_rng(seed)
+    ticks = []
+    for row in random_rows(count, seed, dtype):
+        now = int(row["t_ns"])
+        received = tuple(
+            Received(now - int(rng.integers(PERIOD_NS)), random_frame(rng)) for _ in range(rng.integers(9))
+        )
+        sent = tuple(random_frame(rng) for _ in range(rng.integers(4)))
+        operator = tuple(int(k) for k in rng.integers(1, 5, rng.integers(3))) if rng.random() < 0.05 else ()
+        ticks.append(Tick(row, received, sent, operator))
+    return ticks
+
+
+def record(recording, ticks):
+    for tick in ticks:
+        recording.tick(np.asarray(tick.row), tick.received, tick.sent, tick.operator)
+
+
+def assert_same(found, expected):
+    found = list(found)
+    assert len(found) == len(expected)
+    for a, b in zip(found, expected, strict=True):
+        assert a.row.tobytes() == b.row.tobytes()
+        assert (a.received, a.sent, a.operator) == (b.received, b.sent, b.operator)

@@ -1,0 +1,103 @@
+"""A platform is checked once, carries its values in errors, and cannot be changed."""
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import ModelError
+from hil.geometry import GeometryError, Platform
+
+DATA = Path(__file__).parents[1] / "data"
+BOOK = json.loads((DATA / "book_platform.json").read_text())["geometry"]
+GEOMETRIES = json.loads((DATA / "rigid_body_cases.json").read_text())["geometries"]
+
+
+def changed(path, value):
+    d = copy.deepcopy(BOOK)
+    *outer, last = path.split(".")
+    section = d
+    for key in outer:
+        section = section[key]
+    section[last] = value
+    return d
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_a_platform_survives_the_round_trip(name):
+    platform = Platform.from_dict(GEOMETRIES[name])
+    again = Platform.from_dict(json.loads(json.dumps(platform.to_dict())))
+    assert again.to_dict() == platform.to_dict()
+    given = {
+        key: GEOMETRIES[name][key] for key in ("base_joints", "platform_joints", "cylinder", "rod", "gravity")
+    }
+    assert {key: platform.to_dict()[key] for key in given} == given
+
+
+def test_the_book_platform_lies_on_the_triangle_bound_and_is_accepted():
+    platform = Platform.from_dict(BOOK)
+    assert platform.cylinder.inertia_axial == 0.0
+    assert platform.radius == pytest.approx(1.0, abs=1e-15)
+
+
+def test_arrays_are_private_and_read_only():
+    joints = np.array(BOOK["base_joints"])
+    platform = Platform.from_dict(changed("base_joints", joints))
+    joints[0, 0] = 99.0
+    assert platform.base_joints[0, 0] == 2.0
+    for array in (
+        platform.base_joints,
+        platform.platform_joints,
+        platform.gravity,
+        platform.platform.inertia,
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("platform.mass", 0.0),
+        ("platform.mass", -3.0),
+        ("platform.mass", float("nan")),
+        ("platform.mass", "heavy"),
+        ("platform.com", [0.0, 0.0]),
+        ("platform.inertia", [[571.0, 0, 0], [0, 285, 0], [0, 0, 285]]),
+        ("platform.inertia", [[570.0, 1, 0], [0, 285, 0], [0, 0, 285]]),
+        ("platform.inertia", [[570.0, 0, 0], [0, -285, 0], [0, 0, 285]]),
+        ("rod.mass", -1.0),
+        ("rod.inertia_transverse", float("inf")),
+        ("cylinder.inertia_axial", 33.0),
+        ("gravity", [0.0, 0.0, float("nan")]),
+        ("base_joints", BOOK["base_joints"][:5]),
+        ("universal_joint_base_axes", [[0.0, 0.0, 0.0]] * 6),
+    ],
+)
+def test_what_cannot_exist_is_refused_with_key_and_value(path, value):
+    with pytest.raises(GeometryError) as caught:
+        Platform.from_dict(changed(path, value))
+    assert isinstance(caught.value, ModelError)
+    assert caught.value.where == path
+    assert str(caught.value.value) in str(caught.value)
+
+
+def test_coincident_legs_and_joints_on_a_line_are_refused():
+    twice = [BOOK["base_joints"][1], *BOOK["base_joints"][1:]]
+    with pytest.raises(GeometryError, match="legs 1 and 2"):  # their platform joints coincide already
+        Platform.from_dict(changed("base_joints", twice))
+    with pytest.raises(GeometryError, match="one line"):
+        Platform.from_dict(changed("base_joints", [[k, 2 * k, 0] for k in range(6)]))
+
+
+def test_a_missing_and_an_unknown_key_are_named():
+    d = copy.deepcopy(BOOK)
+    del d["rod"]["mass"]
+    with pytest.raises(GeometryError, match=r"rod\.mass"):
+        Platform.from_dict(d)
+    with pytest.raises(GeometryError, match="weight"):
+        Platform.from_dict(changed("platform.weight", 3.0))
+    with pytest.raises(GeometryError, match="cylinder"):
+        Platform.from_dict(changed("cylinder", 3.0))

@@ -1,0 +1,207 @@
+"""Lengths, J and its rate against the engines; Newton against 40 known assemblies; errors with values."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from hil.geometry import Platform
+from hil.kernels.kinematics import forward_kinematics_kernel, leg_lengths_kernel, reference_kernel
+from hil.kinematics import (
+    KinematicsError,
+    condition,
+    continue_kinematics,
+    forward_kinematics,
+    jacobian,
+    jacobian_rate,
+    leg_lengths,
+)
+
+DATA = Path(__file__).parents[1] / "data"
+TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
+BOOK = json.loads((DATA / "book_platform.json").read_text())
+DIETMAIER = json.loads((DATA / "dietmaier40.json").read_text())
+LINUXCNC = json.loads((DATA / "forward_kinematics_iterations.json").read_text())["linuxcnc_genhexkins"]
+PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
+CASES = [pytest.param(case, id=case["id"]) for case in TRUTH["cases"]]
+PLATFORM = Platform.from_dict(BOOK["geometry"])
+HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
+SMALL = st.lists(st.floats(-0.25, 0.25), min_size=6, max_size=6).map(np.array)
+
+
+def rotation(r):
+    return np.ascontiguousarray(Rotation.from_rotvec(r).as_matrix())
+
+
+def relative(value, expected, floor=0.0):
+    return np.abs(np.asarray(value) - expected).max() / max(np.abs(expected).max(), floor)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_state_agrees_with_the_rigid_body_engines(case):
+    platform = PLATFORMS[case["geometry"]]
+    s, e = case["state"], case["expected"]
+    p, R, twist, dtwist = s["p"], s["R"], np.array(s["v"] + s["omega"]), np.array(s["a"] + s["alpha"])
+    J = jacobian(platform, p, R)
+    assert relative(leg_lengths(platform, p, R), e["lengths"]) <= 1e-9
+    assert relative(J, e["jacobian"]) <= 1e-9
+    assert relative(J @ twist, e["rates"], 1.0) <= 1e-9
+    ddq = J @ dtwist + jacobian_rate(platform, p, R, twist) @ twist
+    assert relative(ddq, e["length_accels"], 1.0) <= 1e-9
+    a, b = platform.base_joints, platform.platform_joints
+    q, dq, ddq = reference_kernel(a, b, np.array(p), np.array(R), twist, dtwist)
+    assert relative(q, e["lengths"]) <= 1e-9
+    assert relative(dq, e["rates"], 1.0) <= 1e-9
+    assert relative(ddq, e["length_accels"], 1.0) <= 1e-9
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_forward_kinematics_finds_the_pose_from_the_given_guess(case):
+    s, e = case["state"], case["expected"]
+    pose = forward_kinematics(PLATFORMS[case["geometry"]], e["lengths"], s["fk_guess_p"], s["fk_guess_R"])
+    assert relative(pose.p, s["p"], 1.0) <= 1e-9
+    assert relative(pose.R, s["R"]) <= 1e-9
+    assert pose.residual <= 1e-12
+    assert pose.iterations <= e["fk_newton_iterations"] + 1
+
+
+def test_the_books_lengths_and_condition():
+    for s in BOOK["states"]:
+        R = rotation(s["rotvec"])
+        assert relative(leg_lengths(PLATFORM, s["p"], R), s["length"]) <= 1e-9
+        assert relative(jacobian(PLATFORM, s["p"], R) @ (s["v"] + s["omega"]), s["rate"], 1.0) <= 1e-9
+        assert s["cond_J"] * (1 - 1e-9) <= condition(PLATFORM, s["p"], R) <= s["cond_J"] * 6 ** (1 / 8)
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_each_of_dietmaiers_forty_assemblies_attracts_its_neighbourhood(number):
+    a, b = np.array(DIETMAIER["base"]), np.array(DIETMAIER["platform"])
+    solution = DIETMAIER["solutions"][number]
+    p, R = np.array(solution["p"]), np.array(solution["R"])
+    rng = np.random.default_rng(number)
+    for _ in range(5):
+        u = rng.normal(size=6)
+        u *= 1e-3 / np.linalg.norm(u)
+        found = forward_kinematics_kernel(
+            a, b, np.array(DIETMAIER["lengths"]), p + u[:3], rotation(u[3:]) @ R, 1e-12, 50
+        )
+        assert found[4] <= 1e-12
+        assert np.abs(found[0] - p).max() <= 1e-7
+        assert np.abs(found[1] - R).max() <= 1e-7
+
+
+def study(a, b, home, tilt, count=300):
+    """Return mean and largest number of iterations at criterion 1e-9, started 0.05 % and 0.1 degrees away."""
+    rng = np.random.default_rng(1)
+    size = np.abs(home).max()
+    iterations = []
+    for _ in range(count):
+        p = home + rng.uniform(-0.1, 0.1, 3) * size
+        r = np.radians(rng.uniform(-tilt, tilt, 3))
+        q = leg_lengths_kernel(a, b, p, rotation(r))
+        start = (
+            p + rng.uniform(-1, 1, 3) * 5e-4 * size,
+            rotation(r + np.radians(rng.uniform(-0.1, 0.1, 3))),
+        )
+        found = forward_kinematics_kernel(a, b, q, *start, 1e-9, 30)
+        assert found[4] <= 1e-9
+        iterations.append(found[3])
+    return np.mean(iterations), max(iterations)
+
+
+def test_tracking_within_15_degrees_takes_at_most_four_iterations():
+    published = LINUXCNC["fk_iteration_study"]["linuxcnc_default_inch|tilt15|track(0.05%,0.1deg)"]
+    a, b = np.array(LINUXCNC["base"], float), np.array(LINUXCNC["platform"], float)
+    for x, y, home in (
+        (a, b, np.array([0.0, 0.0, 40.0])),
+        (PLATFORM.base_joints, PLATFORM.platform_joints, HOME[0]),
+    ):
+        mean, most = study(x, y, home, 15)
+        assert most <= 4
+        assert mean < published["words"]["it_mean"] / 2
+
+
+@given(SMALL, SMALL)
+@settings(deadline=None, max_examples=100)
+def test_jacobian_is_the_derivative_of_the_lengths(x, twist):
+    """d/dt of |p + R b - a| by central differences, along p + t v, exp(t w) R."""
+    p, R, h = HOME[0] + x[:3], rotation(x[3:]), 1e-5
+
+    def moved(t):
+        return p + t * twist[:3], rotation(t * twist[3:]) @ R
+
+    ahead, behind = leg_lengths(PLATFORM, *moved(h)), leg_lengths(PLATFORM, *moved(-h))
+    assert (ahead - behind) / (2 * h) == pytest.approx(jacobian(PLATFORM, p, R) @ twist, abs=1e-9)
+    rate = (jacobian(PLATFORM, *moved(h)) - jacobian(PLATFORM, *moved(-h))) / (2 * h)
+    assert rate == pytest.approx(jacobian_rate(PLATFORM, p, R, twist), abs=1e-8)
+
+
+@given(SMALL, SMALL)
+@settings(deadline=None, max_examples=100)
+def test_forward_kinematics_undoes_inverse_kinematics(x, guess):
+    p, R = HOME[0] + x[:3], rotation(x[3:])
+    start = p + 0.1 * guess[:3], rotation(0.1 * guess[3:]) @ R
+    pose = forward_kinematics(PLATFORM, leg_lengths(PLATFORM, p, R), *start)
+    assert pose.p == pytest.approx(p, abs=1e-10)
+    assert pytest.approx(R, abs=1e-10) == pose.R
+    assert np.abs(pose.R.T @ pose.R - np.eye(3)).max() <= 1e-15
+
+
+def test_ten_thousand_ticks_do_not_spoil_the_rotation():
+    p, R = HOME
+    q = [leg_lengths(PLATFORM, HOME[0] + d, rotation([d, -d, d])) for d in (0.0, 0.01)]
+    a, b = PLATFORM.base_joints, PLATFORM.platform_joints
+    for k in range(10_000):
+        p, R, *_ = forward_kinematics_kernel(a, b, q[k % 2], p, R, 1e-10, 12)
+    assert np.abs(R.T @ R - np.eye(3)).max() <= 1e-15
+
+
+def test_a_cold_start_by_continuation_ends_where_small_steps_end():
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        p, R = HOME[0] + rng.uniform(-0.2, 0.2, 3), rotation(np.radians(rng.uniform(-20, 20, 3)))
+        q0, q = leg_lengths(PLATFORM, *HOME), leg_lengths(PLATFORM, p, R)
+        small = HOME
+        for k in range(1, 501):
+            small = forward_kinematics(PLATFORM, q0 + (q - q0) * k / 500, *small)[:2]
+        pose = continue_kinematics(PLATFORM, q, *HOME)
+        assert pose.p == pytest.approx(small[0], abs=1e-9)
+        assert pytest.approx(small[1], abs=1e-9) == pose.R
+
+
+def test_unreachable_lengths_are_named_with_their_values():
+    far = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 9.0])
+    for find in (forward_kinematics, continue_kinematics):
+        with pytest.raises(KinematicsError, match="reach") as caught:
+            find(PLATFORM, far, *HOME)
+        assert caught.value.values["q"] == pytest.approx(far)
+
+
+@pytest.mark.parametrize(
+    ("q", "p", "R", "named"),
+    [
+        ([1.6] * 5 + [np.nan], HOME[0], HOME[1], "q"),
+        ([1.6] * 5 + [-1.6], HOME[0], HOME[1], "q"),
+        ([1.6] * 5, HOME[0], HOME[1], "q"),
+        ([1.6] * 6, [0.0, np.inf, 1.0], HOME[1], "p0"),
+        ([1.6] * 6, HOME[0], 2 * HOME[1], "R"),
+        ([1.6] * 6, HOME[0], np.diag([1.0, 1.0, -1.0]), "R"),
+        ([1.6] * 6, HOME[0], np.full((3, 3), np.nan), "R"),
+        ([1.6] * 6, HOME[0], np.eye(4), "R"),
+        ([1.6] * 6, HOME[0], "turned", "R"),
+    ],
+)
+def test_arguments_without_meaning_are_named(q, p, R, named):
+    with pytest.raises(KinematicsError) as caught:
+        forward_kinematics(PLATFORM, q, p, R)
+    assert named in caught.value.values
+
+
+def test_a_leg_of_length_zero_has_no_jacobian():
+    joint = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
+    with pytest.raises(KinematicsError, match="length zero"):
+        jacobian(PLATFORM, joint, np.eye(3))

@@ -1,0 +1,109 @@
+"""Transitions of the modes."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.signals import DriveMode, DriveState
+from hil.modes import Durations, Facts, drive_mode, next_mode
+from hil.signals import Mode, Operator
+
+DURATIONS = Durations(load=0.3, release=0.1, park=0.4)
+QUIET = Facts(
+    operator=(), drive_state=[DriveState.OFF] * 6, heard=True, elapsed=0.0, finished=False, stop=False
+)
+
+
+def after(mode, durations=DURATIONS, **facts):
+    return next_mode(mode, QUIET._replace(**facts), durations)
+
+
+def states(state, odd=None):
+    return [state] * 5 + [state if odd is None else odd]
+
+
+def test_idle_needs_all_six_drives_heard_and_off():
+    assert after(Mode.WAITING) is Mode.IDLE
+    assert after(Mode.WAITING, heard=False) is Mode.WAITING
+    assert after(Mode.WAITING, drive_state=states(DriveState.OFF, DriveState.BOOT)) is Mode.WAITING
+
+
+def test_nothing_moves_without_engage():
+    assert after(Mode.IDLE, elapsed=1e6) is Mode.IDLE
+    assert after(Mode.IDLE, operator=(Operator.ENGAGE,)) is Mode.LOADING
+
+
+def test_brakes_open_only_with_all_six_drives_ready_and_the_force_built_up():
+    ready = states(DriveState.READY)
+    assert after(Mode.LOADING, elapsed=0.3, drive_state=ready) is Mode.RELEASING
+    assert after(Mode.LOADING, elapsed=0.299, drive_state=ready) is Mode.LOADING
+    one_off = states(DriveState.READY, DriveState.OFF)
+    assert after(Mode.LOADING, elapsed=9.0, drive_state=one_off) is Mode.LOADING
+
+
+def test_without_a_ramp_the_law_acts_as_soon_as_the_drives_are_ready():
+    at_once = Durations(0.0, 0.0, 0.0)
+    assert after(Mode.LOADING, at_once, drive_state=states(DriveState.READY)) is Mode.TRACKING
+    assert after(Mode.LOADING, at_once, drive_state=states(DriveState.OFF)) is Mode.LOADING
+
+
+def test_the_approach_waits_for_all_six_open_brakes():
+    run = states(DriveState.RUN)
+    assert after(Mode.RELEASING, elapsed=0.1, drive_state=run) is Mode.APPROACH
+    assert (
+        after(Mode.RELEASING, elapsed=9.0, drive_state=states(DriveState.RUN, DriveState.READY))
+        is Mode.RELEASING
+    )
+    assert after(Mode.RELEASING, elapsed=0.05, drive_state=run) is Mode.RELEASING
+
+
+def test_motions_follow_one_another():
+    assert after(Mode.APPROACH, finished=True) is Mode.TRACKING
+    assert after(Mode.TRACKING, finished=True) is Mode.PARKING
+    assert after(Mode.STOPPING, finished=True) is Mode.PARKING
+    assert after(Mode.PARKING, elapsed=0.4) is Mode.PARKED
+    assert after(Mode.PARKING, elapsed=0.39) is Mode.PARKING
+
+
+STOPPED = {
+    Mode.WAITING: Mode.PARKED,
+    Mode.IDLE: Mode.PARKED,
+    Mode.LOADING: Mode.PARKING,
+    Mode.RELEASING: Mode.PARKING,
+    Mode.APPROACH: Mode.STOPPING,
+    Mode.TRACKING: Mode.STOPPING,
+    Mode.STOPPING: Mode.STOPPING,
+    Mode.PARKING: Mode.PARKING,
+    Mode.PARKED: Mode.PARKED,
+    Mode.FAULT: Mode.FAULT,
+}
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_a_stop_leads_to_rest_from_everywhere(mode):
+    assert after(mode, operator=(Operator.STOP,)) is STOPPED[mode]
+    assert after(mode, stop=True) is STOPPED[mode]
+
+
+def test_a_fault_stays_until_reset():
+    assert after(Mode.FAULT, operator=(Operator.ENGAGE,), elapsed=1e6) is Mode.FAULT
+    assert after(Mode.FAULT, operator=(Operator.RESET,)) is Mode.WAITING
+
+
+DRIVES = {
+    Mode.WAITING: DriveMode.OFF,
+    Mode.IDLE: DriveMode.OFF,
+    Mode.LOADING: DriveMode.READY,
+    Mode.RELEASING: DriveMode.RUN,
+    Mode.APPROACH: DriveMode.RUN,
+    Mode.TRACKING: DriveMode.RUN,
+    Mode.STOPPING: DriveMode.RUN,
+    Mode.PARKING: DriveMode.READY,
+    Mode.PARKED: DriveMode.OFF,
+    Mode.FAULT: DriveMode.OFF,
+}
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_brakes_are_open_only_while_a_law_acts(mode):
+    assert drive_mode(mode) is DRIVES[mode]

@@ -1,0 +1,92 @@
+import random
+
+import numpy as np
+import pytest
+
+from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, SENT, WRITTEN, Ring, pack_item
+
+DTYPE = np.dtype([("tick", "<i8"), ("t_ns", "<i8"), ("x", "<f8", (3,))])
+
+
+@pytest.fixture
+def ring():
+    ring = Ring.create(DTYPE, 256)
+    yield ring
+    ring.close_fd()
+
+
+class Writer:
+    def __init__(self, ring):
+        self.ring, self.rows, self.items = ring, 0, 0
+
+    def item(self, kind, value):
+        offset = self.items % self.ring.item_capacity * ITEM.itemsize
+        pack_item(self.ring.item_bytes, offset, value, value, kind, 0, 1, b"\x01")
+        self.items += 1
+
+    def row(self, items, publish=True):
+        for _ in range(items):
+            self.item(SENT, self.rows)
+        row = np.zeros((), DTYPE)
+        row["tick"], row["x"] = self.rows, self.rows
+        self.ring.rows[self.rows % self.ring.capacity] = row
+        self.ring.ends[self.rows % self.ring.capacity] = self.items
+        self.rows += 1
+        if publish:
+            self.ring.counters[WRITTEN] = self.rows
+
+
+def test_rows_and_their_items_come_out_once_and_in_order_over_many_turns(ring):
+    rng = random.Random(3)
+    writer = Writer(ring)
+    counts, ticks, owners = [], [], []
+    while writer.rows < 3000:
+        for _ in range(rng.randrange(200)):
+            if ring.waiting < ring.capacity:
+                counts.append(rng.randrange(ITEM.itemsize // 10))
+                writer.row(counts[-1])
+        batch = ring.take(rng.randrange(1, 220))
+        assert (batch.rows["x"] == batch.rows["tick"][:, None]).all()
+        assert (batch.items["t_ns"] == batch.rows["tick"][batch.tick]).all()
+        ticks += batch.rows["tick"].tolist()
+        owners += batch.items["t_ns"].tolist()
+        ring.release(batch)
+    assert ticks == list(range(len(ticks)))
+    assert owners == [tick for tick in ticks for _ in range(counts[tick])]
+
+
+def test_a_tick_that_is_not_published_is_not_seen(ring):
+    writer = Writer(ring)
+    writer.row(2)
+    writer.row(3, publish=False)
+    batch = ring.take(100)
+    assert len(batch.rows) == 1
+    assert len(batch.items) == 2
+
+
+def test_events_come_before_the_tick_that_follows_them_and_without_one_after_the_last(ring):
+    writer = Writer(ring)
+    writer.row(1)
+    writer.item(EVENT, 77)
+    ring.counters[EVENTS] = writer.items
+    batch = ring.take(100)
+    assert batch.tick.tolist() == [0, 1]
+    ring.release(batch)
+    writer.item(EVENT, 78)
+    ring.counters[EVENTS] = writer.items
+    writer.row(1)
+    batch = ring.take(100)
+    assert batch.items["t_ns"].tolist() == [78, 1]
+    assert batch.tick.tolist() == [0, 0]
+    ring.release(batch)
+    assert not len(ring.take(100).items)
+
+
+def test_a_second_mapping_of_the_descriptor_sees_the_same_memory(ring):
+    other = Ring(ring.fd, DTYPE, 256)
+    Writer(ring).row(1)
+    ring.counters[DROPPED] = 5
+    assert other.waiting == 1
+    assert other.counters[DROPPED] == 5
+    other.release(other.take(1))
+    assert ring.counters[READ] == 1

@@ -1,0 +1,387 @@
+"""The rules put together: which fault, which warning and which force come out of a tick, in which mode."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import DriveState, Measurement
+from hil.config import LimitSettings
+from hil.safety import guard
+from hil.signals import Effort, Fault, Mode, Reference, State, TickInput, Warn
+
+POWERED = (Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING)
+MOVING = POWERED[1:5]
+OFF = (Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT)
+RATE_HZ = 40.0
+"""A window of ten ticks."""
+PERIOD_NS = 25_000_000
+LIMITS = LimitSettings(
+    force_N=100.0,
+    force_step_N=50.0,
+    force_window_N=80.0,
+    speed_m_s=3.0,
+    deceleration_m_s2=2.0,
+    stroke_margin_m=1.0,
+    following_error_m=0.25,
+    following_error_s=0.5,
+    consistency_m=1e-4,
+    condition=50.0,
+    stale_warn_ticks=2,
+    stale_fault_ticks=5,
+)
+
+
+class Bench:
+    """A Safety and a healthy tick in which single values can be changed."""
+
+    def __init__(self, **options):
+        settings = {"drive_force_limit": 1000.0, "length_min": 1.0, "length_max": 9.0, "rate_Hz": RATE_HZ}
+        self.safety = guard.Safety(LIMITS, **{**settings, **options})
+
+    def tick(self, mode=Mode.TRACKING, tau=0.0, **changes):
+        parts: dict[str, Any] = {
+            "inp": TickInput(0, 0, 0, 0, (), 0, 0, False, 0, True, 0, (), 0),
+            "measurement": Measurement(
+                np.full(6, 5.0), np.zeros(6), np.zeros(6), np.full(6, int(DriveState.RUN)),
+                np.zeros(6, np.int64), np.zeros(6, np.int64), 0,
+            ),
+            "state": State(
+                np.full(6, 5.0), np.zeros(6), np.zeros(3), np.eye(3), np.zeros(6), np.eye(6), 1, 0.0
+            ),
+            "reference": Reference(
+                np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6), np.full(6, 5.0), np.zeros(6), np.zeros(6)
+            ),
+        }  # fmt: skip
+        quality: dict[str, Any] = {"condition": 2.0, "hop": 0.0}
+        for name, value in changes.items():
+            part, _, field = name.partition("__")
+            if part in quality:
+                quality[part] = value
+            else:
+                parts[part] = parts[part]._replace(**{field: value})
+        estimate = SimpleNamespace(state=parts["state"], **quality)
+        return self.safety.judge(
+            parts["inp"], parts["measurement"], estimate, parts["reference"],
+            Effort(np.broadcast_to(np.asarray(tau, float), (6,)).copy()), mode,
+        )  # fmt: skip
+
+
+def leg(value, other=0.0, dtype=float):
+    x = np.full(6, other, dtype)
+    x[3] = value
+    return x
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_is_silent_in_a_healthy_tick(mode):
+    verdict = Bench().tick(mode, 20.0)
+    assert verdict.warnings == Warn.NONE
+    assert verdict.faults == Fault.NONE
+    assert verdict.stop is False
+    np.testing.assert_array_equal(verdict.tau, np.full(6, 20.0 if mode in POWERED else 0.0))
+
+
+ALWAYS_FAULTS = {
+    "stale": (Fault.STALE, {"measurement__age": leg(5, 0, np.int64)}),
+    "drive fault": (Fault.DRIVE, {"measurement__state": leg(DriveState.FAULT, DriveState.RUN, np.int64)}),
+    "drive rebooted": (Fault.DRIVE, {"measurement__state": leg(DriveState.BOOT, DriveState.RUN, np.int64)}),
+    "bus off": (Fault.BUS, {"inp__bus_off": True}),
+    "residual": (Fault.KINEMATICS, {"state__residual": 1.1e-4}),
+    "not converged": (Fault.KINEMATICS, {"state__residual": np.inf}),
+    "hop": (Fault.ASSEMBLY, {"hop": 1.0}),
+    "condition": (Fault.CONDITION, {"condition": 50.1}),
+    "speed": (Fault.SPEED, {"state__dq": leg(-3.1)}),
+    "length": (Fault.NOT_FINITE, {"measurement__length": leg(np.nan)}),
+    "rate": (Fault.NOT_FINITE, {"measurement__rate": leg(np.inf)}),
+    "force": (Fault.NOT_FINITE, {"measurement__force": leg(-np.inf)}),
+    "q": (Fault.NOT_FINITE, {"state__q": leg(np.nan, 5.0)}),
+    "dq": (Fault.NOT_FINITE, {"state__dq": leg(np.nan)}),
+    "p": (Fault.NOT_FINITE, {"state__p": np.array([0, np.nan, 0])}),
+    "R": (Fault.NOT_FINITE, {"state__R": np.full((3, 3), np.nan)}),
+    "twist": (Fault.NOT_FINITE, {"state__twist": leg(np.nan)}),
+    "J": (Fault.NOT_FINITE, {"state__J": np.diag(leg(np.nan))}),
+    "q_d": (Fault.NOT_FINITE, {"reference__q": leg(np.nan, 5.0)}),
+    "dq_d": (Fault.NOT_FINITE, {"reference__dq": leg(np.nan)}),
+    "ddq_d": (Fault.NOT_FINITE, {"reference__ddq": leg(np.nan)}),
+    "twist_d": (Fault.NOT_FINITE, {"reference__twist": leg(np.nan)}),
+    "dtwist_d": (Fault.NOT_FINITE, {"reference__dtwist": leg(np.nan)}),
+    "law": (Fault.LAW, {"tau": leg(np.nan)}),
+    "too long": (Fault.STROKE, {"state__q": leg(9.1, 5.0), "reference__q": leg(9.1, 5.0)}),
+    "too short": (Fault.STROKE, {"state__q": leg(0.9, 5.0), "reference__q": leg(0.9, 5.0)}),
+    "fast towards the long end": (
+        Fault.STROKE,
+        {"state__q": leg(7.0, 5.0), "state__dq": leg(2.1), "reference__q": leg(7.0, 5.0)},
+    ),
+    "fast towards the short end": (
+        Fault.STROKE,
+        {"state__q": leg(3.0, 5.0), "state__dq": leg(-2.1), "reference__q": leg(3.0, 5.0)},
+    ),
+}
+
+
+@pytest.mark.parametrize("reason", ALWAYS_FAULTS)
+def test_guard_faults_for_this_reason_alone_while_powered_and_never_else(reason):
+    fault, changes = ALWAYS_FAULTS[reason]
+    for mode in POWERED:
+        assert Bench().tick(mode, **changes).faults == fault
+    for mode in OFF:
+        assert Bench().tick(mode, **changes).faults == Fault.NONE
+
+
+NEARLY = {
+    "stale": {"measurement__age": leg(4, 0, np.int64)},
+    "residual": {"state__residual": 1e-4},
+    "hop": {"hop": 0.9},
+    "condition": {"condition": 50.0},
+    "speed": {"state__dq": leg(-2.5)},
+    "stroke": {"state__q": leg(9.0, 5.0), "reference__q": leg(9.0, 5.0)},
+    "approach": {"state__q": leg(7.0, 5.0), "state__dq": leg(1.9), "reference__q": leg(7.0, 5.0)},
+    "following": {"reference__q": leg(5.2, 5.0)},
+    "following at speed": {"reference__q": leg(6.2, 5.0), "reference__dq": leg(-2.0)},
+}
+
+
+@pytest.mark.parametrize("reason", NEARLY)
+def test_guard_lets_pass_what_is_just_inside_the_limits(reason):
+    for mode in POWERED:
+        assert Bench().tick(mode, **NEARLY[reason]).faults == Fault.NONE
+
+
+def test_guard_two_reasons_are_two_faults():
+    changes = {"hop": 2.0, "condition": 60.0, "inp__bus_off": True, "tau": np.nan}
+    verdict = Bench().tick(Mode.TRACKING, **changes)
+    assert verdict.faults == Fault.ASSEMBLY | Fault.CONDITION | Fault.BUS | Fault.LAW
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_watches_the_following_error_with_open_brakes(mode):
+    for q_d, dq_d in ((5.26, 0.0), (4.74, 0.0), (6.26, 2.0)):
+        verdict = Bench().tick(mode, reference__q=leg(q_d, 5.0), reference__dq=leg(dq_d))
+        assert verdict.faults == (Fault.FOLLOWING if mode in MOVING else Fault.NONE)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_warns_of_stale_legs_once_drives_should_talk(mode):
+    for age, warns in ((1, False), (2, True), (4, True)):
+        verdict = Bench().tick(mode, measurement__age=leg(age, 0, np.int64))
+        expected = warns and mode not in {Mode.WAITING, Mode.IDLE}
+        assert verdict.warnings == (Warn.STALE if expected else Warn.NONE)
+        assert verdict.faults == Fault.NONE
+
+
+@pytest.mark.parametrize("mode", MOVING)
+def test_guard_faults_when_a_drive_leaves_run_but_not_while_drives_come_up(mode):
+    bench = Bench()
+    ready = leg(DriveState.READY, DriveState.RUN, np.int64)
+    assert bench.tick(mode, measurement__state=ready).faults == Fault.NONE
+    assert bench.tick(mode, measurement__state=ready).faults == Fault.NONE
+    assert bench.tick(mode).faults == Fault.NONE
+    assert bench.tick(mode, measurement__state=ready).faults == Fault.DRIVE
+    assert bench.tick(mode, measurement__state=ready).faults == Fault.DRIVE
+    assert bench.tick(Mode.PARKING, measurement__state=ready).faults == Fault.NONE
+    assert bench.tick(mode, measurement__state=ready).faults == Fault.NONE
+
+
+def test_guard_forgets_running_drives_on_reset_and_with_closed_brakes():
+    ready = np.full(6, int(DriveState.READY))
+    for mode in (Mode.LOADING, Mode.PARKING, Mode.IDLE, Mode.FAULT):
+        bench = Bench()
+        bench.tick(Mode.TRACKING)
+        bench.tick(mode)
+        assert bench.tick(Mode.RELEASING, measurement__state=ready).faults == Fault.NONE
+    bench = Bench()
+    bench.tick(Mode.TRACKING)
+    bench.safety.reset()
+    assert bench.tick(Mode.RELEASING, measurement__state=ready).faults == Fault.NONE
+
+
+def test_guard_takes_refused_frames_for_a_dead_bus_after_five_ticks_in_a_row():
+    bench = Bench()
+    faults = [bench.tick(inp__sends_failed=n).faults for n in (1, 3, 1, 1, 0, 1, 1, 1, 1, 1, 0)]
+    assert faults == [Fault.NONE] * 9 + [Fault.BUS] + [Fault.NONE]
+    for _ in range(4):
+        bench.tick(inp__sends_failed=1)
+    bench.safety.reset()
+    assert bench.tick(inp__sends_failed=1).faults == Fault.NONE
+
+
+def test_guard_warns_of_late_ticks_and_of_eight_in_32():
+    bench = Bench()
+    late, on_time = PERIOD_NS // 5 + 1, PERIOD_NS // 5
+    assert bench.tick(inp__lateness_ns=on_time).warnings == Warn.NONE
+    for _ in range(7):
+        assert bench.tick(inp__lateness_ns=late).warnings == Warn.LATE
+    assert bench.tick(inp__lateness_ns=late).warnings == Warn.LATE | Warn.DEGRADED
+    for _ in range(24):
+        assert bench.tick().warnings == Warn.DEGRADED
+    assert bench.tick().warnings == Warn.NONE
+    for _ in range(8):
+        bench.tick(inp__lateness_ns=late)
+    bench.safety.reset()
+    assert bench.tick().warnings == Warn.NONE
+
+
+def test_guard_asks_for_a_stop_after_five_periods_missed_in_a_row():
+    bench = Bench()
+    assert [bench.tick(inp__skipped=n).stop for n in (4, 0, 4, 1, 0, 5)] == [
+        False,
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
+    assert bench.tick(inp__skipped=5).faults == Fault.NONE
+    for mode in OFF:
+        assert not Bench().tick(mode, inp__skipped=9).stop
+    bench.tick(inp__skipped=4)
+    bench.safety.reset()
+    assert not bench.tick(inp__skipped=4).stop
+
+
+def test_guard_warns_of_a_lossy_recorder_and_stops_without_one_if_so_configured():
+    bench = Bench(on_recorder_loss="continue")
+    dropped = [bench.tick(inp__recorder_dropped=n).warnings for n in (0, 3, 3, 4)]
+    assert dropped == [Warn.NONE, Warn.RECORDER, Warn.NONE, Warn.RECORDER]
+    bench.safety.reset()
+    assert bench.tick(inp__recorder_dropped=1).warnings == Warn.RECORDER
+    dead = bench.tick(inp__recorder_alive=False, inp__recorder_dropped=1)
+    assert (dead.warnings, dead.stop, dead.faults) == (Warn.RECORDER, False, Fault.NONE)
+    strict = Bench(on_recorder_loss="stop")
+    assert strict.tick(inp__recorder_alive=False).stop
+    assert not strict.tick(inp__recorder_alive=True, inp__recorder_dropped=9).stop
+    assert not strict.tick(Mode.PARKED, inp__recorder_alive=False).stop
+    assert Bench().tick(inp__recorder_alive=False).stop is False
+
+
+def test_guard_warns_of_rejected_frames():
+    for mode in (Mode.WAITING, Mode.TRACKING):
+        assert Bench().tick(mode, measurement__rejected=1).warnings == Warn.REJECTED
+
+
+def test_guard_limits_the_step_from_the_last_force_sent():
+    bench = Bench()
+    for asked, sent in ((60.0, 50.0), (55.0, 55.0), (0.0, 5.0), (-45.0, -25.0)):  # the last one by the window
+        verdict = bench.tick(tau=leg(asked))
+        np.testing.assert_array_equal(verdict.tau, leg(sent))
+        assert bool(verdict.warnings & Warn.FORCE_STEP) == (asked in {60.0, 0.0})
+
+
+def test_guard_warns_of_each_limit_by_name():
+    wide = {"force_N": 100.0, "force_step_N": 1e6, "force_window_N": 1e6}
+    for name, warn in (
+        ("force_N", Warn.FORCE_LIMIT),
+        ("force_step_N", Warn.FORCE_STEP),
+        ("force_window_N", Warn.FORCE_WINDOW),
+    ):
+        limits = LIMITS.model_copy(update={**wide, "force_N": 1e6, name: 100.0})
+        safety = Bench()
+        safety.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
+        assert safety.tick(tau=leg(100.0)).warnings == Warn.NONE
+        safety.safety.reset()
+        verdict = safety.tick(tau=leg(-100.5))
+        assert verdict.warnings == warn
+        np.testing.assert_array_equal(verdict.tau, leg(-100.0))
+
+
+def test_guard_asks_no_more_than_the_drives_can_give():
+    bench = Bench(drive_force_limit=30.0)
+    verdict = bench.tick(tau=leg(31.0))
+    assert verdict.warnings == Warn.FORCE_LIMIT
+    np.testing.assert_array_equal(verdict.tau, leg(30.0))
+    bench = Bench(drive_force_limit=300.0)
+    bench.tick(tau=leg(50.0))
+    bench.tick(tau=leg(80.0))
+    for _ in range(10):
+        bench.tick(tau=leg(80.0))
+    assert bench.tick(tau=leg(101.0)).warnings == Warn.FORCE_LIMIT
+
+
+def climb(bench, sign=1.0):
+    """Ask for 100 N from zero and return the forces sent; the window allows 80 N."""
+    return [float(bench.tick(tau=leg(sign * 100.0)).tau[3]) for _ in range(13)]
+
+
+def test_guard_window_is_250_ms_long():
+    # from the zero before the first tick: 50 by the step, then 80 until that zero is ten ticks old and gone
+    assert climb(Bench()) == [50.0] + [80.0] * 9 + [100.0] * 3
+
+
+def test_guard_window_runs_on_through_skipped_periods_at_the_force_held():
+    bench = Bench()
+    bench.tick(tau=leg(50.0))
+    assert bench.tick(tau=leg(100.0), inp__skipped=8).tau[3] == 80.0
+    assert bench.tick(tau=leg(100.0)).tau[3] == 100.0
+    bench = Bench()
+    bench.tick(tau=leg(50.0))
+    assert bench.tick(tau=leg(100.0), inp__skipped=10**6).tau[3] == 100.0
+    verdict = bench.tick(tau=leg(-100.0), inp__skipped=3)
+    assert verdict.tau[3] == 50.0
+    assert verdict.warnings & Warn.FORCE_STEP
+
+
+def test_guard_window_counts_what_came_after_skipped_periods():
+    bench = Bench()
+    asked = ((50.0, 0), (80.0, 3), (-100.0, 0), (-100.0, 0))
+    assert [float(bench.tick(tau=leg(a), inp__skipped=n).tau[3]) for a, n in asked] == [50.0, 80.0, 30.0, 0.0]
+
+
+def test_guard_window_counts_the_last_tick():
+    bench = Bench()
+    limits = LIMITS.model_copy(update={"force_step_N": 1e6})
+    bench.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
+    assert [float(bench.tick(tau=leg(a)).tau[3]) for a in (70.0, -30.0, -30.0)] == [70.0, -10.0, -10.0]
+
+
+def test_guard_window_is_one_tick_at_least():
+    assert climb(Bench(rate_Hz=1.0))[:3] == [50.0, 100.0, 100.0]
+
+
+def test_guard_window_limits_the_way_down_too():
+    bench = Bench()
+    climb(bench)
+    down = [float(bench.tick(tau=leg(-100.0)).tau[3]) for _ in range(12)]
+    assert down == [50.0] + [20.0] * 9 + [-30.0] + [-60.0]
+
+
+@pytest.mark.parametrize("mode", OFF)
+def test_guard_starts_from_zero_force_after_the_drives_were_off(mode):
+    bench = Bench()
+    for sign in (1.0, -1.0):
+        climb(bench)
+        tau = bench.tick(mode, tau=leg(100.0)).tau
+        np.testing.assert_array_equal(tau, np.zeros(6))
+        assert not tau.flags.writeable
+        assert climb(bench, sign) == climb(Bench(), sign)
+        bench.safety.reset()
+        assert climb(bench, sign) == climb(Bench(), sign)
+        bench.safety.reset()
+        bench.tick(tau=leg(-sign * 50.0))
+        assert bench.tick(tau=leg(-sign * 100.0), inp__skipped=3).tau[3] == -sign * 80.0
+
+
+def test_guard_sends_no_force_when_the_law_fails_and_the_law_s_array_stays_as_it_was():
+    bench = Bench()
+    bench.tick(tau=leg(40.0))
+    verdict = bench.tick(tau=leg(np.nan, 40.0))
+    assert verdict.faults == Fault.LAW
+    np.testing.assert_array_equal(verdict.tau, np.zeros(6))
+    asked = Effort(leg(1000.0))
+    tau = asked.tau.copy()
+    bench.tick(tau=asked.tau)
+    np.testing.assert_array_equal(asked.tau, tau)
+
+
+def test_guard_repeats_to_the_bit_after_reset():
+    bench = Bench()
+    inputs = [(float(100 * np.sin(k)), k % 7 == 0, k % 5) for k in range(60)]
+
+    def run():
+        out = [bench.tick(tau=leg(a), inp__bus_off=b, inp__skipped=c) for a, b, c in inputs]
+        return [(v.tau.tobytes(), v.warnings, v.faults, v.stop) for v in out]
+
+    first = run()
+    bench.safety.reset()
+    assert run() == first

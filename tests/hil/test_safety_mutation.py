@@ -1,0 +1,236 @@
+"""Every safety rule's own tests notice when the rule is changed.
+
+Each file of the package is read, one operator, number, call or statement in it is changed, and the tests of
+that file run against the copy, without compilation. A change that no test notices fails here.
+"""
+
+import ast
+import copy
+import importlib.util
+import inspect
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import hil.safety
+
+PACKAGE = Path(hil.safety.__file__).parent
+FAMILIES = ["finite", "legs", "bus", "recorder", "kinematics", "stroke", "following", "timing", "effort"]
+TOGETHER = ["kernels", "guard"]
+
+EQUIVALENT = {
+    "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",
+}
+"""Changes that no test can notice, by their name, with the reason."""
+
+COMPARISONS: dict[type, list[type]] = {
+    ast.Lt: [ast.LtE, ast.Gt],
+    ast.LtE: [ast.Lt, ast.GtE],
+    ast.Gt: [ast.GtE, ast.Lt],
+    ast.GtE: [ast.Gt, ast.LtE],
+    ast.Eq: [ast.NotEq],
+    ast.NotEq: [ast.Eq],
+}
+OPERATORS: dict[type, type] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.BitOr: ast.BitAnd,
+    ast.LShift: ast.RShift,
+}
+CALLS = {"min": "max", "max": "min", "any": "all", "all": "any"}
+
+
+def changes(node: ast.AST) -> Iterator[tuple[str, Callable[[ast.AST], ast.AST]]]:
+    """Yield what may be done to one node: a name, and a function from its copy to what takes its place."""
+
+    def setting(field: str, value: Any) -> Callable[[ast.AST], ast.AST]:
+        def change(target: ast.AST) -> ast.AST:
+            setattr(target, field, value)
+            return target
+
+        return change
+
+    match node:
+        case ast.Compare(ops=[op]):
+            for other in COMPARISONS.get(type(op), []):
+                yield f"{type(op).__name__} to {other.__name__}", setting("ops", [other()])
+        case ast.BinOp(op=op) if type(op) in OPERATORS:
+            other = OPERATORS[type(op)]
+            yield f"{type(op).__name__} to {other.__name__}", setting("op", other())
+        case ast.BoolOp(op=op):
+            yield "and/or", setting("op", ast.Or() if isinstance(op, ast.And) else ast.And())
+        case ast.UnaryOp(op=ast.Not() | ast.USub()):
+            yield "drop the sign or not", lambda target: target.operand  # type: ignore[attr-defined]
+        case ast.Constant(value=bool(value)):
+            yield "flip", setting("value", not value)
+        case ast.Constant(value=int() | float() as value):
+            yield f"{value} one more", setting("value", value + 1)
+            if value:
+                yield f"{value} less", setting("value", value / 2 if isinstance(value, float) else value - 1)
+        case ast.Call(func=ast.Name(id="abs") | ast.Attribute(attr="abs")):
+            yield "drop abs", lambda target: target.args[0]  # type: ignore[attr-defined]
+        case ast.Call(func=ast.Name(id=name)) if name in CALLS:
+            yield name, setting("func", ast.Name(CALLS[name], ast.Load()))
+        case ast.Call(func=ast.Attribute(attr=name, value=value)) if name in CALLS:
+            yield name, setting("func", ast.Attribute(value, CALLS[name], ast.Load()))
+        case ast.AugAssign():
+            yield "drop the statement", lambda _: ast.Pass()
+        case ast.IfExp():
+            yield "swap the branches", lambda t: ast.IfExp(t.test, t.orelse, t.body)  # type: ignore[attr-defined]
+
+
+def plain(source: str) -> ast.Module:
+    """Return the module's tree without decorators, docstrings and annotations: nothing is compiled."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.decorator_list = [d for d in node.decorator_list if getattr(d, "id", "") == "property"]
+            node.returns = None
+            for argument in node.args.args:
+                argument.annotation = None
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [
+                s for s in node.body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))
+            ] or [ast.Pass()]
+    return ast.fix_missing_locations(tree)
+
+
+def mutants(tree: ast.Module) -> Iterator[tuple[str, ast.Module]]:
+    """Yield copies of the tree with one change each, named by line and change."""
+    for index, node in enumerate(ast.walk(tree)):
+        for name, change in changes(node):
+            mutated = copy.deepcopy(tree)
+            target = next(itertools.islice(ast.walk(mutated), index, None))
+            replacement = change(target)
+            if replacement is not target:
+                _replace(mutated, target, replacement)
+            yield (
+                f"{getattr(node, 'lineno', 0)}: {ast.unparse(node)}: {name}",
+                ast.fix_missing_locations(mutated),
+            )
+
+
+def _replace(tree: ast.AST, old: ast.AST, new: ast.AST) -> None:
+    for parent in ast.walk(tree):
+        for field, value in ast.iter_fields(parent):
+            if value is old:
+                setattr(parent, field, new)
+            elif isinstance(value, list) and any(item is old for item in value):
+                setattr(parent, field, [new if item is old else item for item in value])
+
+
+def load(name: str, tree: ast.Module, links: dict[str, Any]) -> ModuleType:
+    """Run a tree as a module in which imported names that are in `links` are those."""
+    module = ModuleType(name)
+    exec(compile(tree, name, "exec"), vars(module))
+    own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    for key in vars(module).keys() & links.keys() - own:
+        setattr(module, key, links[key])
+    return module
+
+
+def source_of(name: str) -> ast.Module:
+    return plain((PACKAGE / f"{name}.py").read_text())
+
+
+def plain_links() -> dict[str, Any]:
+    """Return every function of the package in its uncompiled form, and the modules that guard imports."""
+    links: dict[str, Any] = {}
+    for name in [*FAMILIES, "kernels"]:
+        module = load(name, source_of(name), links)
+        links.update({k: v for k, v in vars(module).items() if inspect.isfunction(v)})
+        links[name] = module
+    return links
+
+
+def claims(path: str) -> ModuleType:
+    """Return a fresh copy of a test file, whose modules under test can be exchanged."""
+    file = Path(__file__).with_name(path)
+    spec = importlib.util.spec_from_file_location(f"claims_{file.stem}", file)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def cases(function: Callable[..., None]) -> Iterator[dict[str, Any]]:
+    """Yield the arguments that the marks of a parametrised test ask for."""
+    axes = []
+    for mark in getattr(function, "pytestmark", []):
+        names = (
+            [n.strip() for n in mark.args[0].split(",")] if isinstance(mark.args[0], str) else mark.args[0]
+        )
+        axes.append([dict(zip(names, v if len(names) > 1 else (v,), strict=True)) for v in mark.args[1]])
+    for combination in itertools.product(*axes):
+        yield {k: v for part in combination for k, v in part.items()}
+
+
+def noticed(module: ModuleType, prefix: str) -> bool:
+    """Tell whether one of the module's tests with that prefix fails."""
+    try:
+        for name, function in list(vars(module).items()):
+            if name.startswith(prefix):
+                for arguments in cases(function):
+                    function(**arguments)
+    except Exception:  # noqa: BLE001 - any failure is a notice
+        return True
+    except BaseException as error:
+        if type(error).__name__ == "Failed":  # pytest.fail, pytest.raises
+            return True
+        raise
+    return False
+
+
+def survivors(
+    name: str, module: ModuleType, exchange: Callable[[ModuleType], None], prefix: str
+) -> list[str]:
+    links = plain_links()
+    tree = source_of(name)
+    exchange(load(name, tree, links))
+    assert not noticed(module, prefix), "the tests fail on the unchanged copy"
+    left = []
+    count = 0
+    for label, mutated in mutants(tree):
+        count += 1
+        try:
+            changed = load(name, mutated, links)
+        except Exception:  # noqa: BLE001 - does not even load
+            continue
+        exchange(changed)
+        if not noticed(module, prefix) and f"{name} {label.partition(': ')[2]}" not in EQUIVALENT:
+            left.append(f"{name}.py:{label}")
+    assert count >= 2
+    return left
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_tests_of_a_rule_notice_every_change_of_it(family):
+    module = claims("test_safety_rules.py")
+    left = survivors(family, module, lambda m: setattr(module, family, m), f"test_{family}_")
+    assert not left, "\n".join(left)
+
+
+def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
+    module = claims("test_safety.py")
+    links = plain_links()
+
+    def exchange(kernels: ModuleType) -> None:
+        functions = {k: getattr(kernels, k) for k in ("judge_state", "limit_effort")}
+        module.guard = load("guard", source_of("guard"), {**links, **functions})  # type: ignore[attr-defined]
+
+    left = survivors("kernels", module, exchange, "test_guard_")
+    assert not left, "\n".join(left)
+
+
+def test_the_tests_of_the_whole_notice_every_change_of_its_state():
+    module = claims("test_safety.py")
+    left = survivors("guard", module, lambda m: setattr(module, "guard", m), "test_guard_")
+    assert not left, "\n".join(left)

@@ -1,0 +1,135 @@
+import pytest
+from mcap.reader import make_reader
+
+from drivers.errors import LogError
+from hil.log import Log
+from hil.record import Recording
+from hil.salvage import salvage
+from tests.hil.rewrite import mcap_summary, rewrite_log
+from tests.hil.samples import assert_same, random_ticks, record
+
+COUNT = 900
+TICKS = random_ticks(COUNT, seed=5)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    with Recording.start(path, configuration="a: 1\n", lockstep=True) as recording:
+        record(recording, TICKS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def chunks(path):
+    return mcap_summary(path).chunk_indexes
+
+
+def cut(path, tmp_path, size, tail=b""):
+    bad = tmp_path / "cut.mcap"
+    bad.write_bytes(path.read_bytes()[:size] + tail)
+    return bad
+
+
+def ticks_before(path, offset):
+    ends = [c.message_end_time for c in mcap_summary(path).chunk_indexes if c.chunk_start_offset < offset]
+    if not ends:
+        return 0
+    with path.open("rb") as file:
+        return sum(1 for _ in make_reader(file).iter_messages("/tick", ending_at=max(ends)))
+
+
+@pytest.mark.parametrize("fraction", [0.15, 0.3, 0.5, 0.77, 0.9, 0.98])
+def test_a_log_cut_anywhere_gives_every_complete_chunk_and_valid_ticks(path, chunks, tmp_path, fraction):
+    size = int(path.stat().st_size * fraction)
+    bad = cut(path, tmp_path, size)
+    before = bad.read_bytes()
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert bad.read_bytes() == before
+    whole = [c for c in chunks if c.chunk_start_offset + c.chunk_length <= size]
+    assert report.chunks == len(whole)
+    least = ticks_before(path, whole[-1].chunk_start_offset + 1) if whole else 0
+    assert least <= report.ticks < COUNT
+    assert not report.complete
+    log = Log.open(tmp_path / "out.mcap")
+    assert log.summary.closed == "salvaged"
+    assert log.configuration == "a: 1\n"
+    assert_same(log.ticks(), TICKS[: report.ticks])
+    with (tmp_path / "out.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert sum(1 for _ in reader.iter_messages()) == report.messages
+
+
+def test_every_byte_around_the_borders_of_records_can_be_the_last(path, chunks, tmp_path):
+    chunk = chunks[2]
+    middle = chunk.chunk_start_offset
+    sizes = [
+        *range(middle - 3, middle + 60, 3),
+        *range(middle + chunk.chunk_length - 20, middle + chunk.chunk_length + 40, 5),
+    ]
+    for size in sizes:
+        bad = cut(path, tmp_path, size)
+        out = tmp_path / f"{size}.mcap"
+        report = salvage(bad, out)
+        assert report.chunks == (3 if size >= middle + chunk.chunk_length else 2)
+        assert_same(Log.open(out).ticks(), TICKS[: report.ticks])
+
+
+def test_a_chunk_cut_in_its_middle_gives_the_ticks_before_the_cut(path, chunks, tmp_path):
+    last = max(chunks, key=lambda c: c.chunk_length)
+    size = last.chunk_start_offset + last.chunk_length - 200
+    report = salvage(cut(path, tmp_path, size), tmp_path / "out.mcap")
+    assert report.partial_messages > 0
+    assert report.ticks > ticks_before(path, last.chunk_start_offset)
+    assert_same(Log.open(tmp_path / "out.mcap").ticks(), TICKS[: report.ticks])
+    assert "inside the chunk" in report.remarks[0]
+
+
+def test_only_the_index_missing_is_nothing_lost(path, tmp_path):
+    report = salvage(cut(path, tmp_path, path.stat().st_size - 30), tmp_path / "out.mcap")
+    assert (report.complete, report.ticks, report.bytes_lost) == (True, COUNT, 0)
+    assert Log.open(tmp_path / "out.mcap").summary.closed == "clean"
+
+
+def test_zeros_at_the_end_as_a_file_system_leaves_them_are_passed_over(path, chunks, tmp_path):
+    border = chunks[1].chunk_start_offset
+    report = salvage(cut(path, tmp_path, border, bytes(5000)), tmp_path / "out.mcap")
+    assert report.bytes_lost == 5000
+    assert report.chunks == 1
+    assert_same(Log.open(tmp_path / "out.mcap").ticks(), TICKS[: report.ticks])
+
+
+def test_a_damaged_chunk_is_left_out_and_said(path, chunks, tmp_path):
+    content = bytearray(path.read_bytes())
+    content[chunks[1].chunk_start_offset + chunks[1].chunk_length // 2] ^= 0x40
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(content)
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert report.chunks == len(chunks) - 1
+    assert not report.complete
+    assert "damaged" in report.remarks[0]
+    assert 0 < len(list(Log.open(tmp_path / "out.mcap").ticks())) < COUNT
+
+
+def test_a_rewritten_log_without_chunks_can_be_salvaged_too(path, tmp_path):
+    rewrite_log(path, tmp_path / "loose.mcap", use_chunking=False)
+    size = (tmp_path / "loose.mcap").stat().st_size
+    report = salvage(cut(tmp_path / "loose.mcap", tmp_path, size // 2), tmp_path / "out.mcap")
+    assert report.ticks > 200
+    rows = Log.open(tmp_path / "out.mcap").rows()
+    assert rows.tobytes() == b"".join(tick.row.tobytes() for tick in TICKS[: report.ticks])
+
+
+def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path):
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"precious")
+    with pytest.raises(LogError, match="never overwritten"):
+        salvage(path, out)
+    assert out.read_bytes() == b"precious"
+    with pytest.raises(LogError, match="cannot be read"):
+        salvage(tmp_path / "nothing.mcap", tmp_path / "b.mcap")
+    with pytest.raises(LogError, match="nothing to salvage"):
+        salvage(cut(path, tmp_path, 100), tmp_path / "b.mcap")
+    with pytest.raises(LogError, match="not an MCAP"):
+        salvage(out, tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()

@@ -1,0 +1,96 @@
+"""From nothing to `.venv`: the locks, the search for Python, and what a failure leaves behind."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[2]
+LOCKS = ["requirements.lock", "requirements-compiler.lock"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def requirements(lock: str) -> list[str]:
+    """The lock's requirements, continuation lines joined."""
+    text = (ROOT / lock).read_text().replace("\\\n", " ")
+    return [line for line in text.splitlines() if line and not line.startswith("#")]
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_a_lock_names_no_address_and_no_option(lock):
+    text = (ROOT / lock).read_text()
+    assert "://" not in text
+    assert not re.search(r"^\s*-(?!-hash=)", text, re.MULTILINE)
+    assert " @ " not in text
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_every_locked_requirement_is_exact_and_has_hashes(lock):
+    lines = requirements(lock)
+    assert lines
+    for line in lines:
+        assert re.match(r"[a-z0-9-]+==[\w.]+ ", line), line
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}", line), line
+
+
+def test_everything_that_the_project_asks_for_is_locked():
+    wanted = [*PROJECT["project"]["dependencies"], *PROJECT["build-system"]["requires"]]
+    for group in PROJECT["dependency-groups"].values():
+        wanted += group
+    locked: dict[str, set[str]] = {}
+    for line in requirements("requirements.lock"):
+        name, version = line.split()[0].split("==")
+        locked.setdefault(canonicalize_name(name), set()).add(version)
+    for text in wanted:
+        requirement = Requirement(text)
+        versions = locked[canonicalize_name(requirement.name)]
+        assert all(requirement.specifier.contains(version) for version in versions), text
+
+
+def test_the_python_that_is_searched_for_is_the_one_that_the_project_requires():
+    limits = dict(re.findall(r"(oldest|newest)=(\d+)", (ROOT / "tools/find-python").read_text()))
+    required = f">=3.{limits['oldest']},<3.{int(limits['newest']) + 1}"
+    assert PROJECT["project"]["requires-python"] == required
+
+
+def test_without_any_python_the_message_says_what_to_install(tmp_path):
+    shell = shutil.which("sh") or "/bin/sh"
+    done = subprocess.run(
+        [shell, ROOT / "tools/find-python"],
+        env={"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "No Python 3.11 to 3.14 found" in done.stderr
+    assert "apt install" in done.stderr
+
+
+def test_a_failed_setup_leaves_no_half_made_environment(tmp_path):
+    for name in ("pyproject.toml", *LOCKS):
+        shutil.copy(ROOT / name, tmp_path)
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    nowhere = {"PIP_CONFIG_FILE": os.devnull, "PIP_INDEX_URL": "http://127.0.0.1:9/", "PIP_RETRIES": "0"}
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PIP_", "PYTHON"))}
+    base = Path(sys.base_prefix) / "bin" / "python3"
+    done = subprocess.run(
+        [base, tmp_path / "tools/bootstrap.py"],
+        env=kept | nowhere | {"PIP_NO_CACHE_DIR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "the locked dependencies cannot be installed" in done.stderr
+    assert not (tmp_path / ".venv").exists()

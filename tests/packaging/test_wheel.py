@@ -1,0 +1,96 @@
+"""The wheel carries what the product needs, and works away from the repository."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("configs", "drivers", "hil", "plant_fmu")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Build the wheel with the locked back end: no isolation, no network."""
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """A folder with the wheel's content: for a pure wheel that is its installation."""
+    target = tmp_path_factory.mktemp("target")
+    with zipfile.ZipFile(wheel) as archive:
+        (description,) = (name for name in archive.namelist() if name.endswith(".dist-info/WHEEL"))
+        assert b"Root-Is-Purelib: true" in archive.read(description)
+        archive.extractall(target)
+    return target
+
+
+def outside(installed, tmp_path, *arguments):
+    """Run Python in a folder outside the repository, the wheel's content before everything else."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    environment |= {
+        "PYTHONPATH": str(installed),
+        "PYTHONSAFEPATH": "1",
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+    }
+    environment.pop("NUMBA_CACHE_DIR", None)
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+
+
+def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        inside = set(archive.namelist())
+    kept = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in {".py", ".dbc", ".c", ".h", ".yaml", ".csv", ".json", ".xml"}
+    }
+    assert kept <= inside, sorted(kept - inside)
+
+
+@pytest.mark.parametrize("pattern", ["drivers/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"])
+def test_data_is_inside(wheel, pattern):
+    with zipfile.ZipFile(wheel) as archive:
+        assert [name for name in archive.namelist() if Path(name).match(pattern)]
+
+
+def test_tests_and_tools_stay_out(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        tops = {name.split("/")[0] for name in archive.namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+
+
+def test_the_packages_come_from_the_wheel_and_not_from_the_repository(installed, tmp_path):
+    script = f"import importlib, json; print(json.dumps([importlib.import_module(n).__file__ for n in {PACKAGES!r}]))"
+    done = outside(installed, tmp_path, "-c", script)
+    assert done.returncode == 0, done.stderr
+    assert [Path(name).parent.parent for name in json.loads(done.stdout)] == [installed] * len(PACKAGES)
+
+
+def test_hil_sim_runs_from_the_wheel(installed, tmp_path):
+    done = outside(
+        installed, tmp_path, "-m", "hil.cli", "sim", "virtual", "--duration", "0.5", "--json", "sim.json"
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert json.loads((tmp_path / "sim.json").read_text())

@@ -1,0 +1,56 @@
+"""The bench against closed forms."""
+
+import numpy as np
+import pytest
+
+from plant_fmu.bench import BRAKE_FORCE_N, Bench
+from plant_fmu.config import BenchPlant
+
+OPEN, CALM = np.zeros(6), np.zeros(6)
+
+
+def bench(**values):
+    return Bench(BenchPlant(type="bench", **values))
+
+
+def test_without_damping_and_cubic_spring_it_is_the_harmonic_oscillator():
+    plant = bench(damping_N_s2_m2=0.0, stiffness_N_m3=0.0, mass_kg=200.0, stiffness_N_m=5000.0)
+    f = np.array([100.0, -100.0, 50.0, 0.0, 10.0, 200.0])
+    w = np.sqrt(5000.0 / 200.0)
+    q, dq = plant.step(f, OPEN, CALM, 0.7)
+    assert q - 1.6 == pytest.approx(f / 5000.0 * (1 - np.cos(w * 0.7)), abs=1e-12)
+    assert dq == pytest.approx(f / 5000.0 * w * np.sin(w * 0.7), abs=1e-12)
+
+
+def test_it_comes_to_rest_where_the_cubic_spring_balances_the_force():
+    plant = bench(damping_N_s2_m2=50_000.0)
+    x = 0.2
+    f = np.full(6, 5000.0 * x + 20_000.0 * x**3)
+    for _ in range(400):
+        q, _ = plant.step(f, OPEN, CALM, 0.05)
+    # damping with v|v| fades near rest: the amplitude falls as 1/t
+    assert q - 1.6 == pytest.approx(np.full(6, x), abs=5e-3)
+
+
+def test_quadratic_damping_alone_slows_as_one_over_time():
+    # m v' = -b v|v|  =>  v = v0 / (1 + b v0 t / m)
+    plant = bench(stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=100.0, damping_N_s2_m2=1e-9)
+    _, dq = plant.step(np.full(6, 100.0), OPEN, CALM, 1.0)
+    assert dq == pytest.approx(np.ones(6), rel=1e-9)
+    moving = bench(stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=100.0, damping_N_s2_m2=50.0)
+    # terminal speed under a constant force: f = b v^2
+    _, dq = moving.step(np.full(6, 200.0), OPEN, CALM, 20.0)
+    assert dq == pytest.approx(np.full(6, 2.0), rel=1e-6)
+
+
+def test_a_brake_stops_with_its_bounded_force_and_then_holds():
+    plant = bench(damping_N_s2_m2=0.0, stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=200.0)
+    plant.step(np.full(6, 2000.0), OPEN, CALM, 0.1)  # v = 1 m/s
+    q0, _ = plant.step(OPEN, OPEN, CALM, 1e-4)
+    q1, dq = plant.step(OPEN, np.ones(6), CALM, 0.05)
+    assert dq == pytest.approx(np.zeros(6), abs=1e-12)
+    assert q1 - q0 == pytest.approx(np.full(6, 0.5 * 200.0 / BRAKE_FORCE_N), rel=0.02)
+    q2, _ = plant.step(np.full(6, 0.99 * BRAKE_FORCE_N), np.ones(6), CALM, 0.05)
+    assert q2 == pytest.approx(q1, abs=1e-12)
+    q3, _ = plant.step(np.full(6, 1.01 * BRAKE_FORCE_N), np.ones(6), CALM, 0.05)
+    assert (q3 > q2 + 1e-4).all()

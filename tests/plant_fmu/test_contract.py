@@ -1,0 +1,187 @@
+"""What every plant owes its callers, whatever stands behind it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from plant_fmu.bench import Bench
+from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
+from plant_fmu.fmu import open_plant, stewart_plant
+from plant_fmu.stewart.build import build
+
+BOOK = {
+    "base_joints": [[2 * np.cos(a), 2 * np.sin(a), 0] for a in np.radians([0, 60, 120, 180, 240, 300])],
+    "platform_joints": [[np.cos(a), np.sin(a), 0] for a in np.radians([30, 30, 150, 150, 270, 270])],
+    "platform": {"mass": 1150, "com": [0, 0, 0], "inertia": np.diag([570, 285, 285]).tolist()},
+    "cylinder": {"mass": 85, "com": 0.75, "inertia_axial": None, "inertia_transverse": 16},
+    "rod": {"mass": 22, "com": 0.75, "inertia_axial": None, "inertia_transverse": 4.1},
+    "gravity": [0, 0, -9.81],
+}
+ROBOT = (BOOK, np.full(6, 1.0), np.full(6, 2.5), np.array([0.0, 0.0, 1.0]), np.eye(3))
+FORCE = np.array([3700.0, 3600.0, 3650.0, 3500.0, 3620.0, 3610.0])
+OPEN, SHUT, CALM = np.zeros(6), np.ones(6), np.zeros(6)
+
+
+def stewart(version, isolation):
+    return lambda: stewart_plant(
+        StewartPlant(type="stewart", fmi_version=version, isolation=isolation), *ROBOT
+    )
+
+
+def mapped(version, isolation):
+    """Our FMU as a stranger: nothing but a path and names."""
+
+    def make():
+        scalar = version == "2.0"
+        names = {
+            k: [f"{k}[{i}]" for i in range(1, 7)] if scalar else [k]
+            for k in ("force", "length", "rate", "brake")
+        }
+        settings = FmuPlant.model_validate(
+            {
+                "type": "fmu",
+                "path": str(build(version)),
+                "isolation": isolation,
+                "step_us": 100.0,
+                "wrench": ["wrench"],
+                **names,
+            }
+        )
+        return open_plant(PlantSettings(model=settings), *ROBOT, folder=build(version).parent)
+
+    return make
+
+
+PLANTS = {
+    "bench": lambda: Bench(BenchPlant(type="bench")),
+    **{f"stewart-{v}-{i}": stewart(v, i) for v in ("2.0", "3.0") for i in ("in_process", "child_process")},
+    "foreign-2.0-in_process": mapped("2.0", "in_process"),
+    "foreign-3.0-child_process": mapped("3.0", "child_process"),
+}
+
+
+@pytest.fixture(scope="module", params=PLANTS)
+def plant(request):
+    plant = PLANTS[request.param]()
+    yield plant
+    plant.close()
+
+
+def run(plant, n=30, dt=1e-3):
+    return [plant.step(FORCE, OPEN, CALM, dt) for _ in range(n)]
+
+
+def test_reset_gives_finite_lengths_and_rates_at_rest(plant):
+    q, dq = plant.reset()
+    assert q.shape == dq.shape == (6,)
+    assert (q > 0).all()
+    assert (dq == 0).all()
+
+
+def test_reset_brings_back_the_same_motion_to_the_bit(plant):
+    plant.reset()
+    first = run(plant)
+    plant.reset()
+    for (q1, dq1), (q2, dq2) in zip(first, run(plant), strict=True):
+        assert (q1 == q2).all()
+        assert (dq1 == dq2).all()
+
+
+def test_answers_are_the_callers_to_keep(plant):
+    q0, _ = plant.reset()
+    kept = q0.copy()
+    run(plant, 50)
+    assert (q0 == kept).all()
+
+
+def test_one_long_step_is_many_short_ones(plant):
+    plant.reset()
+    for _ in range(20):
+        short = plant.step(FORCE, OPEN, CALM, 1e-3)
+    plant.reset()
+    long = plant.step(FORCE, OPEN, CALM, 20e-3)
+    assert long[0] == pytest.approx(short[0], abs=1e-15)
+
+
+def test_a_larger_force_makes_a_leg_longer(plant):
+    plant.reset()
+    few = plant.step(FORCE, OPEN, CALM, 0.05)[0]
+    plant.reset()
+    more = plant.step(FORCE + 500.0, OPEN, CALM, 0.05)[0]
+    assert (more > few).all()
+
+
+def test_engaged_brakes_hold(plant):
+    q0, _ = plant.reset()
+    for _ in range(100):
+        q, dq = plant.step(FORCE, SHUT, CALM, 1e-3)
+    assert np.abs(q - q0).max() < 1e-6
+    assert np.abs(dq).max() < 1e-6
+
+
+def test_rates_are_the_derivatives_of_lengths(plant):
+    plant.reset()
+    plant.step(FORCE + 500.0, OPEN, CALM, 0.02)
+    q1, _ = plant.step(FORCE + 500.0, OPEN, CALM, 1e-3)
+    _, dq = plant.step(FORCE + 500.0, OPEN, CALM, 1e-3)
+    q3, _ = plant.step(FORCE + 500.0, OPEN, CALM, 1e-3)
+    assert (q3 - q1) / 2e-3 == pytest.approx(dq, rel=1e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize("dt", [1.05e-4, 0.0, -1e-3, np.nan, np.inf])
+def test_a_step_that_is_no_multiple_of_the_internal_one_is_refused(plant, dt):
+    plant.reset()
+    with pytest.raises(PlantError, match="multiple"):
+        plant.step(FORCE, OPEN, CALM, dt)
+    plant.step(FORCE, OPEN, CALM, 1e-3)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_an_input_that_is_not_finite_is_refused_and_the_plant_goes_on(plant, value, place):
+    plant.reset()
+    inputs = [FORCE.copy(), OPEN.copy(), CALM.copy()]
+    inputs[place][3] = value
+    with pytest.raises(PlantError, match="not finite"):
+        plant.step(*inputs, 1e-3)
+    plant.step(FORCE, OPEN, CALM, 1e-3)
+
+
+def test_truth_agrees_with_the_lengths_where_there_is_one(plant):
+    q, _ = plant.reset()
+    q, _ = plant.step(FORCE, OPEN, CALM, 0.02)
+    truth = plant.truth()
+    if truth is None:
+        return
+    arms = truth.p + np.array(BOOK["platform_joints"]) @ truth.R.T - np.array(BOOK["base_joints"])
+    assert np.linalg.norm(arms, axis=1) == pytest.approx(q, abs=1e-12)
+    assert pytest.approx(np.eye(3), abs=1e-12) == truth.R @ truth.R.T
+    assert truth.applied_force == pytest.approx(FORCE, rel=1e-9)
+
+
+def test_all_faces_and_isolations_of_our_fmu_give_the_same_bits():
+    ends = []
+    for version in ("2.0", "3.0"):
+        for isolation in ("in_process", "child_process"):
+            plant = stewart(version, isolation)()
+            ends.append(run(plant, 50)[-1][0].tobytes())
+            plant.close()
+    assert len(set(ends)) == 1
+
+
+def test_a_wrench_lifts(plant):
+    if isinstance(plant, Bench):
+        return
+    plant.reset()
+    q = plant.step(FORCE, OPEN, CALM, 0.02)[0]
+    plant.reset()
+    up = plant.step(FORCE, OPEN, np.array([0, 0, 3000.0, 0, 0, 0]), 0.02)[0]
+    assert (up > q).all()
+
+
+def test_the_platform_dictionary_survives_json():
+    plant = stewart_plant(StewartPlant(type="stewart"), json.loads(json.dumps(BOOK)), *ROBOT[1:])
+    assert plant.reset()[0] == pytest.approx(np.full(6, 1.592450434036), abs=1e-12)
+    plant.close()

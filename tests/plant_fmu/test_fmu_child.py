@@ -1,0 +1,171 @@
+"""FMUs that misbehave, in a child process: each becomes a PlantError that says what happened."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from plant_fmu.fmu_child import ChildHost
+from plant_fmu.fmu_host import FmuHost
+from plant_fmu.fmu_spec import FmuSpec
+from plant_fmu.stewart.build import build, find_compiler
+
+FORCE, OPEN = np.full(6, 3600.0), np.zeros(6)
+STEP_LINE = "const Status status = instance_step(instance, time, dt);"
+
+
+def spec(path):
+    return FmuSpec(Path(path), ("force",), ("length",), ("rate",), 1e-3, ("brake",))
+
+
+def altered(folder, code, line=STEP_LINE):
+    """Our FMU, compiled with other C code in place of one line."""
+    out = folder / "altered.fmu"
+    with zipfile.ZipFile(build("3.0")) as source:
+        source.extractall(folder / "x")
+        face = folder / "x" / "sources" / "fmi3.c"
+        text = face.read_text()
+        assert line in text
+        face.write_text("#include <stdlib.h>\n#include <unistd.h>\n" + text.replace(line, code))
+        library = next(n for n in source.namelist() if n.startswith("binaries/"))
+        flags = ["-std=gnu99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden"]
+        units = sorted(p.name for p in face.parent.glob("*.c"))
+        command = [*find_compiler().command, *flags, "-o", str(folder / "x" / library), *units, "-lm"]
+        subprocess.run(command, cwd=face.parent, check=True)
+        with zipfile.ZipFile(out, "w") as target:
+            for name in source.namelist():
+                target.write(folder / "x" / name, name)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("code", "word"),
+    [
+        ("abort();", "died of SIGABRT"),
+        ("*(volatile int *)0 = 1;", "died of SIGSEGV"),
+        ("exit(0);", "ended itself with exit code 0"),
+        ("for (;;) usleep(1000);", "did not step within 0.5 s"),
+    ],
+)
+def test_what_would_take_us_down_becomes_an_error(tmp_path, code, word):
+    path = altered(tmp_path, f"{code} const Status status = OK;")
+    host = ChildHost(spec(path), step_timeout_s=0.5)
+    host.reset()
+    with pytest.raises(PlantError, match=word):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+    with pytest.raises(PlantError, match=word):  # and stays one
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+    assert host._process.poll() is not None
+    host.close()
+
+
+@pytest.mark.parametrize("kind", [FmuHost, ChildHost])
+def test_an_output_that_is_not_finite_is_refused(tmp_path, kind):
+    line = "values += variable->count;\n    }\n    return OK;"
+    code = (
+        "if (instance->plant.mode == STEPPING && instance->plant.steps > 0) values[2] = 0.0 / 0.0;\n" + line
+    )
+    host = kind(spec(altered(tmp_path, code, line)))
+    host.reset()
+    with pytest.raises(PlantError, match="not finite"):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+    host.close()
+
+
+@pytest.mark.parametrize("kind", [FmuHost, ChildHost])
+def test_an_fmu_that_ends_the_simulation_is_reported(tmp_path, kind):
+    line = "*event_needed = *terminate = *early_return = false;"
+    host = kind(spec(altered(tmp_path, f"{line} *terminate = true;", line)))
+    host.reset()
+    with pytest.raises(PlantError, match=r"ended the simulation at 0\.001 s"):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+    host.close()
+
+
+@pytest.mark.parametrize("kind", [FmuHost, ChildHost])
+def test_an_fmu_that_lacks_a_function_is_named(tmp_path, kind):
+    path = altered(tmp_path, "API FMI(fmi3ResetX)(", "API FMI(fmi3Reset)(")
+    with pytest.raises(PlantError, match="fmi3Reset"):
+        kind(spec(path))
+
+
+def test_an_fmu_that_dies_while_loading_is_reported(tmp_path):
+    path = altered(
+        tmp_path, "_exit(7); (void)resources;", "(void)resources, (void)visible, (void)event_mode,"
+    )
+    with pytest.raises(PlantError, match="exit code 7 when it was to load"):
+        ChildHost(spec(path))
+
+
+def test_reasons_cross_from_the_child():
+    with pytest.raises(PlantError, match="no such FMU file"):
+        ChildHost(spec("/nowhere/x.fmu"))
+    host = ChildHost(spec(build("3.0")))
+    with pytest.raises(PlantError, match=r"brake\[1\] = 2 lies outside 0 to 1"):
+        host.step(FORCE, OPEN + 2, OPEN, 1e-3)
+    host.step(FORCE, OPEN, OPEN, 1e-3)
+    process = host._process
+    host.close()
+    host.close()
+    assert process.returncode == 0
+    with pytest.raises(PlantError, match="closed"):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+
+
+def test_a_killed_child_is_reported():
+    host = ChildHost(spec(build("3.0")))
+    os.kill(host._process.pid, signal.SIGKILL)
+    with pytest.raises(PlantError, match="died of SIGKILL"):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+    host.close()
+
+
+def alive(pid):
+    try:
+        return not re.search(r"^State:\s+[ZX]", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("code", ["", "for (;;) usleep(1000);"])
+def test_the_child_never_outlives_its_parent_even_when_it_hangs(tmp_path, code):
+    path = altered(tmp_path, f"{code} {STEP_LINE}")
+    program = f"""
+import sys, numpy as np
+from pathlib import Path
+from plant_fmu.fmu_child import ChildHost
+from plant_fmu.fmu_spec import FmuSpec
+host = ChildHost(FmuSpec(Path({str(path)!r}), ("force",), ("length",), ("rate",), 1e-3), step_timeout_s=60)
+print(host._process.pid, flush=True)
+while True:
+    host.step(np.zeros(6), np.ones(6), np.zeros(6), 1e-3)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        time.sleep(0.1)
+        assert alive(pid)
+        parent.kill()
+    deadline = time.monotonic() + 3.0
+    while alive(pid) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not alive(pid)
+
+
+def test_no_file_descriptor_is_left_open():
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(3):
+        host = ChildHost(spec(build("3.0")))
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+        host.close()
+    with pytest.raises(PlantError):
+        ChildHost(spec("/nowhere/x.fmu"))
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -1,0 +1,227 @@
+"""Hosting: agreement with fmpy's own simulation, and FMUs that are not what they should be."""
+
+import io
+import os
+import stat
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from plant_fmu.fmu_archive import checked_members
+from plant_fmu.fmu_host import FmuHost
+from plant_fmu.fmu_spec import FmuSpec
+from plant_fmu.stewart.build import build
+
+FORCE = np.array([3700.0, 3600.0, 3650.0, 3500.0, 3620.0, 3610.0])
+VERSIONS = ["2.0", "3.0"]
+XML = "modelDescription.xml"
+
+
+def spec(path, **changes):
+    names = {"force": ("force",), "length": ("length",), "rate": ("rate",), "brake": ("brake",)}
+    return FmuSpec(**{"path": Path(path), "step_s": 1e-3, **names, **changes})
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_simulate_fmu_with_an_output_interval_agrees_to_1e_12(version):
+    if version == "2.0":
+        start = {f"force[{i + 1}]": FORCE[i] for i in range(6)} | {f"brake[{i + 1}]": 0.0 for i in range(6)}
+        wanted = [f"length[{i}]" for i in range(1, 7)] + [f"rate[{i}]" for i in range(1, 7)]
+    else:
+        start = {"force": FORCE.tolist(), "brake": [0.0] * 6}
+        wanted = ["length", "rate"]
+    start["force_bandwidth"] = 200.0
+    result = fmpy.simulate_fmu(
+        str(build(version)), stop_time=0.3, output_interval=1e-3, start_values=start, output=wanted
+    )
+    rows = np.array([np.concatenate([np.ravel(x) for x in list(r)[1:]]) for r in result])
+    host = FmuHost(spec(build(version), parameters={"force_bandwidth": 200.0}))
+    ours = [np.concatenate(host.reset())]
+    for _ in range(300):
+        ours.append(np.concatenate(host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)))
+    host.close()
+    assert rows.shape == (301, 12)
+    assert np.abs(rows - np.array(ours)).max() <= 1e-12
+    assert np.abs(rows[-1] - rows[0]).max() > 1e-3
+
+
+def test_closing_removes_the_unpacked_files_and_can_be_repeated():
+    host = FmuHost(spec(build("3.0")))
+    folder = Path(host._folder.name)
+    assert (folder / XML).is_file()
+    host.close()
+    host.close()
+    assert not folder.exists()
+    with pytest.raises(PlantError, match="closed"):
+        host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
+
+
+def test_hosting_leaves_the_working_directory_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    FmuHost(spec(build("3.0"))).close()
+    assert Path.cwd() == tmp_path
+
+
+def test_parameters_reach_the_fmu_by_array_by_name_of_an_item_and_by_number():
+    free = FmuHost(spec(build("2.0"), parameters={"mass": 1150}))
+    q = free.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0]
+    free.close()
+    heavy = FmuHost(
+        spec(build("2.0"), parameters={"mass": 2300, "leg_spin": "universal", "com": [0.0, 0.0, 0.1]})
+    )
+    assert (heavy.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0] < q - 1e-4).all()
+    heavy.close()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "word"),
+    [
+        ({"weight": 1.0}, "no variable 'weight'"),
+        ({"mass": "heavy"}, "no value of it"),
+        ({"gravity": [0.0, 1.0]}, "3 elements but 2"),
+        ({"length": [0.0] * 6}, "only parameters"),
+        ({"leg_spin": "sometimes"}, "no value of it"),
+        ({"leg_spin": 1.5}, "no value of it"),
+        ({"mass": -1.0}, "refused parameter 'mass'.*outside"),
+        ({"length_max": [1.5] * 6}, "stroke"),
+    ],
+)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_parameter_that_cannot_be_is_refused(version, parameters, word):
+    with pytest.raises(PlantError, match=word):
+        FmuHost(spec(build(version), parameters=parameters))
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"force": ("thrust",)}, "no variable 'thrust'"),
+        ({"force": ("forces",)}, "no variable 'forces'"),
+        ({"force": ("length",)}, "causality output; input is needed"),
+        ({"length": ("force",)}, "causality input; output is needed"),
+        ({"length": ("rate",)}, "'rate.*' is in 'm/s'; m is needed"),
+        ({"rate": ("length",)}, "'length.*' is in 'm'; m/s is needed"),
+        ({"rate": ("applied_force",)}, "in 'N'; m/s is needed"),
+        ({"force": ("brake",)}, "declares no unit"),
+        ({"length": ("position",)}, "3 values; 6 are needed"),
+        ({"brake": ("force", "wrench")}, "12 values; 6 are needed"),
+    ],
+)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_variable_map_that_does_not_fit_is_refused(version, changes, word):
+    with pytest.raises(PlantError, match=word):
+        FmuHost(spec(build(version), **changes))
+
+
+def test_one_variable_for_two_legs_is_refused():
+    with pytest.raises(PlantError, match="mapped twice"):
+        FmuHost(spec(build("2.0"), force=("force[1]",) * 6))
+
+
+def rewritten(path, out, change=lambda name, data: data, extra=()):
+    """Copy an FMU, changing or dropping (None) members and adding extra ones."""
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as target:
+        for member in source.infolist():
+            data = change(member.filename, source.read(member))
+            if data is not None:
+                target.writestr(member.filename, data)
+        for info, data in extra:
+            target.writestr(info, data)
+    return out
+
+
+def edit(old, new):
+    return lambda name, data: data.replace(old, new) if name == XML else data
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda n, d: None if n == XML else d, "modelDescription.xml is missing"),
+        (lambda n, d: b"<fmiModel" if n == XML else d, "cannot be read"),
+        (lambda n, d: b"" if n == XML else d, "cannot be read"),
+        (edit(b'fmiVersion="3.0"', b'fmiVersion="1.0"'), "FMI 1.0; 2.0 and 3.0"),
+        (edit(b"CoSimulation", b"ModelExchange"), "no co-simulation"),
+        (lambda n, d: None if n.startswith("binaries/") else d, "no binary for this machine.*none"),
+        (lambda n, d: b"no library" if n.startswith("binaries/") else d, "cannot be loaded"),
+        (edit(b'unit="N"', b'unit="lbf"'), "in 'lbf'; N is needed"),
+        (
+            edit(b'<BaseUnit kg="1" m="1" s="-2" />', b'<BaseUnit kg="1" m="1" s="-2" factor="1000" />'),
+            "in 'N'; N",
+        ),
+        (edit(b'instantiationToken="{', b'instantiationToken="{0'), "different builds"),
+    ],
+)
+def test_an_fmu_that_is_not_what_it_should_be_is_refused(tmp_path, change, word):
+    bad = rewritten(build("3.0"), tmp_path / "bad.fmu", change)
+    with pytest.raises(PlantError, match=f"(?s)bad.fmu.*{word}"):
+        FmuHost(spec(bad))
+
+
+def test_a_binary_for_another_machine_is_named(tmp_path):
+    with zipfile.ZipFile(build("3.0")) as source, zipfile.ZipFile(tmp_path / "bad.fmu", "w") as target:
+        for name in source.namelist():
+            moved = "binaries/x86_64-windows/stewart.dll" if name.startswith("binaries/") else name
+            target.writestr(moved, source.read(name))
+    with pytest.raises(PlantError, match=r"no binary for this machine.*x86_64-windows"):
+        FmuHost(spec(tmp_path / "bad.fmu"))
+
+
+def test_a_missing_file_and_a_file_that_is_no_archive_are_refused(tmp_path):
+    with pytest.raises(PlantError, match="no such FMU"):
+        FmuHost(spec(tmp_path / "none.fmu"))
+    (tmp_path / "text.fmu").write_text("no archive")
+    with pytest.raises(PlantError, match="not an FMU"):
+        FmuHost(spec(tmp_path / "text.fmu"))
+
+
+def link(name):
+    info = zipfile.ZipInfo(name)
+    info.external_attr = (stat.S_IFLNK | 0o777) << 16
+    return info
+
+
+@pytest.mark.parametrize(
+    ("extra", "word"),
+    [
+        ([("../evil", b"x")], "leaves the archive"),
+        ([("resources/../../evil", b"x")], "leaves the archive"),
+        ([("/tmp/evil", b"x")], "leaves the archive"),
+        ([("resources\\evil", b"x")], "backslash"),
+        ([("C:evil", b"x")], "colon"),
+        ([(link("resources/link"), b"/etc/passwd")], "link"),
+        ([("resources/a", b"x"), ("resources/A", b"y")], "occurs twice"),
+        ([("resources/bomb", b"\0" * 8_000_000)], "times its packed size"),
+    ],
+)
+def test_zip_tricks_are_refused_and_write_nothing(tmp_path, extra, word, monkeypatch):
+    bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=extra)
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    with pytest.raises(PlantError, match=word):
+        FmuHost(spec(bad))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "tmp"]
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_too_many_members_are_refused():
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for i in range(20_001):
+            archive.writestr(str(i), b"")
+    with zipfile.ZipFile(data) as archive, pytest.raises(PlantError, match="20001 members"):
+        checked_members(archive, Path("many.fmu"))
+
+
+def test_a_damaged_member_is_refused(tmp_path):
+    data = bytearray(build("3.0").read_bytes())
+    with zipfile.ZipFile(build("3.0")) as archive:
+        member = next(m for m in archive.infolist() if m.filename.startswith("binaries/"))
+    data[member.header_offset + 2000 : member.header_offset + 2100] = os.urandom(100)
+    (tmp_path / "bad.fmu").write_bytes(data)
+    with pytest.raises(PlantError, match=r"damaged|unpacked"):
+        FmuHost(spec(tmp_path / "bad.fmu"))

@@ -1,0 +1,279 @@
+"""The plant as a machine: energy, brakes, friction, stops, lag, state."""
+
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+
+HOME_FORCE = 3618.625746233  # N per leg at home, book platform (MuJoCo)
+
+
+def energy(plant, force):
+    return plant.get("kinetic_energy")[0] + plant.get("potential_energy")[0] - force @ plant.get("length")
+
+
+def test_home_is_in_balance_under_the_known_static_force(direct):
+    plant = direct()
+    plant.start(force=np.full(6, HOME_FORCE), brake=np.zeros(6))
+    assert np.abs(plant.get("acceleration")).max() < 1e-8
+
+
+@pytest.mark.parametrize("leg_spin", ["none", "universal"])
+def test_energy_is_kept_to_1e_10_of_the_peak_kinetic_energy_in_10_s_hanging(direct, leg_spin):
+    plant = direct()
+    # gravity pulls away from the base: the platform hangs on its legs
+    plant.set(gravity=[0, 0, 9.81], initial_twist=[0.5, -0.4, 0.45, 0.1, -0.2, 0.15], leg_spin=leg_spin)
+    plant.set(universal_joint_base_axes=[[1, 0, 0]] * 6, cylinder_inertia=[0.5, 16.0], rod_inertia=[0.2, 4.1])
+    force = np.full(6, -HOME_FORCE)
+    plant.start(force=force, brake=np.zeros(6))
+    e0, drift, peak = energy(plant, force), 0.0, 0.0
+    for _ in range(100):
+        plant.step(0.1)
+        peak = max(peak, plant.get("kinetic_energy")[0])
+        drift = max(drift, abs(energy(plant, force) - e0))
+    assert peak > 300.0
+    assert drift < 1e-10 * peak
+
+
+def test_brakes_hold_the_book_platform_for_10_s_within_a_micrometre(direct):
+    plant = direct()
+    plant.start()  # brakes are engaged unless told otherwise
+    q0 = plant.get("length")
+    plant.step(0.1, 100)
+    assert np.abs(plant.get("length") - q0).max() < 1e-6
+    assert np.abs(plant.get("rate")).max() < 1e-9
+
+
+def test_a_brake_that_is_too_weak_slips(direct):
+    plant = direct()
+    plant.set(brake_force=np.full(6, 0.9 * HOME_FORCE))
+    plant.start()
+    plant.step(0.1)
+    assert plant.get("position")[2] < 1.0 - 1e-3
+
+
+def test_engaging_brakes_stop_a_moving_platform_with_no_more_than_their_force(direct):
+    plant = direct()
+    plant.set(initial_twist=[0.3, -0.2, 0.6, 0.2, 0.1, -0.3], brake_force=np.full(6, 8000.0))
+    plant.start()
+    stopped, rates = None, [plant.get("rate")]
+    e0 = plant.get("kinetic_energy")[0] + plant.get("potential_energy")[0]
+    travel, q = np.zeros(6), plant.get("length")
+    for k in range(2000):
+        plant.step(1e-4)
+        travel += np.abs(plant.get("length") - q)
+        q = plant.get("length")
+        rates.append(plant.get("rate"))
+        if stopped is None and np.abs(rates[-1]).max() < 1e-9:
+            stopped = k
+    assert stopped is not None
+    assert np.abs(rates[-1]).max() < 1e-9
+    # the energy that is gone is friction's work: at most brake_force times travel, and most of it
+    work = e0 - plant.get("kinetic_energy")[0] - plant.get("potential_energy")[0]
+    assert 0.0 < work <= 8000.0 * travel.sum() * (1 + 1e-6)
+    assert work > 0.5 * 8000.0 * travel.sum()
+
+
+def test_coulomb_friction_sticks_below_its_bound_and_slides_with_it_above(direct):
+    plant = direct()
+    plant.set(coulomb_friction=np.full(6, 100.0))
+    plant.start(force=np.full(6, HOME_FORCE + 99.0), brake=np.zeros(6))
+    plant.step(0.1)
+    assert np.abs(plant.get("rate")).max() < 1e-9
+    plant.set(force=np.full(6, HOME_FORCE + 300.0))
+    with_friction = plant.get("acceleration")
+    free = direct()
+    free.start(force=np.full(6, HOME_FORCE + 200.0), brake=np.zeros(6))
+    assert with_friction == pytest.approx(free.get("acceleration"), rel=1e-6, abs=1e-6)
+
+
+def test_viscous_friction_is_a_force_of_minus_b_times_the_rate(direct):
+    twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
+    b = np.array([100.0, 200.0, 300.0, 400.0, 500.0, 600.0])
+    damped, free = direct(), direct()
+    damped.set(viscous_friction=b, initial_twist=twist)
+    damped.start(brake=np.zeros(6))
+    free.set(initial_twist=twist)
+    free.start(brake=np.zeros(6), force=-b * damped.get("rate"))
+    assert damped.get("acceleration") == pytest.approx(free.get("acceleration"), rel=1e-12)
+
+
+def test_reflected_mass_takes_its_share_of_the_force(direct):
+    # at home, from rest: symmetric forces lift the platform along z; sin(inclination) = 1/length
+    length = 1.592450434036
+    accelerations = []
+    for reflected in (0.0, 500.0):
+        plant = direct()
+        plant.set(reflected_mass=np.full(6, reflected))
+        plant.start(force=np.full(6, HOME_FORCE + 100.0), brake=np.zeros(6))
+        accelerations.append(plant.get("acceleration")[2])
+    lift = 6 * 100.0 / length
+    mass = lift / accelerations[0]
+    assert accelerations[1] == pytest.approx(lift / (mass + 6 * 500.0 / length**2), rel=1e-9)
+
+
+def test_end_stops_catch_the_falling_platform_and_let_it_rest(direct):
+    plant = direct()
+    plant.set(length_min=np.full(6, 1.5))
+    plant.start(brake=np.zeros(6))
+    lowest = 9.0
+    for _ in range(3000):
+        plant.step(1e-3)
+        lowest = min(lowest, plant.get("length").min())
+    # static: the leg force over the stiffness of 2e7 N/m; the fall of some centimetres presses deeper
+    assert 1.5 - 0.01 < lowest < 1.5
+    assert np.abs(plant.get("rate")).max() < 1e-6
+    assert plant.get("length") == pytest.approx(np.full(6, 1.5), abs=5e-4)
+    assert (plant.get("length") < 1.5).all()
+
+
+def test_upper_stops_pull_back_and_never_stick(direct):
+    plant = direct()
+    plant.set(length_max=np.full(6, 1.6))
+    plant.start(force=np.full(6, 8000.0), brake=np.zeros(6))
+    plant.step(1e-3, 2000)
+    assert plant.get("length") == pytest.approx(np.full(6, 1.6), abs=1e-3)
+    plant.set(force=np.zeros(6))
+    plant.step(1e-3, 100)
+    assert (plant.get("length") < 1.595).all()
+
+
+def test_stops_stay_stable_however_stiff_they_are(direct):
+    plant = direct()
+    plant.set(length_min=np.full(6, 1.5), stop_stiffness=1e12, stop_damping=1e3)
+    plant.start(brake=np.zeros(6))
+    plant.step(1e-3, 2000)
+    assert plant.get("length") == pytest.approx(np.full(6, 1.5), abs=1e-6)
+
+
+def test_the_force_lag_is_exact_at_any_step(direct):
+    coarse, fine = direct(), direct()
+    for plant, h in ((coarse, 1e-3), (fine, 1e-4)):
+        plant.set(force_bandwidth=50.0, internal_step=h)
+        plant.start(force=np.arange(1.0, 7.0))
+        plant.step(1e-3, 5)
+    want = np.arange(1.0, 7.0) * (1 - np.exp(-2 * np.pi * 50.0 * 5e-3))
+    assert coarse.get("applied_force") == pytest.approx(want, rel=1e-13)
+    assert fine.get("applied_force") == pytest.approx(want, rel=1e-13)
+
+
+def test_the_integrator_is_of_fourth_order(direct):
+    ends = []
+    for h in (8e-3, 4e-3, 5e-4):
+        plant = direct()
+        plant.set(internal_step=h, gravity=[0, 0, 9.81], initial_twist=[0.5, -0.4, 0.45, 0.5, -0.6, 0.8])
+        plant.start(force=np.full(6, -HOME_FORCE), brake=np.zeros(6))
+        plant.step(0.4)
+        ends.append(plant.get("position"))
+    first, second = (np.abs(e - ends[2]).max() for e in ends[:2])
+    assert first / second == pytest.approx(16.0, rel=0.25)
+
+
+def test_state_can_be_saved_restored_and_serialised(direct):
+    plant = direct()
+    plant.set(force_bandwidth=100.0)
+    plant.start(force=np.full(6, 3000.0), brake=np.zeros(6))
+    plant.step(1e-3, 20)
+    state = plant.fmu.getFMUState()
+    data = plant.fmu.serializeFMUState(state)
+    plant.step(1e-3, 20)
+    want = plant.get("position")
+    plant.fmu.setFMUState(state)
+    plant.time = 0.02
+    plant.step(1e-3, 20)
+    assert (plant.get("position") == want).all()
+    other = direct()
+    other.fmu.setFMUState(other.fmu.deserializeFMUState(data))
+    other.time = 0.02
+    other.step(1e-3, 20)
+    assert (other.get("position") == want).all()
+
+
+def test_a_foreign_state_is_refused(direct):
+    plant = direct()
+    with pytest.raises(FMICallException):
+        plant.fmu.deserializeFMUState(b"x" * 5000)
+
+
+def test_instances_do_not_share_anything(direct):
+    a, b = direct(), direct()
+    a.start(force=np.full(6, 5000.0), brake=np.zeros(6))
+    b.start(force=np.full(6, 3000.0), brake=np.zeros(6))
+    for _ in range(50):
+        a.step(1e-3)
+        b.step(1e-3)
+    alone = direct()
+    alone.start(force=np.full(6, 5000.0), brake=np.zeros(6))
+    alone.step(1e-3, 50)
+    assert (a.get("position") == alone.get("position")).all()
+    assert a.get("position")[2] > 1.0 > b.get("position")[2]
+
+
+@pytest.mark.parametrize("dt", [1.05e-4, 0.99999e-3, -1e-3, np.nan, 5e-5])
+def test_a_step_that_is_no_multiple_is_refused_and_changes_nothing(direct, dt):
+    plant = direct()
+    plant.start(brake=np.zeros(6))
+    plant.step(1e-3)
+    before = plant.get("position")
+    with pytest.raises(FMICallException):
+        plant.fmu.doStep(1e-3, dt)
+    assert plant.messages
+    assert (plant.get("position") == before).all()
+    plant.fmu.doStep(1e-3, 1e-3)
+
+
+def test_a_step_from_another_time_is_refused(direct):
+    plant = direct()
+    plant.start()
+    with pytest.raises(FMICallException):
+        plant.fmu.doStep(0.5, 1e-3)
+    assert "stands at" in plant.messages[-1]
+
+
+def test_time_does_not_drift(direct):
+    plant = direct()
+    plant.start()
+    for k in range(20_000):
+        plant.fmu.doStep(k * 1e-3, 1e-3)
+    assert plant.get("time")[0] == pytest.approx(20.0, abs=4e-15)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_an_input_that_is_not_finite_is_refused_by_name(direct, value):
+    plant = direct()
+    plant.start()
+    with pytest.raises(FMICallException):
+        plant.set(force=[0, 0, value, 0, 0, 0])
+    assert "force[3]" in plant.messages[-1]
+    assert plant.get("force") == pytest.approx(np.zeros(6))
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"mass": 0.0}, "mass"),
+        ({"inertia": np.diag([1.0, 1.0, 5.0])}, "triangle"),
+        ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, "symmetric"),
+        ({"initial_rotation": np.diag([1.0, 1.0, -1.0])}, "reflection"),
+        ({"initial_rotation": 2 * np.eye(3)}, "rotation"),
+        ({"length_max": np.full(6, 1.2)}, "stroke"),
+        ({"length_min": np.full(6, 3.0), "length_max": np.full(6, 2.0)}, "length_min"),
+        ({"internal_step": 0.0}, "internal_step"),
+        ({"cylinder_inertia": [40.0, 16.0]}, "axial"),
+        ({"universal_joint_base_axes": np.zeros((6, 3))}, "axis"),
+        ({"platform_joints": np.zeros((6, 3)), "initial_position": [2.0, 0.0, 0.0]}, "no length"),
+    ],
+)
+def test_a_machine_without_meaning_is_refused_when_initialisation_ends(direct, values, word):
+    plant = direct()
+    plant.set(**values)
+    with pytest.raises(FMICallException):
+        plant.start()
+    assert word in plant.messages[-1]
+
+
+def test_parameters_are_fixed_after_initialisation(direct):
+    plant = direct()
+    plant.start()
+    with pytest.raises(FMICallException):
+        plant.set(mass=10.0)
+    assert "fixed" in plant.messages[-1]

@@ -235,7 +235,8 @@ class Cycle:
         elapsed = (tick - self.mode_tick) * self.period_s
         if self.mode in MOVING:
             own = self.parts.law.effort(state, reference).tau
-            return Effort(own + self.offset * self._entry_share(tick)), own
+            left = self._entry_share(tick)
+            return Effort(own + self.offset * left if left > 0.0 else own), own
         load, release = self.durations.load, self.durations.release
         if self.mode is Mode.LOADING and load > 0:
             return Effort(self.holding * smoothstep(elapsed / load)), _ZERO6
@@ -343,7 +344,7 @@ class Cycle:
             ),
             out=cells[ROW_INTEGERS:],
         )
-        return cells.view(ROW).reshape(())
+        return np.ndarray((), ROW, cells)
 
 
 def smoothstep(x: float) -> float:

@@ -222,8 +222,8 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     """Check modelDescription.xml against `spec`.
 
     xml: its content; members: names in the archive. Raises PlantError that names the variable, what it is
-    and what is needed: FMI version, co-simulation, a binary for this machine, existence, causality, type, unit and
-    number of elements of each mapped variable, parameters.
+    and what is needed: FMI version, co-simulation, a binary for this machine, existence, causality, type,
+    unit and number of elements of each mapped variable, parameters.
     """
     path = spec.path
     found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)

@@ -10,9 +10,11 @@ import contextlib
 import mmap
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -85,6 +87,8 @@ class ChildHost:
         self._step_timeout_s = step_timeout_s
         self._start_timeout_s = start_timeout_s
         self._ended: str | None = None
+        # The child unpacks in here; whichever of us two is left removes it.
+        self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         text = spec.to_json().encode()
         size = _FIXED + _TEXT + len(text)
         memory_fd = os.memfd_create("fmu-board")
@@ -100,8 +104,16 @@ class ChildHost:
             given = (memory_fd, command_r, reply_w, life_r)
             # Standard output is ours (a summary may go there); Ctrl-C is for us to handle, hence the session.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "plant_fmu.fmu_child", *map(str, given), str(os.getpid())],
+                [
+                    sys.executable,
+                    "-m",
+                    "plant_fmu.fmu_child",
+                    *map(str, given),
+                    str(os.getpid()),
+                    self._folder.name,
+                ],
                 pass_fds=given,
+                env={**os.environ, "TMPDIR": self._folder.name},
                 stdin=subprocess.DEVNULL,
                 stdout=2,
                 start_new_session=True,
@@ -109,6 +121,7 @@ class ChildHost:
         except OSError as error:
             for fd in (self._command_w, self._reply_r, self._life_w):
                 os.close(fd)
+            self._folder.cleanup()
             raise PlantError(f"{spec.path}: no child process for the FMU: {error}") from error
         finally:
             for fd in (memory_fd, command_r, reply_w, life_r):
@@ -188,19 +201,22 @@ class ChildHost:
                 self._ask(_CLOSE, self._step_timeout_s, "close")
             except PlantError:
                 self._process.kill()  # an FMU that cannot be freed goes with its process
-        for fd in (self._command_w, self._life_w, self._reply_r):
-            os.close(fd)
-        self._life_w = -1
+        os.close(self._command_w)
         try:
             self._process.wait(self._step_timeout_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        # Last: the child ends at once, without cleaning up, when its life line closes.
+        for fd in (self._life_w, self._reply_r):
+            os.close(fd)
+        self._life_w = -1
         self._ended = self._ended or f"{self.spec.path}: the FMU is closed"
         self._board.release()
+        self._folder.cleanup()
 
 
-def _end_with_parent(life_fd: int, parent: int) -> None:
+def _end_with_parent(life_fd: int, parent: int, folder: str) -> None:
     """End this process when the parent's end of the life line closes, even while the FMU hangs in C."""
     line = select.poll()
     line.register(life_fd, select.POLLHUP)
@@ -208,6 +224,7 @@ def _end_with_parent(life_fd: int, parent: int) -> None:
         # A grandchild forked by the parent may hold the life line open: look at the parent, too.
         if os.getppid() != parent:
             break
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
 
 
@@ -222,9 +239,9 @@ def _attempt(board: _Board, work: Callable[[], Any]) -> Any:
     return result
 
 
-def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: int) -> None:
+def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: int, folder: str) -> None:
     """Run in the child: load the FMU, then answer commands until told to close or the parent is gone."""
-    threading.Thread(target=_end_with_parent, args=(life_fd, parent), daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(life_fd, parent, folder), daemon=True).start()
     board = _Board(mmap.mmap(memory_fd, 0))
     start = _FIXED + _TEXT
     spec = FmuSpec.from_json(bytes(board.memory[start : start + int(board.words[3])]).decode())
@@ -250,11 +267,14 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
     while os.read(command_fd, 1):
         command = int(board.words[0])
         _attempt(board, tasks[command])
-        os.write(reply_fd, b"!")
+        with contextlib.suppress(BrokenPipeError):  # the parent is gone: the next read says so
+            os.write(reply_fd, b"!")
         if command == _CLOSE:
             return
     host.close()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 if __name__ == "__main__":
-    serve(*map(int, sys.argv[1:6]))
+    memory_fd, command_fd, reply_fd, life_fd, parent = map(int, sys.argv[1:6])
+    serve(memory_fd, command_fd, reply_fd, life_fd, parent, sys.argv[6])

@@ -219,7 +219,8 @@ class FmuHost:
             getattr(self._fmu, f"set{setter}")(references, values)
         except Exception as error:
             raise PlantError(
-                f"{self.spec.path}: the FMU refused parameter {name!r} = {values}{self._said() or f': {error}'}"
+                f"{self.spec.path}: the FMU refused parameter {name!r} = {values}"
+                f"{self._said() or f': {error}'}"
             ) from error
 
     def reset(self) -> tuple[Array, Array]:

@@ -6,14 +6,17 @@ Rule of the room: formats and writes; computes nothing about the platform.
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
+import textwrap
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.text import Text
 
 from drivers.errors import LogError
 
@@ -23,38 +26,80 @@ console = Console(stderr=True, highlight=False)
 def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Path:
     """Return the log file to write: the given one, or a new dated one in the recordings folder.
 
-    Raises LogError if the file exists: no log is ever overwritten.
+    Raises LogError if the file exists (no log is ever overwritten) or its folder cannot be made or written.
     """
     path = given
     if path is None:
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         path = Path(folder) / f"{name}-{stamp}{suffix}.mcap"
         number = 2
-        while path.exists():
+        while os.path.lexists(path):
             path = Path(folder) / f"{name}-{stamp}-{number}{suffix}.mcap"
             number += 1
-    if path.exists():
+    if os.path.lexists(path):
         raise LogError(f"{path}: exists and is not overwritten; name another file with --log")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise LogError(f"{path.parent}: cannot be made: {error.strerror}") from None
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise LogError(f"{path.parent}: no right to write there; name another file with --log")
     return path
 
 
+def check_json_path(path: Path, *inputs: Path) -> None:
+    """Refuse a summary file that could not be written in the end, before anything starts.
+
+    `inputs` are files of the same command. Raises LogError: no such folder, no right to write, or a file that
+    is no earlier summary: that one is not overwritten.
+    """
+    where = f"--json {path}"
+    if not path.parent.is_dir():
+        raise LogError(f"{where}: there is no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise LogError(f"{where}: is a folder; name a file")
+    if any(path.resolve() == other.resolve() for other in inputs):
+        raise LogError(f"{where}: is another file of this command; name a file of its own")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise LogError(f"{where}: no right to write there")
+    if path.is_file() and not _is_summary(path):
+        raise LogError(f"{where}: exists, is no summary of hil and is not overwritten; name another file")
+
+
+def _is_summary(path: Path) -> bool:
+    if not path.stat().st_size:
+        return True
+    try:
+        return "success" in json.loads(path.read_bytes())
+    except (ValueError, TypeError):
+        return False
+
+
 def write_json(path: Path, summary: dict[str, Any]) -> None:
-    """Write a summary, whole or not at all.
+    """Write a summary, whole or not at all; what is not finite becomes null.
 
     Raises LogError if the folder cannot be written.
     """
+    text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
+    target = path.resolve()
     try:
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".json", delete=False) as file:
-            json.dump(summary, file, indent=2)
-            file.write("\n")
+        if target.exists() and not target.is_file():  # a pipe or a terminal
+            target.write_text(text)
+            return
+        with tempfile.NamedTemporaryFile("w", dir=target.parent, suffix=".json", delete=False) as file:
+            file.write(text)
         Path(file.name).chmod(0o666 & ~_umask())
-        Path(file.name).replace(path)
+        Path(file.name).replace(target)
     except OSError as error:
         raise LogError(f"--json {path}: cannot be written: {error.strerror}") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _umask() -> int:
@@ -63,30 +108,100 @@ def _umask() -> int:
     return mask
 
 
-def show(title: str, summary: dict[str, Any]) -> None:
-    """Print a summary as a table, nested keys dotted."""
-    table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
-    for key, value in _flat(summary):
-        table.add_row(key, value)
-    Console(highlight=False).print(table)
+# -- the terminal ------------------------------------------------------------------------------------------
+
+UNITS = {
+    "_m_s": "m/s",
+    "_us": "us",
+    "_ms": "ms",
+    "_s": "s",
+    "_mm": "mm",
+    "_deg": "deg",
+    "_N": "N",
+    "_Hz": "Hz",
+    "_MB": "MB",
+    "_percent": "%",
+}
+"""End of a key -> unit of its value, the longest first."""
+_SILENT = frozenset({"success", "kind", "last_ticks"})
+"""Keys that the headline shows, or that are for the JSON file only."""
 
 
-def _flat(summary: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    rows: list[tuple[str, str]] = []
-    for key, value in summary.items():
-        name = f"{prefix}{key}".replace("_", " ")
-        if isinstance(value, dict) and all(isinstance(v, int | float) for v in value.values()):
-            rows.append((name, ", ".join(f"{k.replace('_', ' ')} {_number(v)}" for k, v in value.items())))
-        elif isinstance(value, dict):
-            rows += _flat(value, f"{prefix}{key} ")
-        elif isinstance(value, list):
-            rows.append((name, "; ".join(str(v) for v in value) or "none"))
-        else:
-            rows.append((name, _number(value)))
-    return rows
+def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
+    """Print a summary: a headline and one aligned line for each figure, with its unit."""
+    out = Console(highlight=False, width=width)
+    good = bool(summary["success"])
+    headline = Text(f"{title}: {'success' if good else 'failed'}", style="bold green" if good else "bold red")
+    out.print(headline)
+    for line in table(summary, out.width):
+        out.print(Text(line), soft_wrap=True)
+
+
+def table(summary: dict[str, Any], width: int) -> list[str]:
+    """Return the lines below the headline, folded to `width` columns."""
+    rows = list(_rows(summary, ""))
+    column = max((len(label) for label, _ in rows), default=0) + 2
+    lines = []
+    for label, value in rows:
+        folded = fold(value, width - column)
+        lines.append(f"{label:<{column}}{folded[0]}".rstrip())
+        lines += [" " * column + rest for rest in folded[1:]]
+    return lines
+
+
+def fold(text: str, width: int) -> list[str]:
+    """Break a text between words; a path stays in one piece."""
+    return textwrap.wrap(text, max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]
+
+
+def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
+    for key, value in values.items():
+        if key in _SILENT or value is None:
+            continue
+        name, unit = _name_and_unit(key)
+        label = indent + name
+        if key == "replay":
+            yield label, replay_sentence(value)
+        elif not isinstance(value, dict):
+            yield label, _text(value, unit)
+        elif set(value) == {"p50", "p99", "max"}:
+            yield label, ", ".join(f"{k} {_number(v)}" for k, v in value.items()) + f" {unit}"
+        elif key == "limited_ticks":
+            acted = [f"{_name_and_unit(k)[0].lower()} {n}" for k, n in value.items() if n]
+            yield label, ", ".join(acted) or "none"
+        elif value:
+            yield label, "" if value.get("success", True) else "failed"
+            yield from _rows(value, indent + "  ")
+
+
+def replay_sentence(summary: dict[str, Any]) -> str:
+    """Say in one sentence what a replay found (`hil.app.replay.summary`)."""
+    ticks, different = summary["ticks"], summary["different_ticks"]
+    if not ticks:
+        return "0 ticks: nothing to compare"
+    sentence = f"{ticks} ticks, {different} difference{'s' * (different != 1)}"
+    if different:
+        sentence += f" ({summary['wire_different_ticks']} in sent frames), the first in {summary['first'][0]}"
+    return "; ".join((sentence, *summary["gaps"]))
+
+
+def _name_and_unit(key: str) -> tuple[str, str]:
+    for end, unit in UNITS.items():
+        if key.endswith(end):
+            return key.removesuffix(end).replace("_", " "), unit
+    return key.replace("_", " "), ""
+
+
+def _text(value: Any, unit: str) -> str:
+    if isinstance(value, list):
+        same = len(value) > 1 and all(v == value[0] for v in value)
+        return f"all {value[0]}" if same else "; ".join(map(str, value)) or "none"
+    return f"{_number(value)} {unit}".rstrip()
 
 
 def _number(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+        return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
     return str(value)

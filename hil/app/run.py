@@ -69,6 +69,8 @@ def run_daemon(
                 scene=build_scene(c),
                 can_channel=c.bus.channel,
                 ring_ticks=c.recording.ring_ticks,
+                live=True,
+                reference_s=cycle.parts.trajectory.duration_s,
             )
         )
         bus.flush_tx()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.compile_cache import INTEGER, MATRIX, VECTOR, kernel
 from hil.config import InverseDynamicsSettings, LegSpin
 from hil.control.law import per_leg
 from hil.dynamics import Model
@@ -16,8 +17,6 @@ from hil.geometry import Platform
 from hil.kernels.dynamics import joint_idc_kernel
 from hil.rotations import rotation_from_vector
 from hil.signals import Array, Effort, Reference, State
-
-_NO_WRENCH = np.zeros(6)
 
 
 class JointInverseDynamics:
@@ -58,9 +57,24 @@ class JointInverseDynamics:
 
     def effort(self, state: State, reference: Reference) -> Effort:
         """Return tau (6,) N; NaN where J is singular."""
-        ddq = reference.ddq + self.K_D * (reference.dq - state.dq) + self.K_P * (reference.q - state.q)
         return Effort(
-            joint_idc_kernel(
-                self.model.constants, self.model.code, state.p, state.R, state.twist, state.J, ddq, _NO_WRENCH
+            _tau(
+                self.model.constants, self.model.code, self.K_P, self.K_D,
+                state.p, state.R, state.twist, state.J, state.q, state.dq,
+                reference.q, reference.dq, reference.ddq,
             )
-        )
+        )  # fmt: skip
+
+
+@kernel(
+    VECTOR, INTEGER, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR
+)
+def _tau(
+    constants: Array, code: int, K_P: Array, K_D: Array,
+    p: Array, R: Array, twist: Array, J: Array, q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array,
+) -> Array:  # fmt: skip
+    ddq_star = np.empty(6)
+    for i in range(6):
+        ddq_star[i] = ddq_d[i] + K_D[i] * (dq_d[i] - dq[i]) + K_P[i] * (q_d[i] - q[i])
+    tau: Array = joint_idc_kernel(constants, code, p, R, twist, J, ddq_star, np.zeros(6))
+    return tau

@@ -26,6 +26,7 @@ import numpy as np
 
 from hil.record.encode import Encoder, Messages
 from hil.record.environment import product_version
+from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
 from hil.record.recording import Scene
 from hil.record.ring import DROPPED, Ring
@@ -59,6 +60,7 @@ class Recorder:
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
         self.ticks = 0
+        self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
         self._open(setup, attachments)
 
@@ -99,6 +101,8 @@ class Recorder:
             "messages": self.file.messages,
             "dropped": self._ring.counters[DROPPED],
         }
+        if self._live is not None:
+            self._live.end()
         times = os.times()
         self.file.add_metadata(
             SUMMARY, {**(summary or {}), **{name: str(value) for name, value in counts.items()}}
@@ -112,6 +116,8 @@ class Recorder:
         if not len(batch.rows) and not len(batch.items):
             return False
         self._write(self._encoder.encode(batch))
+        if self._live is not None:
+            self._live.show(batch.rows)
         self.ticks += len(batch.rows)
         self._ring.release(batch)
         return True

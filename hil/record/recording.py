@@ -112,6 +112,8 @@ class Recording:
         can_channel: str = "can0",
         lockstep: bool = False,
         ring_ticks: int = 8192,
+        live: bool = False,
+        reference_s: float | None = None,
     ) -> Self:
         """Start a recorder process and open the log.
 
@@ -139,6 +141,9 @@ class Recording:
             Simulated time: wait when the ring is full, a fixed epoch, reproducible messages.
         ring_ticks
             Length of the ring.
+        live, reference_s
+            Draw a status line on standard error (rows of dtype ROW only), with the progress of a reference
+            of this length.
 
         Raises
         ------
@@ -166,6 +171,8 @@ class Recording:
             "units": dict(ROW_UNITS if units is None else units),
             "scene": scene._asdict() if scene else None,
             "view_every": max(1, view_every),
+            "live": live,
+            "reference_s": reference_s,
             "attachments": [[name, len(data)] for name, data in files],
             "environment": environment(),
             "identity": {

@@ -42,6 +42,7 @@ FLAGS = (
     "-shared",
 )
 """No contraction: every machine of one family computes the same bits."""
+_PLAIN_2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 _ZIP_DATE = (2000, 1, 1, 0, 0, 0)
 
 
@@ -185,6 +186,9 @@ def _pack(
     for key, data in binaries.items():
         target = TARGETS[key]
         folder = target.folder_2 if version == "2.0" else target.folder_3
+        if version == "2.0" and len(binaries) == 1:
+            # FMI 2.0 knows no processors but x86; importers on others look in the x86 folder all the same.
+            folder = _PLAIN_2[key.split("-")[0]]
         members[f"binaries/{folder}/{MODEL_IDENTIFIER}{target.suffix}"] = data
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():

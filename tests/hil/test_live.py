@@ -1,0 +1,51 @@
+"""The live status line."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+
+from hil.record.live import LiveView
+from hil.signals import ROW, Mode, Warn
+
+
+def rows(count, **columns):
+    result = np.zeros(count, ROW)
+    for name, value in columns.items():
+        result[name] = value
+    return result
+
+
+def test_tracking_shows_progress_error_force_and_what_was_missed():
+    view = LiveView(io.StringIO(), 20.0)
+    view._stale, view._skipped, view._late_us = 3, 2, 41.0
+    row = rows(1, mode=Mode.TRACKING, reference_time_s=5.0)[0]
+    row["q_d"][4], row["tau"][1] = 2.5e-4, -8123.0
+    line = view.line(row)
+    assert line.startswith("tracking   #####               |")
+    for text in (
+        "5.0 of 20 s",
+        "leg error  0.250 mm",
+        "force  8.12 kN",
+        "late   41 us",
+        "stale 3, skipped 2",
+    ):
+        assert text in line, line
+
+
+def test_counts_over_all_rows_but_draws_seldom():
+    out = io.StringIO()
+    view = LiveView(out, None)
+    for _ in range(10):
+        view.show(rows(100, warnings=Warn.STALE, skipped=1, mode=Mode.IDLE))
+    assert out.getvalue().count("\n") == 1
+    assert view._stale == view._skipped == 1000
+
+
+def test_a_broken_terminal_does_not_stop_the_recorder():
+    class Broken(io.StringIO):
+        def write(self, _):
+            raise BrokenPipeError
+
+    LiveView(Broken(), None).show(rows(1))

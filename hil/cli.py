@@ -7,15 +7,16 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from drivers.errors import HilError
+if TYPE_CHECKING:
+    from hil.app.configuration import Configuration
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 _json = click.option(
-    "--json", "json_file", type=FILE, metavar="FILE", help="Write the summary there as JSON."
+    "--json", "json_file", type=FILE, metavar="FILE", help="Write the summary there as JSON, too."
 )
 _log = click.option("--log", type=FILE, metavar="FILE", help="Log file to write; an existing one is refused.")
 _duration = click.option(
@@ -24,29 +25,48 @@ _duration = click.option(
 _configuration = click.argument("configuration", default="virtual")
 
 
-def _finish(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
-    """Print a summary, write its JSON twin, and exit 0 only on success."""
+def _finish(
+    title: str, summary: dict[str, Any], json_file: Path | None, shown: dict[str, Any] | None = None
+) -> None:
+    """Print a summary (`shown`, where that says it better), write its JSON twin, exit 0 only on success."""
     from hil.app.output import show, write_json
 
-    hidden = {"last_ticks"}
-    show(title, {k: v for k, v in summary.items() if k not in hidden})
+    show(title, summary if shown is None else shown)
     if json_file is not None:
         write_json(json_file, summary)
     sys.exit(0 if summary["success"] else 1)
 
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """Turn errors that a user can mend into one message and exit code 2."""
+    """Turn errors that a user can mend into one message and exit code 2; check the output files first."""
 
     @wraps(command)
     def guarded(*args: Any, **kwargs: Any) -> None:
+        from drivers.errors import HilError
+
         try:
+            if kwargs["json_file"] is not None:
+                from hil.app.output import check_json_path
+
+                check_json_path(kwargs["json_file"], *_other_files(kwargs))
             command(*args, **kwargs)
         except HilError as error:
-            click.echo(f"hil: {error}", err=True)
-            sys.exit(2)
+            _refuse(str(error))
+        except OSError as error:
+            place = "" if error.filename is None else f"{error.filename}: "
+            _refuse(f"{place}{error.strerror or error}")
 
     return guarded
+
+
+def _other_files(arguments: dict[str, Any]) -> list[Path]:
+    given = (arguments.get(name) for name in ("configuration", "log", "salvage"))
+    return [Path(file) for file in given if file is not None]
+
+
+def _refuse(message: str) -> None:
+    click.echo(f"hil: {message}", err=True)
+    sys.exit(2)
 
 
 def _announce_compilation() -> None:
@@ -56,23 +76,58 @@ def _announce_compilation() -> None:
         click.echo("compiling the mathematics, once (about 20 s) ...", err=True)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+def _load(configuration: str, command: Literal["run", "plant", "sim"]) -> Configuration:
+    """Load a configuration and refuse what cannot work, before anything starts.
+
+    Raises ConfigurationError.
+    """
+    from hil.app.configuration import load
+
+    loaded = load(configuration)
+    loaded.require(command)
+    _announce_compilation()
+    from hil.app.check import refuse_unreachable
+
+    refuse_unreachable(loaded)
+    return loaded
+
+
+class _InOrder(click.Group):
+    """Lists its commands in the order in which they were added."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return list(self.commands)
+
+
+@click.group(
+    cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
 @click.version_option(package_name="hexapod-hil", prog_name="hil")
 def main() -> None:
     """Hardware-in-the-loop bridge for six-legged parallel robots on CAN.
 
     \b
     First steps, nothing but this machine needed:
-      hil run --plant        the daemon in real time against emulated drives and the platform's FMU
-      hil sim                the same in lockstep, faster than real time
+      hil check              figures and problems of a configuration, nothing moves
+      hil sim                controller, bus, drives and platform in simulated time
+      hil run --plant        the same in real time, the platform's FMU behind the bus
       hil replay LOG         a recorded run again, compared to the bit
-      hil check CONFIG       figures and problems of a configuration before anything moves
 
-    CONFIG is a YAML file or the name of a shipped one: virtual, ideal, socketcan, lab, bench, vcan50.
+    CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
+    socketcan, lab, bench, vcan50. Logs are MCAP files; without --log they go into the
+    folder recording.folder of the configuration, `runs`, under the name and the time.
+    No log is ever overwritten.
+
+    \b
+    Exit codes of every command:
+      0  success
+      1  it ran, and something was wrong; the summary says what
+      2  refused before anything moved; the message says why and what is allowed
     """
 
 
-@main.command("run")
+@main.command("run", short_help="The controller, in real time.")
 @_configuration
 @click.option(
     "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
@@ -90,19 +145,32 @@ def run_command(
     start of the reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a
     second Ctrl-C is an emergency stop. Ends with a summary, a picture and the replay verdict of its log.
 
-    Exit code 0: parked as planned and the log replays exactly. 1: fault or stopped by safety. 2: not begun.
+    \b
+    Examples:
+      hil run --plant                       all virtual; needs nothing but this machine
+      hil run --plant --duration 5          the same, parked after 5 s
+      hil run socketcan                     real drives on can0
+      hil run my.yaml --log today.mcap --json today.json
+
+    The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
+    with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png.
+
+    \b
+    Exit code:
+      0  parked as planned, and the log replays exactly
+      1  a latched fault, no drives, or stopped by safety; the log is closed and tells
+      2  not begun: configuration, bus, plant or log file; the message says what
     """
-    _announce_compilation()
-    from hil.app.configuration import load
+    loaded = _load(configuration, "run")
     from hil.app.run import run_daemon
 
-    summary = run_daemon(load(configuration), log=log, duration_s=duration, with_plant=with_plant)
+    summary = run_daemon(loaded, log=log, duration_s=duration, with_plant=with_plant)
     if summary["trouble"]:
         click.echo(f"hil: {summary['trouble']}", err=True)
     _finish("run", summary, json_file)
 
 
-@main.command("plant")
+@main.command("plant", short_help="Six emulated drives and the platform, in real time.")
 @_configuration
 @_duration
 @_log
@@ -122,9 +190,23 @@ def plant_command(
 
     The other end for `hil run` without hardware, or for somebody else's controller. Brakes hold at boot and
     after a fault. Logs the true pose. Ends with Ctrl-C or after --duration.
+
+    \b
+    Examples:
+      hil plant                             then, in another terminal: hil run
+      hil plant lab --duration 60
+      hil plant vcan50                      on a SocketCAN bus, for any controller
+
+    The log goes to --log, else to runs/NAME-TIME-plant.mcap (recording.folder); `plant.log: false` in the
+    configuration writes none.
+
+    \b
+    Exit code:
+      0  ended as asked
+      1  the plant failed on the way
+      2  not begun: configuration, bus, FMU or log file; the message says what
     """
-    _announce_compilation()
-    from hil.app.configuration import load
+    loaded = _load(configuration, "plant")
     from hil.app.plant import run_plant
 
     def tell() -> None:
@@ -134,30 +216,43 @@ def plant_command(
         else:
             click.echo("drives are on the bus; Ctrl-C ends", err=True)
 
-    summary = run_plant(load(configuration), log=log, duration_s=duration, supervisor=supervisor, ready=tell)
+    summary = run_plant(loaded, log=log, duration_s=duration, supervisor=supervisor, ready=tell)
     _finish("plant", summary, json_file)
 
 
-@main.command("sim")
+@main.command("sim", short_help="Both ends in lockstep, in simulated time.")
 @_configuration
 @_duration
 @_log
 @_json
 @_guarded
 def sim_command(configuration: str, duration: float | None, log: Path | None, json_file: Path | None) -> None:
-    """Run both ends of the bus in lockstep, in simulated time.
+    """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
 
     Deterministic: the same configuration gives the same frames and rows, byte for byte. The bus takes its
-    worst-case bit time. `--duration` stops along the path at S simulated seconds.
+    worst-case bit time. `--duration` stops along the path at S simulated seconds and parks.
+
+    \b
+    Examples:
+      hil sim                               the default bench, ten periods of the path
+      hil sim ideal                         theory: exact lengths and rates, no bus time
+      hil sim lab --duration 3 --log lab.mcap --json lab.json
+
+    The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
+
+    \b
+    Exit code:
+      0  parked without a fault, and the log replays exactly
+      1  a latched fault, or the replay differs
+      2  not begun: configuration, FMU or log file; the message says what
     """
-    _announce_compilation()
-    from hil.app.configuration import load
+    loaded = _load(configuration, "sim")
     from hil.app.output import console
     from hil.app.sim import simulate
 
     with console.status("simulating") as status:
         summary = simulate(
-            load(configuration),
+            loaded,
             log=log,
             duration_s=duration,
             progress=lambda t, mode: status.update(f"simulating {t:.0f} s  {mode}"),
@@ -165,21 +260,37 @@ def sim_command(configuration: str, duration: float | None, log: Path | None, js
     _finish("sim", summary, json_file)
 
 
-@main.command("replay")
+@main.command("replay", short_help="A log's inputs again, compared to the bit.")
 @click.argument("log", type=FILE)
 @click.option(
     "--salvage",
     type=FILE,
     metavar="OUT",
-    help="Recover a log cut by power loss into OUT first, and replay that.",
+    help="Recover a log cut by power loss into the new file OUT first, and replay that.",
 )
 @_json
 @_guarded
 def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
-    Names the first tick and column that differs. Exit code 0: all ticks identical to the bit.
+    LOG comes from `hil run` or `hil sim`; its configuration is inside. Only reads: nothing is sent, LOG
+    stays as it is. Names the first tick and each column that differs there, with both values.
+
+    \b
+    Examples:
+      hil replay runs/virtual-20260131T120000.mcap
+      hil replay cut.mcap --salvage whole.mcap
+
+    \b
+    Exit code:
+      0  all ticks identical to the bit
+      1  differences, or ticks missing from the log
+      2  not begun: no such file, no log, cut (then use --salvage)
     """
+    from hil.log import Log
+
+    if salvage is None:
+        Log.open(log)
     _announce_compilation()
     from hil.app.replay import replay_log
     from hil.salvage import salvage as recover
@@ -193,16 +304,69 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
     verdict, summary = replay_log(log)
     for difference in verdict.first:
         click.echo(f"hil: {difference}", err=True)
-    _finish("replay", {"success": verdict.exact, **summary}, json_file)
+    result = {"success": verdict.exact, "kind": "replay", "log": str(log), **summary}
+    short = {key: result[key] for key in ("success", "log", "wall_s", "times_real_time")}
+    if not verdict.exact:
+        short["largest_relative_difference"] = verdict.largest
+    _finish("replay", result, json_file, {**short, "replay": summary})
 
 
-@main.group("fmu")
+@main.command("check", short_help="Figures and problems of a configuration; nothing moves.")
+@_configuration
+@_json
+@_guarded
+def check_command(configuration: str, json_file: Path | None) -> None:
+    """Say what the bus, the legs and the limits have to say about CONFIGURATION, before anything moves.
+
+    Bus time of a tick with its arithmetic, forces and lengths at home and along the whole reference, drive
+    watchdog, delay against the law's bandwidth, real-time rights of this machine. Opens no bus, writes no log.
+
+    \b
+    Examples:
+      hil check                             the default configuration
+      hil check my.yaml --json my-check.json
+
+    \b
+    Exit code:
+      0  usable; read the warnings
+      2  not usable: all problems at once, each as FILE:LINE:COLUMN: path: what, allowed, given
+    """
+    from drivers.errors import ConfigurationError
+    from hil.app.configuration import load
+    from hil.app.output import show_lines, write_json
+
+    try:
+        loaded = load(configuration)
+        _announce_compilation()
+        from hil.app.check import inspect
+
+        report = inspect(loaded)
+    except ConfigurationError as error:
+        if json_file is not None:
+            problems = list(error.problems)
+            write_json(json_file, {"success": False, "kind": "check", "problems": problems})
+        raise
+    show_lines(report.lines)
+    if json_file is not None:
+        write_json(json_file, {"success": True, "kind": "check", **report.to_dict()})
+
+
+@main.group("fmu", short_help="Build the platform's FMU.")
 def fmu_group() -> None:
-    """Build the platform's FMU."""
+    """Build the platform's FMU, for this project and for any other tool that takes FMUs.
+
+    `hil run --plant`, `hil plant` and `hil sim` build it by themselves when it is needed.
+    """
 
 
-@fmu_group.command("build")
-@click.option("--fmi", type=click.Choice(["2.0", "3.0", "both"]), default="both", show_default=True)
+@fmu_group.command("build", short_help="Compile the platform's physics into FMUs.")
+@click.option(
+    "--fmi",
+    type=click.Choice(["2.0", "3.0", "both"]),
+    default="both",
+    show_default=True,
+    help="FMI version of the interface; the physics is the same.",
+)
 @click.option(
     "--output",
     type=click.Path(file_okay=False, path_type=Path),
@@ -211,23 +375,25 @@ def fmu_group() -> None:
 )
 @_json
 @_guarded
-def fmu_build_command(fmi: str, output: Path | None, json_file: Path | None) -> None:
+def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
-    One FMU serves every platform: geometry and inertia are its parameters.
-    """
-    from plant_fmu.stewart.build import build
+    One FMU serves every platform: geometry and inertia are its parameters. The result stays in the user's
+    cache and is built again only when its sources change. No log.
 
-    built = {}
-    versions: dict[str, tuple[Literal["2.0", "3.0"], ...]] = {
-        "2.0": ("2.0",),
-        "3.0": ("3.0",),
-        "both": ("2.0", "3.0"),
-    }
-    for version in versions[fmi]:
-        out = None if output is None else output / f"stewart-fmi{version[0]}.fmu"
-        built[f"fmi_{version[0]}"] = str(build(version, out))
-    _finish("fmu build", {"success": True, **built}, json_file)
+    \b
+    Examples:
+      hil fmu build                         both versions, into the cache
+      hil fmu build --fmi 3.0 --output .    ./stewart-fmi3.fmu for another tool
+
+    \b
+    Exit code:
+      0  built; the summary names the files
+      2  no compiler, it failed, or FOLDER cannot be written
+    """
+    from hil.app.fmu import build_fmus
+
+    _finish("fmu build", build_fmus(fmi, output), json_file)
 
 
 if __name__ == "__main__":

@@ -15,12 +15,10 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-import numpy as np
 from numba import types
 
 _HERE = Path(__file__).resolve().parent
@@ -142,40 +140,3 @@ def kernel(*arguments: Any) -> Callable[[F], F]:
 def helper(function: F) -> F:
     """Compile as a part of the kernels that call it."""
     return cast("F", numba.njit(error_model="numpy", fastmath=False)(function))
-
-
-def warm_up() -> None:
-    """Compile or load all kernels, and call those of the model once."""
-    for path in _kernel_sources():
-        import_module(".".join(path.relative_to(_HERE.parent).with_suffix("").parts))
-    estimate = import_module("hil.estimate")
-    platform = import_module("hil.geometry").Platform
-    dynamics = import_module("hil.dynamics")
-    control = import_module("hil.kernels.dynamics")
-    zero, p, R = np.zeros(6), np.array([0.0, 0.0, 1.0]), np.eye(3)
-    legs = {"mass": 1.0, "com": 0.5, "inertia_axial": 0.01, "inertia_transverse": 0.1}
-    hexagon = platform.from_dict(
-        {
-            "base_joints": [[1, 0, 0], [1, 1, 0], [-1, 1, 0], [-1, 0, 0], [-0.5, -1, 0], [0.5, -1, 0]],
-            "platform_joints": [
-                [1, 0.5, 0],
-                [0.5, 1, 0],
-                [-0.5, 1, 0],
-                [-1, 0.5, 0],
-                [-1, -1, 0],
-                [1, -1, 0],
-            ],
-            "platform": {"mass": 1.0, "com": [0, 0, 0], "inertia": np.eye(3)},
-            "cylinder": legs,
-            "rod": legs,
-            "gravity": [0, 0, -9.81],
-        }
-    )
-    model = dynamics.Model(hexagon)
-    q = import_module("hil.kinematics").leg_lengths(hexagon, p, R)
-    state = estimate.Estimator(hexagon, p, R).update(q, zero)
-    control.inverse_dynamics_kernel(model.constants, model.code, state.p, state.R, zero, zero, zero)
-    control.joint_idc_kernel(model.constants, model.code, state.p, state.R, state.twist, state.J, zero, zero)
-    import_module("hil.kernels.kinematics").reference_kernel(
-        hexagon.base_joints, hexagon.platform_joints, p, R, zero, zero
-    )

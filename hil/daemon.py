@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import signal
 import time
+import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
 
 from drivers.bus import Bus
-from drivers.signals import NEVER
+from drivers.errors import HilError
+from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState, no_measurement
 from hil.clock import Deadlines
 from hil.cycle import Cycle
 from hil.record import Recording
@@ -22,8 +24,12 @@ from hil.signals import Fault, Mode, Operator, TickInput
 
 NO_DRIVES_S = 2.0
 """A run in which no drive has been heard for this long ends."""
+NOT_READY_S = 10.0
+"""A run whose drives do not all become ready within this ends: real drives may take a while to boot."""
 FAULT_TAIL_S = 0.25
 """After a fault the drives are told to switch off for this long before the run ends."""
+SAFE_FRAMES = 5
+"""Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +39,32 @@ class Ending:
     mode: Mode
     faults: Fault
     reason: str
+    """What went wrong; empty for a run that ended as planned or on request."""
     ticks: int
     fault_tick: int = -1
+    requested: bool = False
+    """The operator asked for the stop."""
+    unexpected: str = ""
+    """Traceback of a defect of this program, for the log."""
 
     @property
     def success(self) -> bool:
-        """Parked as planned, without a fault."""
+        """Parked as planned or on request, without a fault."""
         return self.mode is Mode.PARKED and not self.faults and not self.reason
 
 
 class OperatorPanel:
-    """Operator commands that wait for the next tick: signals, and what the command line asks for.
+    """Operator commands that wait for the next tick: signals, and what the program itself asks for.
 
-    Mutable state: the pending commands. SIGINT and SIGTERM ask for a controlled stop, a second one for
-    an emergency stop.
+    SIGINT, SIGTERM and SIGHUP ask for a controlled stop, a second one for an emergency stop.
+    Mutable state: the pending commands, how many signals came and how many were handed out.
     """
 
     def __init__(self) -> None:
         self.pending: list[Operator] = []
         self.interrupts = 0
+        self._answered = 0
+        self._running = False
 
     def press(self, command: Operator) -> None:
         """Add a command."""
@@ -59,26 +72,34 @@ class OperatorPanel:
 
     def take(self) -> tuple[Operator, ...]:
         """Return and forget what is pending."""
-        if not self.pending:
+        if not self.pending and self._answered == self.interrupts:
             return ()
-        commands, self.pending = tuple(self.pending), []
-        return commands
+        commands, self.pending = self.pending, []
+        while self._answered < self.interrupts:  # counted, not listed: a signal may strike between any two
+            self._answered += 1
+            commands.append(Operator.STOP if self._answered == 1 else Operator.ESTOP)
+        return tuple(commands)
 
     def interrupt(self, signum: int, frame: FrameType | None) -> None:
-        """Handle SIGINT and SIGTERM."""
+        """Handle a signal: before the loop there is nothing to stop but the start."""
         del signum, frame
         self.interrupts += 1
-        self.press(Operator.STOP if self.interrupts == 1 else Operator.ESTOP)
+        if not self._running:
+            raise KeyboardInterrupt
 
     @contextmanager
     def attached(self) -> Iterator[None]:
-        """Route SIGINT and SIGTERM here."""
-        before = {s: signal.signal(s, self.interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
+        """Route the signals here. Until `running` they raise KeyboardInterrupt."""
+        before = {s: signal.signal(s, self.interrupt) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
         try:
             yield
         finally:
             for s, handler in before.items():
                 signal.signal(s, handler)
+
+    def running(self) -> None:
+        """From now on signals wait for the next tick, and for ever once there is none."""
+        self._running = True
 
 
 def run(
@@ -93,19 +114,56 @@ def run(
     """Run the cycle until it has parked, faulted, or found no drives.
 
     Engages by itself once the drives are there; `duration_s` asks for a stop that long after the start.
+    Whatever fails in here, the drives are told to switch off before it returns.
     """
+    try:
+        return _run(cycle, bus, deadlines, recording, panel, feedback_window_ns, duration_s)
+    except Exception as error:  # noqa: BLE001 - a defect anywhere in the step must not leave drives powered
+        switch_off(cycle, bus, deadlines)
+        tick = deadlines.tick
+        if isinstance(error, HilError):
+            return Ending(Mode.FAULT, cycle.faults, f"tick {tick}: {error}", tick, tick)
+        what = f"{type(error).__name__}: {error}"
+        reason = f"tick {tick}: defect of this program, {what}; the log has the details"
+        return Ending(Mode.FAULT, cycle.faults, reason, tick, tick, unexpected=traceback.format_exc())
+    except BaseException:
+        switch_off(cycle, bus, deadlines)
+        raise
+
+
+def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> None:
+    """Tell the drives to switch off, a few times at the loop's pace, past the cycle."""
+    protocol = cycle.parts.protocol
+    off = Command(DriveMode.OFF, no_measurement().force)
+    with suppress(HilError):
+        bus.flush_tx()
+    for tick in range(deadlines.tick, deadlines.tick + SAFE_FRAMES):
+        with suppress(HilError):
+            bus.send(protocol.command(off, tick))
+        time.sleep(deadlines.period_ns * 1e-9)
+
+
+def _run(
+    cycle: Cycle,
+    bus: Bus,
+    deadlines: Deadlines,
+    recording: Recording,
+    panel: OperatorPanel,
+    feedback_window_ns: int,
+    duration_s: float | None,
+) -> Ending:
     wanted = cycle.parts.protocol.feedback_ids
     rate = cycle.parts.rate_Hz
     last_tick = None if duration_s is None else round(duration_s * rate)
-    no_drives_tick = round(NO_DRIVES_S * rate)
+    no_drives_tick, not_ready_tick = round(NO_DRIVES_S * rate), round(NOT_READY_S * rate)
     fault_ticks = max(5, round(FAULT_TAIL_S * rate))
-    ending: Ending | None = None
     sends_failed = 0
     compute_ns = 0
     panel.press(Operator.RESET)
+    panel.running()
     engaged = stopped = False
-    first_fault_tick: int | None = None
-    while ending is None:
+    fault_tick, fault_detail = -1, ""
+    while True:
         tick, t_ns, lateness_ns, skipped = deadlines.wait()
         frames = bus.drain_now()
         opening = cycle.begin(tick)
@@ -142,18 +200,55 @@ def run(
 
         mode = cycle.mode
         if mode is Mode.PARKED:
-            ending = Ending(
-                mode,
-                cycle.faults,
-                "safety asked for a controlled stop: late loop or lost recorder"
-                if cycle.stop_requested
-                else "",
-                tick,
-            )
-        elif mode is Mode.FAULT:
-            first_fault_tick = tick if first_fault_tick is None else first_fault_tick
-            if tick - first_fault_tick >= fault_ticks:
-                ending = Ending(mode, cycle.faults, "fault", tick, first_fault_tick)
-        elif mode is Mode.WAITING and tick >= no_drives_tick and cycle.measurement.age.min() >= NEVER:
-            ending = Ending(mode, cycle.faults, "no drives", tick)
-    return ending
+            cause = "the loop missed too many ticks in a row" if recording.alive else "the recorder was lost"
+            reason = f"safety asked for a controlled stop: {cause}" if cycle.stop_requested else ""
+            return Ending(mode, cycle.faults, reason, tick, requested=stopped or panel.interrupts > 0)
+        if mode is Mode.FAULT:
+            if fault_tick < 0:
+                fault_tick, fault_detail = tick, fault_text(cycle)
+            if tick - fault_tick >= fault_ticks:
+                return Ending(mode, cycle.faults, fault_detail, tick, fault_tick)
+        elif mode is Mode.WAITING and tick >= no_drives_tick:
+            if cycle.measurement.age.min() >= NEVER:
+                return Ending(mode, cycle.faults, "no drives", tick)
+            if tick >= not_ready_tick:
+                return Ending(mode, cycle.faults, waiting_text(cycle), tick)
+
+
+def fault_text(cycle: Cycle) -> str:
+    """Say which faults are latched, and which drives show them."""
+    measurement = cycle.measurement
+    names = ", ".join(str(fault.name) for fault in cycle.faults)
+    legs: list[str] = []
+    if cycle.faults & Fault.STALE:
+        ages = measurement.age.tolist()
+        legs += [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age > 0]
+    if cycle.faults & Fault.DRIVE:
+        for leg, (state, fault) in enumerate(zip(measurement.state, measurement.fault, strict=True)):
+            if state in (DriveState.FAULT, DriveState.BOOT):
+                legs.append(f"drive {leg} in {DriveState(state).name}{_because(fault)}")
+    return f"latched fault {names}" + (f" ({'; '.join(legs)})" if legs else "")
+
+
+def waiting_text(cycle: Cycle) -> str:
+    """Say what the drives still lack to be engaged."""
+    measurement = cycle.measurement
+    lacking = []
+    for leg in range(LEGS):
+        state = DriveState(int(measurement.state[leg]))
+        if measurement.age[leg] >= NEVER:
+            lacking.append(f"drive {leg} never answered")
+        elif measurement.age[leg] > 1:
+            lacking.append(f"drive {leg} is silent")
+        elif state is not DriveState.OFF:
+            lacking.append(f"drive {leg} stays in {state.name}{_because(measurement.fault[leg])}")
+    if not lacking:
+        lengths = ", ".join(f"{q:.4f}" for q in measurement.length)
+        lacking.append(f"no pose near platform.home has the measured leg lengths {lengths} m")
+    return f"not ready within {NOT_READY_S:g} s: {'; '.join(lacking)}"
+
+
+def _because(fault: int) -> str:
+    """Return a drive's reason in brackets; its number where the drive says something of its own."""
+    known = {int(f): f.name for f in DriveFault}
+    return f" ({known.get(int(fault), int(fault))})" if fault else ""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.compile_cache import MATRIX, VECTOR, helper, kernel
-from hil.kernels.vectors import Vector, add, cross, dot, scale
+from hil.vectors import Vector, add, cross, dot, scale
 
 Array = NDArray[np.float64]
 

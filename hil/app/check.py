@@ -182,7 +182,17 @@ MODEL_WARNINGS = {
 """Figures: book platform, book path, wn 20 rad/s, 1 kHz."""
 
 
-def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
+def refuse_unreachable(c: Configuration) -> None:
+    """Refuse a reference that breaks a limit somewhere on its way; costs up to half a second.
+
+    Raises ConfigurationError with the first instant of each limit that it breaks.
+    """
+    platform = Platform.from_dict(platform_dict(c.platform))
+    _walk_within_limits(c, platform, Model(platform, leg_spin=c.platform.leg_spin))
+
+
+def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> tuple[Walk, float | None]:
+    """Return the walk along the reference and the duration of the whole."""
     period = 1 / c.loop.rate_Hz
     try:
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
@@ -194,9 +204,13 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
     found = violations(w, c.platform, c.limits, period)
     if found:
         raise ConfigurationError(*(_line(c, f"at t = {v.t:.3f} s: {v.message}") for v in found))
-    step, swing = _changes(w, period)
+    return w, trajectory.duration_s
+
+
+def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
+    w, whole = _walk_within_limits(c, platform, model)
+    step, swing = _changes(w, 1 / c.loop.rate_Hz)
     peak = float(np.abs(w.tau).max())
-    whole = trajectory.duration_s
     change = f"not seen: {len(w.t)} samples are fewer than ticks"
     if w.every_tick:
         change = (

@@ -9,22 +9,30 @@ import numpy as np
 from drivers import PROTOCOLS
 from drivers.bustime import BitTiming, BusBudget, check
 from drivers.dbc import legs_dbc
+from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol
 from drivers.signals import Reaction
 from hil.app.configuration import Configuration, platform_dict
-from hil.config import Pose
+from hil.config import Pose, SampledReference
 from hil.control import build_law
 from hil.cycle import Cycle, Parts
 from hil.geometry import Platform
+from hil.kinematics import leg_lengths
 from hil.record import Scene
 from hil.rotations import rotation_from_vector
 from hil.safety import Safety
 from hil.signals import Array
 from hil.trajectory import build_trajectory
+from plant_fmu.config import BenchPlant
 from plant_fmu.faults import FaultPlan
 from plant_fmu.fmu import open_plant
 from plant_fmu.nodes import Nodes
 from plant_fmu.plant import Plant
+
+LENGTH_TOLERANCE_M = 1e-3
+"""How far the plant's initial lengths may be from those of the section `platform`."""
+REFERENCE_CSV = "reference.csv"
+"""Attachment of a log: the samples of its reference."""
 
 
 def pose_arrays(pose: Pose) -> tuple[Array, Array]:
@@ -98,7 +106,10 @@ def build_cycle(configuration: Configuration, rate_Hz: float, watchdog_s: float)
 
 
 def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[Nodes, Plant]:
-    """Return the six emulated drives and the configured plant behind them; the caller closes the plant."""
+    """Return the six emulated drives and the configured plant behind them; the caller closes the plant.
+
+    Raises PlantError: the plant cannot be opened, or does not start at the configured platform's lengths.
+    """
     c = configuration
     assert c.plant is not None
     home = c.platform.home
@@ -116,7 +127,35 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         R0=R,
         folder=c.folder or Path(),
     )
-    return Nodes(plant, build_protocol(c), c.plant.drives, c.drives, faults), plant
+    try:
+        if not isinstance(c.plant.model, BenchPlant):
+            _compare_lengths(c, plant, p, R)
+        return Nodes(plant, build_protocol(c), c.plant.drives, c.drives, faults), plant
+    except BaseException:
+        plant.close()
+        raise
+
+
+def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None:
+    """Refuse a plant whose legs start elsewhere than the configured platform's: it is another robot or pose.
+
+    The controller would move it as if it were the configured one. A bench has no platform to compare with.
+    """
+    given, _ = plant.reset()
+    expected = leg_lengths(Platform.from_dict(platform_dict(c.platform)), p, R)
+    if np.abs(given - expected).max() > LENGTH_TOLERANCE_M:
+        raise PlantError(
+            f"{c.source}: the plant starts with other leg lengths than section platform has at the initial "
+            f"pose, allowed: {1e3 * LENGTH_TOLERANCE_M:g} mm apart.\n"
+            f"  plant:    {_metres(given)}\n"
+            f"  platform: {_metres(expected)}\n"
+            "Give the plant the same geometry, or set plant.initial_position_m and "
+            "plant.initial_rotation_vector_deg to the pose at which it starts"
+        )
+
+
+def _metres(lengths: Array) -> str:
+    return " ".join(f"{q:.4f}" for q in lengths) + " m"
 
 
 def build_scene(configuration: Configuration) -> Scene:
@@ -124,6 +163,16 @@ def build_scene(configuration: Configuration) -> Scene:
     return Scene(configuration.platform.base_joints_m, configuration.platform.platform_joints_m)
 
 
-def attachments() -> list[tuple[str, bytes]]:
-    """Return what every log carries beside its configuration."""
-    return [("legs.dbc", legs_dbc().encode())]
+def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
+    """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
+    files = [("legs.dbc", legs_dbc().encode())]
+    if isinstance(configuration.reference, SampledReference):
+        files.append((REFERENCE_CSV, configuration.path(configuration.reference.path).read_bytes()))
+    return files
+
+
+def with_attached_reference(configuration: Configuration, path: Path) -> Configuration:
+    """Return the configuration with the samples of its reference in the file `path`."""
+    assert isinstance(configuration.reference, SampledReference)
+    reference = configuration.reference.model_copy(update={"path": str(path.absolute())})
+    return configuration.model_copy(update={"reference": reference})

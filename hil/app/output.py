@@ -137,6 +137,16 @@ def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
         out.print(Text(line), soft_wrap=True)
 
 
+def show_lines(lines: list[str]) -> None:
+    """Print lines folded to the terminal, each under its own indentation."""
+    width = Console().width
+    for line in lines:
+        text = line.lstrip()
+        indent = len(line) - len(text)
+        for n, part in enumerate(fold(text, width - indent - 4)):
+            print(" " * (indent + 4 * (n > 0)) + part)
+
+
 def table(summary: dict[str, Any], width: int) -> list[str]:
     """Return the lines below the headline, folded to `width` columns."""
     rows = list(_rows(summary, ""))
@@ -158,6 +168,8 @@ def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
     for key, value in values.items():
         if key in _SILENT or value is None:
             continue
+        if isinstance(value, dict) and not any(value.values()) and "max" in value:
+            continue  # simulated time: nobody woke up and nothing took time
         name, unit = _name_and_unit(key)
         label = indent + name
         if key == "replay":
@@ -181,8 +193,13 @@ def replay_sentence(summary: dict[str, Any]) -> str:
         return "0 ticks: nothing to compare"
     sentence = f"{ticks} ticks, {different} difference{'s' * (different != 1)}"
     if different:
-        sentence += f" ({summary['wire_different_ticks']} in sent frames), the first in {summary['first'][0]}"
+        sentence += f" ({summary['wire_different_ticks']} in sent frames), the first in {_place(summary['first'][0])}"
     return "; ".join((sentence, *summary["gaps"]))
+
+
+def _place(difference: str) -> str:
+    """Return tick and column without the values."""
+    return difference.partition(": recorded ")[0]
 
 
 def _name_and_unit(key: str) -> tuple[str, str]:

@@ -95,7 +95,7 @@ def run_plant(
             configuration=c.text,
             dtype=PLANT_ROW,
             topic="/plant",
-            attachments=attachments(),
+            attachments=attachments(c),
             metadata={"kind": "plant"},
             units=UNITS,
             scene=build_scene(c),

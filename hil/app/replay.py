@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.compose import build_cycle
+from hil.app.compose import REFERENCE_CSV, build_cycle, with_attached_reference
 from hil.app.configuration import loads
 from hil.log import Log
 from hil.replay import Verdict, replay
@@ -25,7 +26,12 @@ def replay_log(path: Path) -> tuple[Verdict, dict[str, Any]]:
             f"{path}: holds a log of kind {run.get('kind')!r}; only logs of `hil run` and `hil sim` replay"
         )
     configuration = loads(log.configuration, f"{path}:config.yaml")
-    cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]))
+    with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
+        if REFERENCE_CSV in log.attachments:
+            samples = Path(folder) / REFERENCE_CSV
+            samples.write_bytes(log.attachments[REFERENCE_CSV])
+            configuration = with_attached_reference(configuration, samples)
+        cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]))
     begun = time.perf_counter()
     verdict = replay(log, cycle)
     wall = time.perf_counter() - begun

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from hil.app.output import console, log_path
 from hil.app.replay import replay_log
 from hil.app.supervise import SupervisedPlant
 from hil.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time, resident_MB
-from hil.daemon import Ending, OperatorPanel, run
+from hil.daemon import NO_DRIVES_S, Ending, OperatorPanel, run
 from hil.log import Log
 from hil.record import LogSummary, Recording
 from hil.report import Rows, figures, picture
@@ -28,6 +29,7 @@ from hil.signals import Mode
 RELAXED_WATCHDOG_S = 0.2
 """Watchdog of emulated drives when the loop has no SCHED_FIFO. Real drives keep the configured one."""
 FAULT_TICKS_SHOWN = 50
+_ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault"}
 _TAIL_COLUMNS = (
     "tick", "lateness_ns", "skipped", "mode", "faults", "warnings", "age", "drive_state", "q", "dq", "q_d",
     "tau",
@@ -48,15 +50,17 @@ def run_daemon(
     """
     c = configuration
     c.require("run")
-    path = log_path(c.recording.folder, c.name, log)
-    rate, watchdog_s = _pace(c, with_plant=with_plant)
-    budget = bus_budget(c, rate)
-    cycle = build_cycle(c, rate, watchdog_s)
     panel = OperatorPanel()
     plant_summary: dict[str, Any] | None = None
+    plant_trouble = ""
     with contextlib.ExitStack() as stack:
+        stack.enter_context(_startable())
         stack.enter_context(panel.attached())
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
+        rate, watchdog_s = _pace(c, with_plant=with_plant)
+        budget = bus_budget(c, rate)
+        cycle = build_cycle(c, rate, watchdog_s)
+        path = log_path(c.recording.folder, c.name, log)
         plant = None
         if with_plant:
             plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap")))
@@ -64,36 +68,47 @@ def run_daemon(
             Recording.start(
                 path,
                 configuration=c.text,
-                attachments=attachments(),
+                attachments=attachments(c),
                 metadata={"kind": "run", "rate_Hz": rate, "watchdog_s": watchdog_s},
                 scene=build_scene(c),
                 can_channel=c.bus.channel,
                 ring_ticks=c.recording.ring_ticks,
-                live=True,
-                reference_s=cycle.parts.trajectory.duration_s,
             )
         )
         bus.flush_tx()
+        bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
             window_ns = round(feedback_window_s(c, rate) * 1e9)
             ending = run(cycle, bus, deadlines, recording, panel, window_ns, duration_s)
-        trouble = _trouble(ending, c, with_plant=with_plant)
+        if plant is not None:
+            plant_trouble = plant.trouble()
+        trouble = _trouble(ending, c, plant_trouble, with_plant=with_plant)
         if trouble:
-            recording.event(time.monotonic_ns(), "error", trouble)
+            recording.event(time.monotonic_ns(), "error", ending.unexpected or trouble)
         closed = recording.close(
-            {"ending": ending.mode.name, "reason": ending.reason, "faults": int(ending.faults)}
+            {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
         )
         if plant is not None:
             plant_summary = plant.finish()
     result = _summary(c, ending, trouble, granted, rate, budget, closed)
     if plant_summary is not None:
         result["plant"] = plant_summary
+        result["success"] = result["success"] and plant_summary["success"]
     if draw and result.get("tracking", {}).get("ticks"):
         rows = Log.open(closed.path).rows()
         title = f"{c.name}: {result['tracking']['ticks']} ticks at {rate:g} Hz"
         result["picture"] = str(picture(rows, closed.path.with_suffix(".png"), title))
     return result
+
+
+@contextlib.contextmanager
+def _startable() -> Iterator[None]:
+    """Turn a signal that comes before the loop into one message."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise RunError("stopped on request before the loop began: nothing has moved") from None
 
 
 def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
@@ -104,7 +119,7 @@ def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
     lack = "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
     if c.loop.without_realtime == "refuse":
         raise RunError(f"{lack}, and loop.without_realtime is `refuse`: nothing was started")
-    slow = holdable_rate(rate, MISSED_AT)
+    slow, worst_s = holdable_rate(rate, MISSED_AT)
     if with_plant:
         watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
     elif 3.0 / slow > watchdog_s:
@@ -114,26 +129,31 @@ def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
         )
     console.print(
         f"{lack}: the loop runs at {slow:g} Hz instead of {rate:g} Hz"
-        + (f", emulated drives' watchdog {watchdog_s * 1e3:g} ms" if with_plant else ""),
+        + (f", emulated drives' watchdog {watchdog_s * 1e3:g} ms" if with_plant else "")
+        + (
+            f"; stalls of {worst_s * 1e3:.0f} ms now: expect a controlled stop, or take load off this machine"
+            if worst_s * slow > MISSED_AT
+            else ""
+        ),
         style="bold yellow",
     )
     return slow, watchdog_s
 
 
-def _trouble(ending: Ending, c: Configuration, *, with_plant: bool) -> str:
+def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) -> str:
     """Say what went wrong and what to do about it; empty for a good ending."""
-    if ending.reason == "no drives":
+    text = ending.reason
+    if text == "no drives":
         start = (
             "" if with_plant else f"; for a virtual bench start `hil plant {c.source}` first, or add --plant"
         )
-        return (
-            f"no drive answered on {c.bus.interface} channel {c.bus.channel} within 2 s: check power, wiring, "
-            f"bit rate and drives.node_ids{start}"
+        text = (
+            f"no drive answered on {c.bus.interface} channel {c.bus.channel} within {NO_DRIVES_S:g} s: check "
+            f"power, wiring, bit rate and drives.node_ids{start}"
         )
-    if ending.faults:
-        names = ", ".join(str(f.name) for f in ending.faults)
-        return f"latched fault {names} at tick {ending.fault_tick}: drives were told to switch off"
-    return ending.reason
+    elif ending.mode is Mode.FAULT:
+        text = f"{text} at tick {ending.fault_tick}: drives were told to switch off"
+    return "; ".join(filter(None, (text, plant)))
 
 
 def _summary(
@@ -146,8 +166,9 @@ def _summary(
     closed: LogSummary,
 ) -> dict[str, Any]:
     result: dict[str, Any] = {
-        "success": ending.success,
+        "success": ending.success and not trouble,
         "kind": "run",
+        "ending": _ENDINGS.get(ending.mode, "not begun") + (" on request" if ending.requested else ""),
         "configuration": c.source,
         "log": str(closed.path),
         "rate_Hz": rate,
@@ -156,16 +177,17 @@ def _summary(
         "bus_load_percent": None if budget is None else budget.load_percent,
         "resident_MB": resident_MB(),
     }
+    dropped = closed.dropped + closed.lost
     if not closed.complete:
-        result["recorder"] = closed.error or f"{closed.dropped} ticks dropped"
+        result["recorder"] = f"{closed.error or 'too slow'}: {dropped} ticks are not in the log"
     if not closed.ticks:
-        return result
+        return result | {"dropped_ticks": dropped}
     try:
         rows = Log.open(closed.path).rows()
     except LogError as error:
-        return result | {"recorder": str(error)}
+        return result | {"recorder": f"{result['recorder']}; {error}", "dropped_ticks": dropped}
     result |= figures(rows)
-    result["dropped_ticks"] = closed.dropped
+    result["dropped_ticks"] = dropped
     _, result["replay"] = replay_log(closed.path)
     result["success"] = result["success"] and (result["replay"]["exact"] or closed.dropped > 0)
     if ending.mode is Mode.FAULT:

@@ -56,7 +56,7 @@ def simulate(
         recording = Recording.start(
             path,
             configuration=c.text,
-            attachments=attachments(),
+            attachments=attachments(c),
             metadata={"kind": "sim", "rate_Hz": rate, "watchdog_s": watchdog_s},
             scene=build_scene(c),
             can_channel=c.bus.channel,

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.compile_cache import INTEGER, MATRIX, VECTOR, helper, kernel
 from hil.kernels.kinematics import jacobian_rate_twist, leg, leg_motion
-from hil.kernels.vectors import (
+from hil.vectors import (
     Array,
     Vector,
     add,

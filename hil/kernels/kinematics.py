@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.compile_cache import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
-from hil.kernels.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
+from hil.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
 from hil.linalg import condition_from_lu, lu_factor, lu_solve
 from hil.rotations import cayley_step, orthonormalise
 

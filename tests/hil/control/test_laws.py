@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.config import InverseDynamicsSettings, ModelSettings, PDSettings, Pose
+from hil.config import ControllerSettings, InverseDynamicsSettings, ModelSettings, PDSettings, Pose
 from hil.control import LAWS, build_law
 from hil.geometry import Platform
 from hil.kinematics import jacobian, leg_lengths
@@ -19,7 +19,7 @@ from hil.trajectory import PoseSample
 
 BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
-SETTINGS = {
+SETTINGS: dict[str, ControllerSettings] = {
     "pd": PDSettings(law="pd", kp_N_m=2e6, kv_N_s_m=5e4),
     "inverse_dynamics": InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0),
     "inverse_dynamics, constant": InverseDynamicsSettings(

@@ -1,0 +1,29 @@
+"""`hil fmu build`: the platform's physics as FMUs for co-simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from plant_fmu.stewart.build import build
+
+Choice = Literal["2.0", "3.0", "both"]
+VERSIONS: dict[Choice, tuple[Literal["2.0", "3.0"], ...]] = {
+    "2.0": ("2.0",),
+    "3.0": ("3.0",),
+    "both": ("2.0", "3.0"),
+}
+
+
+def build_fmus(choice: Choice, folder: Path | None = None) -> dict[str, Any]:
+    """Build the FMUs, or take them from the cache, and copy them into `folder`; return the summary.
+
+    Raises PlantError without a working compiler.
+    """
+    built = {
+        f"fmi_{version[0]}": str(
+            build(version, None if folder is None else folder / f"stewart-fmi{version[0]}.fmu")
+        )
+        for version in VERSIONS[choice]
+    }
+    return {"success": True, "kind": "fmu build", **built}

@@ -53,51 +53,78 @@ class Durations(NamedTuple):
 
 def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
     """Return the mode of this tick. Faults are latched elsewhere: here FAULT only leaves by RESET."""
-    stop = facts.stop or Operator.STOP in facts.operator
-    state = facts.drive_state
-    match mode:
-        case Mode.WAITING:
-            if stop:
-                return Mode.PARKED
-            if facts.heard and all(s == DriveState.OFF for s in state):
-                return Mode.IDLE
-        case Mode.IDLE:
-            if stop:
-                return Mode.PARKED
-            if Operator.ENGAGE in facts.operator:
-                return Mode.LOADING
-        case Mode.LOADING:
-            if stop:
-                return Mode.PARKING
-            if facts.elapsed >= durations.load and all(s == DriveState.READY for s in state):
-                return Mode.RELEASING if durations.load > 0 else Mode.TRACKING
-        case Mode.RELEASING:
-            if stop:
-                return Mode.PARKING
-            if facts.elapsed >= durations.release and all(s == DriveState.RUN for s in state):
-                return Mode.APPROACH
-        case Mode.APPROACH:
-            if stop:
-                return Mode.STOPPING
-            if facts.finished:
-                return Mode.TRACKING
-        case Mode.TRACKING:
-            if stop:
-                return Mode.STOPPING
-            if facts.finished:
-                return Mode.PARKING
-        case Mode.STOPPING:
-            if facts.finished:
-                return Mode.PARKING
-        case Mode.PARKING:
-            if facts.elapsed >= durations.park:
-                return Mode.PARKED
-        case Mode.PARKED:
-            pass
-        case Mode.FAULT:
-            if Operator.RESET in facts.operator:
-                return Mode.WAITING
-    return mode
+    if (facts.stop or Operator.STOP in facts.operator) and mode in _STOPPED:
+        return _STOPPED[mode]
+    return _NEXT[mode](facts, durations)
+
+
+def _waiting(facts: Facts, durations: Durations) -> Mode:
+    del durations
+    return Mode.IDLE if facts.heard and _all(facts, DriveState.OFF) else Mode.WAITING
+
+
+def _idle(facts: Facts, durations: Durations) -> Mode:
+    del durations
+    return Mode.LOADING if Operator.ENGAGE in facts.operator else Mode.IDLE
+
+
+def _loading(facts: Facts, durations: Durations) -> Mode:
+    if facts.elapsed < durations.load or not _all(facts, DriveState.READY):
+        return Mode.LOADING
+    return Mode.RELEASING if durations.load > 0 else Mode.TRACKING
+
+
+def _releasing(facts: Facts, durations: Durations) -> Mode:
+    open_ = facts.elapsed >= durations.release and _all(facts, DriveState.RUN)
+    return Mode.APPROACH if open_ else Mode.RELEASING
+
+
+def _approach(facts: Facts, durations: Durations) -> Mode:
+    del durations
+    return Mode.TRACKING if facts.finished else Mode.APPROACH
+
+
+def _tracking(facts: Facts, durations: Durations) -> Mode:
+    del durations
+    return Mode.PARKING if facts.finished else Mode.TRACKING
+
+
+def _stopping(facts: Facts, durations: Durations) -> Mode:
+    del durations
+    return Mode.PARKING if facts.finished else Mode.STOPPING
+
+
+def _parking(facts: Facts, durations: Durations) -> Mode:
+    return Mode.PARKED if facts.elapsed >= durations.park else Mode.PARKING
+
+
+def _parked(facts: Facts, durations: Durations) -> Mode:
+    del facts, durations
+    return Mode.PARKED
+
+
+def _fault(facts: Facts, durations: Durations) -> Mode:
+    del durations
+    return Mode.WAITING if Operator.RESET in facts.operator else Mode.FAULT
+
+
+def _all(facts: Facts, state: DriveState) -> bool:
+    return all(s == state for s in facts.drive_state)
+
+
+_NEXT = (
+    _waiting, _idle, _loading, _releasing, _approach, _tracking, _stopping, _parking, _parked, _fault,
+)  # fmt: skip
+"""By mode: where it leads without a stop."""
+_STOPPED = {
+    Mode.WAITING: Mode.PARKED,
+    Mode.IDLE: Mode.PARKED,
+    Mode.LOADING: Mode.PARKING,
+    Mode.RELEASING: Mode.PARKING,
+    Mode.APPROACH: Mode.STOPPING,
+    Mode.TRACKING: Mode.STOPPING,
+}
+"""Where a stop leads; the other modes are already on their way to rest."""
 
 
 def drive_mode(mode: Mode) -> DriveMode:

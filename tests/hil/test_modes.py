@@ -85,6 +85,11 @@ def test_a_stop_leads_to_rest_from_everywhere(mode):
     assert after(mode, stop=True) is STOPPED[mode]
 
 
+def test_a_stop_that_stays_requested_does_not_hold_up_the_way_to_rest():
+    assert after(Mode.STOPPING, stop=True, finished=True) is Mode.PARKING
+    assert after(Mode.PARKING, stop=True, elapsed=0.4) is Mode.PARKED
+
+
 def test_a_fault_stays_until_reset():
     assert after(Mode.FAULT, operator=(Operator.ENGAGE,), elapsed=1e6) is Mode.FAULT
     assert after(Mode.FAULT, operator=(Operator.RESET,)) is Mode.WAITING

@@ -1,0 +1,191 @@
+"""The pure step: what it sends in each mode, how it latches, and that it is pure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Feedback, Received
+from drivers.signals import DriveMode, DriveState
+from hil.app.compose import build_cycle
+from hil.app.configuration import load
+from hil.kinematics import leg_lengths
+from hil.signals import Fault, Mode, Operator, TickInput, Warn
+
+PERIOD_NS = 1_000_000
+
+
+class Drives:
+    """Six drives on locked legs: they obey modes and answer SYNC with fixed lengths."""
+
+    def __init__(self, protocol, length):
+        self.protocol, self.length = protocol, length
+        self.state = [DriveState.BOOT] * 6
+        self.commands, self.configured, self.estops = [], [], 0
+        self.silent = set()
+        self.rate = 0.0
+
+    def feedback(self, tick):
+        t_ns = tick * PERIOD_NS + 200_000
+        return tuple(
+            Received(t_ns, self.protocol.feedback(Feedback(i, l, self.rate, 0.0, s, tick & 15)))
+            for i, (l, s) in enumerate(zip(self.length, self.state, strict=True))
+            if i not in self.silent
+        )
+
+    def obey(self, frames):
+        reached = {
+            DriveMode.OFF: DriveState.OFF,
+            DriveMode.READY: DriveState.READY,
+            DriveMode.RUN: DriveState.RUN,
+        }
+        for frame in frames:
+            match self.protocol.parse(frame):
+                case Configure() as c:
+                    self.configured.append(c)
+                    self.state[c.leg] = DriveState.OFF
+                case DeviceCommand() as c:
+                    self.commands.append(c)
+                    self.state = [
+                        s if s == DriveState.BOOT else reached.get(DriveMode(c.mode), s) for s in self.state
+                    ]
+                case EmergencyStop():
+                    self.estops += 1
+
+
+class Bench:
+    def __init__(self):
+        c = load("virtual")
+        self.cycle = build_cycle(c, 1000.0, 0.01)
+        parts = self.cycle.parts
+        self.drives = Drives(parts.protocol, leg_lengths(parts.platform, parts.home_p, parts.home_R))
+        self.tick = -1
+
+    def step(self, operator=(), **changes):
+        self.tick += 1
+        inp = TickInput(
+            tick=self.tick, t_ns=self.tick * PERIOD_NS, lateness_ns=0, skipped=0,
+            frames=self.drives.feedback(self.tick), sends_failed=0, bus_errors=0, bus_off=False, bus_overflow=0,
+            recorder_alive=True, recorder_dropped=0, operator=operator, compute_ns=0,
+        )._replace(**changes)  # fmt: skip
+        out = self.cycle.step(inp)
+        self.drives.obey(out.frames)
+        return out
+
+    def until(self, mode, limit=2000):
+        operator: tuple[Operator, ...] = (Operator.RESET,)
+        for _ in range(limit):
+            out = self.step(operator)
+            operator = (Operator.ENGAGE,) if self.cycle.mode is Mode.IDLE else ()
+            if self.cycle.mode is mode:
+                return out
+        raise AssertionError(f"{mode} not reached, but {self.cycle.mode}")
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_sets_up_one_booting_drive_a_tick_and_then_no_more(bench):
+    sizes = [len(bench.step().frames) for _ in range(40)]
+    assert sizes[:6] == [2] * 6
+    assert sizes[6:] == [1] * 34
+    assert sorted(c.leg for c in bench.drives.configured) == list(range(6))
+    assert {c.watchdog_s for c in bench.drives.configured} == {0.01}
+    assert bench.cycle.mode is Mode.IDLE
+
+
+def test_asks_for_no_force_and_closed_brakes_until_engaged(bench):
+    for _ in range(100):
+        bench.step()
+    assert {c.mode for c in bench.drives.commands} == {DriveMode.OFF}
+    assert all(not any(c.force) for c in bench.drives.commands)
+
+
+def test_force_is_built_up_against_closed_brakes_to_what_holds_the_platform(bench):
+    bench.until(Mode.RELEASING)
+    ready = [c for c in bench.drives.commands if c.mode == DriveMode.READY]
+    assert np.abs(np.diff([c.force for c in ready], axis=0)).max() < 30.0
+    # static leg force of the book's platform at home: 3618.625746 N, confirmed by independent engines
+    np.testing.assert_allclose(bench.drives.commands[-1].force, 3618.625746, atol=0.05)
+
+
+def test_the_step_is_pure(bench):
+    other = Bench()
+    for _ in range(1500):
+        operator = (Operator.ENGAGE,) if bench.cycle.mode is Mode.IDLE else ()
+        a, b = bench.step(operator), other.step(operator)
+        assert a.frames == b.frames
+        assert a.row.tobytes() == b.row.tobytes()
+    assert bench.cycle.mode is not Mode.IDLE
+
+
+def test_reset_goes_back_to_the_first_tick(bench):
+    first = [bench.step().row.tobytes() for _ in range(5)]
+    bench.cycle.reset()
+    again = Bench()
+    again.cycle = bench.cycle
+    assert [again.step().row.tobytes() for _ in range(5)] == first
+
+
+def test_a_silent_leg_is_carried_on_at_its_last_rate_then_faults(bench):
+    bench.until(Mode.APPROACH)
+    bench.drives.rate = 0.01
+    bench.step()
+    length = bench.drives.length[2]
+    bench.drives.silent = {2}
+    ages, carried, warned = [], [], []
+    while bench.cycle.mode is Mode.APPROACH:
+        row = bench.step().row
+        ages.append(int(row["age"][2]))
+        carried.append(float(row["q"][2]) - length)
+        warned.append(bool(int(row["warnings"]) & Warn.STALE))
+    assert ages == [1, 2, 3, 4, 5]
+    np.testing.assert_allclose(carried, 0.01e-3 * np.array(ages), atol=1e-7)
+    assert warned == [False, True, True, True, True]
+    assert bench.cycle.faults == Fault.STALE
+    assert bench.drives.commands[-1].mode == DriveMode.OFF
+
+
+def test_a_fault_latches_through_engage_and_leaves_by_reset(bench):
+    bench.until(Mode.APPROACH)
+    bench.step(bus_off=True)
+    assert bench.cycle.mode is Mode.FAULT
+    for _ in range(50):
+        bench.step((Operator.ENGAGE,))
+    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.faults & Fault.BUS
+    assert {c.mode for c in bench.drives.commands[-50:]} == {DriveMode.OFF}
+    bench.step((Operator.RESET,))
+    assert bench.cycle.faults == Fault.NONE
+    bench.until(Mode.APPROACH)
+
+
+def test_an_emergency_stop_goes_to_the_wire_first(bench):
+    bench.until(Mode.APPROACH)
+    out = bench.step((Operator.ESTOP,))
+    assert isinstance(bench.cycle.parts.protocol.parse(out.frames[0]), EmergencyStop)
+    assert bench.cycle.faults & Fault.ESTOP
+    assert bench.drives.commands[-1].mode == DriveMode.OFF
+
+
+def test_a_drive_in_fault_faults_the_controller(bench):
+    bench.until(Mode.APPROACH)
+    bench.drives.state[4] = DriveState.FAULT
+    bench.step()
+    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.faults & Fault.DRIVE
+
+
+def test_one_changed_bit_of_a_feedback_is_refused_and_the_leg_goes_stale(bench):
+    bench.until(Mode.APPROACH)
+    frames = list(bench.drives.feedback(bench.tick + 1))
+    t_ns, frame = frames[3]
+    data = bytearray(frame.data)
+    data[1] ^= 4
+    frames[3] = Received(t_ns, frame._replace(data=bytes(data)))
+    row = bench.step(frames=tuple(frames)).row
+    assert row["rejected"] == 1
+    assert row["age"].tolist() == [0, 0, 0, 1, 0, 0]
+    assert int(row["warnings"]) & Warn.REJECTED

@@ -107,8 +107,8 @@ class Bus:
     def send(self, frames: Sequence[Frame]) -> int:
         """Send frames and return the number of those that the bus did not take.
 
-        A refusal that passes is a busy bus; one that lasts makes `events().off`. Never blocks, and raises
-        only for frames that this bus cannot carry at all (BusError).
+        A refusal that passes is a busy bus; one that lasts makes `events().off`. Does not wait for
+        the bus, and raises only for frames that it cannot carry at all (BusError).
         """
         if not frames:
             return 0

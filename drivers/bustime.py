@@ -32,6 +32,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from heapq import heappop, heappush
+from operator import itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from drivers.errors import BusError, ConfigurationError
@@ -211,6 +212,9 @@ Queued = tuple[int, int, int, int]
 """(queued at ns, priority, number in order of queueing, duration ns): compares in this order."""
 
 
+_RANK = itemgetter(1, 2)
+
+
 def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
     """Decide all transmissions that begin by `until_ns`.
 
@@ -221,17 +225,25 @@ def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[li
     queued need not be sorted. Returns [(number, end ns)] in the order of the wire, and when the bus falls
     free after them. A frame not in the list has not started.
     """
-    if len(queued) == 1:
-        t, _, number, duration = queued[0]
-        start = max(t, free_ns)
-        if start > until_ns:
-            return [], free_ns
-        return [(number, start + duration)], start + duration
+    sent: list[tuple[int, int]] = []
+    if not queued:
+        return sent, free_ns
     order = sorted(queued)
+    start = max(free_ns, order[0][0])
+    if start > until_ns:
+        return sent, free_ns
+    if order[-1][0] <= start:  # the usual case: all are there when the first one starts
+        if order[0][0] != order[-1][0]:
+            order.sort(key=_RANK)
+        for _, _, number, duration in order:
+            if start > until_ns:
+                break
+            start += duration
+            sent.append((number, start))
+        return sent, start
     n = len(order)
     i = 0
     ready: list[tuple[int, int, int]] = []
-    sent: list[tuple[int, int]] = []
     while ready or i < n:
         start = free_ns
         if not ready and order[i][0] > start:
@@ -282,13 +294,13 @@ class Wire(Generic[Item]):
         if not self._queued:
             return []
         sent, self.free_ns = arbitrate(self._queued, self.free_ns, until_ns)
-        items = self._items
         if len(sent) == len(self._queued):
             self._queued = []
         elif sent:
             gone = {number for number, _ in sent}
             self._queued = [q for q in self._queued if q[2] not in gone]
-        return [(end, items.pop(number)) for number, end in sent]
+        take = self._items.pop
+        return [(end, take(number)) for number, end in sent]
 
     def clear(self) -> list[Item]:
         """Drop and return every frame that has not started."""

@@ -48,7 +48,7 @@ class DriveSettings(Section):
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
     """A drive that hears no command for this long reacts by itself. At least 3 periods."""
     reaction: Literal["brake", "damp", "hold", "zero"] = "brake"
-    """What a drive does by itself when its watchdog expires."""
+    """What a drive does by itself when its watchdog expires in motion. An emergency stop always brakes."""
     heartbeat_ms: Annotated[float, Field(gt=0)] = 100.0
     """Period of each drive's status message."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0

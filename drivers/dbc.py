@@ -13,18 +13,18 @@ import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from cantools.database.can import Database
 
-from drivers.crc import crc8, identifier_state
+from drivers.codec import Codec, check_range, compile_message, in_range
+from drivers.crc import RESIDUE, TABLE, crc8, identifier_state, intact
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import (
-    BRS,
+    ALWAYS,
     ERROR,
     EXTENDED,
-    FD,
     REMOTE,
     Configure,
     DeviceCommand,
@@ -49,37 +49,13 @@ _COMMANDS = {
     "ideal": ("COMMAND_IDEAL",),
 }
 LAYOUTS = tuple(_COMMANDS)
-_CODES = {
-    (4, False, False): "B",
-    (8, False, False): "B",
-    (16, True, False): "h",
-    (32, True, False): "i",
-    (32, False, False): "I",
-    (64, True, True): "d",
-}
 _BYTES = [bytes([value]) for value in range(256)]
+_new = tuple.__new__
+"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _MODES = len(DriveMode)
 _REACTIONS = len(Reaction)
-
-
-class _Codec(NamedTuple):
-    """One message of legs.dbc."""
-
-    id: int
-    length: int
-    flags: int
-    signals: tuple[str, ...]
-    pack: Callable[..., bytes]
-    """All fields but the CRC."""
-    unpack: Callable[[bytes], tuple[Any, ...]]
-    scale: tuple[float, ...]
-    low: tuple[float, ...]
-    """Ranges in SI."""
-    high: tuple[float, ...]
-    exact: bool
-    """Its quantities are float64: they are not rounded, and their range has to be checked."""
 
 
 def legs_dbc() -> str:
@@ -87,44 +63,10 @@ def legs_dbc() -> str:
     return resources.files("drivers").joinpath("legs.dbc").read_text(encoding="ascii")
 
 
-def _compile(message: Any, *signals: str) -> _Codec:
-    """Turn a cantools message into a struct codec; `signals` are the names expected, in order of position."""
-    fields = sorted(message.signals, key=lambda s: s.start)
-    names = tuple(s.name for s in fields)
-    if names != signals:
-        raise ProtocolError(f"legs.dbc: {message.name} has the signals {names}, expected {signals}")
-    body, at = "<", 0
-    for s in fields:
-        if s.length == 4 and s.start % 8 == 4:
-            continue  # upper half of the byte that the signal before it opened
-        key = (s.length, s.is_signed or s.is_float, s.is_float)
-        start = s.start // 8
-        if s.start % 8 or s.byte_order != "little_endian" or s.offset or key not in _CODES or start < at:
-            raise ProtocolError(f"legs.dbc: {message.name}.{s.name} is not a little-endian field on a byte")
-        body += f"{start - at}x" + ("" if s.name == "CRC" else _CODES[key])
-        at = start + max(1, s.length // 8)
-    check = names[-1] == "CRC"
-    if at != message.length or (check and fields[-1].length != 8):
-        raise ProtocolError(f"legs.dbc: the last field of {message.name} is not its last byte")
-    brs = "CANFD_BRS" in message.dbc.attributes and str(message.dbc.attributes["CANFD_BRS"].value) == "1"
-    return _Codec(
-        id=message.frame_id,
-        length=message.length,
-        flags=(FD if message.is_fd else 0) | (BRS if brs else 0),
-        signals=names,
-        pack=struct.Struct(body).pack,
-        unpack=struct.Struct(body + "B" * check).unpack,
-        scale=tuple(float(s.scale) for s in fields),
-        low=tuple(float(s.minimum) for s in fields),
-        high=tuple(float(s.maximum) for s in fields),
-        exact=fields[0].is_float,
-    )
-
-
 class _CommandFrame(NamedTuple):
     """One command frame of the layout."""
 
-    codec: _Codec
+    codec: Codec
     legs: tuple[int, ...]
     state: int
     """CRC register after the identifier."""
@@ -150,34 +92,35 @@ class LegsProtocol:
         database = Database()
         database.add_dbc_string(legs_dbc())
         get = database.get_message_by_name
-        self._estop = _compile(get("ESTOP"), "Source")
-        self._sync = _compile(get("SYNC"), "Cycle")
-        self._config = _compile(get("CONFIG_1"), "Watchdog", "Reaction", "Leg", "CRC")
-        self._status = _compile(get("STATUS_1"), "State", "Fault")
+        self._estop = compile_message(get("ESTOP"), "Source")
+        self._sync = compile_message(get("SYNC"), "Cycle")
+        self._config = compile_message(get("CONFIG_1"), "Watchdog", "Reaction", "Leg", "CRC")
+        self._status = compile_message(get("STATUS_1"), "State", "Fault")
         quantities = ("Length", "Rate") if layout == "classic" else ("Length", "Rate", "Force")
-        self._feedback = _compile(get(f"FEEDBACK_{layout.upper()}_1"), *quantities, "Counter", "State", "CRC")
+        feedback = get(f"FEEDBACK_{layout.upper()}_1")
+        self._feedback = compile_message(feedback, *quantities, "Counter", "State", "CRC")
         self._has_force = "Force" in quantities
         self._exact = self._feedback.exact
+        # m, m/s, N; the last one stands idle in a layout without force.
+        self._feedback_scale = self._feedback.scale[:3]
         self._commands: list[_CommandFrame] = []
         first = 0
         for name in _COMMANDS[layout]:
             legs = tuple(range(first, first + LEGS // len(_COMMANDS[layout])))
-            codec = _compile(get(name), *(f"Force{leg + 1}" for leg in legs), "Counter", "Mode", "CRC")
+            codec = compile_message(get(name), *(f"Force{leg + 1}" for leg in legs), "Counter", "Mode", "CRC")
             self._commands.append(_CommandFrame(codec, legs, identifier_state(codec.id)))
             first = legs[-1] + 1
 
-        self._feedback_id = [self._feedback.id - 1 + node for node in nodes]
-        self._feedback_state = [identifier_state(identifier) for identifier in self._feedback_id]
-        self._feedback_ids = frozenset(self._feedback_id)
+        feedback_id = [self._feedback.id - 1 + node for node in nodes]
+        self._feedback_ids = frozenset(feedback_id)
+        # Per leg: identifier, CRC register after it.
+        self._feedback_key = [(identifier, identifier_state(identifier)) for identifier in feedback_id]
         self._status_id = [self._status.id - 1 + node for node in nodes]
         self._config_id = [self._config.id - 1 + node for node in nodes]
         # Controller side: identifier -> (leg, CRC register), the register is -1 for a status.
         self._heard = {
             **{identifier: (leg, -1) for leg, identifier in enumerate(self._status_id)},
-            **{
-                identifier: (leg, self._feedback_state[leg])
-                for leg, identifier in enumerate(self._feedback_id)
-            },
+            **{identifier: (leg, register) for leg, (identifier, register) in enumerate(self._feedback_key)},
         }
         # Device side: identifier -> parser.
         self._parsers: dict[int, Callable[[bytes], DeviceMessage]] = {
@@ -233,17 +176,17 @@ class LegsProtocol:
             part = force[legs[0] : legs[-1] + 1]
             try:
                 if self._exact:
-                    _check_range(codec, part)
+                    check_range(codec, part)
                     data = codec.pack(*part, last)
                 else:
                     scale = codec.scale[0]
                     data = codec.pack(*[round(f / scale) for f in part], last)
             except (struct.error, ValueError, OverflowError):
                 raise self._unfit(codec, force) from None
-            frames.append(Frame(codec.id, data + _BYTES[crc8(data, state)], codec.flags))
+            frames.append(_new(Frame, (codec.id, data + _BYTES[crc8(data, state)], codec.flags)))
         return tuple(frames)
 
-    def _unfit(self, codec: _Codec, force: list[float]) -> ProtocolError:
+    def _unfit(self, codec: Codec, force: list[float]) -> ProtocolError:
         return ProtocolError(
             f"force command {force} N does not fit layout {self.layout}: {codec.low[0]:.12g} to "
             f"{codec.high[0]:.12g} N are allowed; lower limits.force_N or choose another bus.layout"
@@ -253,31 +196,38 @@ class LegsProtocol:
         """Return the frame that faults all drives at once."""
         return (Frame(self._estop.id, b"\0", self._estop.flags),)
 
-    def decode(self, frames: Sequence[Received], tick: int, previous: Measurement) -> Measurement:
+    def decode(
+        self, frames: Sequence[Received], tick: int, previous: Measurement, since_ns: int = ALWAYS
+    ) -> Measurement:
         """Fold this tick's frames into the previous Measurement and return a new one.
 
-        Every leg first ages by one tick, up to NEVER. A feedback whose counter is this tick's has age 0.
-        One whose counter lies d = 1..8 ticks back takes effect with age d if that is newer than what
-        is held, else it is passed over; any other counter is refused. Refused as well, and counted
-        in `rejected`: wrong length, CRC, state or fault, a value that is not finite. Foreign frames
-        are ignored. Fault comes from the status, state from the feedback. Layout classic carries
-        no force: it stays as it was.
+        Every leg first ages by the ticks since the previous Measurement, up to NEVER. A feedback whose
+        counter is this tick's has age 0, unless it came before `since_ns`: then it answers an older SYNC with
+        the same four bits, and is refused. One whose counter lies d = 1..8 ticks back takes effect with age d
+        if that is newer than what is held, else it is passed over; any other counter is refused. Refused as
+        well, and counted in `rejected`: wrong length, CRC, state or fault, a value that is not finite.
+        Foreign frames are ignored. Fault comes from the status, state from the feedback. Layout classic
+        carries no force: it stays as it was.
         """
         length = previous.length.copy()
         rate = previous.rate.copy()
         force = previous.force.copy()
-        state = previous.state.copy()
-        fault = previous.fault
-        age = [n + 1 if n < NEVER else NEVER for n in previous.age.tolist()]
+        state, fault = previous.state, previous.fault
+        held_state, held_age = state.tolist(), previous.age.tolist()
+        gone = tick - previous.tick if previous.tick >= 0 else 1
+        age = [min(NEVER, n + gone) for n in held_age]
         rejected = 0
+        heard, has_force = self._heard, self._has_force
         feedback = self._feedback
-        size, unpack = feedback.length, feedback.unpack
-        scale, low, high, exact = feedback.scale, feedback.low, feedback.high, feedback.exact
-        for _, (identifier, data, flags) in frames:
-            heard = self._heard.get(identifier)
-            if heard is None or flags & _FOREIGN:
+        size, unpack, exact = feedback.length, feedback.unpack, feedback.exact
+        scale_l, scale_dl, scale_f = self._feedback_scale
+        table = TABLE
+        last_before = -1
+        f = 0
+        for t_ns, (identifier, data, flags) in frames:
+            if identifier not in heard or flags & _FOREIGN:
                 continue
-            leg, register = heard
+            leg, register = heard[identifier]
             if register < 0:
                 if len(data) != self._status.length or data[0] >= _STATES or data[1] >= _FAULTS:
                     rejected += 1
@@ -285,30 +235,43 @@ class LegsProtocol:
                     fault = fault.copy()
                     fault[leg] = data[1]
                 continue
-            if len(data) != size or crc8(data[:-1], register) != data[-1]:
+            for byte in data:  # crc8, without six calls a tick
+                register = table[register ^ byte]
+            if len(data) != size or register != RESIDUE:
                 rejected += 1
                 continue
-            if self._has_force:
-                l, dl, f, last, _ = unpack(data)
+            if has_force:
+                l, dl, f, last = unpack(data)
             else:
-                l, dl, last, _ = unpack(data)
-                f = None
-            behind = (tick - last) & 0xF
-            drive_state = last >> 4
-            # Integer fields cannot leave their range; NaN fails every comparison.
-            absurd = exact and not (
-                low[0] <= l <= high[0] and low[1] <= dl <= high[1] and low[2] <= f <= high[2]
-            )
-            if behind > _OLDEST or drive_state >= _STATES or absurd:
+                l, dl, last = unpack(data)
+            if last != last_before:  # the six legs mostly agree
+                last_before = last
+                behind = (tick - last) & 0xF
+                drive_state = last >> 4
+                credible = behind <= _OLDEST and drive_state < _STATES
+            early = behind == 0 and t_ns < since_ns
+            # Integer fields cannot leave their range.
+            if early or not credible or (exact and not in_range(feedback, (l, dl, f))):
                 rejected += 1
             elif behind < age[leg]:
-                length[leg] = l * scale[0]
-                rate[leg] = dl * scale[1]
-                if f is not None:
-                    force[leg] = f * scale[2]
-                state[leg] = drive_state
+                length[leg] = l * scale_l
+                rate[leg] = dl * scale_dl
+                if has_force:
+                    force[leg] = f * scale_f
+                if held_state[leg] != drive_state:
+                    held_state[leg] = drive_state
+                    state = np.array(held_state, np.int64)
                 age[leg] = behind
-        return Measurement(length, rate, force, state, fault, np.array(age, np.int64), rejected)
+        ages = previous.age if age == held_age else np.array(age, np.int64)
+        return Measurement(length, rate, force, state, fault, ages, rejected, tick)
+
+    def fresh(self, frame: Frame, tick: int) -> bool:
+        """Tell whether a frame is a feedback to this tick's SYNC; its CRC is checked by `decode`."""
+        return (
+            frame.id in self.feedback_ids
+            and len(frame.data) == self._feedback.length
+            and (tick - self._feedback.unpack(frame.data)[-1]) & 0xF == 0
+        )
 
     # device side
 
@@ -332,23 +295,23 @@ class LegsProtocol:
         codec, legs, register = command
         if len(data) != codec.length:
             return Rejected(f"command of {len(data)} bytes")
-        if crc8(data[:-1], register) != data[-1]:
+        if not intact(data, register):
             return Rejected("CRC of a command")
-        *raw, last, _ = codec.unpack(data)
+        *raw, last = codec.unpack(data)
         if last >> 4 >= _MODES:
             return Rejected(f"mode {last >> 4}")
         if self._exact:
-            if not _in_range(codec, raw):
+            if not in_range(codec, raw):
                 return Rejected("force not finite or out of range")
             return DeviceCommand(legs, last >> 4, tuple(raw), last & 0xF)
         scale = codec.scale[0]
-        return DeviceCommand(legs, last >> 4, tuple([f * scale for f in raw]), last & 0xF)
+        return _new(DeviceCommand, (legs, last >> 4, tuple([f * scale for f in raw]), last & 0xF))
 
     def _parse_config(self, leg: int, register: int, data: bytes) -> DeviceMessage:
         codec = self._config
-        if len(data) != codec.length or crc8(data[:-1], register) != data[-1]:
+        if len(data) != codec.length or not intact(data, register):
             return Rejected("length or CRC of CONFIG")
-        watchdog, reaction, slot, _ = codec.unpack(data)
+        watchdog, reaction, slot = codec.unpack(data)
         if watchdog < 1 or reaction >= _REACTIONS or slot != leg + 1:
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {slot}")
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
@@ -357,21 +320,20 @@ class LegsProtocol:
         """Encode one drive's feedback; what exceeds its field saturates. Raises ProtocolError on NaN."""
         leg, l, dl, f, state, counter = feedback
         codec = self._feedback
-        scale = codec.scale
+        scale_l, scale_dl, scale_f = self._feedback_scale
         last = state << 4 | counter & 0xF
         try:
             if self._exact:
-                _check_range(codec, (l, dl, f))
+                check_range(codec, (l, dl, f))
                 data = codec.pack(l, dl, f, last)
             elif self._has_force:
-                data = codec.pack(round(l / scale[0]), round(dl / scale[1]), round(f / scale[2]), last)
+                data = codec.pack(round(l / scale_l), round(dl / scale_dl), round(f / scale_f), last)
             else:
-                data = codec.pack(round(l / scale[0]), round(dl / scale[1]), last)
+                data = codec.pack(round(l / scale_l), round(dl / scale_dl), last)
         except (struct.error, ValueError, OverflowError):
             data = self._saturated(feedback, last)
-        return Frame(
-            self._feedback_id[leg], data + _BYTES[crc8(data, self._feedback_state[leg])], codec.flags
-        )
+        identifier, register = self._feedback_key[leg]
+        return _new(Frame, (identifier, data + _BYTES[crc8(data, register)], codec.flags))
 
     def status(self, status: Status) -> Frame:
         """Encode one drive's heartbeat."""
@@ -397,19 +359,6 @@ class LegsProtocol:
         rest = Command(DriveMode.OFF, np.zeros(LEGS))
         feedback = (self.feedback(Feedback(leg, 0.0, 0.0, 0.0, DriveState.OFF, 0)) for leg in range(LEGS))
         return (*self.sync(0), *self.command(rest, 0), *feedback)
-
-
-def _in_range(codec: _Codec, values: Sequence[float]) -> bool:
-    """Tell whether the leading fields are inside the DBC's ranges; a NaN is not."""
-    for value, low, high in zip(values, codec.low, codec.high, strict=False):  # noqa: SIM110 - all() takes twice as long
-        if not low <= value <= high:
-            return False
-    return True
-
-
-def _check_range(codec: _Codec, values: Sequence[float]) -> None:
-    if not _in_range(codec, values):
-        raise ValueError
 
 
 def _parse_estop(_data: bytes) -> DeviceMessage:

@@ -8,7 +8,8 @@
     ├── ProtocolError           a frame or a signal that the protocol cannot carry
     ├── ModelError              geometry, kinematics, dynamics (hil.geometry, hil.kinematics)
     │   ├── GeometryError
-    │   └── KinematicsError
+    │   ├── KinematicsError
+    │   └── CalibrationError    measured pairs that cannot calibrate (hil.calibrate)
     ├── PlantError              plant, FMU, FMU hosting (plant_fmu)
     ├── LogError                log file: not MCAP, truncated, of another version
     └── RunError                the run itself: no drives, latched fault, another daemon

@@ -18,6 +18,9 @@ ESI = 8
 REMOTE = 16
 ERROR = 32
 
+ALWAYS = -(1 << 62)
+"""Before any time, ns."""
+
 
 class Frame(NamedTuple):
     """One CAN frame."""
@@ -113,8 +116,16 @@ class DriveProtocol(Protocol):
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
 
-    def decode(self, frames: Sequence[Received], tick: int, previous: Measurement) -> Measurement:
-        """Fold this tick's frames into the previous Measurement. Foreign frames are ignored."""
+    def decode(
+        self, frames: Sequence[Received], tick: int, previous: Measurement, since_ns: int = ALWAYS
+    ) -> Measurement:
+        """Fold this tick's frames into the previous Measurement. Foreign frames are ignored.
+
+        What arrived before `since_ns`, the tick's scheduled time, is no answer to its SYNC.
+        """
+
+    def fresh(self, frame: Frame, tick: int) -> bool:
+        """Tell whether a frame is a feedback to this tick's SYNC, by identifier and counter alone."""
 
     # device side
     def parse(self, frame: Frame) -> DeviceMessage | None:

@@ -38,11 +38,14 @@ class DriveState(IntEnum):
     READY = 2
     RUN = 3
     FAULT = 4
-    """Latched: the configured reaction is active until RESET."""
+    """Latched: the reaction is active until RESET; OFF brakes, and stays latched."""
 
 
 class Reaction(IntEnum):
-    """What a drive does by itself when it faults (its command stops, say)."""
+    """What a drive does by itself when it faults in RUN (its command stops, say).
+
+    An emergency stop always brakes, and so does a fault outside RUN: no fault opens a closed brake.
+    """
 
     BRAKE = 0
     """Force off, brake engaged."""
@@ -89,7 +92,9 @@ class Measurement(NamedTuple):
     age: NDArray[np.int64]
     """(6,) ticks since the leg's last fresh feedback: 0 is this tick's SYNC, NEVER is none yet."""
     rejected: int
-    """Frames of this tick that were refused: CRC, length, counter, value not finite."""
+    """Frames of this tick that were refused: CRC, length, counter, time, value not finite."""
+    tick: int = -1
+    """The tick of this measurement; -1 before the first."""
 
 
 def no_measurement() -> Measurement:

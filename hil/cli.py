@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import sys
 from collections.abc import Callable
@@ -60,7 +62,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
-    given = (arguments.get(name) for name in ("configuration", "log", "salvage"))
+    given = (arguments.get(name) for name in ("configuration", "log", "salvage", "picture"))
     return [Path(file) for file in given if file is not None]
 
 
@@ -100,9 +102,7 @@ class _InOrder(click.Group):
         return list(self.commands)
 
 
-@click.group(
-    cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
-)
+@click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="hexapod-hil", prog_name="hil")
 def main() -> None:
     """Hardware-in-the-loop bridge for six-legged parallel robots on CAN.
@@ -110,6 +110,7 @@ def main() -> None:
     \b
     First steps, nothing but this machine needed:
       hil check              figures and problems of a configuration, nothing moves
+      hil workspace          map of the reachable poses, with a picture
       hil sim                controller, bus, drives and platform in simulated time
       hil run --plant        the same in real time, the platform's FMU behind the bus
       hil replay LOG         a recorded run again, compared to the bit
@@ -176,7 +177,7 @@ def run_command(
 @_log
 @_json
 @click.option("--supervisor", type=int, hidden=True)
-@click.option("--ready", type=int, hidden=True)
+@click.option("--report", type=int, hidden=True)
 @_guarded
 def plant_command(
     configuration: str,
@@ -184,7 +185,7 @@ def plant_command(
     log: Path | None,
     json_file: Path | None,
     supervisor: int | None,
-    ready: int | None,
+    report: int | None,
 ) -> None:
     """Serve six emulated drives and the plant behind them on the bus, in real time.
 
@@ -210,13 +211,15 @@ def plant_command(
     from hil.app.plant import run_plant
 
     def tell() -> None:
-        if ready is not None:
-            os.write(ready, b"1")
-            os.close(ready)
+        if report is not None:
+            os.write(report, b"\n")
         else:
             click.echo("drives are on the bus; Ctrl-C ends", err=True)
 
     summary = run_plant(loaded, log=log, duration_s=duration, supervisor=supervisor, ready=tell)
+    if report is not None:
+        with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
+            os.write(report, json.dumps(summary).encode())
     _finish("plant", summary, json_file)
 
 
@@ -247,17 +250,9 @@ def sim_command(configuration: str, duration: float | None, log: Path | None, js
       2  not begun: configuration, FMU or log file; the message says what
     """
     loaded = _load(configuration, "sim")
-    from hil.app.output import console
     from hil.app.sim import simulate
 
-    with console.status("simulating") as status:
-        summary = simulate(
-            loaded,
-            log=log,
-            duration_s=duration,
-            progress=lambda t, mode: status.update(f"simulating {t:.0f} s  {mode}"),
-        )
-    _finish("sim", summary, json_file)
+    _finish("sim", simulate(loaded, log=log, duration_s=duration, live=True), json_file)
 
 
 @main.command("replay", short_help="A log's inputs again, compared to the bit.")
@@ -283,7 +278,7 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
 
     \b
     Exit code:
-      0  all ticks identical to the bit
+      0  all ticks identical to the bit (on another CPU: all frames, columns to 1e-9)
       1  differences, or ticks missing from the log
       2  not begun: no such file, no log, cut (then use --salvage)
     """
@@ -304,8 +299,10 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
     verdict, summary = replay_log(log)
     for difference in verdict.first:
         click.echo(f"hil: {difference}", err=True)
-    result = {"success": verdict.exact, "kind": "replay", "log": str(log), **summary}
+    result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}
     short = {key: result[key] for key in ("success", "log", "wall_s", "times_real_time")}
+    if "remark" in summary:
+        short["remark"] = summary["remark"]
     if not verdict.exact:
         short["largest_relative_difference"] = verdict.largest
     _finish("replay", result, json_file, {**short, "replay": summary})
@@ -319,7 +316,8 @@ def check_command(configuration: str, json_file: Path | None) -> None:
     """Say what the bus, the legs and the limits have to say about CONFIGURATION, before anything moves.
 
     Bus time of a tick with its arithmetic, forces and lengths at home and along the whole reference, drive
-    watchdog, delay against the law's bandwidth, real-time rights of this machine. Opens no bus, writes no log.
+    watchdog, delay against the law's bandwidth, real-time rights of this machine. Opens no bus,
+    writes no log.
 
     \b
     Examples:
@@ -351,6 +349,99 @@ def check_command(configuration: str, json_file: Path | None) -> None:
         write_json(json_file, {"success": True, "kind": "check", **report.to_dict()})
 
 
+@main.command("workspace", short_help="Map of the reachable poses, with a picture; nothing moves.")
+@_configuration
+@click.option(
+    "--resolution",
+    type=click.IntRange(8, 160),
+    default=60,
+    show_default=True,
+    metavar="N",
+    help="Steps of the grid along the longest side of the workspace.",
+)
+@click.option(
+    "--position",
+    type=(float, float, float),
+    metavar="X Y Z",
+    help="Where to map orientations, m in the base frame; default: home.",
+)
+@click.option(
+    "--payload",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="KG",
+    help="Further mass on the platform, for the static leg forces.",
+)
+@click.option(
+    "--payload-at",
+    type=(float, float, float),
+    default=(0.0, 0.0, 0.0),
+    metavar="X Y Z",
+    help="Its centre of mass, m in the platform frame; default: the origin.",
+)
+@click.option(
+    "--leg-diameter",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="M",
+    help="Look at collisions of legs this thick, too.",
+)
+@click.option(
+    "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
+)
+@_json
+@_guarded
+def workspace_command(
+    configuration: str,
+    resolution: int,
+    position: tuple[float, float, float] | None,
+    payload: float,
+    payload_at: tuple[float, float, float],
+    leg_diameter: float | None,
+    picture: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Map the poses that the platform can reach from home within stroke, joint angle and force limits.
+
+    Translations at home's orientation: volume, extents, sections with the limit that is met along the edge,
+    the largest sphere and cylinder. Tilt and torsion at one position. Condition number and singularity
+    measure, static leg forces. What lies behind a singularity or a gap is not reachable and does not count.
+    Joint angles: platform.base_joint_angle_max_deg and platform.platform_joint_angle_max_deg.
+
+    \b
+    Examples:
+      hil workspace                         the default bench
+      hil workspace lab --picture lab.png --json lab.json
+      hil workspace lab --payload 200 --position 0 0 0.9
+      hil workspace my.yaml --resolution 120 --leg-diameter 0.08
+
+    The picture goes to --picture, else to runs/NAME-workspace-TIME.png (recording.folder).
+
+    \b
+    Exit code:
+      0  mapped
+      2  not begun: configuration, home outside a limit, position not reached, file
+    """
+    from hil.app.configuration import load
+    from hil.app.output import console
+
+    loaded = load(configuration)
+    _announce_compilation()
+    with console.status("loading the mathematics") as status:
+        from hil.app.workspace import map_workspace, shown
+
+        summary = map_workspace(
+            loaded,
+            resolution=resolution,
+            position=position,
+            payload_kg=payload,
+            payload_at=payload_at,
+            leg_diameter_m=leg_diameter,
+            picture=picture,
+            progress=lambda what: status.update(f"mapping: {what}"),
+        )
+    _finish("workspace", summary, json_file, shown(summary))
+
+
 @main.group("fmu", short_help="Build the platform's FMU.")
 def fmu_group() -> None:
     """Build the platform's FMU, for this project and for any other tool that takes FMUs.
@@ -375,7 +466,9 @@ def fmu_group() -> None:
 )
 @_json
 @_guarded
-def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None) -> None:
+def fmu_build_command(
+    fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None
+) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
     One FMU serves every platform: geometry and inertia are its parameters. The result stays in the user's
@@ -393,7 +486,46 @@ def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, j
     """
     from hil.app.fmu import build_fmus
 
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
     _finish("fmu build", build_fmus(fmi, output), json_file)
+
+
+@main.command("calibrate", short_help="Joint positions and length offsets from measured poses.")
+@click.argument("configuration")
+@click.argument("poses", type=FILE)
+@click.option(
+    "--out", type=FILE, metavar="FILE", help="Write the joints there as YAML; an existing file is refused."
+)
+@_json
+@_guarded
+def calibrate_command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:
+    """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.
+
+    Columns x_m,y_m,z_m,rx_deg,ry_deg,rz_deg (pose of the platform, rotation vector) and l1_m to l6_m (what
+    the legs read, in the order of the joint lists); optional standard deviations length_std_m,
+    position_std_m, rotation_std_deg. At least 8 rows; some 30, all over the workspace and tilted, are good.
+    Says how sure each figure is, and which these poses cannot determine. CONFIGURATION is not changed.
+
+    \b
+    Examples:
+      hil calibrate my.yaml poses.csv                      the report
+      hil calibrate my.yaml poses.csv --out joints.yaml    and the joints, to copy into my.yaml
+
+    \b
+    Exit code:
+      0  fitted; read the warnings
+      2  not fitted: configuration, CSV file, units, too few poses; the message says what
+    """
+    from hil.app.calibrate import run_calibration
+    from hil.app.output import show_lines, write_json
+
+    report = run_calibration(configuration, poses, out, json_file)
+    show_lines(report.lines)
+    if out is None:
+        click.echo(report.fragment, nl=False)
+    if json_file is not None:
+        write_json(json_file, {"success": True, "kind": "calibrate", **report.figures})
 
 
 if __name__ == "__main__":

@@ -73,6 +73,19 @@ class RealTime:
 
 
 @contextlib.contextmanager
+def collector_paused() -> Iterator[None]:
+    """Keep the garbage collector out of a loop that makes no cycles: a full collection takes milliseconds."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+@contextlib.contextmanager
 def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
     """Ask for real-time scheduling of this process, each part only as far as the rights go.
 
@@ -92,14 +105,10 @@ def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
         report.granted.append("cpu_dma_latency 0")
     except OSError as error:
         report.missing.append(f"cpu_dma_latency ({error.strerror})")
-    gc.collect()
-    gc.freeze()
-    gc.disable()
     try:
-        yield report
+        with collector_paused():
+            yield report
     finally:
-        gc.enable()
-        gc.unfreeze()
         if latency is not None:
             os.close(latency)
         if report.fifo:
@@ -149,8 +158,8 @@ SLOWEST_Hz = 100.0
 def holdable_rate(rate_Hz: float, missed_in_a_row: int, seconds: float = 1.0) -> tuple[float, float]:
     """Return the highest of rate, rate/2, rate/4 ... that is held without SCHED_FIFO, and the worst wake-up.
 
-    The worst wake-up (s) is measured now, under the present load. So many misses in a row stop the platform, so
-    as many periods must outlast the longest stall: twice the worst wake-up, never less than STALL_S. Not
+    The worst wake-up (s) is measured now, under the present load. `missed_in_a_row` misses stop the platform:
+    as many periods must outlast the longest stall, twice the worst wake-up and never less than STALL_S. Not
     below SLOWEST_Hz.
     """
     deadlines = Deadlines(rate_Hz, 0.0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from drivers.config import Section
 
@@ -14,8 +15,10 @@ Six = Annotated[list[float], Field(min_length=6, max_length=6)]
 SixVectors = Annotated[list[Vector3], Field(min_length=6, max_length=6)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+JointAngle = Annotated[float, Field(gt=0, le=180)]
 LegSpin = Literal["none", "universal"]
 SixPositive = Annotated[list[Positive], Field(min_length=6, max_length=6)]
+SixNonNegative = Annotated[list[NonNegative], Field(min_length=6, max_length=6)]
 
 
 class Pose(Section):
@@ -25,13 +28,137 @@ class Pose(Section):
     rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
 
 
-class BodySettings(Section):
-    """The moving platform, in its own frame."""
+class JointCircle(Section):
+    """Six joints on a circle about z: by six angles, or in three pairs."""
+
+    radius_m: Positive
+    z_m: float = 0.0
+    angles_deg: Six | None = None
+    """One angle a leg, from x towards y."""
+    pair_centres_deg: Vector3 | None = None
+    """Instead of angles: direction of each pair of joints."""
+    pair_half_angle_deg: Annotated[float, Field(ge=0, lt=60)] | None = None
+    """The joints of a pair stand at its centre minus and plus this."""
+    pair_spacing_m: NonNegative | None = None
+    """Instead of the half angle: distance between the two joints of a pair."""
+    pairs_begin: Literal["first_leg", "second_leg"] = "first_leg"
+    """Pairs are legs 1-2, 3-4, 5-6 of the list, or 2-3, 4-5, 6-1."""
+
+    @model_validator(mode="after")
+    def _angles_or_pairs(self) -> Self:
+        halves = (self.pair_half_angle_deg, self.pair_spacing_m)
+        if (self.angles_deg is None) == (self.pair_centres_deg is None):
+            raise ValueError("allowed: either angles_deg or pair_centres_deg")
+        if self.angles_deg is not None and (halves != (None, None) or self.pairs_begin != "first_leg"):
+            raise ValueError("angles_deg needs no pairs, allowed: radius_m, z_m and angles_deg alone")
+        if self.pair_centres_deg is not None and halves.count(None) != 1:
+            raise ValueError("allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m")
+        if self.pair_spacing_m is not None and not self.pair_spacing_m < 2 * self.radius_m:
+            raise ValueError(
+                f"pair_spacing_m does not fit on the circle, allowed: less than {2 * self.radius_m:g} "
+                f"(2 radius_m), given: {self.pair_spacing_m:g}"
+            )
+        return self
+
+
+def _at_most_half_a_turn(vector: Vector3) -> Vector3:
+    angle = math.hypot(*vector)
+    if angle > 180 * (1 + 1e-12):
+        raise ValueError(f"more than half a turn, allowed: a length of at most 180 deg, given: {angle:g} deg")
+    return vector
+
+
+RotationVector = Annotated[Vector3, AfterValidator(_at_most_half_a_turn)]
+
+
+class Frame(Section):
+    """A coordinate system in the platform frame: x_platform = origin + R x."""
+
+    origin_m: Vector3 = (0.0, 0.0, 0.0)
+    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
+
+
+class InertiaReference(Section):
+    """What a tensor refers to, where that is not the centre of mass and the axes of the body's frame."""
+
+    point_m: Vector3 | None = None
+    """The tensor is about this point of the body's frame; default: the centre of mass."""
+    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
+    """Turns the axes of the body's frame into those of the tensor (principal axes, say)."""
+
+
+class BoxShape(Section):
+    """Homogeneous box, its sides along the axes of the body's frame, centred on com_m."""
+
+    type: Literal["box"]
+    size_m: tuple[Positive, Positive, Positive]
+
+
+class CylinderShape(Section):
+    """Homogeneous cylinder or tube along z of the body's frame, centred on com_m."""
+
+    type: Literal["cylinder"]
+    radius_m: Positive
+    length_m: Positive
+    inner_radius_m: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _wall(self) -> Self:
+        if self.inner_radius_m >= self.radius_m:
+            raise ValueError(
+                f"inner_radius_m leaves no wall, allowed: less than {self.radius_m:g} (radius_m), "
+                f"given: {self.inner_radius_m:g}"
+            )
+        return self
+
+
+class SphereShape(Section):
+    """Homogeneous sphere centred on com_m."""
+
+    type: Literal["sphere"]
+    radius_m: Positive
+
+
+class PointShape(Section):
+    """A point mass at com_m."""
+
+    type: Literal["point"]
+
+
+Shape = Annotated[BoxShape | CylinderShape | SphereShape | PointShape, Field(discriminator="type")]
+
+
+class RigidBodySettings(Section):
+    """A rigid body fixed to the platform."""
 
     mass_kg: Positive
     com_m: Vector3
-    inertia_kg_m2: Matrix3
-    """About the centre of mass, platform axes."""
+    """Centre of mass in the body's frame."""
+    inertia_kg_m2: Matrix3 | None = None
+    """About the centre of mass in the axes of the body's frame, unless inertia_about says otherwise."""
+    shape: Shape | None = None
+    """Instead of the tensor."""
+    frame: Frame = Frame()
+    """The coordinate system of the figures above, in the platform frame; default: the platform frame."""
+    inertia_about: InertiaReference = InertiaReference()
+    products: Literal["negative_integral", "positive_integral"] = "negative_integral"
+    """What stands off the diagonal of inertia_kg_m2: minus or plus the integral of x y dm."""
+
+    @model_validator(mode="after")
+    def _tensor_or_shape(self) -> Self:
+        if (self.inertia_kg_m2 is None) == (self.shape is None):
+            raise ValueError("allowed: either inertia_kg_m2 or shape")
+        lost = sorted(self.model_fields_set & {"inertia_about", "products"})
+        if self.shape is not None and lost:
+            raise ValueError(f"{', '.join(lost)} has no meaning with shape, allowed: with inertia_kg_m2")
+        return self
+
+
+class BodySettings(RigidBodySettings):
+    """The moving platform, and what is mounted on it."""
+
+    payload: list[RigidBodySettings] = []
+    """Further bodies; all are put together into one."""
 
 
 class LegBodySettings(Section):
@@ -48,9 +175,9 @@ class LegBodySettings(Section):
 class PlatformSettings(Section):
     """Geometry and inertia of the robot."""
 
-    base_joints_m: SixVectors
+    base_joints_m: SixVectors | JointCircle
     """a_i in the base frame."""
-    platform_joints_m: SixVectors
+    platform_joints_m: SixVectors | JointCircle
     """b_i in the platform frame."""
     platform: BodySettings
     cylinder: LegBodySettings
@@ -63,6 +190,23 @@ class PlatformSettings(Section):
     length_min_m: Positive
     """Hard end of the stroke, joint centre to joint centre."""
     length_max_m: Positive
+    base_joint_angle_max_deg: JointAngle | None = None
+    """Largest angle of a leg to the axis of its base joint; left out: not looked at. `hil workspace`."""
+    platform_joint_angle_max_deg: JointAngle | None = None
+    """The same for the platform joint."""
+    base_joint_axes: SixVectors | None = None
+    """Axes of the base joints' cones: directions from base to platform, base frame. Default: each leg's own
+    direction at home."""
+    platform_joint_axes: SixVectors | None = None
+    """Axes of the platform joints' cones: directions from base to platform, platform frame. Same default."""
+
+    @model_validator(mode="after")
+    def _joint_axes_are_directions(self) -> Self:
+        for key in ("base_joint_axes", "platform_joint_axes"):
+            axes: list[Vector3] | None = getattr(self, key)
+            if axes is not None and not all(any(x != 0 for x in axis) for axis in axes):
+                raise ValueError(f"{key} has a direction of length zero")
+        return self
 
     @model_validator(mode="after")
     def _spinning_legs_are_known(self) -> Self:
@@ -97,7 +241,15 @@ class ModelSettings(Section):
 
     variant: Literal["full", "no_H", "printed", "constant", "constant_MG", "massless_legs"] = "full"
     inertia_scale: Positive = 1.0
-    """Mass, inertia and centres of mass times this; lengths, J, its rate and gravity stay exact."""
+    """All masses, all inertias and the platform's centre of mass times this. The centres of mass along the
+    legs stay exact, as do lengths, J, its rate, gravity and friction."""
+    reflected_mass_kg: NonNegative | SixNonNegative = 0.0
+    """Motor and screw inertia seen along each leg: rotary inertia times (2 pi / lead)^2. One for all legs,
+    or one per leg; so are the frictions."""
+    viscous_friction_N_s_m: NonNegative | SixNonNegative = 0.0
+    coulomb_friction_N: NonNegative | SixNonNegative = 0.0
+    sliding_speed_m_s: NonNegative = 1e-3
+    """Leg rate from which Coulomb friction counts in full; below, it grows linearly. 0: sgn of the rate."""
     frozen_at: Pose | None = None
     """Pose of the constant variants."""
 

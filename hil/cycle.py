@@ -24,7 +24,7 @@ from hil.control.law import Law
 from hil.dynamics import Model
 from hil.estimate import Estimator
 from hil.geometry import Platform
-from hil.modes import MOVING, Durations, Facts, drive_mode, next_mode
+from hil.modes import CONTROLLED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.motion import Motion
 from hil.reference import complete
 from hil.safety import Safety
@@ -50,6 +50,12 @@ _ZERO6 = np.zeros(6)
 _ZERO6.flags.writeable = False
 _ZERO66 = np.zeros((6, 6))
 _ZERO66.flags.writeable = False
+
+_POWERED_STATES = (DriveState.READY, DriveState.RUN)
+RESET_TICKS = 5
+"""How often RESET is sent on the operator's command."""
+REST_m_s = 0.02
+"""A motion has ended only when no measured leg is faster: brakes do not close on a moving platform."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +93,6 @@ class Cycle:
         self.durations = Durations(
             load=engage.force_ramp_s,
             release=engage.brake_release_s,
-            park=engage.brake_release_s + engage.force_ramp_s,
         )
         self._setup_interval = max(LEGS, round(0.02 * parts.rate_Hz))
         self.reset()
@@ -103,12 +108,16 @@ class Cycle:
         self.mode_tick = 0
         self.faults = Fault.NONE
         self.stop_requested = False
-        self.resetting = False
+        self.reset_tick: int | None = None
+        """When the operator last asked to clear the drives' faults."""
+        self.set_up: frozenset[int] = frozenset()
+        """Legs whose drives have been sent watchdog and reaction."""
         self.holding = _ZERO6
         """(6,) N: static force at the pose where the brakes open, or the force at which they close."""
         self.offset = _ZERO6
         """(6,) N: holding force less the law's own at the moment of entry; fades out."""
-        self.entry_tick = 0
+        self.entry_tick: int | None = None
+        """When the entry offset began to fade; None while it is whole."""
         self.last_tau = _ZERO6
         parts.law.reset()
         parts.safety.reset()
@@ -121,9 +130,9 @@ class Cycle:
         """Return what to send and what to record for one tick."""
         parts = self.parts
         tick = inp.tick
-        measurement = parts.protocol.decode(inp.frames, tick, self.measurement)
+        measurement = parts.protocol.decode(inp.frames, tick, self.measurement, inp.t_ns)
         self.measurement = measurement
-        estimate = self._estimate(measurement)
+        estimate = self._estimate(tick, measurement)
         state = estimate.state
 
         self._change_mode(inp, state)
@@ -133,7 +142,7 @@ class Cycle:
         verdict = parts.safety.judge(inp, measurement, estimate, reference, effort, self.mode)
         self._latch(inp, verdict)
 
-        command = self._command(verdict)
+        command = self._command(tick, verdict)
         frames = parts.protocol.command(command, tick)
         if Operator.ESTOP in inp.operator:
             frames = parts.protocol.emergency_stop() + frames
@@ -142,7 +151,7 @@ class Cycle:
 
     # -- estimate ------------------------------------------------------------------------------------
 
-    def _estimate(self, measurement: Measurement) -> Estimate:
+    def _estimate(self, tick: int, measurement: Measurement) -> Estimate:
         """Pose from lengths; a leg without fresh data is carried on at its last rate.
 
         Until all legs have been heard and the first pose has been found from home, the pose is home's.
@@ -151,7 +160,7 @@ class Cycle:
         ages = age.tolist()
         estimator = self.estimator
         if not self.located:
-            self.located = not any(ages) and estimator.acquire(q)
+            self.located = not any(ages) and tick % self._setup_interval == 0 and estimator.acquire(q)
             if not self.located:
                 return Estimate(
                     State(q, dq, estimator.p, estimator.R, _ZERO6, _ZERO66, 0, np.inf), np.inf, 0.0
@@ -165,37 +174,42 @@ class Cycle:
     # -- modes ---------------------------------------------------------------------------------------
 
     def _change_mode(self, inp: TickInput, state: State) -> None:
-        measurement = self.measurement
-        facts = Facts(
-            operator=inp.operator,
-            drive_state=measurement.state.tolist(),
-            heard=self.located and max(measurement.age.tolist()) <= 1,
-            elapsed=(inp.tick - self.mode_tick) * self.period_s,
-            finished=self.motion.finished(inp.tick),
-            stop=self.stop_requested,
-        )
+        measurement, tick = self.measurement, inp.tick
         if Operator.RESET in inp.operator and self.mode in {Mode.FAULT, Mode.WAITING}:
-            self.resetting = True
+            self.reset_tick = tick
+            self.set_up = frozenset()
             self.faults = Fault.NONE
             self.stop_requested = False
             self.located = False
             self.parts.safety.reset()
+        elapsed = (tick - self.mode_tick) * self.period_s
+        if overdue(self.mode, elapsed, self.durations):
+            self.faults |= Fault.DRIVE
+            self._enter(Mode.FAULT, tick, state)
+            return
+        facts = Facts(
+            operator=inp.operator,
+            drive_state=measurement.state.tolist(),
+            heard=self.located and max(measurement.age.tolist()) <= 1 and len(self.set_up) == LEGS,
+            elapsed=elapsed,
+            finished=self.motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
+            stop=self.stop_requested,
+        )
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
-            self._enter(mode, inp.tick, state)
+            self._enter(mode, tick, state)
 
     def _enter(self, mode: Mode, tick: int, state: State) -> None:
         parts = self.parts
         previous = self.mode
         match mode:
-            case Mode.IDLE:
-                self.resetting = False
             case Mode.LOADING:
                 self.holding = self.statics.inverse_dynamics(state.p, state.R, _ZERO6, _ZERO6)
                 self.motion.rest(state.p, state.R, tick)
             case Mode.RELEASING:
                 self.motion.rest(state.p, state.R, tick)
                 parts.law.reset()
+                self.entry_tick = None
                 at_rest = complete(parts.platform, self.motion.sample(tick))
                 self.offset = self.holding - parts.law.effort(state, at_rest).tau
             case Mode.APPROACH:
@@ -213,6 +227,7 @@ class Cycle:
             case Mode.PARKING:
                 rest = self.motion.sample(tick)
                 self.motion.rest(rest.p, rest.R, tick)
+            case Mode.UNLOADING:
                 self.holding = self.last_tau
             case _:
                 pass
@@ -221,32 +236,32 @@ class Cycle:
     def _approach_s(self, here: PoseSample, start: PoseSample) -> float:
         platform, engage = self.parts.platform, self.parts.engage
         distance = np.abs(complete(platform, start).q - complete(platform, here).q).max()
-        return max(float(distance) / engage.approach_speed_m_s, engage.blend_s)
+        return max(float(distance) / engage.approach_speed_m_s, engage.blend_s, self.period_s)
 
     # -- reference, law ------------------------------------------------------------------------------
 
     def _sample(self, tick: int, state: State) -> PoseSample:
-        if self.mode in MOVING or self.mode is Mode.PARKING:
+        if self.mode in CONTROLLED or self.mode is Mode.UNLOADING:
             return self.motion.sample(tick)
         return PoseSample(state.p, state.R, _ZERO6, _ZERO6)
 
     def _effort(self, tick: int, state: State, reference: Reference) -> tuple[Effort, Array]:
         """Return the effort with the entry and exit ramps, and the law's own tau (6,) N."""
         elapsed = (tick - self.mode_tick) * self.period_s
-        if self.mode in MOVING:
+        if self.mode in CONTROLLED:
             own = self.parts.law.effort(state, reference).tau
             left = self._entry_share(tick)
             return Effort(own + self.offset * left if left > 0.0 else own), own
-        load, release = self.durations.load, self.durations.release
+        load = self.durations.load
         if self.mode is Mode.LOADING and load > 0:
             return Effort(self.holding * smoothstep(elapsed / load)), _ZERO6
-        if self.mode is Mode.PARKING and load > 0:
-            return Effort(self.holding * (1.0 - smoothstep((elapsed - release) / load))), _ZERO6
+        if self.mode is Mode.UNLOADING and load > 0:
+            return Effort(self.holding * (1.0 - smoothstep(elapsed / load))), _ZERO6
         return Effort(_ZERO6), _ZERO6
 
     def _entry_share(self, tick: int) -> float:
         """Return how much of the entry offset is left, 1 .. 0."""
-        if self.mode is Mode.RELEASING:
+        if self.entry_tick is None:
             return 1.0
         blend = self.parts.engage.blend_s
         if blend == 0.0:
@@ -265,21 +280,27 @@ class Cycle:
                 self.mode, self.mode_tick = Mode.FAULT, inp.tick
         self.stop_requested = self.stop_requested or verdict.stop
 
-    def _command(self, verdict: Verdict) -> Command:
-        if self.mode is Mode.WAITING and self.resetting:
+    def _command(self, tick: int, verdict: Verdict) -> Command:
+        if self.mode is Mode.WAITING and self._clears_drives(tick):
             return Command(DriveMode.RESET, _ZERO6)
         mode = drive_mode(self.mode)
         tau = _ZERO6 if mode is DriveMode.OFF else verdict.tau
         self.last_tau = tau
         return Command(mode, tau)
 
+    def _clears_drives(self, tick: int) -> bool:
+        """Say whether RESET is sent: a few times only, so that a fault that comes back stays."""
+        return self.reset_tick is not None and tick - self.reset_tick < RESET_TICKS
+
     def _setup(self, tick: int) -> tuple[Frame, ...]:
-        """Return the set-up of a drive that still boots: one frame a tick, to keep the bus budget."""
+        """Return the set-up of a drive that has none from us: one frame a tick, to keep the bus budget."""
         leg = tick % self._setup_interval
-        if leg >= LEGS or self.mode not in {Mode.WAITING, Mode.FAULT}:
+        if leg >= LEGS or self.mode not in {Mode.WAITING, Mode.FAULT} or self.measurement.age[leg] > 1:
             return ()
-        if self.measurement.state[leg] != DriveState.BOOT or self.measurement.age[leg] > 1:
+        state = self.measurement.state[leg]
+        if state != DriveState.BOOT and (leg in self.set_up or state in _POWERED_STATES):
             return ()
+        self.set_up |= {leg}
         parts = self.parts
         return (parts.protocol.configure(parts.watchdog_s, parts.reaction)[leg],)
 
@@ -348,11 +369,8 @@ class Cycle:
 
 
 def smoothstep(x: float) -> float:
-    """Return the quintic 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
-    if x <= 0.0:
-        return 0.0
-    if x >= 1.0:
-        return 1.0
+    """Return 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
+    x = min(max(x, 0.0), 1.0)
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 

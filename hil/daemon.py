@@ -152,7 +152,7 @@ def _run(
     feedback_window_ns: int,
     duration_s: float | None,
 ) -> Ending:
-    wanted = cycle.parts.protocol.feedback_ids
+    wanted, fresh = cycle.parts.protocol.feedback_ids, cycle.parts.protocol.fresh
     rate = cycle.parts.rate_Hz
     last_tick = None if duration_s is None else round(duration_s * rate)
     no_drives_tick, not_ready_tick = round(NO_DRIVES_S * rate), round(NOT_READY_S * rate)
@@ -168,7 +168,11 @@ def _run(
         frames = bus.drain_now()
         opening = cycle.begin(tick)
         sends_failed += bus.send(opening)
-        frames += bus.drain(t_ns + feedback_window_ns, wanted)
+        answers = bus.drain(t_ns + feedback_window_ns, wanted)
+        missing = wanted.difference([frame.id for _, frame in answers if fresh(frame, tick)])
+        if missing:  # a late answer to an older SYNC came in place of a fresh one
+            answers += bus.drain(t_ns + feedback_window_ns, missing)
+        frames += answers
         errors = bus.events()
         if not engaged and cycle.mode is Mode.IDLE:
             panel.press(Operator.ENGAGE)

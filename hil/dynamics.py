@@ -1,4 +1,4 @@
-"""The controller's model of the robot: M dtwist + H + G = J^T tau + wrench, and its simplifications.
+"""The controller's model of the robot: M dtwist + H + G = J^T (tau - friction) + wrench, and simplifications.
 
 Rule of the room: packs constants and checks arguments; the equations are in ``hil.kernels.dynamics``, and
 the loop calls those.
@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 Variant = Literal["full", "no_H", "printed", "constant", "constant_MG", "massless_legs"]
 LegSpin = Literal["none", "universal"]
 
+SLIDING_SPEED = 1e-3
+"""m/s; default: well above the noise of a leg rate at rest, well below the rates of a motion."""
+
 CODES: dict[str, int] = {
     "full": kernels.FULL,
     "no_H": kernels.NO_H,
@@ -33,7 +36,7 @@ CODES: dict[str, int] = {
 
 
 class Model:
-    """Rigid-body model of the platform and its legs.
+    """Rigid-body model of the platform and its legs, with what the drives add along each leg.
 
     ========== ==============================================================================================
     full          M dtwist + H + G, legs and all
@@ -44,6 +47,11 @@ class Model:
     massless_legs full, with legs that weigh nothing
     ========== ==============================================================================================
 
+    The drives' part is in every variant: the reflected mass m_r belongs to M (J^T diag(m_r) J, frozen
+    with it) and to H (J^T diag(m_r) (dJ/dt) twist, left out with it), so that along the legs it takes
+    m_r ddq (Siciliano, Sciavicco, Villani and Oriolo, Robotics, 2009, ch. 7: motor inertia times gear ratio
+    squared). Friction is a leg force of its own, ``friction``, at the leg rates dq = J twist, J current.
+
     Parameters
     ----------
     platform : Platform
@@ -51,18 +59,26 @@ class Model:
     leg_spin : ``none``: a leg never turns about its own axis; ``universal``: it turns as its universal
         joint makes it, about ``platform.universal_joint_base_axes``.
     frozen_at : (p, R), the pose of the constant variants.
-    inertia_scale : all masses and inertias and the platform's centre of mass times this; joints, lengths
-        (those along a leg to its centres of mass, too), J, its rate and gravity stay exact.
+    inertia_scale : all masses (reflected ones, too), all inertias and the platform's centre of mass times
+        this. The centres of mass along the legs stay exact, as do joints, lengths, J, its rate, gravity
+        and friction.
+    reflected_mass : (6,) kg or one for all legs. Inertia of motor and screw as a mass along the leg:
+        rotary inertia times (2 pi / lead)^2. It has no weight.
+    viscous : (6,) N s/m or one for all legs.
+    coulomb : (6,) N or one for all legs.
+    sliding_speed : m/s, the leg rate from which Coulomb friction counts in full; below, it grows linearly
+        from 0 at rest. 0: coulomb sgn(dq), sgn(0) = 0.
 
     Attributes
     ----------
-    constants : (154,) read-only, and ``code``: int
+    constants : (173,) read-only, and ``code``: int
         The first two arguments of the kernels.
 
     Raises
     ------
     ModelError
-        Where the variant does not exist or lacks its pose, or the platform lacks hinge axes.
+        Where the variant does not exist or lacks its pose, the platform lacks hinge axes, or a parameter
+        is not finite or negative.
     """
 
     def __init__(
@@ -73,6 +89,10 @@ class Model:
         *,
         frozen_at: tuple[ArrayLike, ArrayLike] | None = None,
         inertia_scale: float = 1.0,
+        reflected_mass: ArrayLike = 0.0,
+        viscous: ArrayLike = 0.0,
+        coulomb: ArrayLike = 0.0,
+        sliding_speed: float = SLIDING_SPEED,
     ) -> None:
         if variant not in CODES:
             raise ModelError(f"model variant: got {variant!r}, allowed are {', '.join(CODES)}")
@@ -94,6 +114,11 @@ class Model:
             spin=leg_spin == "universal",
             massless_legs=variant == "massless_legs",
         )
+        reflected = inertia_scale * _per_leg("reflected_mass", "kg", reflected_mass)
+        constants[kernels.REFLECTED : kernels.REFLECTED + 6] = reflected
+        constants[kernels.VISCOUS : kernels.VISCOUS + 6] = _per_leg("viscous", "N s/m", viscous)
+        constants[kernels.COULOMB : kernels.COULOMB + 6] = _per_leg("coulomb", "N", coulomb)
+        constants[kernels.SLIDING_SPEED] = _not_negative("sliding_speed", "m/s", sliding_speed, ())
         if variant in ("constant", "constant_MG"):
             if frozen_at is None:
                 raise ModelError(
@@ -115,7 +140,7 @@ class Model:
     def inverse_dynamics(
         self, p: ArrayLike, R: ArrayLike, twist: ArrayLike, dtwist: ArrayLike, wrench: ArrayLike | None = None
     ) -> Array:
-        """Leg forces for a motion: tau = J^-T (M dtwist + H + G - wrench).
+        """Leg forces for a motion: tau = J^-T (M dtwist + H + G - wrench) + friction(J twist).
 
         Parameters
         ----------
@@ -143,7 +168,9 @@ class Model:
     def forward_dynamics(
         self, p: ArrayLike, R: ArrayLike, twist: ArrayLike, tau: ArrayLike, wrench: ArrayLike | None = None
     ) -> Array:
-        """Acceleration for leg forces: dtwist = M^-1 (J^T tau + wrench - H - G).
+        """Acceleration for leg forces: dtwist = M^-1 (J^T (tau - friction(J twist)) + wrench - H - G).
+
+        At rest with Coulomb friction there is no stiction: sgn(0) = 0, the legs slide.
 
         Parameters
         ----------
@@ -165,9 +192,10 @@ class Model:
         return _finite("dtwist", dtwist, p, R)
 
     def mass_matrix(self, p: ArrayLike, R: ArrayLike) -> Array:
-        """Mass matrix M (6, 6) of platform and legs in twist coordinates: kg, kg m, kg m^2.
+        """Mass matrix M (6, 6) of platform, legs and drives in twist coordinates: kg, kg m, kg m^2.
 
-        M = platform + sum J_i^T M_i J_i (Taghirad, 2013, 5.3). Current at p, R for every variant.
+        M = platform + sum J_i^T M_i J_i (Taghirad, 2013, 5.3) + J^T diag(reflected_mass) J. Current at p, R
+        for every variant.
 
         Raises
         ------
@@ -179,6 +207,8 @@ class Model:
 
     def coriolis(self, p: ArrayLike, R: ArrayLike, twist: ArrayLike) -> Array:
         """Centripetal and gyroscopic forces H (6,): N, N m. Current at p, R, twist for every variant.
+
+        With J^T diag(reflected_mass) (dJ/dt) twist; without friction.
 
         Raises
         ------
@@ -199,8 +229,30 @@ class Model:
         p, R = check_vector("p", p, 3), check_rotation(R)
         return _finite("G", kernels.gravity_kernel(self.constants, p, R), p, R)
 
+    def friction(self, dq: ArrayLike) -> Array:
+        """Return what the drives lose to friction, viscous dq + coulomb sat(dq / sliding_speed).
+
+        Siciliano et al., Robotics, 2009, ch. 7: F_v dq + F_s sgn(dq), here with a slope for the jump at rest.
+        sat(x) is x clamped to -1 .. 1; with ``sliding_speed`` 0 it is sgn, sgn(0) = 0. The legs get
+        tau - friction; the power lost is dq.friction >= 0.
+
+        Parameters
+        ----------
+        dq : (6,) m/s, leg rates, > 0 extends.
+
+        Returns
+        -------
+        (6,) N, with the signs of dq.
+
+        Raises
+        ------
+        KinematicsError
+            Where dq is not six finite numbers.
+        """
+        return kernels.friction_kernel(self.constants, check_vector("dq", dq, 6))
+
     def kinetic_energy(self, p: ArrayLike, R: ArrayLike, twist: ArrayLike) -> float:
-        """Kinetic energy twist^T M twist / 2 of platform and legs, J.
+        """Kinetic energy twist^T M twist / 2 of platform, legs and drives, J.
 
         Raises
         ------
@@ -240,12 +292,13 @@ class Model:
 def pack_constants(
     platform: Platform, inertia_scale: float = 1.0, *, spin: bool = False, massless_legs: bool = False
 ) -> Array:
-    """Return the (154,) constants of the kernels; the frozen part is zero."""
+    """Return the (173,) constants of the kernels; the frozen part and that of the drives are zero."""
     k = inertia_scale
     c = np.zeros(kernels.SIZE)
     m = k * platform.platform.mass
     x = k * platform.platform.com
-    inertia = k * platform.platform.inertia + m * ((x @ x) * np.eye(3) - np.outer(x, x))
+    square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]  # no dot product: BLAS rounds it by CPU
+    inertia = k * platform.platform.inertia + m * (square * np.eye(3) - np.outer(x, x))
     c[kernels.BASE : kernels.BASE + 18] = platform.base_joints.ravel()
     c[kernels.PLATFORM : kernels.PLATFORM + 18] = platform.platform_joints.ravel()
     if platform.universal_joint_base_axes is not None:
@@ -264,6 +317,21 @@ def pack_constants(
         if spin:
             c[kernels.AXIAL] = k * (cylinder.inertia_axial + rod.inertia_axial)
     return c
+
+
+def _not_negative(name: str, unit: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    try:
+        x = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        x = np.array(np.nan)
+    if x.shape not in ((), shape) or not (np.isfinite(x) & (x >= 0)).all():
+        allowed = "a finite number >= 0" + (" for all legs, or six of them" if shape else "")
+        raise ModelError(f"{name}: got {value!r} {unit}, allowed is {allowed}")
+    return np.broadcast_to(x, shape)
+
+
+def _per_leg(name: str, unit: str, value: ArrayLike) -> Array:
+    return _not_negative(name, unit, value, (6,))
 
 
 def _wrench(wrench: ArrayLike | None) -> Array:

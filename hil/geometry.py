@@ -214,7 +214,9 @@ def _body(body: Body) -> Body:
     inertia = _array("platform.inertia", (inertia + inertia.T) / 2, (3, 3))
     small, middle, large = np.linalg.eigvalsh(inertia)
     if not small > 0:
-        raise GeometryError("platform.inertia", [small, middle, large], "three principal moments > 0")
+        raise GeometryError(
+            "platform.inertia", [float(small), float(middle), float(large)], "three principal moments > 0"
+        )
     if small + middle < large * (1 - TOLERANCE):
         raise GeometryError(
             "platform.inertia",

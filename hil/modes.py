@@ -5,11 +5,13 @@ the tick at which it was entered.
 
 ::
 
-    WAITING -> IDLE -> LOADING -> RELEASING -> APPROACH -> TRACKING -> PARKING -> PARKED
+    WAITING -> IDLE -> LOADING -> RELEASING -> APPROACH -> TRACKING -> PARKING -> UNLOADING -> PARKED
                                                   +---> STOPPING <---+   ^
                                                             +------------+
     any -> FAULT (latched) -> WAITING on RESET
 
+Brakes open and close only on the drives' own word: a drive that does not report the state it was asked
+for keeps LOADING, RELEASING and PARKING, with the force on, until they are `overdue`.
 Without a force ramp LOADING goes straight to TRACKING: the law acts at the instant the brakes open.
 """
 
@@ -23,8 +25,10 @@ from hil.signals import Mode, Operator
 
 MOVING = frozenset({Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
 """Modes in which the brakes are open."""
-POWERED = MOVING | {Mode.LOADING, Mode.PARKING}
-"""Modes in which the drives produce force."""
+CONTROLLED = MOVING | {Mode.PARKING}
+"""Modes in which the law acts: it does not let go before the brakes are shut."""
+DRIVE_PATIENCE_S = 1.0
+"""A drive that has not reached the state it was asked for so long after it could have, is faulty."""
 
 
 class Facts(NamedTuple):
@@ -38,7 +42,7 @@ class Facts(NamedTuple):
     elapsed: float
     """s since the present mode was entered."""
     finished: bool
-    """The present motion (approach, reference, stop) has ended."""
+    """The present motion (approach, reference, stop) has ended and the legs are at rest."""
     stop: bool
     """Safety asks for a controlled stop."""
 
@@ -48,7 +52,6 @@ class Durations(NamedTuple):
 
     load: float
     release: float
-    park: float
 
 
 def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
@@ -95,7 +98,12 @@ def _stopping(facts: Facts, durations: Durations) -> Mode:
 
 
 def _parking(facts: Facts, durations: Durations) -> Mode:
-    return Mode.PARKED if facts.elapsed >= durations.park else Mode.PARKING
+    shut = facts.elapsed >= durations.release and _all(facts, DriveState.READY)
+    return Mode.UNLOADING if shut else Mode.PARKING
+
+
+def _unloading(facts: Facts, durations: Durations) -> Mode:
+    return Mode.PARKED if facts.elapsed >= durations.load else Mode.UNLOADING
 
 
 def _parked(facts: Facts, durations: Durations) -> Mode:
@@ -113,13 +121,14 @@ def _all(facts: Facts, state: DriveState) -> bool:
 
 
 _NEXT = (
-    _waiting, _idle, _loading, _releasing, _approach, _tracking, _stopping, _parking, _parked, _fault,
+    _waiting, _idle, _loading, _releasing, _approach, _tracking, _stopping, _parking, _unloading, _parked,
+    _fault,
 )  # fmt: skip
 """By mode: where it leads without a stop."""
 _STOPPED = {
     Mode.WAITING: Mode.PARKED,
     Mode.IDLE: Mode.PARKED,
-    Mode.LOADING: Mode.PARKING,
+    Mode.LOADING: Mode.UNLOADING,
     Mode.RELEASING: Mode.PARKING,
     Mode.APPROACH: Mode.STOPPING,
     Mode.TRACKING: Mode.STOPPING,
@@ -127,10 +136,16 @@ _STOPPED = {
 """Where a stop leads; the other modes are already on their way to rest."""
 
 
+def overdue(mode: Mode, elapsed: float, durations: Durations) -> bool:
+    """Tell whether a mode that waits for the drives has waited too long; elapsed in s since its entry."""
+    least = {Mode.LOADING: durations.load, Mode.RELEASING: durations.release, Mode.PARKING: durations.release}
+    return mode in least and elapsed > least[mode] + DRIVE_PATIENCE_S
+
+
 def drive_mode(mode: Mode) -> DriveMode:
     """Return what the drives are asked for in a mode."""
     if mode in MOVING:
         return DriveMode.RUN
-    if mode in {Mode.LOADING, Mode.PARKING}:
+    if mode in {Mode.LOADING, Mode.PARKING, Mode.UNLOADING}:
         return DriveMode.READY
     return DriveMode.OFF

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from hil.cycle import Cycle
 from hil.log import Tick
 from hil.signals import COMPUTED_COLUMNS, Operator, TickInput
 
+TOLERANCE = 1e-9
+"""Computed columns on another CPU agree to this; frames agree to the bit."""
+
 
 @dataclass
 class Difference:
@@ -24,11 +27,17 @@ class Difference:
 
     tick: int
     column: str
-    recorded: str
-    replayed: str
+    recorded: Any
+    replayed: Any
 
     def __str__(self) -> str:
-        return f"tick {self.tick}: {self.column}: recorded {self.recorded}, replayed {self.replayed}"
+        a, b = np.atleast_1d(self.recorded), np.atleast_1d(self.replayed)
+        if a.dtype.kind not in "if":
+            return f"tick {self.tick}: {self.column}: recorded {self.recorded}, replayed {self.replayed}"
+        n = int(np.flatnonzero(a.view(np.int64) != b.view(np.int64))[0])
+        place = self.column if len(a) == 1 else f"{self.column}[{n}]"
+        difference = f" (difference {b[n] - a[n]:.3g})" if a.dtype.kind == "f" else ""
+        return f"tick {self.tick}: {place}: recorded {a[n].item()!r}, replayed {b[n].item()!r}{difference}"
 
 
 @dataclass
@@ -45,12 +54,19 @@ class Verdict:
     gaps: list[tuple[int, int]] = field(default_factory=list)
     """(first missing tick, how many) where the recorder lost ticks: nothing after the first is comparable."""
     largest: float = 0.0
-    """Largest |replayed - recorded| / max(1, |recorded|) over all float columns."""
+    """Largest |replayed - recorded| / max(1, |recorded|) over all columns; inf where an integer differs."""
 
     @property
     def exact(self) -> bool:
         """Every sent frame and every computed column of every tick is identical."""
         return self.ticks > 0 and not self.different_ticks and not self.gaps
+
+    @property
+    def equivalent(self) -> bool:
+        """Every sent frame is identical and every column within TOLERANCE: what another CPU may change."""
+        return (
+            self.ticks > 0 and not self.wire_different_ticks and self.largest <= TOLERANCE and not self.gaps
+        )
 
 
 class Recorded(Protocol):
@@ -108,7 +124,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
             if not verdict.first:
                 verdict.first = _differences(tick, out.row, recorded)
                 if wire:
-                    verdict.first.append(Difference(tick, "sent frames", str(entry.sent), str(sent)))
+                    verdict.first.append(Difference(tick, "sent frames", entry.sent, sent))
         if progress is not None and verdict.ticks % 1000 == 0:
             progress(verdict.ticks)
     return verdict
@@ -116,7 +132,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
 
 def _differences(tick: int, replayed: NDArray[np.void], recorded: np.void) -> list[Difference]:
     return [
-        Difference(tick, name, str(recorded[name]), str(replayed[name]))
+        Difference(tick, name, recorded[name], replayed[name])
         for name in COMPUTED_COLUMNS
         if replayed[name].tobytes() != recorded[name].tobytes()
     ]
@@ -128,6 +144,8 @@ def _largest(replayed: NDArray[np.void], recorded: np.void) -> float:
         a, b = np.asarray(replayed[name]), np.asarray(recorded[name])
         if a.dtype.kind == "f":
             error = np.abs(a - b) / np.maximum(1.0, np.abs(b))
-            error = np.where(np.isnan(a) & np.isnan(b), 0.0, error)
+            error = np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, error)
             worst = max(worst, float(np.max(np.nan_to_num(error, nan=math.inf))))
+        elif a.tobytes() != b.tobytes():
+            worst = math.inf
     return worst

@@ -22,7 +22,7 @@ def figures(rows: Rows) -> dict[str, Any]:
     `rows` has dtype ROW, one element per tick.
     """
     tracking = rows["mode"] == Mode.TRACKING
-    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.PARKING)
+    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING)
     result: dict[str, Any] = {
         "ticks": len(rows),
         "duration_s": _span_s(rows),

@@ -33,10 +33,12 @@ class Mode(IntEnum):
     STOPPING = 6
     """Decelerating along the reference to rest."""
     PARKING = 7
-    """At rest; brakes engage, then force off."""
-    PARKED = 8
+    """At rest; brakes engage, the force stays until all six drives report them shut."""
+    UNLOADING = 8
+    """The force fades out on the shut brakes."""
+    PARKED = 9
     """Done: drives off, brakes engaged."""
-    FAULT = 9
+    FAULT = 10
     """Latched: drives commanded off."""
 
 
@@ -55,19 +57,17 @@ class Fault(IntFlag):
     NONE = 0
     STALE = 1
     DRIVE = 2
+    """A drive faulted, left its state, or did not reach the next one in time."""
     BUS = 4
-    FORCE = 8
-    STROKE = 16
-    SPEED = 32
-    FOLLOWING = 64
-    KINEMATICS = 128
-    ASSEMBLY = 256
-    CONDITION = 512
-    NOT_FINITE = 1024
-    MISSED = 2048
-    RECORDER = 4096
-    ESTOP = 8192
-    LAW = 16384
+    STROKE = 8
+    SPEED = 16
+    FOLLOWING = 32
+    KINEMATICS = 64
+    ASSEMBLY = 128
+    CONDITION = 256
+    NOT_FINITE = 512
+    ESTOP = 1024
+    LAW = 2048
 
 
 class Warn(IntFlag):
@@ -82,6 +82,8 @@ class Warn(IntFlag):
     FORCE_WINDOW = 32
     REJECTED = 64
     RECORDER = 128
+    BUS = 256
+    """Error frames, lost receptions or refused frames."""
 
 
 class TickInput(NamedTuple):
@@ -97,7 +99,7 @@ class TickInput(NamedTuple):
     frames: tuple[Received, ...]
     """Received since the last step, in the order consumed."""
     sends_failed: int
-    """Frames of the previous tick that the bus did not take."""
+    """Frames that the bus did not take: the previous tick's command and this tick's SYNC."""
     bus_errors: int
     """Error frames since the last tick."""
     bus_off: bool

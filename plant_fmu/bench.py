@@ -78,6 +78,8 @@ class Bench:
         self.settings = settings
         self.internal_step_s = settings.internal_step_us / 1e6
         self.reset()
+        self.step(np.zeros(LEGS), np.ones(LEGS), np.zeros(LEGS), self.internal_step_s)  # compiles
+        self.reset()
 
     def reset(self) -> tuple[Array, Array]:
         """Back to rest at the rest length; lengths (6,) m, rates (6,) m/s."""

@@ -17,6 +17,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,10 @@ _OK, _REFUSED = range(2)
 _TEXT = 4096
 _FIXED = 1024
 _LIFE_CHECK_MS = 1000
+_PACKAGES = os.pathsep.join(
+    filter(None, (str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH")))
+)
+"""Where the child finds this package: with -P not in the user's working directory."""
 
 
 class _Board:
@@ -106,6 +111,7 @@ class ChildHost:
             self._process = subprocess.Popen(
                 [
                     sys.executable,
+                    "-P",
                     "-m",
                     "plant_fmu.fmu_child",
                     *map(str, given),
@@ -113,7 +119,7 @@ class ChildHost:
                     self._folder.name,
                 ],
                 pass_fds=given,
-                env={**os.environ, "TMPDIR": self._folder.name},
+                env={**os.environ, "TMPDIR": self._folder.name, "PYTHONPATH": _PACKAGES},
                 stdin=subprocess.DEVNULL,
                 stdout=2,
                 start_new_session=True,

@@ -63,7 +63,8 @@ def _transfer(fmu: Any, name: str, references: list[int], values: Array, *, coun
 class FmuHost:
     """Plant in front of one FMU instance.
 
-    Mutable state: the FMU instance, the tick count behind the communication time, the transfer buffers.
+    Mutable state: the FMU instance, the tick count behind the communication time, the transfer buffers,
+    the inputs that the FMU holds.
     Closing terminates and frees the instance and removes the folder that the FMU was unpacked to.
     """
 
@@ -151,27 +152,18 @@ class FmuHost:
         for key, channel in face.inputs.items():
             self._slots[key] = self._inputs[place : place + channel.count]
             place += channel.count
-        self._outputs = np.zeros(12)
-        self._truth = np.zeros(24)
+        self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
         references = [r for c in face.inputs.values() for r in c.references]
-        measured = [r for key in ("length", "rate") for r in face.outputs[key].references]
-        transfers = [
+        given = [r for c in face.outputs.values() for r in c.references]
+        self._transfers = transfers = [
             _transfer(fmu, put, references, self._inputs, counted=three),
-            _transfer(fmu, get, measured, self._outputs, counted=three),
+            _transfer(fmu, get, given, self._outputs, counted=three),
         ]
-        if self.spec.truth is not None:
-            true = [
-                r for key, c in face.outputs.items() if key not in {"length", "rate"} for r in c.references
-            ]
-            transfers.append(_transfer(fmu, get, true, self._truth, counted=three))
-            self._get_truth = transfers[2].call
-        self._transfers = transfers
         self._set_inputs, self._get_outputs = transfers[0].call, transfers[1].call
         component = ct.c_void_p(fmu.component)
         self._time, self._dt, self._last = ct.c_double(), ct.c_double(), ct.c_double()
         self._flags = [ct.c_bool() for _ in range(3)]
         self._event, self._ended, self._early = self._flags
-        self._count, self._counted_dt = 0, 0.0
         if three:
             pointers = [ct.c_void_p(ct.addressof(x)) for x in self._flags]
             pointers.append(ct.c_void_p(ct.addressof(self._last)))
@@ -212,6 +204,7 @@ class FmuHost:
             ) from error
         if status > _WARNING:
             raise self._refused(status, "take its inputs")
+        self._held = self._inputs.tobytes()
         self._initialised = True
 
     def _set_start(self, setter: str, references: list[int], values: list[Any], name: str) -> None:
@@ -234,21 +227,14 @@ class FmuHost:
         return self._measured()
 
     def _measured(self) -> tuple[Array, Array]:
+        """Read all outputs at once, true ones included: a second call would cost more than their values."""
         if (status := self._get_outputs()) > _WARNING:
             raise self._refused(status, "give its outputs")
-        y = self._outputs.copy()
+        y = self._outputs[:12].copy()
         if not math.isfinite(sum(y.tolist())):  # faster than numpy's test for so few
             said = self._said()
             raise PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{said}")
         return y[:6], y[6:]
-
-    def _set_dt(self, dt_s: float) -> None:
-        """Count the internal steps of `dt_s`; remembered, since it hardly ever changes."""
-        step = self.internal_step_s
-        n = round(dt_s / step) if 0.0 < dt_s < 1e9 * step else 0
-        if n < 1 or abs(dt_s - n * step) > 1e-9 * dt_s:
-            raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step!r} s")
-        self._count, self._counted_dt, self._dt.value = n, dt_s, n * step
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
@@ -257,27 +243,32 @@ class FmuHost:
         dropped. Raises PlantError on a dt that is no multiple of the internal step (1e-9 relative), a value
         that is not finite, or a call that the FMU refuses; its own message is part of the error's.
         """
-        if dt_s != self._counted_dt:
-            self._set_dt(dt_s)
+        step = self.internal_step_s
+        n = round(dt_s / step) if 0.0 < dt_s < 1e9 * step else 0
+        if n < 1 or abs(dt_s - n * step) > 1e-9 * dt_s:
+            raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step!r} s")
         slots = self._slots
         slots["force"][:] = force
         if "brake" in slots:
             slots["brake"][:] = brake
         if "wrench" in slots:
             slots["wrench"][:] = wrench
-        if not math.isfinite(sum(self._inputs.tolist())):
-            raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
         if not self._initialised:
             raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
-        if (status := self._set_inputs()) > _WARNING:
-            raise self._refused(status, "take its inputs")
-        self._time.value = self._ticks * self.internal_step_s
+        if (held := self._inputs.tobytes()) != self._held:  # an FMU holds its inputs until they are set again
+            if not math.isfinite(sum(self._inputs.tolist())):
+                raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
+            self._held = b""  # unknown, should the FMU refuse some of them
+            if (status := self._set_inputs()) > _WARNING:
+                raise self._refused(status, "take its inputs")
+            self._held = held
+        self._time.value, self._dt.value = self._ticks * step, n * step
         if (status := self._do_step()) > _WARNING:
             raise self._refused(status, f"step from {self._time.value:.9g} s by {dt_s:.9g} s")
         if self._ended.value or self._early.value:
             what = "ended the simulation" if self._ended.value else "returned early"
             raise PlantError(f"{self.spec.path}: the FMU {what} at {self._last.value:.9g} s{self._said()}")
-        self._ticks += self._count
+        self._ticks += n
         return self._measured()
 
     def truth(self) -> Truth | None:
@@ -286,10 +277,8 @@ class FmuHost:
             return None
         if not self._initialised:
             raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
-        if (status := self._get_truth()) > _WARNING:
-            raise self._refused(status, "give its outputs")
-        y = self._truth.copy()
-        return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
+        y = self._outputs[12:].copy()
+        return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:])
 
     def close(self) -> None:
         """Terminate, free, unload, remove the unpacked files. A second call does nothing."""

@@ -13,7 +13,7 @@ point while a drive controls by itself (damp, hold) or lags.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, floor, pi
+from math import floor
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -34,25 +34,15 @@ from drivers.protocol import (
     Status,
     Sync,
 )
-from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drive import BOOT, BRAKE, FAULT, OFF, READY, RUN, TRANSITIONS, Drive, ForceStage
 from plant_fmu.faults import FaultPlan
 from plant_fmu.plant import Plant, Truth
 
 _NEVER_NS = 1 << 62
-_NO_COUNTER = -1
-
-TRANSITIONS: dict[tuple[DriveState, DriveMode], DriveState] = {
-    (DriveState.OFF, DriveMode.READY): DriveState.READY,
-    (DriveState.READY, DriveMode.OFF): DriveState.OFF,
-    (DriveState.READY, DriveMode.RESET): DriveState.OFF,
-    (DriveState.READY, DriveMode.RUN): DriveState.RUN,
-    (DriveState.RUN, DriveMode.READY): DriveState.READY,
-    (DriveState.RUN, DriveMode.OFF): DriveState.OFF,
-    (DriveState.RUN, DriveMode.RESET): DriveState.OFF,
-    (DriveState.FAULT, DriveMode.RESET): DriveState.OFF,
-}
-"""What a commanded mode does to a drive; every other pair leaves it as it is."""
+_new = tuple.__new__
+"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 
 
 class Snapshot(NamedTuple):
@@ -89,25 +79,6 @@ class Snapshot(NamedTuple):
     """Frames that could not be trusted."""
 
 
-class _Drive:
-    """One drive's memory. Owner: Nodes."""
-
-    def __init__(self, settings: DriveSettings) -> None:
-        self.state = DriveState.BOOT
-        self.fault = DriveFault.NONE
-        self.configured = False
-        self.watchdog_ns = round(settings.watchdog_ms * 1e6)
-        self.reaction = Reaction[settings.reaction.upper()]
-        self.acting = Reaction.BRAKE
-        """The reaction of the fault that is latched."""
-        self.hold_m = 0.0
-        self.command = 0.0
-        self.counter = _NO_COUNTER
-        self.lagged = 0.0
-        """N, state of the force lag."""
-        self.frozen_m: float | None = None
-
-
 class Nodes:
     """Six drives and the plant behind them.
 
@@ -136,11 +107,7 @@ class Nodes:
         self._h_s = plant.internal_step_s
         self._h_ns = plant.internal_step_s * 1e9
         self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
-        # Exact first-order lag over one grid step: its end value and its mean.
-        x = 2.0 * pi * emulation.force_bandwidth_Hz * self._h_s
-        self._lag_end = exp(-x)
-        self._lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else 1.0
-        self._lags = x > 0.0
+        self._stage = ForceStage(emulation, drives, self._h_s)
         self.start(0)
 
     def start(self, t0_ns: int) -> None:
@@ -149,10 +116,12 @@ class Nodes:
         self._now_ns = t0_ns
         self._k = 0
         self._length, self._rate = self._plant.reset()
-        self._drives = [_Drive(self._settings) for _ in range(LEGS)]
+        self._drives = [Drive(self._settings, self._stage) for _ in range(LEGS)]
         self._deadline_ns = [_NEVER_NS] * LEGS
         self._beats = 0
         self._next_beat_ns = t0_ns
+        self._calm_ns = t0_ns
+        """No watchdog, edge or heartbeat is due before this instant."""
         self._edges = [(t0_ns + round(edge_s * 1e9), edge_s) for edge_s in self._faults.edges_s()]
         self._present = self._faults.present(0.0)
         self._generator = np.random.default_rng(self._faults.seed)
@@ -217,6 +186,9 @@ class Nodes:
 
     def _run_timers(self, t: int, out: list[tuple[int, Frame]]) -> None:
         """Let watchdogs (before t), plan edges and heartbeats (up to t) happen, in order."""
+        if t < self._calm_ns:
+            self._now_ns = max(self._now_ns, t)
+            return
         while True:
             watchdog = min(self._deadline_ns)
             edge, edge_s = self._edges[0] if self._edges else (_NEVER_NS, 0.0)
@@ -227,6 +199,7 @@ class Nodes:
                     if self._deadline_ns[leg] <= watchdog:
                         self._fail(leg, DriveFault.WATCHDOG, watchdog, out)
             elif other > t:
+                self._calm_ns = min(watchdog, other)
                 break
             elif edge <= self._next_beat_ns:
                 del self._edges[0]
@@ -245,9 +218,9 @@ class Nodes:
         n = floor((t - self._t0_ns) / self._h_ns + 0.5) - self._k
         if n <= 0:
             return
-        if self._lags or self._controls:
+        if self._stage.lags or self._controls:
             for _ in range(n):
-                self._actuate(lag=self._lags)
+                self._actuate(lag=self._stage.lags)
                 self._move(1)
         else:
             self._move(n)
@@ -283,33 +256,25 @@ class Nodes:
 
     def _actuate(self, *, lag: bool = False) -> None:
         """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
-        limit = self._settings.force_limit_N
         force, brake = [0.0] * LEGS, [1.0] * LEGS
-        self._controls = False
+        limit, lags = self._stage.limit, self._stage.lags
         gain, stuck = self._present.gain, self._present.stuck
+        self._controls = False
         for leg, drive in enumerate(self._drives):
-            f = 0.0
+            f = drive.command
             state = drive.state
-            if state is DriveState.RUN:
-                f = drive.command
+            if state is RUN:
                 brake[leg] = 0.0
-            elif state is DriveState.READY:
-                f = drive.command
-            elif state is DriveState.FAULT and drive.acting is not Reaction.BRAKE:
+            elif state is FAULT and drive.acting is not BRAKE:
                 brake[leg] = 0.0
-                if drive.acting is not Reaction.ZERO:
+                if drive.controls:
                     self._controls = True
-                    l, dl = self._encoder(leg)
-                    f = -self._emulation.damping_N_s_m * dl
-                    if drive.acting is Reaction.HOLD:
-                        f -= self._emulation.hold_stiffness_N_m * (l - drive.hold_m)
+                    f = drive.reaction_force(*self._encoder(leg))
             if not -limit <= f <= limit:
                 f = limit if f > 0.0 else -limit
             if lag:
-                gap = drive.lagged - f
-                drive.lagged = f + gap * self._lag_end
-                f += gap * self._lag_mean
-            elif self._lags:
+                f = drive.lag(f)
+            elif lags:
                 f = drive.lagged
             force[leg] = f * gain[leg]
             if stuck[leg] is not None:
@@ -317,14 +282,16 @@ class Nodes:
         self._force, self._brake = np.array(force), np.array(brake)
 
     def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
-        """Latch a fault; the first one stays."""
+        """Latch a fault; the first one stays, but an emergency stop brakes whatever was latched."""
         drive = self._drives[leg]
-        if drive.state == DriveState.FAULT:
-            return
         self._advance(t)
-        drive.acting = drive.reaction if drive.state == DriveState.RUN else Reaction.BRAKE
-        drive.hold_m = self._encoder(leg)[0]
-        self._enter(leg, DriveState.FAULT, fault, t, out)
+        brakes = fault is DriveFault.ESTOP or drive.state is not RUN
+        if drive.state is not FAULT:
+            drive.acting = BRAKE if brakes else drive.reaction
+            drive.hold_m = self._encoder(leg)[0]
+            self._enter(leg, FAULT, fault, t, out)
+        elif brakes:
+            drive.acting = BRAKE
         self._actuate()
 
     def _enter(
@@ -332,7 +299,7 @@ class Nodes:
     ) -> None:
         drive = self._drives[leg]
         drive.state, drive.fault = state, fault
-        if state not in (DriveState.READY, DriveState.RUN):
+        if state is not READY and state is not RUN:
             drive.command = 0.0
             self._deadline_ns[leg] = _NEVER_NS
         self._send_status(leg, t, out)
@@ -363,13 +330,14 @@ class Nodes:
         self._syncs += 1
         self._advance(t)
         dt = (t - self._grid_ns()) * 1e-9
+        counter = sync.counter & 0xF
         truth = self._know()
         force = (self._force if truth is None else truth.applied_force).tolist()
         quantum = self._emulation.encoder_resolution_m
         length, rate = self._length.tolist(), self._rate.tolist()
         if self._present.encoders_disturbed:
             length, rate = zip(*map(self._encoder, range(LEGS)), strict=True)
-        silent = self._present.silent
+        silent, faulty, encode = self._present.silent, self._faults.touches_frames, self._protocol.feedback
         for leg, drive in enumerate(self._drives):
             if silent[leg]:
                 continue
@@ -377,28 +345,35 @@ class Nodes:
             l = length[leg] + dl * dt
             if quantum > 0.0:
                 l = round(l / quantum) * quantum
-            feedback = Feedback(leg, l, dl, force[leg], drive.state, sync.counter & 0xF)
-            self._send(t, self._protocol.feedback(feedback), out)
+            frame = encode(_new(Feedback, (leg, l, dl, force[leg], drive.state, counter)))
+            if faulty:
+                self._send(t, frame, out)
+            else:
+                out.append((t, frame))
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
         self._advance(t)
-        mode = DriveMode(command.mode)
+        moves = TRANSITIONS[command.mode]
+        counter = command.counter
+        deadline_ns = self._deadline_ns
         fresh = False
         for leg, force in zip(command.legs, command.force, strict=True):
             drive = self._drives[leg]
-            if command.counter == drive.counter:
+            if drive.counter == counter:
                 continue
             fresh = True
-            drive.counter = command.counter
-            state = TRANSITIONS.get((drive.state, mode), drive.state)
-            if state is not drive.state:
-                if not drive.configured:
-                    state = DriveState.BOOT
+            drive.counter = counter
+            state = drive.state
+            if state in moves:
+                state = moves[state] if drive.configured else BOOT
                 self._enter(leg, state, DriveFault.NONE, t, out)
-            if state is DriveState.RUN or state is DriveState.READY:
+            elif state is FAULT and command.mode == DriveMode.OFF:
+                drive.acting = BRAKE
+            if state is RUN or state is READY:
                 drive.command = force
-                self._deadline_ns[leg] = t + drive.watchdog_ns
+                deadline_ns[leg] = t + drive.watchdog_ns
         if fresh:
+            self._calm_ns = min(self._calm_ns, *deadline_ns)
             self._commands += 1
             self._actuate()
         else:
@@ -406,14 +381,14 @@ class Nodes:
 
     def _configure(self, configure: Configure, t: int, out: list[tuple[int, Frame]]) -> None:
         drive = self._drives[configure.leg]
-        if drive.state in (DriveState.READY, DriveState.RUN):
+        if drive.state is READY or drive.state is RUN:
             self._rejected += 1
             return
         drive.watchdog_ns = round(configure.watchdog_s * 1e9)
         drive.reaction = configure.reaction
         drive.configured = True
-        if drive.state == DriveState.BOOT:
-            self._enter(configure.leg, DriveState.OFF, DriveFault.NONE, t, out)
+        if drive.state is BOOT:
+            self._enter(configure.leg, OFF, DriveFault.NONE, t, out)
 
     def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
         if not self._present.silent[leg]:

@@ -75,12 +75,16 @@ def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
 
 
 def build_cycle(configuration: Configuration, rate_Hz: float, watchdog_s: float) -> Cycle:
-    """Return the controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`."""
+    """Return the controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
+
+    At another rate than the configured one the force may change by the same amount per second.
+    """
     c = configuration
+    limits = c.limits.model_copy(update={"force_step_N": c.limits.force_step_N * c.loop.rate_Hz / rate_Hz})
     platform = Platform.from_dict(platform_dict(c.platform))
     p, R = pose_arrays(c.platform.home)
     safety = Safety(
-        c.limits,
+        limits,
         length_min=c.platform.length_min_m,
         length_max=c.platform.length_max_m,
         rate_Hz=rate_Hz,
@@ -160,7 +164,8 @@ def _metres(lengths: Array) -> str:
 
 def build_scene(configuration: Configuration) -> Scene:
     """Return what live views draw."""
-    return Scene(configuration.platform.base_joints_m, configuration.platform.platform_joints_m)
+    robot = platform_dict(configuration.platform)
+    return Scene(robot["base_joints"], robot["platform_joints"])
 
 
 def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:

@@ -114,7 +114,7 @@ def geometry(platform: PlatformSettings, _: Folder) -> Iterator[Finding]:
         Platform.from_dict(platform_dict(platform))
     except GeometryError as error:
         first = error.where.split(",")[0]
-        path = ("platform", *(KEYS.get(word, word) for word in first.split(".")))
+        path = ("platform", *(int(w) if w.isdigit() else KEYS.get(w, w) for w in first.split(".")))
         yield path, str(error).removeprefix(f"{error.where}: ")
 
 

@@ -81,11 +81,11 @@ def write_json(path: Path, summary: dict[str, Any]) -> None:
     Raises LogError if the folder cannot be written.
     """
     text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
-    target = path.resolve()
     try:
-        if target.exists() and not target.is_file():  # a pipe or a terminal
-            target.write_text(text)
+        if path.exists() and not path.is_file():  # a pipe or a terminal
+            path.write_text(text)
             return
+        target = path.resolve()
         with tempfile.NamedTemporaryFile("w", dir=target.parent, suffix=".json", delete=False) as file:
             file.write(text)
         Path(file.name).chmod(0o666 & ~_umask())
@@ -193,7 +193,9 @@ def replay_sentence(summary: dict[str, Any]) -> str:
         return "0 ticks: nothing to compare"
     sentence = f"{ticks} ticks, {different} difference{'s' * (different != 1)}"
     if different:
-        sentence += f" ({summary['wire_different_ticks']} in sent frames), the first in {_place(summary['first'][0])}"
+        sentence += (
+            f" ({summary['wire_different_ticks']} in sent frames), the first in {_place(summary['first'][0])}"
+        )
     return "; ".join((sentence, *summary["gaps"]))
 
 

@@ -5,19 +5,20 @@ It also tests somebody else's controller: it knows frames and time only.
 
 from __future__ import annotations
 
-import os
+import contextlib
 import select
 import signal
 import time
+import traceback as tracebacks
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
-from types import FrameType
-from typing import Any
+from types import FrameType, TracebackType
+from typing import Any, Self
 
 import numpy as np
 
 from drivers.bus import Bus
+from drivers.errors import HilError, PlantError, RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_scene
@@ -27,15 +28,27 @@ from hil.clock import real_time
 from hil.record import Recording
 from plant_fmu.nodes import Nodes, Snapshot
 
-IDLE_NS = 250_000
-"""The plant never lags the present by more than this, so that little is left to compute at a SYNC."""
+IDLE_NS = 2_000_000
+"""The plant never lags the present by more than this. In a run the frames themselves wake it more
+often; waking without need at real-time priority would starve the recorders beside it."""
+LOOK_NS = 20_000_000
+"""How often it looks whether to end."""
+SILENT_NS = 5_000_000
+"""How often a moving platform is recorded when nobody asks."""
 ORPHAN_S = 3.0
-"""A supervised plant outlives its supervisor by this: time for the drives to bring the platform to rest."""
+"""A supervised plant outlives its supervisor by this at most: the drives shall bring the platform to rest."""
+REST_NS = 200_000_000
+"""An orphan at rest for this long ends."""
+REST_RATE_m_s = 1e-3
+"""A leg slower than this is at rest."""
+CLOSING_S = 5.0
+"""Closing an orphan's log takes no longer."""
 
 PLANT_ROW = np.dtype(
     [
         ("tick", "<i8"),
         ("t_ns", "<i8"),
+        ("syncs", "<i8"),
         ("commands", "<i8"),
         ("repeated", "<i8"),
         ("rejected", "<i8"),
@@ -53,20 +66,24 @@ PLANT_ROW = np.dtype(
         ("twist", "<f8", (6,)),
     ]
 )
-"""One SYNC of the plant's log: the truth that the controller does not know. NaN where there is no pose."""
+"""The truth that the controller does not know; NaN where there is no pose.
+
+`tick` counts rows: one for every SYNC, for every other frame that the drives send, and every SILENT_NS while
+something moves and nobody asks.
+"""
 UNITS = {
     "t_ns": "ns", "length": "m", "rate": "m/s", "command": "N", "force": "N", "applied_force": "N",
     "brake": "1 engaged", "wrench": "N, N m", "p": "m", "twist": "m/s, rad/s",
 }  # fmt: skip
 
 
-def plant_row(s: Snapshot) -> np.ndarray[Any, np.dtype[np.void]]:
+def plant_row(number: int, s: Snapshot) -> np.ndarray[Any, np.dtype[np.void]]:
     """Return one element of PLANT_ROW."""
     row = np.zeros((), PLANT_ROW)
     truth = s.truth
     row[()] = (
-        s.syncs, s.t_ns, s.commands, s.repeated, s.rejected, s.state, s.fault, s.length, s.rate, s.command,
-        s.force, s.applied, s.brake, s.wrench,
+        number, s.t_ns, s.syncs, s.commands, s.repeated, s.rejected, s.state, s.fault, s.length, s.rate,
+        s.command, s.force, s.applied, s.brake, s.wrench,
         *((np.nan, np.nan, np.nan) if truth is None else (truth.p, truth.R.ravel(), truth.twist)),
     )  # fmt: skip
     return row
@@ -80,63 +97,116 @@ def run_plant(
     supervisor: int | None = None,
     ready: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
-    """Serve the drives until SIGINT, SIGTERM, `duration_s`, or ORPHAN_S after the supervisor's pipe closed.
+    """Serve the drives until SIGINT, SIGTERM, SIGHUP, `duration_s`, or after the supervisor's pipe closed.
 
-    Raises ConfigurationError, BusError, PlantError.
+    An orphan goes on until its drives have brought the platform to rest, for ORPHAN_S at most.
+    Raises ConfigurationError, BusError, PlantError; RunError when another plant serves the bus.
     """
     c = configuration
     c.require("plant")
     assert c.plant is not None
-    nodes, physics = build_nodes(c)
-    recording = None
-    if c.plant.log:
-        recording = Recording.start(
-            log_path(c.recording.folder, c.name, log, "-plant"),
-            configuration=c.text,
-            dtype=PLANT_ROW,
-            topic="/plant",
-            attachments=attachments(c),
-            metadata={"kind": "plant"},
-            units=UNITS,
-            scene=build_scene(c),
-            can_channel=c.bus.channel,
-            ring_ticks=c.recording.ring_ticks,
-        )
-    try:
-        with recording or nullcontext(), Bus.open(c.bus, role="plant") as bus:
-            stop = _Stop()
-            with real_time(max(1, c.loop.priority - 10), None):
-                ready()
-                last = _serve(nodes, bus, recording, stop, duration_s, supervisor)
-            summary: dict[str, Any] = {
-                "success": True,
-                "kind": "plant",
-                "ending": stop.reason,
-                "syncs": last.syncs,
-                "commands": last.commands,
-                "rejected_frames": last.rejected,
-                "final_states": [DriveState(int(s)).name for s in last.state],
-                "peak_final_rate_m_s": float(np.abs(last.rate).max()),
-            }
-            if recording is not None:
-                closed = recording.close({k: v for k, v in summary.items() if k != "success"})
-                summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped}
-    finally:
-        physics.close()
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
+        nodes, physics = build_nodes(c)
+        stack.callback(physics.close)
+        recording = None
+        if c.plant.log:
+            recording = stack.enter_context(
+                Recording.start(
+                    log_path(c.recording.folder, c.name, log, "-plant"),
+                    configuration=c.text,
+                    dtype=PLANT_ROW,
+                    topic="/plant",
+                    attachments=attachments(c),
+                    metadata={"kind": "plant"},
+                    units=UNITS,
+                    scene=build_scene(c),
+                    can_channel=c.bus.channel,
+                    ring_ticks=c.recording.ring_ticks,
+                )
+            )
+        stop = stack.enter_context(_Stop())
+        with real_time(max(1, c.loop.priority - 10), None) as granted:
+            ready()
+            last = _guarded_service(nodes, bus, recording, stop, duration_s, supervisor)
+        summary: dict[str, Any] = {
+            "success": True,
+            "kind": "plant",
+            "ending": stop.reason,
+            "real_time": {"granted": granted.granted, "missing": granted.missing},
+            "syncs": last.syncs,
+            "commands": last.commands,
+            "rejected_frames": last.rejected,
+            "final_states": [DriveState(int(s)).name for s in last.state],
+            "peak_final_rate_m_s": float(np.abs(last.rate).max()),
+        }
+        if recording is not None:
+            closed = recording.close({k: v for k, v in summary.items() if k != "success"})
+            summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped + closed.lost}
+            if not closed.complete:
+                summary["recorder"] = closed.error or "too slow"
     return summary
 
 
+def _open_bus(c: Configuration, patience_s: float) -> Bus:
+    """Open the bus as its plant; wait `patience_s` for a predecessor whose daemon was killed."""
+    end = time.monotonic() + patience_s
+    while True:
+        try:
+            return Bus.open(c.bus, role="plant")
+        except RunError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.05)
+
+
 class _Stop:
-    """Why to end; set by SIGINT and SIGTERM."""
+    """Why to end; set by signals, which otherwise would cut the log. Mutable state: the reason."""
 
     def __init__(self) -> None:
         self.reason = ""
-        for s in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(s, self._on_signal)
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self._before[s] = signal.signal(s, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for s, handler in self._before.items():
+            signal.signal(s, handler)
 
     def _on_signal(self, signum: int, frame: FrameType | None) -> None:
         del frame
         self.reason = signal.Signals(signum).name
+
+
+def _guarded_service(
+    nodes: Nodes,
+    bus: Bus,
+    recording: Recording | None,
+    stop: _Stop,
+    duration_s: float | None,
+    supervisor: int | None,
+) -> Snapshot:
+    """Serve; what fails goes into the log before it goes up.
+
+    Raises PlantError, for a defect of this program, too: silence is what stops the controller.
+    """
+    try:
+        return _serve(nodes, bus, recording, stop, duration_s, supervisor)
+    except HilError as error:
+        if recording is not None:
+            recording.event(time.monotonic_ns(), "error", str(error))
+        raise
+    except Exception as error:
+        if recording is not None:
+            recording.event(time.monotonic_ns(), "error", tracebacks.format_exc())
+        raise PlantError(
+            f"the plant failed, {type(error).__name__}: {error}; its log has the details"
+        ) from error
 
 
 def _serve(
@@ -148,34 +218,55 @@ def _serve(
     supervisor: int | None,
 ) -> Snapshot:
     now = time.monotonic_ns()
+    bus.drain_now()
     nodes.start(now)
     end = None if duration_s is None else now + round(duration_s * 1e9)
     next_look = now
     sent: list[Frame] = []
     heard: list[Received] = []
     snapshot = nodes.snapshot()
+    row, moving = 0, False
+    moved_ns = 0
     while not stop.reason:
         received = bus.wait(now + IDLE_NS)
         now = time.monotonic_ns()
-        outgoing = [frame for _, frame in nodes.step(now, received)]
+        outgoing = latest([frame for _, frame in nodes.step(now, received)])
         if outgoing:
             bus.send(outgoing)
         if recording is not None:
             heard += received
             sent += outgoing
-            snapshot_due = nodes.syncs != snapshot.syncs
-            if snapshot_due:
+            if outgoing or nodes.syncs != snapshot.syncs or (moving and now - snapshot.t_ns >= SILENT_NS):
                 snapshot = nodes.snapshot()
-                recording.tick(plant_row(snapshot), heard, sent)
+                moving = not at_rest(snapshot)
+                recording.tick(plant_row(row, snapshot), heard, sent)
+                row += 1
                 heard, sent = [], []
         if now >= next_look:
-            next_look = now + 20_000_000
+            next_look = now + LOOK_NS
             if end is not None and now >= end:
-                stop.reason = "duration"
-            if (
-                supervisor is not None
-                and select.select([supervisor], [], [], 0)[0]
-                and not os.read(supervisor, 1)
-            ):
-                supervisor, end = None, now + round(ORPHAN_S * 1e9)
+                stop.reason = stop.reason or "duration"
+            if supervisor is not None and select.select([supervisor], [], [], 0)[0]:
+                supervisor, end, moved_ns = None, now + round(ORPHAN_S * 1e9), now
+            if moved_ns:
+                if not at_rest(nodes.snapshot()):
+                    moved_ns = now
+                elif now - moved_ns >= REST_NS:
+                    stop.reason = stop.reason or "orphaned"
     return nodes.snapshot()
+
+
+def latest(frames: list[Frame]) -> list[Frame]:
+    """Return one frame of each identifier, its newest, as a drive's mailboxes would send them.
+
+    After a stall of this process several SYNCs are answered at once. What is out of date would keep the bus
+    busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz.
+    """
+    newest = {frame.id: frame for frame in frames}
+    return frames if len(newest) == len(frames) else list(newest.values())
+
+
+def at_rest(s: Snapshot) -> bool:
+    """Tell whether no drive is powered and no leg moves."""
+    powered = np.isin(s.state, (DriveState.READY, DriveState.RUN)).any()
+    return not powered and float(np.abs(s.rate).max()) < REST_RATE_m_s

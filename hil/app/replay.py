@@ -11,6 +11,7 @@ from drivers.errors import LogError
 from hil.app.compose import REFERENCE_CSV, build_cycle, with_attached_reference
 from hil.app.configuration import loads
 from hil.log import Log
+from hil.record import environment
 from hil.replay import Verdict, replay
 
 
@@ -35,13 +36,23 @@ def replay_log(path: Path) -> tuple[Verdict, dict[str, Any]]:
     begun = time.perf_counter()
     verdict = replay(log, cycle)
     wall = time.perf_counter() - begun
-    return verdict, summary(verdict, wall, verdict.ticks / float(run["rate_Hz"]))
+    result = summary(verdict, wall, verdict.ticks / float(run["rate_Hz"]))
+    there, here = log.metadata.get("environment", {}).get("cpu"), environment()["cpu"]
+    if there != here:
+        result |= {"recorded_on": there, "replayed_on": here}
+    result["agrees"] = verdict.exact or (there != here and verdict.equivalent)
+    if log.summary.closed != "clean":
+        result["remark"] = (
+            f"the log was not closed by its run ({log.summary.closed}): it may end before the run did"
+        )
+    return verdict, result
 
 
 def summary(verdict: Verdict, wall_s: float, logged_s: float) -> dict[str, Any]:
     """Return a verdict as plain values."""
     return {
         "exact": verdict.exact,
+        "equivalent": verdict.equivalent,
         "ticks": verdict.ticks,
         "frames": verdict.frames,
         "different_ticks": verdict.different_ticks,

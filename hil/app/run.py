@@ -92,6 +92,8 @@ def run_daemon(
         if plant is not None:
             plant_summary = plant.finish()
     result = _summary(c, ending, trouble, granted, rate, budget, closed)
+    if "recorder" in result:
+        console.print(f"hil: {result['recorder']}", style="bold yellow", soft_wrap=True)
     if plant_summary is not None:
         result["plant"] = plant_summary
         result["success"] = result["success"] and plant_summary["success"]

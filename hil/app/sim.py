@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from hil.app.configuration import Configuration
 from hil.app.lockstep import Lockstep
 from hil.app.output import log_path
 from hil.app.replay import replay_log
+from hil.clock import collector_paused
 from hil.log import Log
 from hil.record import Recording
 from hil.report import figures
@@ -35,9 +35,11 @@ def simulate(
     duration_s: float | None = None,
     check_replay: bool = True,
     faults: FaultPlan | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    live: bool = False,
 ) -> dict[str, Any]:
     """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
+
+    `live` draws a status line on standard error.
 
     Raises ConfigurationError for what cannot run, PlantError where the plant fails.
     """
@@ -62,15 +64,14 @@ def simulate(
             can_channel=c.bus.channel,
             lockstep=True,
             ring_ticks=c.recording.ring_ticks,
+            live=live,
+            reference_s=cycle.parts.trajectory.duration_s,
         )
-        report_every = round(rate)
 
         def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
             recording.tick(out.row, inp.frames, opening + out.frames, inp.operator)
-            if progress is not None and inp.tick % report_every == 0:
-                progress(inp.tick / rate, cycle.mode.name)
 
-        with recording:
+        with recording, collector_paused():
             begun = time.perf_counter()
             mode = lockstep.run(duration_s, observe)
             wall = time.perf_counter() - begun
@@ -92,5 +93,5 @@ def simulate(
     }
     if check_replay:
         _, result["replay"] = replay_log(path)
-        result["success"] = result["success"] and result["replay"]["exact"]
+        result["success"] = result["success"] and result["replay"]["agrees"]
     return result

@@ -20,9 +20,9 @@ from hil.signals import Array, Effort, Reference, State
 
 
 class JointInverseDynamics:
-    """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench], ddq* = ddq_d + K_D dE + K_P E.
+    """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction, ddq* = ddq_d + K_D dE + K_P E.
 
-    E = q_d - q (6,) m. No mutable state.
+    E = q_d - q (6,) m. Friction is that of the measured rates. No mutable state.
     """
 
     def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
@@ -37,12 +37,17 @@ class JointInverseDynamics:
     ) -> JointInverseDynamics:
         """Make the law and its model from their section of the configuration."""
         w_n = per_leg(settings.wn_rad_s)
-        frozen = settings.model.frozen_at
+        believed = settings.model
+        frozen = believed.frozen_at
         model = Model(
             platform,
-            settings.model.variant,
+            believed.variant,
             leg_spin,
-            inertia_scale=settings.model.inertia_scale,
+            inertia_scale=believed.inertia_scale,
+            reflected_mass=believed.reflected_mass_kg,
+            viscous=believed.viscous_friction_N_s_m,
+            coulomb=believed.coulomb_friction_N,
+            sliding_speed=believed.sliding_speed_m_s,
             frozen_at=None
             if frozen is None
             else (

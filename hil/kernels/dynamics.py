@@ -1,4 +1,4 @@
-"""Rigid-body dynamics of platform and six two-part legs: M dtwist + H + G = J^T tau + wrench.
+"""Dynamics of platform and six two-part legs: M dtwist + H + G = J^T (tau - friction) + wrench.
 
 Rule of the room: as in hil.kernels. Forces are those needed at a leg's platform joint, velocity u and
 acceleration du there (H. D. Taghirad, Parallel Robots, 2013, 5.3, with l - c2 where the rod's centre of
@@ -12,19 +12,8 @@ import numpy as np
 
 from hil.compile_cache import INTEGER, MATRIX, VECTOR, helper, kernel
 from hil.kernels.kinematics import jacobian_rate_twist, leg, leg_motion
-from hil.vectors import (
-    Array,
-    Vector,
-    add,
-    at,
-    cross,
-    dot,
-    rotate,
-    rotate_back,
-    scale,
-    sub,
-)
 from hil.linalg import lu_factor, lu_solve, lu_solve_transposed
+from hil.vectors import Array, Vector, add, at, cross, dot, rotate, rotate_back, scale, sub
 
 FULL = 0
 NO_H = 1
@@ -49,7 +38,11 @@ AXIAL = 75  # cylinder + rod; 0 where legs do not spin
 FROZEN_M = 76  # (6, 6)
 FROZEN_G = 112  # (6,)
 FROZEN_J = 118  # (6, 6)
-SIZE = 154
+REFLECTED = 154  # (6,) motor and screw inertia as a mass along each leg
+VISCOUS = 160  # (6,)
+COULOMB = 166  # (6,)
+SLIDING_SPEED = 172
+SIZE = 173
 
 
 @helper
@@ -73,9 +66,12 @@ def spin_gradient(k: Vector, l: float, s: Vector) -> Vector:
 
 @helper
 def leg_mass(c: Array, i: int, l: float, s: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the rows of the leg's mass, M_i = m2 s s^T + I(l)/l^2 (1 - s s^T) + I_axial h h^T."""
+    """Return the rows of the leg's mass, M_i = (m2 + m_r) s s^T + I(l)/l^2 (1 - s s^T) + I_axial h h^T.
+
+    m_r is the reflected mass: it follows the leg's length alone.
+    """
     across = inertia_about_base(c, l) / (l * l)
-    along = c[ROD_MASS] - across
+    along = c[ROD_MASS] + c[REFLECTED + i] - across
     M0 = (across + along * s[0] * s[0], along * s[0] * s[1], along * s[0] * s[2])
     M1 = (M0[1], across + along * s[1] * s[1], along * s[1] * s[2])
     M2 = (M0[2], M1[2], across + along * s[2] * s[2])
@@ -91,11 +87,11 @@ def leg_mass(c: Array, i: int, l: float, s: Vector) -> tuple[Vector, Vector, Vec
 def leg_bias(c: Array, i: int, l: float, s: Vector, dl: float, ds: Vector) -> Vector:
     """Return h_i, the force at the platform joint that the leg's motion needs when du = 0.
 
-    h_i = m2 c2 |ds|^2 s + 2 (dl / l) (m2 (l - c2) - I(l)/l) ds, and the spin's gyroscopic and constraint
-    part.
+    h_i = (m2 c2 + m_r l) |ds|^2 s + 2 (dl / l) (m2 (l - c2) - I(l)/l) ds, and the spin's gyroscopic and
+    constraint part. The reflected mass m_r needs m_r ddl along s, and ddl = s.du + l |ds|^2.
     """
     m2, c2 = c[ROD_MASS], c[ROD_COM]
-    force = scale(m2 * c2 * dot(ds, ds), s)
+    force = scale((m2 * c2 + c[REFLECTED + i] * l) * dot(ds, ds), s)
     force = add(force, scale(2.0 * dl / l * (m2 * (l - c2) - inertia_about_base(c, l) / l), ds))
     if c[AXIAL] != 0.0:
         k = at(c, AXES + 3 * i)
@@ -237,6 +233,44 @@ def fill_jacobian(c: Array, code: int, p: Array, R: Array, J: Array) -> None:
                 J[i, 3 + j] = m[j]
 
 
+@helper
+def leg_friction(c: Array, i: int, dq: float) -> float:
+    """Return viscous dq + coulomb sat(dq / v_s), the force that leg i's drive loses; > 0 while extending.
+
+    sat is 1 from v_s on, linear below; with v_s = 0 it is sgn, sgn(0) = 0.
+    """
+    v_s = c[SLIDING_SPEED]
+    if dq > v_s:
+        share = 1.0
+    elif dq < -v_s:
+        share = -1.0
+    elif v_s > 0.0:
+        share = dq / v_s
+    else:
+        share = 0.0
+    return float(c[VISCOUS + i] * dq + c[COULOMB + i] * share)
+
+
+@helper
+def add_friction(c: Array, p: Array, R: Array, twist: Array, sign: float, tau: Array) -> None:
+    """Add sign * friction to tau (6,), at the rates dq = J twist of the pose (J never frozen)."""
+    for i in range(6):
+        if c[VISCOUS + i] != 0.0 or c[COULOMB + i] != 0.0:
+            r = rotate(R, at(c, PLATFORM + 3 * i))
+            _, s = leg(at(c, BASE + 3 * i), r, at(p, 0))
+            dq = dot(s, add(at(twist, 0), cross(at(twist, 3), r)))
+            tau[i] += sign * leg_friction(c, i, dq)
+
+
+@kernel(VECTOR, VECTOR)
+def friction_kernel(c: Array, dq: Array) -> Array:
+    """Return the friction forces (6,) N at the leg rates dq (6,) m/s."""
+    force = np.empty(6)
+    for i in range(6):
+        force[i] = leg_friction(c, i, dq[i])
+    return force
+
+
 @kernel(VECTOR, VECTOR, MATRIX)
 def mass_matrix_kernel(c: Array, p: Array, R: Array) -> Array:
     """Return M (6, 6) at the pose."""
@@ -280,7 +314,7 @@ def potential_energy_kernel(c: Array, p: Array, R: Array) -> float:
 def inverse_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, wrench: Array
 ) -> Array:
-    """Return tau = J^-T (M dtwist + H + G - wrench), (6,) N, > 0 extends; nan where J is singular."""
+    """Return tau = J^-T (M dtwist + H + G - wrench) + friction, (6,) N, > 0 extends; nan: J is singular."""
     work = np.empty((14, 6))
     f = work[12]
     model_force(c, code, p, R, twist, dtwist, f)
@@ -293,6 +327,7 @@ def inverse_dynamics_kernel(
     tau = np.empty(6)
     if lu_factor(J, LU, order):
         lu_solve_transposed(LU, order, f, tau, work[13])
+        add_friction(c, p, R, twist, 1.0, tau)
     else:
         tau[:] = np.nan
     return tau
@@ -302,9 +337,10 @@ def inverse_dynamics_kernel(
 def joint_idc_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, J: Array, ddq_star: Array, wrench: Array
 ) -> Array:
-    """Return tau = J^-T [M J^-1 (ddq* - (dJ/dt) twist) + H + G - wrench], (6,) N; nan where J is singular.
+    """Return tau = J^-T [M J^-1 (ddq* - (dJ/dt) twist) + H + G - wrench] + friction, (6,) N.
 
-    J belongs to p, R; only ``full`` and ``no_H`` have (dJ/dt) twist, and ``constant`` has its own J.
+    nan where J is singular. J belongs to p, R; only ``full`` and ``no_H`` have (dJ/dt) twist, and
+    ``constant`` has its own J.
     """
     work = np.empty((15, 6))
     LU = work[0:6]
@@ -333,6 +369,7 @@ def joint_idc_kernel(
     for i in range(6):
         f[i] -= wrench[i]
     lu_solve_transposed(LU, order, f, tau, y)
+    add_friction(c, p, R, twist, 1.0, tau)
     return tau
 
 
@@ -340,7 +377,9 @@ def joint_idc_kernel(
 def forward_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, tau: Array, wrench: Array
 ) -> Array:
-    """Return dtwist = M^-1 (J^T tau + wrench - H - G), (6,); nan where M is singular."""
+    """Return dtwist = M^-1 (J^T (tau - friction) + wrench - H - G), (6,); nan where M is singular."""
+    drive = tau.copy()
+    add_friction(c, p, R, twist, -1.0, drive)
     f = np.empty(6)
     dtwist = np.zeros(6)
     model_force(c, code, p, R, twist, dtwist, f)
@@ -349,7 +388,7 @@ def forward_dynamics_kernel(
     for j in range(6):
         total = 0.0
         for i in range(6):
-            total += J[i, j] * tau[i]
+            total += J[i, j] * drive[i]
         f[j] = total + wrench[j] - f[j]
     M = np.empty((6, 6))
     if code in (CONSTANT, CONSTANT_MG):

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.compile_cache import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
-from hil.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
 from hil.linalg import condition_from_lu, lu_factor, lu_solve
 from hil.rotations import cayley_step, orthonormalise
+from hil.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,19 +1,29 @@
-"""Rules on the bus: off, or refusing frames for too long.
+"""Rules on the bus: off, or refusing frames too often.
 
 Rule of the room: see `hil.safety`. A full queue and a dead bus look the same; only time tells them apart.
 """
 
 from __future__ import annotations
 
-SEND_FAULT_TICKS = 5
+HISTORY = 32
+"""Ticks that are remembered."""
+IN_A_ROW = 5
 """Ticks in a row with a refused frame that make a dead bus."""
+OFTEN = 8
+"""Ticks with a refused frame among those remembered that make a bus that cannot be relied on."""
 
 
-def failing_run(run: int, sends_failed: int) -> int:
-    """Return the ticks in a row with a refused frame, from their number so far and this tick's failures."""
-    return run + 1 if sends_failed > 0 else 0
+def refusals(history: int, sends_failed: int) -> int:
+    """Return the last HISTORY ticks as bits, 1 with a refused frame, newest lowest."""
+    return (2 * history + (sends_failed > 0)) % (1 << HISTORY)
 
 
-def bus_down(bus_off: bool, run: int) -> bool:
-    """Tell whether the bus is off, or has refused frames in `run` >= SEND_FAULT_TICKS ticks in a row."""
-    return bus_off or run >= SEND_FAULT_TICKS
+def bus_down(bus_off: bool, history: int) -> bool:
+    """Tell whether the bus is off, or has refused frames IN_A_ROW times in a row or OFTEN in all."""
+    row = (1 << IN_A_ROW) - 1
+    return bus_off or history & row == row or history.bit_count() >= OFTEN
+
+
+def bus_noisy(bus_errors: int, bus_overflow: int, sends_failed: int) -> bool:
+    """Tell whether this tick saw error frames, lost receptions or refused frames."""
+    return bus_errors > 0 or bus_overflow > 0 or sends_failed > 0

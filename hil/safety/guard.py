@@ -5,7 +5,8 @@ Rule of the room: pure but for the state named in the class; no clock, no bus, n
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from math import inf
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from drivers.signals import LEGS, Measurement
 from hil.config import LimitSettings
 from hil.safety import bus, recorder, timing
 from hil.safety.kernels import judge_state, limit_effort
-from hil.signals import Effort, Fault, Mode, Reference, State, TickInput, Verdict, Warn
+from hil.signals import Effort, Estimate, Fault, Mode, Reference, TickInput, Verdict, Warn
 
 WINDOW_S = 0.25
 """Length of the force window."""
@@ -22,35 +23,21 @@ _ZEROS = np.zeros(LEGS)
 _ZEROS.flags.writeable = False
 
 _LATE, _DEGRADED, _REJECTED, _RECORDER = map(int, (Warn.LATE, Warn.DEGRADED, Warn.REJECTED, Warn.RECORDER))
+_NOISY = int(Warn.BUS)
 _BUS = int(Fault.BUS)
-_LOADING, _PARKING = int(Mode.LOADING), int(Mode.PARKING)
-
-
-class Estimate(Protocol):
-    """What the rules need of an estimate."""
-
-    @property
-    def state(self) -> State:
-        """Pose, twist and lengths."""
-
-    @property
-    def condition(self) -> float:
-        """Condition number of J, lengths made comparable."""
-
-    @property
-    def hop(self) -> float:
-        """From 1 on the pose may belong to another assembly; see `hil.estimate`."""
+_LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)
 
 
 class Safety:
     """The rules of `hil.safety` with the limits of one robot.
 
-    Faults and stops are asked for only while the drives are powered (LOADING to PARKING); warnings always.
+    Faults and stops are asked for only while the drives are powered (LOADING to UNLOADING), warnings always.
     In the other modes the drives are off: no force, and the force limits start anew from zero.
 
     Mutable state: the forces sent within the last 250 ms, the last of them being the last tau; which of the
-    last 32 ticks were late; periods missed in a row; ticks in a row with refused frames; the recorder's
-    losses so far; whether all drives have been in RUN since the brakes opened. `reset` forgets all of it.
+    last 32 ticks were late; periods missed in a row; which of the last 32 ticks had refused frames; the
+    recorder's losses so far; whether all drives have been in RUN since the brakes opened.
+    `reset` forgets all of it.
     """
 
     def __init__(
@@ -91,8 +78,8 @@ class Safety:
         self._forget_forces()
         self._late = 0
         self._missed = 0
-        self._failing = 0
-        self._dropped = 0
+        self._refused = 0
+        self._dropped = inf  # what was lost before the first look is no news
         self._running = 0
 
     def _forget_forces(self) -> None:
@@ -111,15 +98,18 @@ class Safety:
     ) -> Verdict:
         """Return the limited forces, and what of this tick warns, faults or asks for a controlled stop.
 
-        effort: what the law asks for, not finite
-        where it failed; mode: that of this tick. Mutates the state named in the class, once per tick.
+        effort: what the law asks for, not finite where it failed; mode: that of this tick. Mutates the state
+        named in the class, once per tick.
         """
         state = estimate.state
-        powered = _LOADING <= mode <= _PARKING
-        warnings = self._watch_time(inp) | self._watch_recorder(inp)
+        powered = _LOADING <= mode <= _UNLOADING
+        losing = self._watch_recorder(inp)
+        warnings = self._watch_time(inp) | (_RECORDER if losing else 0)
         if measurement.rejected > 0:
             warnings |= _REJECTED
-        self._failing = bus.failing_run(self._failing, inp.sends_failed)
+        self._refused = bus.refusals(self._refused, inp.sends_failed)
+        if bus.bus_noisy(inp.bus_errors, inp.bus_overflow, inp.sends_failed):
+            warnings |= _NOISY
 
         faults, more, self._running = judge_state(
             int(mode), self._running, measurement.age, measurement.state,
@@ -133,14 +123,12 @@ class Safety:
         if not powered:
             self._forget_forces()
             return Verdict(_ZEROS, _warn(warnings), _fault(faults), stop=False)
-        if bus.bus_down(inp.bus_off, self._failing):
+        if bus.bus_down(inp.bus_off, self._refused):
             faults |= _BUS
         tau, law, more, self._newest, self._count = limit_effort(
             effort.tau, self._history, self._newest, self._count, inp.skipped, *self._force_limits
         )
-        stop = timing.too_many_missed(self._missed) or recorder.recorder_stop(
-            inp.recorder_alive, self._on_recorder_loss
-        )
+        stop = timing.too_many_missed(self._missed) or recorder.recorder_stop(losing, self._on_recorder_loss)
         return Verdict(tau, _warn(warnings | more), _fault(faults | law), stop)
 
     def _watch_time(self, inp: TickInput) -> int:
@@ -149,10 +137,10 @@ class Safety:
         self._missed = timing.missed_run(self._missed, inp.skipped)
         return (_LATE if late else 0) | (_DEGRADED if timing.is_degraded(self._late) else 0)
 
-    def _watch_recorder(self, inp: TickInput) -> int:
+    def _watch_recorder(self, inp: TickInput) -> bool:
         losing = recorder.recorder_losing(inp.recorder_alive, inp.recorder_dropped, self._dropped)
         self._dropped = inp.recorder_dropped
-        return _RECORDER if losing else 0
+        return losing
 
 
 def _warn(bits: int) -> Warn:

@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 INTEGERS = VECTOR.copy(dtype=INTEGER)
 
-_IDLE, _LOADING, _PARKING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.PARKING)
+_IDLE, _LOADING, _UNLOADING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.UNLOADING)
 _RELEASING, _STOPPING = int(Mode.RELEASING), int(Mode.STOPPING)
 _STALE, _DRIVE, _NOT_FINITE = int(Fault.STALE), int(Fault.DRIVE), int(Fault.NOT_FINITE)
 _KINEMATICS, _ASSEMBLY, _CONDITION = int(Fault.KINEMATICS), int(Fault.ASSEMBLY), int(Fault.CONDITION)
@@ -50,12 +50,12 @@ def judge_state(
     """Return fault bits, warning bits, and whether all drives have been in RUN since the brakes opened.
 
     Measurement, State, the estimate's quality, Reference and limits as in hil.signals and hil.config; the
-    reference is followed from RELEASING to STOPPING. Faults from LOADING to PARKING only.
+    reference is followed from RELEASING to STOPPING. Faults from LOADING to UNLOADING only.
     """
     faults = warnings = 0
     if mode > _IDLE and stale(age, stale_warn):
         warnings |= _WARN_STALE
-    if mode < _LOADING or mode > _PARKING:
+    if mode < _LOADING or mode > _UNLOADING:
         return faults, warnings, 0
     moving = _RELEASING <= mode <= _STOPPING
 

@@ -6,11 +6,11 @@ Rule of the room: see `hil.safety`.
 from __future__ import annotations
 
 
-def recorder_losing(alive: bool, dropped: int, dropped_before: int) -> bool:
+def recorder_losing(alive: bool, dropped: int, dropped_before: float) -> bool:
     """Tell whether the recorder is dead or has lost ticks since the last look."""
     return not alive or dropped > dropped_before
 
 
-def recorder_stop(alive: bool, on_loss: str) -> bool:
-    """Tell whether a dead recorder asks for a controlled stop; `on_loss` is continue or stop."""
-    return not alive and on_loss == "stop"
+def recorder_stop(losing: bool, on_loss: str) -> bool:
+    """Tell whether a recorder that is `losing` asks for a controlled stop; `on_loss` is continue or stop."""
+    return losing and on_loss == "stop"

@@ -342,6 +342,28 @@ def test_the_late_feedback_of_the_last_tick_fills_the_gap_it_left():
     assert (gap.age[0], measurement.age[0], measurement.length[0]) == (1, 1, 1.7)
 
 
+def test_age_counts_ticks_and_not_calls():
+    before = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
+    assert P["fd"].decode((), 15, before).age[0] == 10
+
+
+def test_a_frame_from_before_the_tick_is_no_answer_to_its_sync_even_with_its_counter():
+    frame = feedback("fd", 116 & 15, length=1.6)
+    before = P["fd"].decode(received(feedback("fd", 100, length=1.5)), 100, no_measurement())
+    late = P["fd"].decode([Received(999, frame)], 116, before, 1000)
+    assert (late.age[0], late.rejected, late.length[0]) == (16, 1, before.length[0])
+    fresh = P["fd"].decode([Received(1000, frame)], 116, before, 1000)
+    assert (fresh.age[0], fresh.rejected) == (0, 0)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_fresh_is_a_feedback_with_this_ticks_counter(layout):
+    for tick in (0, 5, 15, 16, 300):
+        assert P[layout].fresh(feedback(layout, tick & 15), tick)
+        assert not P[layout].fresh(feedback(layout, (tick - 1) & 15), tick)
+    assert not P[layout].fresh(P[layout].sync(5)[0], 5)
+
+
 def test_decode_leaves_the_previous_measurement_alone():
     before = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
     kept = copy.deepcopy(before)

@@ -13,12 +13,14 @@ import numpy as np
 import hil
 from hil.geometry import Platform
 
+SPREAD = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5])
 HERE = Path(hil.__file__).parent
 KERNELS, MODEL = "kernels/dynamics.py", "dynamics.py"
 
 MUTATIONS = {
     "unchanged": (KERNELS, "", ""),
     "l - c2 replaced by c2 in the inertia": (KERNELS, "m2 * (l - c2) * (l - c2)", "m2 * c2 * c2"),
+    "l - c2 replaced by c2 in the potential energy": (KERNELS, "scale(l - c[ROD_COM], s)", "scale(c[ROD_COM], s)"),
     "l - c2 replaced by c2 in its rate": (KERNELS, "(m2 * (l - c2) - inertia", "(m2 * c2 - inertia"),
     "l - c2 replaced by c2 in the weight": (KERNELS, "c[ROD_MASS] * (l - c[ROD_COM])) / l", "c[ROD_MASS] * c[ROD_COM]) / l"),
     "rod mass dropped": (MODEL, "c[kernels.ROD_MASS] = k * rod.mass", "pass"),
@@ -26,14 +28,28 @@ MUTATIONS = {
     "cylinder and rod exchanged": (MODEL, "cylinder, rod = platform.cylinder, platform.rod", "rod, cylinder = platform.cylinder, platform.rod"),
     "inertia not rotated in M": (KERNELS, "column = rotate(R, inertia_times(c, column))", "column = at(c, INERTIA + 3 * j)"),
     "inertia not rotated in the moment": (KERNELS, "return force, add(rotate(R, turning)", "return force, add(turning"),
-    "parallel axis doubled": (MODEL, "+ m * ((x @ x)", "+ 2 * m * ((x @ x)"),
-    "parallel axis left out": (MODEL, "+ m * ((x @ x)", "+ 0 * m * ((x @ x)"),
+    "parallel axis doubled": (MODEL, "+ m * (square", "+ 2 * m * (square"),
+    "parallel axis left out": (MODEL, "+ m * (square", "+ 0 * m * (square"),
+    "parallel axis of the cylinder doubled": (KERNELS, "m1 * c1 * c1", "2 * m1 * c1 * c1"),
+    "c1 from the wrong end": (KERNELS, "m1 * c1 * c1", "m1 * (l - c1) * (l - c1)"),
+    "axial and transverse exchanged": (MODEL, "k * (cylinder.inertia_transverse + rod.inertia_transverse)", "k * (cylinder.inertia_axial + rod.inertia_axial)"),
     "centre of mass ignored": (MODEL, "c[kernels.COM : kernels.COM + 3] = x", "pass"),
     "H = 0": (KERNELS, "    elif code == FULL:", "    elif code == -1:"),
     "omega in the platform frame": (KERNELS, "    v, w = at(twist, 0), at(twist, 3)\n    dv", "    v, w = at(twist, 0), rotate_back(R, at(twist, 3))\n    dv"),
     "wrench with the wrong sign": (KERNELS, "f[i] -= wrench[i]", "f[i] += wrench[i]"),
     "spin inertia dropped": (MODEL, "        if spin:", "        if not spin:"),
     "spin's gyroscopic term dropped": (KERNELS, "force = add(force, scale(c[AXIAL] * spin / l, cross(ds, s)))", "pass"),
+    "spin's second rate dropped": (KERNELS, "- 2.0 * dl / l * spin", ""),
+    "reflected mass not in M": (KERNELS, "c[ROD_MASS] + c[REFLECTED + i] - across", "c[ROD_MASS] - across"),
+    "reflected mass not in H": (KERNELS, "(m2 * c2 + c[REFLECTED + i] * l)", "(m2 * c2)"),
+    "reflected mass of the first leg for all": (KERNELS, "c[ROD_MASS] + c[REFLECTED + i]", "c[ROD_MASS] + c[REFLECTED]"),
+    "reflected mass with a weight": (KERNELS, "scale(-c[ROD_MASS] * along, s)", "scale(-(c[ROD_MASS] + c[REFLECTED]) * along, s)"),
+    "viscous friction dropped": (MODEL, '_per_leg("viscous", "N s/m", viscous)', "0.0"),
+    "Coulomb friction dropped": (MODEL, '_per_leg("coulomb", "N", coulomb)', "0.0"),
+    "friction pushes in inverse dynamics": (KERNELS, "add_friction(c, p, R, twist, 1.0, tau)", "add_friction(c, p, R, twist, -1.0, tau)"),
+    "friction pushes in forward dynamics": (KERNELS, "add_friction(c, p, R, twist, -1.0, drive)", "add_friction(c, p, R, twist, 1.0, drive)"),
+    "friction of the origin's velocity alone": (KERNELS, "dq = dot(s, add(at(twist, 0), cross(at(twist, 3), r)))", "dq = dot(s, at(twist, 0))"),
+    "Coulomb friction proportional to the rate": (KERNELS, "if dq > v_s:", "if dq > 1e9:"),
 }  # fmt: skip
 
 
@@ -43,6 +59,9 @@ def load(name, file, text):
     sys.modules[name] = module
     exec(compile(text, str(HERE / file), "exec"), module.__dict__)
     return module
+
+
+DRIVES = {"reflected_mass": 500.0 * SPREAD, "viscous": 2000.0 * SPREAD, "coulomb": 150.0 * SPREAD[::-1]}
 
 
 def worst_error(model, cases):
@@ -58,12 +77,29 @@ def worst_error(model, cases):
         )
         for prefix, spin in (("", "none"), ("ujoint_", "universal")):
             m = model.Model(platforms[case["geometry"]], leg_spin=spin)
-            for value, key in (
-                (m.inverse_dynamics(p, R, twist, dtwist, wrench), prefix + "leg_forces"),
-                (m.mass_matrix(p, R), prefix + "M"),
+            legs, weight = np.array(e[prefix + "leg_forces"]), max(np.abs(e["G"]).max(), 1.0)
+            dq, ddq = np.array(e["rates"]), np.array(e["length_accels"])
+            driven = model.Model(platforms[case["geometry"]], leg_spin=spin, sliding_speed=0.0, **DRIVES)
+            tau = (
+                legs
+                + DRIVES["reflected_mass"] * ddq
+                + DRIVES["viscous"] * dq
+                + DRIVES["coulomb"] * np.sign(dq)
+            )
+            for value, want, floor in (
+                (m.inverse_dynamics(p, R, twist, dtwist, wrench), legs, 0.0),
+                (m.mass_matrix(p, R), e[prefix + "M"], 0.0),
+                (
+                    m.forward_dynamics(p, R, twist, s["f"], wrench),
+                    e[prefix + "fd_a"] + e[prefix + "fd_alpha"],
+                    1.0,
+                ),
+                (m.potential_energy(p, R), e["potential"], weight),
+                (driven.inverse_dynamics(p, R, twist, dtwist, wrench), tau, 0.0),
+                (driven.forward_dynamics(p, R, twist, tau, wrench), dtwist, 1.0),
             ):
-                expected = np.array(e[key])
-                worst = max(worst, float(np.abs(value - expected).max() / np.abs(expected).max()))
+                scale = max(float(np.abs(want).max()), floor)
+                worst = max(worst, float(np.abs(np.asarray(value) - want).max()) / scale)
     return worst
 
 

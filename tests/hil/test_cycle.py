@@ -189,3 +189,49 @@ def test_one_changed_bit_of_a_feedback_is_refused_and_the_leg_goes_stale(bench):
     assert row["rejected"] == 1
     assert row["age"].tolist() == [0, 0, 0, 1, 0, 0]
     assert int(row["warnings"]) & Warn.REJECTED
+
+
+def test_drives_that_stayed_powered_are_set_up_anew(bench):
+    bench.drives.state = [DriveState.OFF] * 6
+    bench.until(Mode.IDLE)
+    assert sorted(c.leg for c in bench.drives.configured) == list(range(6))
+
+
+def test_reset_is_sent_a_few_times_only_so_that_a_standing_fault_stays(bench):
+    bench.drives.state = [DriveState.FAULT] * 6
+    for tick in range(200):
+        bench.step((Operator.RESET,) if tick == 3 else ())
+        bench.drives.state = [DriveState.FAULT] * 6
+    modes = [c.mode for c in bench.drives.commands]
+    assert modes.count(DriveMode.RESET) == 5
+    assert modes[-1] == DriveMode.OFF
+    assert bench.cycle.mode is Mode.WAITING
+
+
+def test_the_force_stays_on_while_one_brake_does_not_shut_and_then_it_is_a_fault(bench):
+    bench.until(Mode.APPROACH)
+    stuck = bench.drives.state
+    bench.step((Operator.STOP,))
+    while bench.cycle.mode is not Mode.FAULT:
+        if bench.cycle.mode is Mode.PARKING:
+            bench.drives.state = [*stuck[:5], DriveState.RUN]
+        bench.step()
+        if bench.cycle.mode is Mode.PARKING:
+            assert min(bench.drives.commands[-1].force) > 3000.0
+        assert bench.tick < 5000
+    assert bench.cycle.faults == Fault.DRIVE
+
+
+@pytest.mark.parametrize(
+    ("mode", "stuck"), [(Mode.LOADING, DriveState.OFF), (Mode.RELEASING, DriveState.READY)]
+)
+def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stuck):
+    bench.until(mode)
+    entered = bench.tick
+    while bench.cycle.mode is mode:
+        bench.drives.state[1] = stuck
+        bench.step()
+        assert bench.tick < 5000
+    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.faults & Fault.DRIVE
+    assert 1000 < bench.tick - entered < 1400

@@ -244,7 +244,7 @@ def test_laws_on_the_books_trajectory_err_as_published_figures_say(row, make, op
 
 
 def test_mutations_of_the_equations_are_caught():
-    """Each classical mistake, put into the source, breaks the agreement that the tests above demand."""
+    """Each classical mistake, put into the source, breaks the agreement to 1e-9 a thousandfold."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     script = Path(__file__).with_name("dynamics_mutants.py")
     run = subprocess.run(
@@ -257,8 +257,8 @@ def test_mutations_of_the_equations_are_caught():
     )
     worst = json.loads(run.stdout)
     assert worst.pop("unchanged") <= 1e-9
-    assert len(worst) >= 10
-    assert {name: error for name, error in worst.items() if not error > 1e-9} == {}
+    assert len(worst) >= 30
+    assert {name: error for name, error in worst.items() if not error > 1e-6} == {}
 
 
 def test_constants_and_arguments_are_checked():

@@ -70,21 +70,33 @@ def test_legs_run_only_all_together(leg):
 # -- bus
 
 
-def test_bus_counts_ticks_in_a_row_with_refused_frames():
-    run = 0
-    for expected in (1, 2, 3):
-        run = bus.failing_run(run, 1)
-        assert run == expected
-    assert bus.failing_run(run, 6) == 4
-    assert bus.failing_run(run, 0) == 0
+def test_bus_remembers_which_ticks_had_refused_frames():
+    history = 0
+    for failed, expected in ((1, 0b1), (6, 0b11), (0, 0b110), (1, 0b1101)):
+        history = bus.refusals(history, failed)
+        assert history == expected
+    assert bus.refusals(1 << 30, 0) == 1 << 31
+    assert bus.refusals(1 << 31, 0) == 0
+    assert bus.refusals((1 << 32) - 1, 1) == (1 << 32) - 1
 
 
-def test_bus_is_down_when_off_or_after_five_failing_ticks():
+def test_bus_is_down_when_off_or_refusing_in_a_row_or_often():
     assert bus.bus_down(True, 0)
     assert not bus.bus_down(False, 0)
-    assert not bus.bus_down(False, 4)
-    assert bus.bus_down(False, 5)
-    assert bus.bus_down(False, 6)
+    assert not bus.bus_down(False, 0b1111)
+    assert bus.bus_down(False, 0b11111)
+    assert bus.bus_down(False, 0b1111111)
+    assert not bus.bus_down(False, 0b111101110)
+    assert bus.bus_down(False, 0b1111011110)
+    assert not bus.bus_down(False, 0b11111 << 3)
+    assert not bus.bus_down(False, 0b111110)
+
+
+def test_bus_is_noisy_with_errors_losses_or_refusals():
+    assert not bus.bus_noisy(0, 0, 0)
+    assert bus.bus_noisy(1, 0, 0)
+    assert bus.bus_noisy(0, 1, 0)
+    assert bus.bus_noisy(0, 0, 1)
 
 
 # -- recorder
@@ -98,9 +110,9 @@ def test_recorder_loses_when_dead_or_when_drops_grow():
 
 
 def test_recorder_stops_the_run_only_if_so_configured():
-    assert recorder.recorder_stop(False, "stop")
-    assert not recorder.recorder_stop(True, "stop")
-    assert not recorder.recorder_stop(False, "continue")
+    assert recorder.recorder_stop(True, "stop")
+    assert not recorder.recorder_stop(False, "stop")
+    assert not recorder.recorder_stop(True, "continue")
 
 
 # -- kinematics

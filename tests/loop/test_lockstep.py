@@ -29,7 +29,7 @@ def test_engages_tracks_stops_and_parks(recorded):
     order = [int(m) for m in modes[np.flatnonzero(np.diff(modes, prepend=-1))]]
     assert order == [
         Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING,
-        Mode.STOPPING, Mode.PARKING, Mode.PARKED,
+        Mode.STOPPING, Mode.PARKING, Mode.UNLOADING, Mode.PARKED,
     ]  # fmt: skip
 
 

@@ -102,6 +102,7 @@ class Bench:
         return self.nodes.step(t, [Received(t, frame) for frame in frames])
 
     def sync(self, t_ns: int) -> Measurement:
+        self.tick += 1
         sent = self.at(t_ns, *self.protocol.sync(self.tick))
         received = [Received(t, frame) for t, frame in sent]
         self.measurement = self.protocol.decode(received, self.tick, self.measurement)
@@ -487,14 +488,29 @@ def test_emergency_stop_faults_all_drives_and_latches_until_reset():
     assert bench.nodes.snapshot().fault.tolist() == [DriveFault.NONE] * 6
 
 
-def test_the_first_fault_stays_with_its_reaction():
-    bench, travelled = starve(Reaction.ZERO, seconds=0.01)
-    bench.at(20 * MS, *bench.protocol.emergency_stop())
-    bench.at(30 * MS)
+@pytest.mark.parametrize("reaction", list(Reaction))
+def test_emergency_stop_in_motion_brakes_whatever_the_reaction(reaction):
+    bench = Bench(reaction=reaction, faults=[push(-2000.0)])
+    bench.run()
+    bench.at(1 * MS, *bench.protocol.emergency_stop())
     snapshot = bench.nodes.snapshot()
-    assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6
-    assert snapshot.brake.tolist() == [0.0] * 6
-    np.testing.assert_allclose(snapshot.length, REST + travelled + 0.1 * 0.02, rtol=0, atol=1e-12)
+    assert snapshot.brake.tolist() == [1.0] * 6
+    assert not snapshot.force.any()
+
+
+@pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
+def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
+    for stop in ("estop", "off"):
+        bench, _ = starve(reaction, seconds=0.01)
+        assert bench.nodes.snapshot().brake.tolist() == [0.0] * 6
+        if stop == "estop":
+            bench.at(20 * MS, *bench.protocol.emergency_stop())
+        else:
+            bench.command(20 * MS, DriveMode.OFF)
+        snapshot = bench.nodes.snapshot()
+        assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6, "the first fault stays latched"
+        assert snapshot.brake.tolist() == [1.0] * 6
+        assert not snapshot.force.any()
 
 
 def test_reset_of_a_drive_that_was_never_configured_leads_back_to_boot():

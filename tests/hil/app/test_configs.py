@@ -101,16 +101,16 @@ def test_the_laboratory_platforms_inertia_is_that_of_a_disc_and_a_block():
         + block * (z[1] - com) ** 2
     )
     axial = disc * 0.6**2 / 2 + block * (0.6**2 + 0.6**2) / 12
-    body = load("lab").platform.platform
-    assert body.mass_kg == disc + block
-    assert body.com_m[2] == pytest.approx(com, abs=1e-4)
-    assert np.diag(body.inertia_kg_m2) == pytest.approx([across, across, axial], rel=1e-3)
+    body = platform_dict(load("lab").platform)["platform"]
+    assert body["mass"] == disc + block
+    assert body["com"][2] == pytest.approx(com, abs=1e-4)
+    assert np.diag(body["inertia"]) == pytest.approx([across, across, axial], rel=1e-3)
 
 
 def test_the_laboratory_joints_lie_on_their_circles():
     for name in ("lab", "socketcan"):
-        p = load(name).platform
-        for joints, radius, first in ((p.base_joints_m, 0.75, 350), (p.platform_joints_m, 0.6, 310)):
+        p = platform_dict(load(name).platform)
+        for joints, radius, first in ((p["base_joints"], 0.75, 350), (p["platform_joints"], 0.6, 310)):
             z = np.array([complex(x, y) for x, y, _ in joints])
             assert np.abs(z) == pytest.approx(radius, abs=1e-6)
             assert np.rad2deg(np.angle(z[0])) % 360 == pytest.approx(first, abs=1e-3)

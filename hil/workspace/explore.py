@@ -1,0 +1,63 @@
+"""All maps of a workspace at once.
+
+Rule of the room: as in hil.workspace.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hil.workspace.limits import Progress, Surveyor
+from hil.workspace.orientation import OrientationMap, map_orientations
+from hil.workspace.position import PLANES, PositionMap, Section, cut, map_positions
+from hil.workspace.shapes import Cylinder, Sphere, largest_cylinder, largest_sphere
+
+
+class Workspace(NamedTuple):
+    """All that was mapped, and the limits that were asked."""
+
+    surveyor: Surveyor
+    positions: PositionMap
+    sections: tuple[Section, ...]
+    """In the order of PLANES."""
+    sphere: Sphere
+    cylinder: Cylinder
+    orientations: OrientationMap
+
+
+def explore(
+    surveyor: Surveyor,
+    resolution: int = 60,
+    position: ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> Workspace:
+    """Map positions and orientations, cut the three sections through home, fit the largest bodies.
+
+    ``resolution`` as in ``map_positions``, ``position`` as in ``map_orientations``.
+
+    Raises
+    ------
+    WorkspaceError
+        Where the legs leave no room about home, or ``position`` is not reached.
+    """
+
+    def tell(what: str, share: float) -> None:
+        if progress is not None:
+            progress(what, share)
+
+    positions = map_positions(surveyor, resolution, progress)
+    sections = []
+    for k, plane in enumerate(PLANES):
+        tell("sections", k / len(PLANES))
+        sections.append(cut(surveyor, positions, plane))
+    reach = float(np.linalg.norm(positions.points - surveyor.p, axis=1).max()) + positions.step
+    tell("largest sphere and cylinder", 0.0)
+    sphere = largest_sphere(surveyor, positions.step, reach)
+    tell("largest sphere and cylinder", 0.5)
+    cylinder = largest_cylinder(surveyor, positions.step, reach)
+    tell("orientations", 0.0)
+    orientations = map_orientations(surveyor, position, positions)
+    return Workspace(surveyor, positions, tuple(sections), sphere, cylinder, orientations)

@@ -1,0 +1,303 @@
+"""The command line as a user meets it: help that teaches, exit codes, the summary on the terminal and as JSON."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+import zipfile
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from hil.app.configuration import load, shipped
+from hil.app.output import fold, log_path, replay_sentence, show, table, write_json
+from hil.cli import main
+
+
+def commands(group, words=()):
+    """Return every command below a group by the words that call it."""
+    found: dict[tuple[str, ...], click.Command] = {}
+    for name, command in group.commands.items():
+        here = (*words, name)
+        found |= commands(command, here) if isinstance(command, click.Group) else {here: command}
+    return found
+
+
+COMMANDS = commands(main)
+
+
+def hil(*words):
+    return CliRunner().invoke(main, [str(w) for w in words])
+
+
+def edited(*changes):
+    text = load("virtual").text
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+# -- help ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_the_help_of_every_command_teaches(words):
+    result = hil(*words, "--help")
+    assert result.exit_code == 0
+    text = result.output
+    assert re.search(r"^  Examples:$", text, re.MULTILINE)
+    assert re.search(r"^    0  \w+", text, re.MULTILINE), "what exit code 0 means"
+    assert re.search(r"^    2  \w+", text, re.MULTILINE), "what exit code 2 means"
+    assert "--json FILE" in text
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_example_in_the_help_is_a_command_line_that_parses(words):
+    lines = re.findall(r"^    hil (.*?)(?: {2,}.*)?$", hil(*words, "--help").output, re.MULTILINE)
+    assert len(lines) >= 2
+    for line in lines:
+        given = shlex.split(line)
+        assert tuple(given[: len(words)]) == words
+        COMMANDS[words].make_context("hil", given[len(words) :])
+
+
+@pytest.mark.parametrize("name", ["run", "plant", "sim"])
+def test_what_writes_a_log_takes_its_name_and_says_where_it_goes(name):
+    assert "log" in [p.name for p in COMMANDS[(name,)].params if isinstance(p, click.Option)]
+    assert re.search(
+        r"The log goes to --log, else to runs/NAME-TIME[-a-z]*\.mcap", hil(name, "--help").output
+    )
+
+
+def test_the_group_lists_its_commands_in_the_order_of_their_use_and_all_shipped_configurations():
+    text = hil("--help").output
+    listed = re.findall(r"^  (\w+) {2,}[A-Z]", text.partition("Commands:")[2], re.MULTILINE)
+    assert listed[:5] == ["run", "plant", "sim", "replay", "check"]
+    assert "fmu" in listed
+    names = re.findall(r"\w+", re.findall(r"shipped one:(.*?)\. Logs", text, re.DOTALL)[0])
+    assert sorted(set(names) - {"the", "default"}) == sorted(shipped())
+
+
+def test_help_imports_nothing_heavy():
+    """Numpy, pydantic, numba and the bus cost half a second; help does without."""
+    code = (
+        "import sys; from hil.cli import main; main(['run', '--help'], standalone_mode=False); "
+        "print('heavy:', [m for m in ('numpy', 'numba', 'pydantic', 'can', 'cantools', 'yaml', 'rich', 'fmpy')"
+        " if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.splitlines()[-1] == "heavy: []"
+
+
+def test_an_unknown_configuration_names_the_shipped_ones():
+    result = hil("sim", "virtal")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        "hil: virtal: no such file; shipped configurations are: bench, ideal, lab, socketcan, vcan50, virtual\n"
+    )
+
+
+# -- exit codes and JSON -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sim")
+    result = hil("sim", "--duration", 1.2, "--log", folder / "run.mcap", "--json", folder / "run.json")
+    return result, folder
+
+
+def test_a_simulation_that_parks_exits_0_and_says_so_on_the_terminal_and_in_json(simulated):
+    result, folder = simulated
+    assert result.exit_code == 0, result.output
+    summary = json.loads((folder / "run.json").read_text())
+    assert summary["success"] is True
+    assert summary["final_mode"] == "PARKED"
+    assert summary["log"] == str(folder / "run.mcap")
+    assert summary["replay"]["exact"] is True
+    assert result.stdout.splitlines()[0] == "sim: success"
+    assert re.search(rf"^replay +{summary['ticks']} ticks, 0 differences$", result.stdout, re.MULTILINE)
+
+
+def test_a_replay_exits_0_says_one_sentence_and_leaves_the_log_alone(simulated, tmp_path):
+    log = simulated[1] / "run.mcap"
+    before = log.read_bytes()
+    result = hil("replay", log, "--json", tmp_path / "replay.json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "replay.json").read_text())
+    assert summary["success"] is True
+    assert summary["different_ticks"] == 0
+    assert re.search(rf"^replay +{summary['ticks']} ticks, 0 differences$", result.stdout, re.MULTILINE)
+    assert log.read_bytes() == before
+
+
+def test_a_latched_fault_exits_1_and_the_summary_names_it(tmp_path):
+    tight = edited(
+        ("following_error_m: 0.01", "following_error_m: 1e-6"),
+        ("following_error_s: 0.01 ", "following_error_s: 0 "),
+    )
+    (tmp_path / "tight.yaml").write_text(tight)
+    result = hil("sim", tmp_path / "tight.yaml", "--log", tmp_path / "a.mcap", "--json", tmp_path / "a.json")
+    assert result.exit_code == 1, result.output
+    summary = json.loads((tmp_path / "a.json").read_text())
+    assert summary["success"] is False
+    assert summary["faults"] == ["FOLLOWING"]
+    assert result.stdout.splitlines()[0] == "sim: failed"
+    assert re.search(r"^faults +FOLLOWING$", result.stdout, re.MULTILINE)
+
+
+def test_check_exits_0_with_figures(tmp_path):
+    result = hil("check", "virtual", "--json", tmp_path / "check.json")
+    assert result.exit_code == 0, result.output
+    assert "total 558.2 us of a 1000.0 us period = 55.8 %" in result.stdout
+    summary = json.loads((tmp_path / "check.json").read_text())
+    assert summary["success"] is True
+    assert summary["figures"]["bus"]["total_us"] == pytest.approx(558.2)
+
+
+def test_check_exits_2_with_all_problems_on_the_terminal_and_in_json(tmp_path):
+    (tmp_path / "two.yaml").write_text(
+        edited(("reaction: brake ", "reaction: pray "), ("priority: 80", "priorty: 80"))
+    )
+    result = hil("check", tmp_path / "two.yaml", "--json", tmp_path / "check.json")
+    assert result.exit_code == 2
+    summary = json.loads((tmp_path / "check.json").read_text())
+    assert summary["success"] is False
+    assert len(summary["problems"]) == 2
+    for problem in summary["problems"]:
+        assert problem in result.stderr
+
+
+def test_check_folds_its_lines_to_the_terminal(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert max(len(line) for line in hil("check", "lab").stdout.splitlines()) <= 80
+
+
+def test_fmu_build_copies_both_versions_into_a_folder_that_it_makes(tmp_path):
+    result = hil("fmu", "build", "--output", tmp_path / "new" / "fmus", "--json", tmp_path / "fmu.json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "fmu.json").read_text())
+    for version in "23":
+        path = tmp_path / "new" / "fmus" / f"stewart-fmi{version}.fmu"
+        assert summary[f"fmi_{version}"] == str(path)
+        assert "modelDescription.xml" in zipfile.ZipFile(path).namelist()
+
+
+# -- the summary table ---------------------------------------------------------------------------------------
+
+SUMMARY = {
+    "success": True,
+    "kind": "run",
+    "configuration": "configs/virtual.yaml",
+    "log": "runs/virtual-20260131T120000.mcap",
+    "rate_Hz": 1000.0,
+    "trouble": None,
+    "real_time": {"granted": ["SCHED_FIFO", "locked memory"], "missing": []},
+    "bus_load_percent": 55.82,
+    "faults": [],
+    "tracking": {"ticks": 20000, "peak_leg_error_mm": 0.12032475, "peak_force_N": 16044.2399},
+    "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 3, "FORCE_WINDOW": 0},
+    "wake_up_us": {"p50": 3.14159, "p99": 51.04, "max": 1034.6},
+    "compute_us": {"p50": 0.0, "p99": 0.0, "max": 0.0},
+    "stale_ticks": 0,
+    "plant": {"success": True, "kind": "plant", "ending": "SIGTERM", "final_states": ["OFF"] * 6},
+    "replay": {"exact": True, "ticks": 21302, "different_ticks": 0, "gaps": [], "first": []},
+    "last_ticks": [{"tick": 1}],
+}
+TABLE = """\
+configuration     configs/virtual.yaml
+log               runs/virtual-20260131T120000.mcap
+rate              1000 Hz
+real time
+  granted         SCHED_FIFO; locked memory
+  missing         none
+bus load          55.8 %
+faults            none
+tracking
+  ticks           20000
+  peak leg error  0.12 mm
+  peak force      16044 N
+limited ticks     force step 3
+wake up           p50 3.14, p99 51, max 1035 us
+stale ticks       0
+plant
+  ending          SIGTERM
+  final states    all OFF
+replay            21302 ticks, 0 differences"""
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_table_is_aligned_rounded_and_has_units(width):
+    assert "\n".join(table(SUMMARY, width)) == TABLE
+
+
+def test_a_long_value_is_folded_under_its_column_and_a_path_is_not():
+    path = "/a/very/long/path/" + "x" * 80 + ".mcap"
+    lines = table({"success": True, "log": path, "recorder": "one two three four five six " * 4}, 80)
+    assert lines[0] == f"log       {path}"
+    assert all(len(line) <= 80 and line.startswith(" " * 10) for line in lines[2:])
+    assert len(lines) == 3
+
+
+def test_the_headline_says_how_it_went(capsys):
+    show("run", SUMMARY | {"success": False}, width=80)
+    assert capsys.readouterr().out.splitlines()[0] == "run: failed"
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({}, "21302 ticks, 0 differences"),
+        (
+            {
+                "different_ticks": 1,
+                "wire_different_ticks": 1,
+                "first": ["tick 1200: tau: recorded [1. 2.], replayed [1. 3.]"],
+            },
+            "21302 ticks, 1 difference (1 in sent frames), the first in tick 1200: tau",
+        ),
+        (
+            {"ticks": 700, "gaps": ["1 ticks missing from tick 700"]},
+            "700 ticks, 0 differences; 1 ticks missing from tick 700",
+        ),
+        ({"ticks": 0}, "0 ticks: nothing to compare"),
+    ],
+)
+def test_a_replay_is_one_sentence(changes, sentence):
+    assert replay_sentence(SUMMARY["replay"] | changes) == sentence
+
+
+def test_folding_breaks_between_words_only():
+    assert fold("alpha beta gamma delta epsilon", 20) == ["alpha beta gamma", "delta epsilon"]
+
+
+# -- files ---------------------------------------------------------------------------------------------------
+
+
+def test_a_summary_with_a_number_that_is_none_is_json_all_the_same(tmp_path):
+    write_json(tmp_path / "a.json", {"success": True, "x": float("nan"), "y": [float("inf"), 1.5]})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"success": True, "x": None, "y": [None, 1.5]}
+
+
+def test_a_summary_goes_into_a_pipe_without_replacing_it():
+    code = (
+        "from pathlib import Path; from hil.app.output import write_json; "
+        "write_json(Path('/dev/stdout'), {'success': True}); assert Path('/dev/null').is_char_device(); "
+        "write_json(Path('/dev/null'), {}); assert Path('/dev/null').is_char_device()"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert json.loads(out) == {"success": True}
+
+
+def test_logs_of_the_same_second_get_names_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setattr("time.strftime", lambda *_: "20260131T120000")
+    first = log_path(str(tmp_path), "bench", None, "-plant")
+    first.touch()
+    second = log_path(str(tmp_path), "bench", None, "-plant")
+    assert [first.name, second.name] == [
+        "bench-20260131T120000-plant.mcap",
+        "bench-20260131T120000-2-plant.mcap",
+    ]

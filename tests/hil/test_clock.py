@@ -1,0 +1,85 @@
+"""Deadlines keep phase and never catch up; rights that are missing are named, and nothing outlives the block."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+
+import pytest
+
+from hil.clock import STALL_S, Deadlines, SLOWEST_Hz, fifo_allowed, holdable_rate, real_time
+
+
+def test_deadlines_are_absolute_and_keep_phase() -> None:
+    start = time.monotonic_ns() + 2_000_000
+    deadlines = Deadlines(500.0, 0.0, start_ns=start)
+    wakes = [deadlines.wait() for _ in range(20)]
+    assert [w.t_ns for w in wakes] == [start + w.tick * 2_000_000 for w in wakes]
+    assert all(w.lateness_ns >= 0 for w in wakes)
+    assert wakes[-1].tick == len(wakes) - 1 + sum(w.skipped for w in wakes)
+
+
+def test_periods_that_are_over_are_skipped_and_counted_not_caught_up() -> None:
+    deadlines = Deadlines(100.0, 0.0)
+    first = deadlines.wait()
+    time.sleep(0.035)
+    late = deadlines.wait()
+    after = deadlines.wait()
+    assert late.skipped >= 2, "three periods later: two are lost whole, the next one is under way"
+    assert late.tick == first.tick + 1 + late.skipped
+    assert (late.t_ns - first.t_ns) % 10_000_000 == 0
+    assert after.t_ns - late.t_ns >= 10_000_000, "no burst"
+
+
+def test_a_loop_that_comes_back_within_its_period_skips_nothing() -> None:
+    start = time.monotonic_ns() + 1_000_000
+    deadlines = Deadlines(2.0, 0.0, start_ns=start)
+    deadlines.wait()
+    time.sleep(0.1)
+    wake = deadlines.wait()
+    assert (wake.tick, wake.skipped, wake.t_ns) == (1, 0, start + 500_000_000)
+
+
+def test_a_wake_up_is_never_early() -> None:
+    deadlines = Deadlines(1000.0, 200.0)
+    for _ in range(50):
+        wake = deadlines.wait()
+        assert time.monotonic_ns() >= wake.t_ns
+
+
+def test_real_time_names_each_part_once_and_undoes_all() -> None:
+    affinity = os.sched_getaffinity(0)
+    with real_time(1, None) as report:
+        assert not gc.isenabled()
+        names = sorted(text.split(" ")[0] for text in report.granted + report.missing)
+        assert names == ["SCHED_FIFO", "cpu_dma_latency", "locked"]
+        assert report.fifo == (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+    assert os.sched_getaffinity(0) == affinity
+
+
+def test_real_time_is_undone_after_an_exception() -> None:
+    with pytest.raises(ZeroDivisionError), real_time(1, None):
+        raise ZeroDivisionError
+    assert gc.isenabled()
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+
+
+def test_asking_for_fifo_leaves_the_scheduler_as_it_was() -> None:
+    fifo_allowed(1)
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+
+
+def test_the_rate_held_outlasts_the_longest_stall_expected() -> None:
+    rate, worst_s = holdable_rate(1000.0, missed_in_a_row=5, seconds=0.05)
+    assert rate == 125.0, "5 / 125 Hz is the stall of 40 ms; the next half is below SLOWEST_Hz"
+    assert 5 / rate >= STALL_S
+    assert rate >= SLOWEST_Hz
+    assert worst_s >= 0.0
+
+
+def test_a_loop_slow_enough_keeps_its_rate() -> None:
+    assert holdable_rate(50.0, missed_in_a_row=5, seconds=0.1)[0] == 50.0

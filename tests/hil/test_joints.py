@@ -1,0 +1,49 @@
+"""Joints from radii and angles are those of published robots and of the circle itself."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil import joints
+
+BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())["geometry"]
+
+
+def test_the_books_base_is_a_hexagon_of_radius_two():
+    base = joints.on_circle(2.0, [0, 60, 120, 180, 240, 300])
+    assert base == pytest.approx(np.array(BOOK["base_joints"]), abs=2e-15)
+
+
+def test_the_books_platform_is_a_triangle_with_two_legs_a_corner():
+    expected = np.array(BOOK["platform_joints"])
+    assert joints.in_pairs(1.0, [30, 150, 270], 0.0) == pytest.approx(expected, abs=2e-15)
+    assert joints.on_circle(1.0, [30, 30, 150, 150, 270, 270]) == pytest.approx(expected, abs=2e-15)
+
+
+def test_pairs_by_half_angle_stand_at_their_angles():
+    spacing = joints.chord(0.75, 10.0)
+    assert spacing == pytest.approx(2 * 0.75 * np.sin(np.deg2rad(10)), abs=1e-15)
+    found = joints.in_pairs(0.75, [0, 120, 240], spacing, -0.1)
+    angles = np.deg2rad([-10, 10, 110, 130, 230, 250])
+    expected = np.stack([0.75 * np.cos(angles), 0.75 * np.sin(angles), np.full(6, -0.1)], axis=1)
+    assert found == pytest.approx(expected, abs=1e-15)
+
+
+def test_pairs_that_begin_with_the_second_leg_are_shifted_by_one():
+    found = joints.in_pairs(0.6, [60, 180, 300], joints.chord(0.6, 10.0), begin="second_leg")
+    z = found[:, 0] + 1j * found[:, 1]
+    assert np.rad2deg(np.angle(z)) % 360 == pytest.approx([310, 50, 70, 170, 190, 290])
+
+
+def test_pairs_by_spacing_keep_radius_and_distance():
+    found = joints.in_pairs(0.5, [17, 137, 257], 0.12)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(0.5)
+    assert np.linalg.norm(found[1::2] - found[::2], axis=1) == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("turns", [-3600, -360, 360, 7200])
+def test_whole_turns_change_nothing(turns):
+    there = joints.on_circle(1.0, [33.0 + turns])
+    assert there.tolist() == joints.on_circle(1.0, [33.0]).tolist()

@@ -1,0 +1,39 @@
+"""A defect of the program in mid-motion: a law that raises what nobody expects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.signals import LEGS, DriveFault
+from hil.log import Log
+from tests.realtime.bench import Process, configuration
+
+pytestmark = pytest.mark.realtime
+
+
+def test_a_law_that_raises_switches_the_drives_off_and_closes_the_log(
+    tmp_path: Path, start: Callable[..., Process]
+) -> None:
+    file = configuration(tmp_path)
+    run = start("run", str(file), "--plant", entry="tests.realtime.raising")
+
+    code, summary = run.wait(), run.summary
+    assert code == 1
+    assert "defect of this program, ZeroDivisionError: a law with a defect" in summary["trouble"]
+    assert "drives were told to switch off" in run.errors
+    assert "Traceback" not in run.errors
+    log = Log.open(summary["log"])
+    assert log.summary.closed == "clean"
+    assert summary["replay"]["exact"]
+    assert "Traceback" in log.events()[-1].text
+    assert len(summary["last_ticks"]) == 50
+
+    rows = Log.open(summary["plant"]["log"]).rows()
+    assert summary["plant"]["final_states"] == ["OFF"] * LEGS, "commanded, not the watchdog"
+    assert (rows["drive_fault"] == DriveFault.NONE).all()
+    assert np.abs(rows["rate"]).max() > 0.3
+    assert (rows["brake"][-1] == 1).all()

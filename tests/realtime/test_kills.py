@@ -1,0 +1,206 @@
+"""Processes killed with -9 in mid-motion. Each test starts on what its predecessor left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.protocol import DeviceCommand
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
+from hil.app.compose import build_protocol
+from hil.app.configuration import load
+from hil.app.replay import replay_log
+from hil.log import Log
+from hil.salvage import salvage
+from hil.signals import Fault, Mode
+from tests.realtime.bench import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
+
+pytestmark = pytest.mark.realtime
+
+FAST_m_s = 0.7
+STROKE_m = (0.75, 2.2)
+"""length_min_m and length_max_m of configs/virtual.yaml."""
+
+Start = Callable[..., Process]
+Listen = Callable[[Path], Listener]
+
+
+def logs(folder: Path) -> tuple[Path, Path]:
+    """Return the daemon's log and the plant's."""
+    plant = next((folder / "runs").glob("*-plant.mcap"))
+    return plant.with_name(plant.name.replace("-plant", "")), plant
+
+
+def last_command(file: Path, log: Log) -> tuple[int, int]:
+    """Return when the drives heard their last command, and its mode."""
+    protocol = build_protocol(load(str(file)))
+    found = (0, -1)
+    for tick in log.ticks():
+        for t_ns, frame in tick.received:
+            message = protocol.parse(frame)
+            if isinstance(message, DeviceCommand):
+                found = (t_ns, message.mode)
+    return found
+
+
+def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
+    file = configuration(tmp_path, {"watchdog_ms: 50 ": "watchdog_ms: 10 "})
+    run = start("run", str(file), "--plant")
+    listen(file).wait_for_motion(run, FAST_m_s)
+    family = run.find_family()
+
+    os.kill(run.pid, signal.SIGKILL)
+
+    run.wait()
+    wait_until_gone(*family.values())
+    daemon_log, plant_log = logs(tmp_path)
+    log, plant = Log.open(daemon_log), Log.open(plant_log)
+    watchdog_s = float(log.metadata["hil"]["watchdog_s"])
+    rows = plant.rows()
+
+    heard_ns, mode = last_command(file, plant)
+    assert mode == DriveMode.RUN, "killed in mid-motion"
+    reacted = rows[(rows["drive_state"] == DriveState.FAULT).all(axis=1)]
+    assert (reacted["drive_fault"] == DriveFault.WATCHDOG).all()
+    assert watchdog_s * 1e9 <= int(reacted["t_ns"][0]) - heard_ns + 100_000
+    assert int(reacted["t_ns"][0]) - heard_ns <= (watchdog_s + 0.010) * 1e9
+    if FIFO:
+        assert int(reacted["t_ns"][0]) - heard_ns <= 20_000_000
+    assert np.abs(reacted["rate"][0]).max() > FAST_m_s / 2, "still moving when the drives reacted"
+
+    assert rows["length"].min() > STROKE_m[0]
+    assert rows["length"].max() < STROKE_m[1]
+    assert np.abs(rows["rate"][-1]).max() < 1e-3
+    assert (rows["brake"][-1] == 1).all()
+    assert plant.summary.closed == "clean"
+    assert plant.metadata["summary"]["ending"] == "orphaned"
+
+    ticks = log.rows()
+    assert log.summary.closed == "producer died"
+    assert log.summary.dropped == 0
+    syncs, commands = int(rows["syncs"][-1]), int(rows["commands"][-1])
+    assert commands - 1 <= len(ticks) <= commands <= syncs <= len(ticks) + 1, "nothing lost"
+    assert replay_log(daemon_log)[0].exact
+
+
+@pytest.mark.parametrize("on_loss", ["continue", "stop"])
+def test_a_killed_recorder_does_not_move_the_platform(
+    tmp_path: Path, start: Start, listen: Listen, on_loss: str
+) -> None:
+    changes = {"on_recorder_loss: continue": f"on_recorder_loss: {on_loss}"}
+    file = configuration(tmp_path, changes, short=on_loss == "continue")
+    run = start("run", str(file), "--plant")
+    listen(file).wait_for_motion(run, 0.2)
+    family = run.find_family()
+
+    os.kill(family["recorder"], signal.SIGKILL)
+
+    code = run.wait()
+    summary = run.summary
+    salvaged = salvage(logs(tmp_path)[0], tmp_path / "salvaged.mcap")
+    total = summary["plant"]["syncs"]
+    assert salvaged.ticks > 0
+    assert total - salvaged.ticks <= summary["dropped_ticks"] < total
+    assert "the recorder died" in summary["recorder"]
+    assert "--salvage" in summary["recorder"]
+    assert "recorder" in run.errors
+    assert "Traceback" not in run.errors
+    assert summary["plant"]["final_states"] == ["OFF"] * LEGS
+    assert summary["plant"]["peak_final_rate_m_s"] < 1e-3
+    if on_loss == "continue":
+        assert (code, summary["success"], summary["ending"]) == (0, True, "parked")
+    else:
+        assert (code, summary["success"], summary["ending"]) == (1, False, "parked")
+        assert "controlled stop" in summary["trouble"]
+        assert "recorder" in summary["trouble"]
+    assert replay_log(tmp_path / "salvaged.mcap")[0].exact
+
+
+def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
+    file = configuration(tmp_path)
+    run = start("run", str(file), "--plant")
+    listener = listen(file)
+    listener.wait_for_motion(run, FAST_m_s)
+    family = run.find_family()
+
+    for pid in family.values():
+        os.kill(pid, signal.SIGKILL)
+
+    wait_until_gone(*family.values())
+    listener.look()
+    daemon_log, plant_log = logs(tmp_path)
+    out, summary = tmp_path / "salvaged.mcap", tmp_path / "replay.json"
+    command = [sys.executable, "-m", "hil.cli", "replay", "--salvage", str(out), str(daemon_log)]
+    done = subprocess.run(
+        [*command, "--json", str(summary)], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    last_ns = int(Log.open(out).rows()["t_ns"][-1])
+    assert listener.last_sync_ns - last_ns <= 250_000_000
+    assert listener.last_sync_ns >= last_ns, "the listener heard at least what the log knows"
+
+    salvage(plant_log, tmp_path / "salvaged-plant.mcap")
+    plant_rows = Log.open(tmp_path / "salvaged-plant.mcap").rows()
+    assert listener.last_sync_ns - int(plant_rows["t_ns"][-1]) <= 250_000_000
+
+
+def test_a_killed_plant_faults_the_daemon_within_10_ms(tmp_path: Path, start: Start, listen: Listen) -> None:
+    file = configuration(tmp_path, {"stale_fault_ticks: 25": "stale_fault_ticks: 5"})
+    run = start("run", str(file), "--plant")
+    listen(file).wait_for_motion(run, FAST_m_s)
+    family = run.find_family()
+    killed_ns = time.monotonic_ns()
+
+    os.kill(family["plant"], signal.SIGKILL)
+
+    assert run.wait() == 1
+    wait_until_gone(*family.values())
+    daemon_log, _ = logs(tmp_path)
+    log = Log.open(daemon_log)
+    rows = log.rows()
+    fault = rows[np.argmax(rows["mode"] == Mode.FAULT)]
+    heard = rows[(rows["age"] == 0).all(axis=1)][-1]
+    assert fault["faults"] & Fault.STALE
+    period_ns = round(1e9 / float(log.metadata["hil"]["rate_Hz"]))
+    between = rows[(rows["tick"] > heard["tick"]) & (rows["tick"] <= fault["tick"])]
+    allowed_ns = (5 + int(between["skipped"].sum())) * period_ns
+    assert int(fault["t_ns"] - heard["t_ns"]) <= allowed_ns
+    if FIFO:
+        assert period_ns == 2_000_000, "five of them are 10 ms"
+        assert int(fault["t_ns"]) - killed_ns <= allowed_ns
+
+    protocol = build_protocol(load(str(file)))
+    after = [tick for tick in log.ticks() if tick.row["tick"] > fault["tick"]]
+    modes = {
+        message.mode
+        for tick in after
+        for message in (protocol.parse(frame) for frame in tick.sent)
+        if isinstance(message, DeviceCommand)
+    }
+    assert len(after) >= 5
+    assert modes == {DriveMode.OFF}
+
+    summary = run.summary
+    last = summary["last_ticks"]
+    until = rows["tick"][rows["tick"] <= fault["tick"]]
+    assert [tick["tick"] for tick in last] == until[-50:].tolist()
+    assert len(last) == 50
+    assert last[-1]["tick"] == fault["tick"]
+    assert last[-1]["faults"] & Fault.STALE
+    for text in (summary["trouble"], run.errors):
+        assert "STALE" in text
+        assert f"process {family['plant']}, was killed by SIGKILL" in text
+    assert "Traceback" not in run.errors
+    assert replay_log(daemon_log)[0].exact

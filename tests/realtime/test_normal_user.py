@@ -1,0 +1,109 @@
+"""Without the right to SCHED_FIFO: as an ordinary user, beside a busy process."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pwd
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil import compile_cache
+from plant_fmu.stewart import build
+from tests.realtime.bench import ROOT, Process, configuration
+
+pytestmark = pytest.mark.realtime
+
+Start = Callable[..., Process]
+
+
+PROBE = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import hil.app.run'], check=True)"
+
+
+def without_rights() -> None:
+    """In the child: no real-time priority is allowed."""
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """Return a folder that another user can reach; those of pytest are closed again by its next session."""
+    with tempfile.TemporaryDirectory(prefix="hil-test-") as name:
+        yield Path(name)
+
+
+@pytest.fixture
+def ordinary(folder: Path) -> dict[str, Any]:
+    """Return how to start a process as an ordinary user with the caches of this one: compiling takes long."""
+    if os.getuid() != 0:
+        return {"preexec_fn": without_rights}
+    user = pwd.getpwnam("nobody")
+    home = folder / "home"
+    for cache in {compile_cache.CACHE_FOLDER, build.cache_folder()}:
+        shutil.copytree(cache, home / ".cache" / cache.name, dirs_exist_ok=True)
+    for path in (folder, *folder.rglob("*")):
+        os.chown(path, user.pw_uid, user.pw_gid)
+    variables = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "NUMBA_"))}
+    variables["HOME"] = str(home)
+    reads = "-all,+dac_read_search"
+    drop = ["setpriv", f"--reuid={user.pw_uid}", f"--regid={user.pw_gid}", "--clear-groups"]
+    # an interpreter or a checkout in root's home is readable with one capability more; it is not about time
+    ways = (drop, [*drop, f"--inh-caps={reads}", f"--ambient-caps={reads}"])
+    for prefix in ways:
+        with contextlib.suppress(FileNotFoundError):
+            probe = [*prefix, sys.executable, "-c", PROBE]
+            if not subprocess.run(
+                probe, cwd=ROOT, env=variables, capture_output=True, check=False
+            ).returncode:
+                return {"prefix": prefix, "env": variables}
+    pytest.skip(f"no way to be user {user.pw_name} who can read this installation")
+
+
+@pytest.fixture
+def busy() -> Iterator[None]:
+    """Keep one processor busy."""
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.usefixtures("busy")
+def test_beside_a_busy_process_it_goes_on_at_the_rate_it_can_hold(
+    folder: Path, start: Start, ordinary: dict[str, Any]
+) -> None:
+    file = configuration(folder, short=True, patient=False)
+    run = start("run", str(file), "--plant", folder=folder, **ordinary)
+
+    code, summary = run.wait(), run.summary
+    assert code == 0, run.errors
+    assert summary["success"]
+    assert 100 <= summary["rate_Hz"] < 1000
+    said = " ".join(run.errors.split())
+    assert "no right to SCHED_FIFO" in said
+    assert f"the loop runs at {summary['rate_Hz']:g} Hz instead of 1000 Hz" in said
+    assert any("SCHED_FIFO" in text for text in summary["real_time"]["missing"])
+    assert summary["tracking"]["peak_leg_error_mm"] < 10
+    assert summary["replay"]["exact"]
+    assert "Traceback" not in run.errors
+
+
+def test_refuse_refuses_before_anything_starts(folder: Path, start: Start, ordinary: dict[str, Any]) -> None:
+    file = configuration(folder, {"without_realtime: slow": "without_realtime: refuse"}, short=True)
+    run = start("run", str(file), "--plant", folder=folder, **ordinary)
+
+    assert run.wait() == 2
+    (line,) = run.messages
+    assert line.startswith("hil: no right to SCHED_FIFO")
+    assert "loop.without_realtime is `refuse`" in line
+    assert not (folder / "runs").exists()

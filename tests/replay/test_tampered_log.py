@@ -1,0 +1,100 @@
+"""A log in which one byte of one recorded received frame was changed: replay names the tick and the column."""
+
+import json
+import re
+
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from hil.cli import main
+from hil.log import Log
+from hil.signals import Mode
+from tests.hil.rewrite import rewrite_log
+
+RECEIVED = 1
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    result = CliRunner().invoke(main, ["sim", "--duration", "2", "--log", str(path)])
+    assert result.exit_code == 0, result.output
+    return path
+
+
+@pytest.fixture(scope="module")
+def frame_type(log):
+    """Protobuf type of the frames, from the schema that the file itself carries."""
+    with log.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return next(type(m) for _, channel, _, m in reader.iter_decoded_messages(["/can"]))
+
+
+def tamper(log, target, frame_type, tick, byte, mask=0x01):
+    """Copy the log with one byte changed in the first received frame of 12 bytes of `tick`: a leg's feedback."""
+    changed: list[int] = []
+
+    def edit(topic, data, sequence):
+        if topic != "/can" or changed:
+            return data
+        message = frame_type.FromString(data)
+        if (message.tick, message.direction, len(message.data)) != (tick, RECEIVED, 12):
+            return data
+        content = bytearray(message.data)
+        content[byte] ^= mask
+        message.data = bytes(content)
+        changed.append(tick)
+        return message.SerializeToString()
+
+    rewrite_log(log, target, edit)
+    assert changed == [tick]
+
+
+def test_the_copy_without_a_change_replays(log, tmp_path):
+    rewrite_log(log, tmp_path / "copy.mcap")
+    result = CliRunner().invoke(main, ["replay", str(tmp_path / "copy.mcap")])
+    assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize("byte", [0, 5, 11])
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.TRACKING, Mode.PARKED])
+def test_one_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_path, mode, byte):
+    rows = Log.open(log).rows()
+    ticks = rows["tick"][rows["mode"] == mode]
+    tick = int(ticks[len(ticks) // 2])
+    tamper(log, tmp_path / "tampered.mcap", frame_type, tick, byte)
+    result = CliRunner().invoke(
+        main, ["replay", str(tmp_path / "tampered.mcap"), "--json", str(tmp_path / "verdict.json")]
+    )
+    assert result.exit_code == 1, result.output
+    summary = json.loads((tmp_path / "verdict.json").read_text())
+    assert summary["success"] is False
+    assert summary["different_ticks"] >= 1
+    # The checksum of the frames differs in any case, and the drives' own checksum refuses the frame.
+    named = re.findall(r"^hil: tick (\d+): (\w+): recorded .*, replayed ", result.stderr, re.MULTILINE)
+    assert {int(t) for t, _ in named} == {tick}
+    assert {"frames_crc32", "rejected"} <= {column for _, column in named}
+    assert re.search(
+        rf"^replay +{len(rows)} ticks, {summary['different_ticks']} difference", result.stdout, re.MULTILINE
+    )
+    assert f"the first in tick {tick}: frames_crc32" in " ".join(result.stdout.split())
+
+
+def test_a_frame_taken_away_is_found(log, frame_type, tmp_path):
+    tick = 1500
+
+    def edit(topic, data, sequence):
+        if topic == "/can":
+            message = frame_type.FromString(data)
+            if (message.tick, message.direction, message.index) == (tick, RECEIVED, 0):
+                return None
+        return data
+
+    rewrite_log(log, tmp_path / "short.mcap", edit)
+    result = CliRunner().invoke(main, ["replay", str(tmp_path / "short.mcap")])
+    assert result.exit_code == 1, result.output
+    assert re.search(
+        rf"^hil: tick {tick}: frames_received: recorded \d+, replayed \d+$", result.stderr, re.MULTILINE
+    )

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.record.encode import Encoder, Messages
 from hil.record.environment import product_version
@@ -39,6 +40,26 @@ _LOCKSTEP_POLL_S = 0.004
 _SYNC_S = 1.0
 _MOST_TICKS = 2048
 _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "text/plain", ".csv": "text/csv"}
+
+
+class Histogram:
+    """Ticks by lateness of their wake-up, bins doubling from 1 us. Mutable state: the counts."""
+
+    BINS = 21
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(self.BINS, np.int64)
+
+    def add(self, lateness_ns: NDArray[np.int64]) -> None:
+        """Count a batch."""
+        us = np.maximum(lateness_ns, 0) // 1000
+        bins = np.minimum(np.frexp(us.astype(float))[1], self.BINS - 1)
+        self._counts += np.bincount(bins, minlength=self.BINS)
+
+    def table(self) -> dict[str, int]:
+        """Return {upper bound in us: ticks}; the last bin has no bound."""
+        bounds = [str(2**n) for n in range(self.BINS - 1)] + ["inf"]
+        return {bound: int(count) for bound, count in zip(bounds, self._counts, strict=True) if count}
 
 
 class Recorder:
@@ -60,6 +81,7 @@ class Recorder:
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
         self.ticks = 0
+        self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
         self._open(setup, attachments)
@@ -95,7 +117,7 @@ class Recorder:
 
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
         """Write the summary, close the file; `summary` is None when the producer died."""
-        counts = {
+        counts: dict[str, object] = {
             "closed": "clean" if summary is not None else "producer died",
             "ticks": self.ticks,
             "messages": self.file.messages,
@@ -103,6 +125,8 @@ class Recorder:
         }
         if self._live is not None:
             self._live.end()
+        if self._lateness is not None:
+            counts["wake_up_us"] = json.dumps(self._lateness.table())
         times = os.times()
         self.file.add_metadata(
             SUMMARY, {**(summary or {}), **{name: str(value) for name, value in counts.items()}}
@@ -116,6 +140,8 @@ class Recorder:
         if not len(batch.rows) and not len(batch.items):
             return False
         self._write(self._encoder.encode(batch))
+        if self._lateness is not None:
+            self._lateness.add(batch.rows["lateness_ns"])
         if self._live is not None:
             self._live.show(batch.rows)
         self.ticks += len(batch.rows)

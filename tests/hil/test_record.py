@@ -15,6 +15,7 @@ from drivers.errors import LogError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from hil.log import Log
 from hil.record import Recording, Scene
+from hil.record.recorder import Histogram
 from hil.record.scene import quaternion
 from hil.salvage import salvage
 from hil.signals import ROW
@@ -379,3 +380,9 @@ def test_throughput_is_far_from_the_limits(tmp_path, record_property):
     assert summary.complete
     assert producer_us < 120
     assert recorder_us < 600
+
+
+def test_the_summary_holds_a_histogram_of_wake_ups():
+    histogram = Histogram()
+    histogram.add(np.array([-5, 0, 999, 1_000, 1_999, 2_000, 700_000, 10**12]))
+    assert histogram.table() == {"1": 3, "2": 2, "4": 1, "1024": 1, "inf": 1}

@@ -1,0 +1,46 @@
+"""What feeds the cycle multiplies without BLAS: its kernels round differently from CPU to CPU."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+HIL = Path(__file__).parents[2] / "hil"
+FEEDS_THE_CYCLE = sorted(
+    [
+        *(
+            HIL / name
+            for name in ("cycle.py", "estimate.py", "motion.py", "reference.py", "rotations.py", "trig.py")
+        ),
+        *(HIL / name for name in ("inertia.py", "joints.py", "vectors.py", "app/platform.py")),
+        *(HIL / "control").glob("*.py"),
+        *(HIL / "safety").glob("*.py"),
+    ]
+)
+PRODUCTS = {"dot", "vdot", "inner", "matmul", "einsum", "tensordot", "linalg"}
+# hil.dynamics and hil.trajectory also hold what never reaches the cycle: energies, and checks that only refuse.
+ALLOWED = {"inertia.py": {"linalg"}}
+
+
+def products(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            found.add("@")
+        if isinstance(node, ast.Attribute) and node.attr in PRODUCTS:
+            found.add(node.attr)
+    return found
+
+
+@pytest.mark.parametrize("path", FEEDS_THE_CYCLE, ids=lambda p: p.relative_to(HIL).as_posix())
+def test_no_matrix_product_of_numpy_feeds_the_cycle(path):
+    assert products(path) <= ALLOWED.get(path.name, set())
+
+
+def test_the_constants_of_the_model_are_packed_without_one():
+    tree = ast.parse((HIL / "dynamics.py").read_text())
+    pack = next(n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "pack_constants")
+    assert not any(isinstance(n, ast.MatMult) for n in ast.walk(pack))
+    assert not any(isinstance(n, ast.Attribute) and n.attr in PRODUCTS for n in ast.walk(pack))

@@ -60,9 +60,12 @@ class StampedBus(Bus):
         return refused
 
     def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
-        """As Bus.drain."""
+        """As Bus.drain; of two in a tick the last one counts."""
         received = super().drain(deadline_ns, wanted)
-        self.stamps.append(_now())
+        if len(self.stamps) % 3 == 1:
+            self.stamps.append(_now())
+        else:
+            self.stamps[-1] = _now()
         return received
 
     def latencies(self) -> tuple[Any, Any]:

@@ -296,7 +296,14 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
             f"salvaged {report.ticks} ticks into {report.out}, {report.bytes_lost} bytes unreadable", err=True
         )
         log = salvage
-    verdict, summary = replay_log(log)
+
+    def tell(ticks: int) -> None:
+        click.echo(f"\r{ticks} ticks", err=True, nl=False)
+
+    shown = sys.stderr.isatty()
+    verdict, summary = replay_log(log, tell if shown else None)
+    if shown:
+        click.echo("\r\x1b[K", err=True, nl=False)
     for difference in verdict.first:
         click.echo(f"hil: {difference}", err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}

@@ -6,6 +6,7 @@ Rule of the room: reads a log, writes nothing.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from hil.cycle import Cycle
 from hil.log import Tick
-from hil.signals import COMPUTED_COLUMNS, Operator, TickInput
+from hil.signals import COMPUTED_COLUMNS, INPUT_COLUMNS, Operator, TickInput
 
 TOLERANCE = 1e-9
 """Computed columns on another CPU agree to this; frames agree to the bit."""
@@ -69,6 +70,10 @@ class Verdict:
         )
 
 
+_INPUT = struct.Struct(f"<{len(INPUT_COLUMNS)}q")
+"""The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
+
+
 class Recorded(Protocol):
     """Anything that gives recorded ticks in order; `hil.log.Log` above all."""
 
@@ -85,9 +90,11 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     verdict = Verdict()
     expected: int | None = None
     for entry in log.ticks():
-        recorded = entry.row
-        tick = int(recorded["tick"])
-        skipped = int(recorded["skipped"])
+        recorded = entry.row.tobytes()
+        (
+            tick, t_ns, lateness_ns, skipped, sends_failed, bus_errors, bus_off, bus_overflow, recorder_alive,
+            recorder_dropped, compute_ns,
+        ) = _INPUT.unpack_from(recorded)  # fmt: skip
         if expected is None:
             expected = skipped
         if tick != expected + (skipped if verdict.ticks else 0):
@@ -96,18 +103,18 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
         expected = tick + 1
         inp = TickInput(
             tick=tick,
-            t_ns=int(recorded["t_ns"]),
-            lateness_ns=int(recorded["lateness_ns"]),
+            t_ns=t_ns,
+            lateness_ns=lateness_ns,
             skipped=skipped,
             frames=entry.received,
-            sends_failed=int(recorded["sends_failed"]),
-            bus_errors=int(recorded["bus_errors"]),
-            bus_off=bool(recorded["bus_off"]),
-            bus_overflow=int(recorded["bus_overflow"]),
-            recorder_alive=bool(recorded["recorder_alive"]),
-            recorder_dropped=int(recorded["recorder_dropped"]),
-            operator=tuple(Operator(o) for o in entry.operator),
-            compute_ns=int(recorded["compute_ns"]),
+            sends_failed=sends_failed,
+            bus_errors=bus_errors,
+            bus_off=bool(bus_off),
+            bus_overflow=bus_overflow,
+            recorder_alive=bool(recorder_alive),
+            recorder_dropped=recorder_dropped,
+            operator=tuple(Operator(o) for o in entry.operator) if entry.operator else (),
+            compute_ns=compute_ns,
         )
         sent = cycle.begin(tick)
         out = cycle.step(inp)
@@ -115,14 +122,14 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
         verdict.ticks += 1
         verdict.frames += len(sent)
         wire = sent != entry.sent
-        columns = out.row.tobytes() != recorded.tobytes()
+        columns = out.row.tobytes() != recorded
         if wire or columns:
             verdict.different_ticks += 1
             verdict.wire_different_ticks += wire
             if columns:
-                verdict.largest = max(verdict.largest, _largest(out.row, recorded))
+                verdict.largest = max(verdict.largest, _largest(out.row, entry.row))
             if not verdict.first:
-                verdict.first = _differences(tick, out.row, recorded)
+                verdict.first = _differences(tick, out.row, entry.row)
                 if wire:
                     verdict.first.append(Difference(tick, "sent frames", entry.sent, sent))
         if progress is not None and verdict.ticks % 1000 == 0:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
 from hil.app.compose import REFERENCE_CSV, build_cycle, with_attached_reference
 from hil.app.configuration import loads
+from hil.clock import collector_paused
 from hil.log import Log
 from hil.record import environment
 from hil.replay import Verdict, replay
 
 
-def replay_log(path: Path) -> tuple[Verdict, dict[str, Any]]:
+def replay_log(path: Path, progress: Callable[[int], None] | None = None) -> tuple[Verdict, dict[str, Any]]:
     """Replay a log of `hil run` or `hil sim`; return the verdict and its summary.
+
+    `progress` is called with the number of ticks done, every thousand.
 
     Raises LogError for a file that is no such log.
     """
@@ -34,7 +38,8 @@ def replay_log(path: Path) -> tuple[Verdict, dict[str, Any]]:
             configuration = with_attached_reference(configuration, samples)
         cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]))
     begun = time.perf_counter()
-    verdict = replay(log, cycle)
+    with collector_paused():
+        verdict = replay(log, cycle, progress)
     wall = time.perf_counter() - begun
     result = summary(verdict, wall, verdict.ticks / float(run["rate_Hz"]))
     there, here = log.metadata.get("environment", {}).get("cpu"), environment()["cpu"]

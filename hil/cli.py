@@ -133,12 +133,18 @@ def main() -> None:
 @click.option(
     "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
 )
+@click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
 @_duration
 @_log
 @_json
 @_guarded
 def run_command(
-    configuration: str, with_plant: bool, duration: float | None, log: Path | None, json_file: Path | None
+    configuration: str,
+    with_plant: bool,
+    reset: bool,
+    duration: float | None,
+    log: Path | None,
+    json_file: Path | None,
 ) -> None:
     """Run the daemon in real time.
 
@@ -151,6 +157,7 @@ def run_command(
       hil run --plant                       all virtual; needs nothing but this machine
       hil run --plant --duration 5          the same, parked after 5 s
       hil run socketcan                     real drives on can0
+      hil run socketcan --reset             the same, clearing faults that the drives have latched
       hil run my.yaml --log today.mcap --json today.json
 
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
@@ -158,14 +165,14 @@ def run_command(
 
     \b
     Exit code:
-      0  parked as planned, and the log replays exactly
+      0  parked as planned or on request, and what was recorded replays exactly
       1  a latched fault, no drives, or stopped by safety; the log is closed and tells
       2  not begun: configuration, bus, plant or log file; the message says what
     """
     loaded = _load(configuration, "run")
     from hil.app.run import run_daemon
 
-    summary = run_daemon(loaded, log=log, duration_s=duration, with_plant=with_plant)
+    summary = run_daemon(loaded, log=log, duration_s=duration, with_plant=with_plant, reset=reset)
     if summary["trouble"]:
         click.echo(f"hil: {summary['trouble']}", err=True)
     _finish("run", summary, json_file)
@@ -220,6 +227,8 @@ def plant_command(
     if report is not None:
         with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
             os.write(report, json.dumps(summary).encode())
+    if summary["trouble"]:
+        click.echo(f"hil: {summary['trouble']}", err=True)
     _finish("plant", summary, json_file)
 
 
@@ -252,7 +261,10 @@ def sim_command(configuration: str, duration: float | None, log: Path | None, js
     loaded = _load(configuration, "sim")
     from hil.app.sim import simulate
 
-    _finish("sim", simulate(loaded, log=log, duration_s=duration, live=True), json_file)
+    summary = simulate(loaded, log=log, duration_s=duration, live=sys.stderr.isatty())
+    if summary["trouble"]:
+        click.echo(f"hil: {summary['trouble']}", err=True)
+    _finish("sim", summary, json_file)
 
 
 @main.command("replay", short_help="A log's inputs again, compared to the bit.")

@@ -54,6 +54,12 @@ _ZERO66.flags.writeable = False
 _POWERED_STATES = (DriveState.READY, DriveState.RUN)
 RESET_TICKS = 5
 """How often RESET is sent on the operator's command."""
+ENDING = frozenset({Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
+"""Modes that end when the motion has ended and the legs are at rest."""
+REST_PATIENCE_S = 1.0
+"""Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
+SETUPS = 3
+"""How often a drive is sent its set-up: nothing acknowledges it."""
 REST_m_s = 0.02
 """A motion has ended only when no measured leg is faster: brakes do not close on a moving platform."""
 
@@ -110,8 +116,8 @@ class Cycle:
         self.stop_requested = False
         self.reset_tick: int | None = None
         """When the operator last asked to clear the drives' faults."""
-        self.set_up: frozenset[int] = frozenset()
-        """Legs whose drives have been sent watchdog and reaction."""
+        self.set_up = [0] * LEGS
+        """How often each drive has been sent watchdog and reaction."""
         self.holding = _ZERO6
         """(6,) N: static force at the pose where the brakes open, or the force at which they close."""
         self.offset = _ZERO6
@@ -177,7 +183,7 @@ class Cycle:
         measurement, tick = self.measurement, inp.tick
         if Operator.RESET in inp.operator and self.mode in {Mode.FAULT, Mode.WAITING}:
             self.reset_tick = tick
-            self.set_up = frozenset()
+            self.set_up = [0] * LEGS
             self.faults = Fault.NONE
             self.stop_requested = False
             self.located = False
@@ -187,10 +193,14 @@ class Cycle:
             self.faults |= Fault.DRIVE
             self._enter(Mode.FAULT, tick, state)
             return
+        if self.mode in ENDING and self.motion.overdue(tick, REST_PATIENCE_S):
+            self.faults |= Fault.FOLLOWING
+            self._enter(Mode.FAULT, tick, state)
+            return
         facts = Facts(
             operator=inp.operator,
             drive_state=measurement.state.tolist(),
-            heard=self.located and max(measurement.age.tolist()) <= 1 and len(self.set_up) == LEGS,
+            ready=self.located and max(measurement.age.tolist()) <= 1 and min(self.set_up) >= SETUPS,
             elapsed=elapsed,
             finished=self.motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
             stop=self.stop_requested,
@@ -298,9 +308,9 @@ class Cycle:
         if leg >= LEGS or self.mode not in {Mode.WAITING, Mode.FAULT} or self.measurement.age[leg] > 1:
             return ()
         state = self.measurement.state[leg]
-        if state != DriveState.BOOT and (leg in self.set_up or state in _POWERED_STATES):
+        if state != DriveState.BOOT and (self.set_up[leg] >= SETUPS or state in _POWERED_STATES):
             return ()
-        self.set_up |= {leg}
+        self.set_up[leg] += 1
         parts = self.parts
         return (parts.protocol.configure(parts.watchdog_s, parts.reaction)[leg],)
 

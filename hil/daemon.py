@@ -110,14 +110,17 @@ def run(
     panel: OperatorPanel,
     feedback_window_ns: int,
     duration_s: float | None = None,
+    *,
+    reset: bool = False,
 ) -> Ending:
     """Run the cycle until it has parked, faulted, or found no drives.
 
     Engages by itself once the drives are there; `duration_s` asks for a stop that long after the start.
+    `reset` clears faults that the drives have latched before: without it they end the run.
     Whatever fails in here, the drives are told to switch off before it returns.
     """
     try:
-        return _run(cycle, bus, deadlines, recording, panel, feedback_window_ns, duration_s)
+        return _run(cycle, bus, deadlines, recording, panel, feedback_window_ns, duration_s, reset=reset)
     except Exception as error:  # noqa: BLE001 - a defect anywhere in the step must not leave drives powered
         switch_off(cycle, bus, deadlines)
         tick = deadlines.tick
@@ -151,6 +154,8 @@ def _run(
     panel: OperatorPanel,
     feedback_window_ns: int,
     duration_s: float | None,
+    *,
+    reset: bool,
 ) -> Ending:
     wanted, fresh = cycle.parts.protocol.feedback_ids, cycle.parts.protocol.fresh
     rate = cycle.parts.rate_Hz
@@ -159,10 +164,12 @@ def _run(
     fault_ticks = max(5, round(FAULT_TAIL_S * rate))
     sends_failed = 0
     compute_ns = 0
-    panel.press(Operator.RESET)
+    if reset:
+        panel.press(Operator.RESET)
     panel.running()
     engaged = stopped = False
     fault_tick, fault_detail = -1, ""
+    parked_tick = -1
     while True:
         tick, t_ns, lateness_ns, skipped = deadlines.wait()
         frames = bus.drain_now()
@@ -204,9 +211,13 @@ def _run(
 
         mode = cycle.mode
         if mode is Mode.PARKED:
-            cause = "the loop missed too many ticks in a row" if recording.alive else "the recorder was lost"
-            reason = f"safety asked for a controlled stop: {cause}" if cycle.stop_requested else ""
-            return Ending(mode, cycle.faults, reason, tick, requested=stopped or panel.interrupts > 0)
+            parked_tick = parked_tick if parked_tick >= 0 else tick
+            if drives_off(cycle) or tick - parked_tick >= fault_ticks:
+                cause = (
+                    "the loop missed too many ticks in a row" if recording.alive else "the recorder was lost"
+                )
+                reason = f"safety asked for a controlled stop: {cause}" if cycle.stop_requested else ""
+                return Ending(mode, cycle.faults, reason, tick, requested=stopped or panel.interrupts > 0)
         if mode is Mode.FAULT:
             if fault_tick < 0:
                 fault_tick, fault_detail = tick, fault_text(cycle)
@@ -215,8 +226,14 @@ def _run(
         elif mode is Mode.WAITING and tick >= no_drives_tick:
             if cycle.measurement.age.min() >= NEVER:
                 return Ending(mode, cycle.faults, "no drives", tick)
-            if tick >= not_ready_tick:
+            latched = (cycle.measurement.state == DriveState.FAULT).any()
+            if latched or tick >= not_ready_tick:
                 return Ending(mode, cycle.faults, waiting_text(cycle), tick)
+
+
+def drives_off(cycle: Cycle) -> bool:
+    """Tell whether all six drives report OFF."""
+    return all(state == DriveState.OFF for state in cycle.measurement.state.tolist())
 
 
 def fault_text(cycle: Cycle) -> str:
@@ -249,7 +266,9 @@ def waiting_text(cycle: Cycle) -> str:
     if not lacking:
         lengths = ", ".join(f"{q:.4f}" for q in measurement.length)
         lacking.append(f"no pose near platform.home has the measured leg lengths {lengths} m")
-    return f"not ready within {NOT_READY_S:g} s: {'; '.join(lacking)}"
+    latched = (measurement.state == DriveState.FAULT).any()
+    mend = "; find out why, then start with --reset to clear latched faults" if latched else ""
+    return f"the drives are not ready: {'; '.join(lacking)}{mend}"
 
 
 def _because(fault: int) -> str:

@@ -37,8 +37,8 @@ class Facts(NamedTuple):
     operator: tuple[Operator, ...]
     drive_state: Sequence[int]
     """Six DriveState."""
-    heard: bool
-    """All six legs have been heard lately."""
+    ready: bool
+    """All six legs heard lately, the pose found, all six drives set up."""
     elapsed: float
     """s since the present mode was entered."""
     finished: bool
@@ -63,7 +63,7 @@ def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
 
 def _waiting(facts: Facts, durations: Durations) -> Mode:
     del durations
-    return Mode.IDLE if facts.heard and _all(facts, DriveState.OFF) else Mode.WAITING
+    return Mode.IDLE if facts.ready and _all(facts, DriveState.OFF) else Mode.WAITING
 
 
 def _idle(facts: Facts, durations: Durations) -> Mode:

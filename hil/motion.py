@@ -42,6 +42,11 @@ class Motion:
         duration = self.trajectory.duration_s
         return duration is not None and self.time(tick) >= duration
 
+    def overdue(self, tick: int, patience_s: float) -> bool:
+        """Tell whether the present trajectory ended longer than `patience_s` ago."""
+        duration = self.trajectory.duration_s
+        return duration is not None and self.time(tick) > duration + patience_s
+
     def sample(self, tick: int) -> PoseSample:
         """Return where the platform should be at this tick."""
         return self.trajectory.sample(self.time(tick))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from drivers.bustime import BitTiming, Wire, frame_time_ns, priority
 from drivers.protocol import Frame, Received
 from hil.cycle import Cycle
-from hil.daemon import FAULT_TAIL_S, NO_DRIVES_S
+from hil.daemon import FAULT_TAIL_S, NO_DRIVES_S, drives_off
 from hil.signals import Mode, Operator, TickInput, TickOutput
 from plant_fmu.nodes import Nodes
 
@@ -128,12 +128,15 @@ class Lockstep:
         duration_s: float | None,
         observe: Observer,
     ) -> Mode:
-        """Engage, run the reference, park. Ends when parked, `fault_tail` ticks after a fault, or by time."""
+        """Engage, run the reference, park.
+
+        Ends when parked with all drives off, some ticks after a fault, or when the drives do not get ready.
+        """
         rate = self.cycle.parts.rate_Hz
         stop_tick = None if duration_s is None else round(duration_s * rate)
         fault_ticks = max(5, round(FAULT_TAIL_S * rate))
         in_fault = 0
-        operator: tuple[Operator, ...] = (Operator.RESET,)
+        operator: tuple[Operator, ...] = ()
         engaged = False
         while True:
             observe(*self.step(operator))
@@ -144,6 +147,7 @@ class Lockstep:
             if stop_tick is not None and self.tick + 1 == stop_tick:
                 operator = (*operator, Operator.STOP)
             in_fault += mode is Mode.FAULT
-            unheard = mode is Mode.WAITING and self.tick > NO_DRIVES_S * rate
-            if mode is Mode.PARKED or in_fault > fault_ticks or unheard:
+            parked = mode is Mode.PARKED and drives_off(self.cycle)
+            waited = mode is Mode.WAITING and self.tick > NO_DRIVES_S * rate
+            if parked or in_fault > fault_ticks or waited:
                 return mode

@@ -128,9 +128,13 @@ def run_plant(
         stop = stack.enter_context(_Stop())
         with real_time(max(1, c.loop.priority - 10), None) as granted:
             ready()
-            last = _guarded_service(nodes, bus, recording, stop, duration_s, supervisor)
+            try:
+                last, trouble = _guarded_service(nodes, bus, recording, stop, duration_s, supervisor), ""
+            except PlantError as error:
+                last, trouble = nodes.snapshot(), str(error)
         summary: dict[str, Any] = {
-            "success": True,
+            "success": not trouble,
+            "trouble": trouble or None,
             "kind": "plant",
             "ending": stop.reason,
             "real_time": {"granted": granted.granted, "missing": granted.missing},

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import ConfigurationError, PlantError
 from drivers.protocol import Frame
 from hil.app.compose import (
     attachments,
@@ -49,6 +50,11 @@ def simulate(
     budget = bus_budget(c, rate)
     watchdog_s = c.drives.watchdog_ms * 1e-3
     cycle = build_cycle(c, rate, watchdog_s)
+    if cycle.parts.trajectory.duration_s is None and duration_s is None:
+        raise ConfigurationError(
+            f"{c.source}: reference: it has no end, and a simulation needs one: set duration_s or "
+            "periods, or call with --duration"
+        )
     path = log_path(c.recording.folder, c.name, log)
     nodes, physics = build_nodes(c, faults)
     try:
@@ -71,17 +77,22 @@ def simulate(
         def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
             recording.tick(out.row, inp.frames, opening + out.frames, inp.operator)
 
+        trouble = ""
         with recording, collector_paused():
             begun = time.perf_counter()
-            mode = lockstep.run(duration_s, observe)
+            try:
+                mode = lockstep.run(duration_s, observe)
+            except PlantError as error:
+                mode, trouble = cycle.mode, str(error)
             wall = time.perf_counter() - begun
             recorder = recording.close({"ending": mode.name, "faults": int(cycle.faults)})
     finally:
         physics.close()
     rows = Log.open(path).rows()
     result: dict[str, Any] = {
-        "success": mode is Mode.PARKED and not cycle.faults,
+        "success": mode is Mode.PARKED and not cycle.faults and not trouble,
         "kind": "sim",
+        "trouble": trouble or None,
         "configuration": c.source,
         "log": str(path),
         "rate_Hz": rate,

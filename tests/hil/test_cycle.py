@@ -87,11 +87,13 @@ def bench():
     return Bench()
 
 
-def test_sets_up_one_booting_drive_a_tick_and_then_no_more(bench):
-    sizes = [len(bench.step().frames) for _ in range(40)]
+def test_sets_up_one_booting_drive_a_tick_three_times_over_and_then_no_more(bench):
+    sizes = [len(bench.step().frames) for _ in range(100)]
+    assert max(sizes) == 2
     assert sizes[:6] == [2] * 6
-    assert sizes[6:] == [1] * 34
-    assert sorted(c.leg for c in bench.drives.configured) == list(range(6))
+    assert sizes.count(2) == 18
+    assert sizes[46:] == [1] * 54
+    assert sorted(c.leg for c in bench.drives.configured) == sorted([*range(6)] * 3)
     assert {c.watchdog_s for c in bench.drives.configured} == {0.01}
     assert bench.cycle.mode is Mode.IDLE
 
@@ -194,7 +196,7 @@ def test_one_changed_bit_of_a_feedback_is_refused_and_the_leg_goes_stale(bench):
 def test_drives_that_stayed_powered_are_set_up_anew(bench):
     bench.drives.state = [DriveState.OFF] * 6
     bench.until(Mode.IDLE)
-    assert sorted(c.leg for c in bench.drives.configured) == list(range(6))
+    assert sorted(c.leg for c in bench.drives.configured) == sorted([*range(6)] * 3)
 
 
 def test_reset_is_sent_a_few_times_only_so_that_a_standing_fault_stays(bench):
@@ -235,3 +237,25 @@ def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stu
     assert bench.cycle.mode is Mode.FAULT
     assert bench.cycle.faults & Fault.DRIVE
     assert 1000 < bench.tick - entered < 1400
+
+
+def test_legs_that_do_not_come_to_rest_are_a_fault_and_not_a_stop_for_ever(bench):
+    bench.until(Mode.APPROACH)
+    bench.step((Operator.STOP,))
+    stopping = bench.tick
+    while bench.cycle.mode is Mode.STOPPING:
+        bench.drives.rate = 0.021 if bench.tick % 2 else -0.021
+        bench.step()
+        assert bench.tick < 5000
+    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.faults == Fault.FOLLOWING
+    assert 1400 < bench.tick - stopping < 1600
+
+
+def test_faults_that_the_drives_have_latched_are_not_cleared_unasked(bench):
+    bench.drives.state = [DriveState.OFF] * 5 + [DriveState.FAULT]
+    for _ in range(300):
+        bench.step((Operator.ENGAGE,))
+        bench.drives.state = [DriveState.OFF] * 5 + [DriveState.FAULT]
+    assert bench.cycle.mode is Mode.WAITING
+    assert {c.mode for c in bench.drives.commands} == {DriveMode.OFF}

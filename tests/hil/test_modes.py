@@ -10,7 +10,7 @@ from hil.signals import Mode, Operator
 
 DURATIONS = Durations(load=0.3, release=0.1)
 QUIET = Facts(
-    operator=(), drive_state=[DriveState.OFF] * 6, heard=True, elapsed=0.0, finished=False, stop=False
+    operator=(), drive_state=[DriveState.OFF] * 6, ready=True, elapsed=0.0, finished=False, stop=False
 )
 
 
@@ -24,7 +24,7 @@ def states(state, odd=None):
 
 def test_idle_needs_all_six_drives_heard_and_off():
     assert after(Mode.WAITING) is Mode.IDLE
-    assert after(Mode.WAITING, heard=False) is Mode.WAITING
+    assert after(Mode.WAITING, ready=False) is Mode.WAITING
     assert after(Mode.WAITING, drive_state=states(DriveState.OFF, DriveState.BOOT)) is Mode.WAITING
 
 

@@ -173,6 +173,10 @@ def run_command(
     from hil.app.run import run_daemon
 
     summary = run_daemon(loaded, log=log, duration_s=duration, with_plant=with_plant, reset=reset)
+    if "last_ticks" in summary:
+        from hil.app.output import last_ticks_table
+
+        click.echo(last_ticks_table(summary["last_ticks"]), err=True)
     if summary["trouble"]:
         click.echo(f"hil: {summary['trouble']}", err=True)
     _finish("run", summary, json_file)

@@ -130,12 +130,13 @@ class Lockstep:
     ) -> Mode:
         """Engage, run the reference, park.
 
-        Ends when parked with all drives off, some ticks after a fault, or when the drives do not get ready.
+        Ends when parked with all drives off, FAULT_TAIL_S after a fault or after parking drives that never
+        were on, or when the drives do not get ready.
         """
         rate = self.cycle.parts.rate_Hz
         stop_tick = None if duration_s is None else round(duration_s * rate)
-        fault_ticks = max(5, round(FAULT_TAIL_S * rate))
-        in_fault = 0
+        tail_ticks = max(5, round(FAULT_TAIL_S * rate))
+        ending = 0
         operator: tuple[Operator, ...] = ()
         engaged = False
         while True:
@@ -146,8 +147,8 @@ class Lockstep:
                 operator, engaged = (Operator.ENGAGE,), True
             if stop_tick is not None and self.tick + 1 == stop_tick:
                 operator = (*operator, Operator.STOP)
-            in_fault += mode is Mode.FAULT
+            ending += mode in {Mode.PARKED, Mode.FAULT}
             parked = mode is Mode.PARKED and drives_off(self.cycle)
             waited = mode is Mode.WAITING and self.tick > NO_DRIVES_S * rate
-            if parked or in_fault > fault_ticks or waited:
+            if parked or ending > tail_ticks or waited:
                 return mode

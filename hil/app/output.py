@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.text import Text
 
 from drivers.errors import LogError
+from hil.signals import Mode
 
 console = Console(stderr=True, highlight=False)
 
@@ -184,6 +185,20 @@ def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
         elif value:
             yield label, "" if value.get("success", True) else "failed"
             yield from _rows(value, indent + "  ")
+
+
+def last_ticks_table(ticks: list[dict[str, Any]]) -> str:
+    """Return the ticks before a fault (`last_ticks` of a run's summary), one line each."""
+    lines = ["    tick  mode       late us  ages (ticks)        largest leg error mm  largest force N"]
+    for tick in ticks:
+        error = max(abs(d - q) for d, q in zip(tick["q_d"], tick["q"], strict=True)) * 1e3
+        force = max(abs(tau) for tau in tick["tau"])
+        ages = " ".join(str(min(age, 999)) for age in tick["age"])
+        lines.append(
+            f"{tick['tick']:8d}  {Mode(tick['mode']).name:9s}  {tick['lateness_ns'] / 1e3:7.0f}  {ages:18s}  "
+            f"{error:20.3f}  {force:15.0f}"
+        )
+    return "\n".join(lines)
 
 
 def replay_sentence(summary: dict[str, Any]) -> str:

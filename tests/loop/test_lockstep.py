@@ -59,3 +59,10 @@ def test_twice_the_same_run_gives_the_same_bytes(virtual, recorded, tmp_path):
     assert first.rows().tobytes() == second.rows().tobytes()
     for a, b in zip(first.ticks(), second.ticks(), strict=True):
         assert (a.received, a.sent, a.operator) == (b.received, b.sent, b.operator)
+
+
+@pytest.mark.parametrize("duration_s", [0.002, 0.05, 0.35])
+def test_a_stop_before_the_drives_are_ready_ends_the_simulation_too(virtual, tmp_path, duration_s):
+    summary = simulate(virtual, log=tmp_path / "short.mcap", duration_s=duration_s)
+    assert summary["final_mode"] == "PARKED"
+    assert summary["duration_s"] < 1.5

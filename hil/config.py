@@ -235,6 +235,10 @@ class LoopSettings(Section):
     without_realtime: Literal["slow", "refuse"] = "slow"
     """Without SCHED_FIFO: drop to a rate that can be held, or refuse to run."""
 
+    def window_s(self, rate_Hz: float) -> float:
+        """Return the longest wait for the six feedbacks at a rate, s."""
+        return 0.65 / rate_Hz if self.feedback_window_us is None else self.feedback_window_us * 1e-6
+
 
 class ModelSettings(Section):
     """The controller's model of the robot."""

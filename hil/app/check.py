@@ -16,13 +16,14 @@ from drivers.bustime import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration import Configuration, load, platform_dict
 from hil.app.consistency import bus_budget
-from hil.app.reach import WINDOW_S, Walk, span_s, violations, walk, window_swing
+from hil.app.reach import Walk, span_s, violations, walk, window_swing
 from hil.app.yaml_positions import Problem, parse
 from hil.clock import real_time
 from hil.config import HoldReference, InverseDynamicsSettings
 from hil.dynamics import Model
 from hil.geometry import Platform
 from hil.kinematics import condition, leg_lengths
+from hil.safety.guard import WINDOW_S
 from hil.trajectory import build_trajectory
 
 CROSS_OVER = 2.058
@@ -100,7 +101,7 @@ def _bus(report: Report, c: Configuration) -> None:
     if c.bus.layout == "ideal":
         report.sections[title] = ["no bus time: exists only in lockstep (hil sim)"]
         return
-    budget = bus_budget(c.bus, c.drives, c.loop)
+    budget = bus_budget(c.bus, c.drives, c.loop.rate_Hz)
     lines = budget.table().splitlines()
     lines.append(f"  highest rate at {c.bus.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
     report.sections[title] = [line.removeprefix("  ") for line in lines]
@@ -117,7 +118,7 @@ def _bus(report: Report, c: Configuration) -> None:
         if f.id in protocol.feedback_ids or f.id == protocol.sync(0)[0].id
     }
     feedback_us = sum(times.values()) / 1e3
-    window_us = c.loop.feedback_window_us or 0.65e6 / c.loop.rate_Hz
+    window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
     report.sections[title].append(
         f"SYNC to sixth feedback {feedback_us:.0f} us of a window of {window_us:.0f} us"
     )

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from drivers import PROTOCOLS
-from drivers.bustime import BitTiming, BusBudget, check
+from drivers.bustime import BitTiming, BusBudget
 from drivers.dbc import legs_dbc
 from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol
 from drivers.signals import Reaction
+from hil.app import consistency
 from hil.app.configuration import Configuration, platform_dict
 from hil.config import Pose, SampledReference
 from hil.control import build_law
@@ -60,18 +61,12 @@ def bus_budget(configuration: Configuration, rate_Hz: float) -> BusBudget | None
     """
     if configuration.bus.layout == "ideal":
         return None
-    return check(
-        build_protocol(configuration).cyclic_frames(),
-        bit_timing(configuration),
-        rate_Hz,
-        configuration.bus.max_load_percent,
-    )
+    return consistency.bus_budget(configuration.bus, configuration.drives, rate_Hz)
 
 
 def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
     """Return how long a tick waits for its six feedbacks; by default 65 % of the period."""
-    given = configuration.loop.feedback_window_us
-    return 0.65 / rate_Hz if given is None else given * 1e-6
+    return configuration.loop.window_s(rate_Hz)
 
 
 def build_cycle(configuration: Configuration, rate_Hz: float, watchdog_s: float) -> Cycle:

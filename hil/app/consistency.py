@@ -93,19 +93,19 @@ def bus_load(bus: BusSettings, drives: DriveSettings, loop: LoopSettings, _: Fol
     """Refuse frames that do not fit into the period, with the arithmetic."""
     if bus.layout != "ideal":
         try:
-            bus_budget(bus, drives, loop)
+            bus_budget(bus, drives, loop.rate_Hz)
         except HilError as error:
             yield ("bus",), str(error).removeprefix("bus: ")
 
 
-def bus_budget(bus: BusSettings, drives: DriveSettings, loop: LoopSettings) -> bustime.BusBudget:
-    """Return the bus time of one tick's frames.
+def bus_budget(bus: BusSettings, drives: DriveSettings, rate_Hz: float) -> bustime.BusBudget:
+    """Return the bus time of one tick's frames at `rate_Hz`.
 
     Raises ConfigurationError with the arithmetic when they take more than `max_load_percent`.
     """
     frames = PROTOCOLS[drives.protocol](bus, drives).cyclic_frames()
     timing = BitTiming(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
-    return bustime.check(frames, timing, loop.rate_Hz, bus.max_load_percent)
+    return bustime.check(frames, timing, rate_Hz, bus.max_load_percent)
 
 
 def geometry(platform: PlatformSettings, _: Folder) -> Iterator[Finding]:

@@ -249,7 +249,7 @@ def _serve(
         if now >= next_look:
             next_look = now + LOOK_NS
             if end is not None and now >= end:
-                stop.reason = stop.reason or "duration"
+                stop.reason = stop.reason or ("orphaned" if moved_ns else "duration")
             if supervisor is not None and select.select([supervisor], [], [], 0)[0]:
                 supervisor, end, moved_ns = None, now + round(ORPHAN_S * 1e9), now
             if moved_ns:

@@ -17,6 +17,7 @@ from hil.geometry import Platform
 from hil.kernels.dynamics import inverse_dynamics_kernel
 from hil.kernels.kinematics import jacobian_kernel, jacobian_rate_kernel, leg_lengths_kernel
 from hil.linalg import condition_kernel
+from hil.safety.guard import WINDOW_S
 from hil.trajectory import Trajectory
 from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
@@ -24,8 +25,6 @@ Array = NDArray[np.float64]
 
 SAMPLES = 20_000
 """Most samples of a walk; a longer path is walked in longer steps."""
-WINDOW_S = 0.25
-"""Of `force_window_N`."""
 
 
 class Walk(NamedTuple):

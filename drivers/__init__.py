@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.config import BusSettings, DriveSettings
-from drivers.dbc import LegsProtocol
 from drivers.protocol import DriveProtocol
 
 
 def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    from drivers.dbc import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
+
     return LegsProtocol(bus.layout, drives.node_ids)
 
 

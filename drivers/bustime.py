@@ -33,7 +33,7 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from heapq import heappop, heappush
 from operator import itemgetter
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from drivers.errors import BusError, ConfigurationError
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
@@ -43,8 +43,6 @@ FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 INTERFRAME = 3
 """Bits of interframe space after every frame."""
 ERROR_FRAME_BITS = 12 + 8 + INTERFRAME
-
-Item = TypeVar("Item")
 
 
 class BitTiming(NamedTuple):
@@ -211,100 +209,57 @@ def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Fr
 Queued = tuple[int, int, int, int]
 """(queued at ns, priority, number in order of queueing, duration ns): compares in this order."""
 
+Entry = TypeVar("Entry", bound=tuple[Any, ...])
+"""A `Queued`, followed by whatever belongs to the frame."""
 
 _RANK = itemgetter(1, 2)
 
 
 def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
+    """Return [(number, end ns)] of what `transmit` sends, and when the bus falls free after it."""
+    sent, _, free_ns = transmit(queued, free_ns, until_ns)
+    return [(entry[2], end) for end, entry in sent], free_ns
+
+
+def transmit(
+    queued: Sequence[Entry], free_ns: int, until_ns: int
+) -> tuple[list[tuple[int, Entry]], list[Entry], int]:
     """Decide all transmissions that begin by `until_ns`.
 
     The bus falls free at `free_ns`. Whenever it is free, the frame of the smallest priority among those
     queued by then starts and holds it for its duration; if none is queued, the next one to come starts at
-    once. Equal priorities go in order of number.
+    once. Equal priorities go in order of number. The end may lie after `until_ns`; a frame that answers one
+    is queued at that one's end.
 
-    queued need not be sorted. Returns [(number, end ns)] in the order of the wire, and when the bus falls
-    free after them. A frame not in the list has not started.
+    queued need not be sorted; numbers differ. Returns [(end ns, entry)] in the order of the wire, the entries
+    that have not started, and when the bus falls free.
     """
-    sent: list[tuple[int, int]] = []
-    if not queued:
-        return sent, free_ns
     order = sorted(queued)
-    start = max(free_ns, order[0][0])
-    if start > until_ns:
-        return sent, free_ns
-    if order[-1][0] <= start:  # the usual case: all are there when the first one starts
-        if order[0][0] != order[-1][0]:
-            order.sort(key=_RANK)
-        for _, _, number, duration in order:
-            if start > until_ns:
-                break
-            start += duration
-            sent.append((number, start))
-        return sent, start
+    sent: list[tuple[int, Entry]] = []
+    waiting: list[
+        tuple[int, int, Entry]
+    ] = []  # a heap of what was queued by the time that the bus falls free
     n = len(order)
     i = 0
-    ready: list[tuple[int, int, int]] = []
-    while ready or i < n:
+    while i < n or waiting:
         start = free_ns
-        if not ready and order[i][0] > start:
+        if not waiting and order[i][0] > start:
             start = order[i][0]
         if start > until_ns:
             break
+        if not waiting and order[-1][0] <= start:  # the usual case: all that are left are there
+            left = order[i:]
+            left.sort(key=_RANK)
+            for k, entry in enumerate(left):
+                if start > until_ns:
+                    return sent, left[k:], start
+                start += entry[3]
+                sent.append((start, entry))
+            return sent, [], start
         while i < n and order[i][0] <= start:
-            heappush(ready, order[i][1:])
+            heappush(waiting, (order[i][1], order[i][2], order[i]))
             i += 1
-        _, number, duration = heappop(ready)
-        free_ns = start + duration
-        sent.append((number, free_ns))
-    return sent, free_ns
-
-
-class Wire(Generic[Item]):
-    """One bus in simulated time: queue frames, then ask what was sent by when.
-
-    Mutable state: the frames still queued and the instant at which the bus falls free. `reset` clears both.
-    """
-
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Empty and free."""
-        self.free_ns = -(1 << 62)
-        self._number = 0
-        self._queued: list[Queued] = []
-        self._items: dict[int, Item] = {}
-
-    def __len__(self) -> int:
-        """Return how many frames have not started."""
-        return len(self._queued)
-
-    def queue(self, t_ns: int, priority: int, duration_ns: int, item: Item) -> None:
-        """Put a frame into its node's transmit queue at `t_ns`, not before the last `advance`."""
-        number = self._number
-        self._number = number + 1
-        self._queued.append((t_ns, priority, number, duration_ns))
-        self._items[number] = item
-
-    def advance(self, until_ns: int) -> list[tuple[int, Item]]:
-        """Return (end ns, item) of every frame that starts by `until_ns`, in the order of the wire.
-
-        The end may lie after `until_ns`. A frame that answers one of them is queued at that one's end.
-        """
-        if not self._queued:
-            return []
-        sent, self.free_ns = arbitrate(self._queued, self.free_ns, until_ns)
-        if len(sent) == len(self._queued):
-            self._queued = []
-        elif sent:
-            gone = {number for number, _ in sent}
-            self._queued = [q for q in self._queued if q[2] not in gone]
-        take = self._items.pop
-        return [(end, take(number)) for number, end in sent]
-
-    def clear(self) -> list[Item]:
-        """Drop and return every frame that has not started."""
-        dropped: list[Any] = list(self._items.values())
-        self._queued = []
-        self._items = {}
-        return dropped
+        entry = heappop(waiting)[2]
+        free_ns = start + entry[3]
+        sent.append((free_ns, entry))
+    return sent, [*order[i:], *(entry for _, _, entry in waiting)], free_ns

@@ -15,11 +15,22 @@ from drivers.protocol import BRS, FD
 _CODES = {
     (4, False, False): "B",
     (8, False, False): "B",
+    (16, False, False): "H",
     (16, True, False): "h",
     (32, True, False): "i",
     (32, False, False): "I",
     (64, True, True): "d",
 }
+
+
+class Place(NamedTuple):
+    """Where a field lies in its message."""
+
+    start: int
+    """First byte."""
+    size: int
+    """Bytes, 1 for half a byte."""
+    is_float: bool
 
 
 class Codec(NamedTuple):
@@ -29,6 +40,7 @@ class Codec(NamedTuple):
     length: int
     flags: int
     signals: tuple[str, ...]
+    places: tuple[Place, ...]
     pack: Callable[..., bytes]
     """All fields but the CRC."""
     unpack: Callable[[bytes], tuple[Any, ...]]
@@ -40,6 +52,10 @@ class Codec(NamedTuple):
     exact: bool
     """Its quantities are float64: they are not rounded, and their range has to be checked."""
 
+    def place(self, signal: str) -> Place:
+        """Return where a signal lies."""
+        return self.places[self.signals.index(signal)]
+
 
 def compile_message(message: Any, *signals: str) -> Codec:
     """Turn a cantools message into a struct codec; `signals` are the names expected, in order of position."""
@@ -49,7 +65,7 @@ def compile_message(message: Any, *signals: str) -> Codec:
         raise ProtocolError(f"legs.dbc: {message.name} has the signals {names}, expected {signals}")
     layout, at = "<", 0
     for s in fields:
-        if s.length == 4 and s.start % 8 == 4:
+        if s.start % 8 >= 4 and s.start // 8 == at - 1 and s.start % 8 + s.length <= 8:
             continue  # upper half of the byte that the signal before it opened
         key = (s.length, s.is_signed or s.is_float, s.is_float)
         start = s.start // 8
@@ -66,6 +82,7 @@ def compile_message(message: Any, *signals: str) -> Codec:
         length=message.length,
         flags=(FD if message.is_fd else 0) | (BRS if brs else 0),
         signals=names,
+        places=tuple(Place(s.start // 8, max(1, s.length // 8), s.is_float) for s in fields),
         pack=struct.Struct(layout).pack,
         unpack=struct.Struct(layout + "x" * check).unpack,
         scale=tuple(float(s.scale) for s in fields),

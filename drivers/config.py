@@ -1,4 +1,4 @@
-"""Configuration sections `bus` and `drives`."""
+"""Configuration sections `bus`, `drives` and `sensors`."""
 
 from __future__ import annotations
 
@@ -64,3 +64,47 @@ class DriveSettings(Section):
                 f"two legs have the same node number, allowed: each once, given twice: {numbers}"
             )
         return ids
+
+
+Node = Annotated[int, Field(ge=1, le=127)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class TrackerSettings(Section):
+    """A node that measures the platform's pose from outside: optical, laser, camera."""
+
+    node_id: Node = 7
+    rate_Hz: Positive = 200.0
+    """Samples per second, at most one a tick."""
+    position_std_m: Positive = 1e-3
+    """Noise of each coordinate, one standard deviation."""
+    orientation_std_deg: Positive = 0.1
+    """Noise of the orientation about each axis."""
+    latency_max_ms: Positive = 20.0
+    """An older sample is refused. Each millisecond costs the filter memory and time."""
+
+
+class ImuSettings(Section):
+    """An inertial measurement unit on the platform, its values reduced to the platform's origin."""
+
+    node_id: Node = 8
+    rate_Hz: Positive = 500.0
+    """Samples per second, at most one a tick."""
+    angular_rate_std_rad_s: Positive = 2e-3
+    specific_force_std_m_s2: Positive = 0.05
+
+
+class WrenchSensorSettings(Section):
+    """A node that measures the external load on the platform: force and moment, reduced to its origin."""
+
+    node_id: Node = 9
+    rate_Hz: Positive = 1000.0
+    """Samples per second, at most one a tick."""
+
+
+class SensorSettings(Section):
+    """Nodes on the bus beside the drives; what is left out is not there. Not with bus.layout classic."""
+
+    tracker: TrackerSettings | None = None
+    imu: ImuSettings | None = None
+    wrench: WrenchSensorSettings | None = None

@@ -37,14 +37,6 @@ def crc8(data: bytes, state: int = START) -> int:
     return state ^ FINAL_XOR
 
 
-def intact(data: bytes, state: int) -> bool:
-    """Tell whether `data` ends in its own check, starting from a register state."""
-    table = TABLE
-    for byte in data:
-        state = table[state ^ byte]
-    return state == RESIDUE
-
-
 def identifier_state(identifier: int) -> int:
     """Return the register after the two bytes of a CAN identifier, low byte first.
 

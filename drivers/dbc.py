@@ -1,7 +1,8 @@
-"""The own protocol, compiled at start from legs.dbc into struct codecs.
+"""The own protocol, compiled at start from legs.dbc into struct codecs and tables.
 
 Rule of the room: identifiers, positions, scales and lengths come from legs.dbc and from nowhere
-else; cantools reads it once, the cyclic path uses `struct` alone. No state, no clock.
+else; cantools reads it once. In the loop the controller's end uses the tables, with `drivers.kernels`,
+and the drives' end `struct`. No state, no clock.
 
 CRC: SAE J1850 CRC-8 over identifier (low byte, high byte), then all data bytes but the last;
 the last one is the CRC. Fields are little-endian.
@@ -13,19 +14,20 @@ import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import resources
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from cantools.database.can import Database
+from numpy.typing import NDArray
 
-from drivers.codec import Codec, check_range, compile_message, in_range
-from drivers.crc import RESIDUE, TABLE, crc8, identifier_state, intact
+from drivers.codec import Codec, Place, compile_message
+from drivers.crc import crc8, identifier_state
+from drivers.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_command, encode_feedbacks, intact
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.kernels import FOREIGN, QUANTITIES, encode, fold
 from drivers.protocol import (
     ALWAYS,
-    ERROR,
-    EXTENDED,
-    REMOTE,
     Configure,
     DeviceCommand,
     DeviceMessage,
@@ -36,13 +38,11 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
+    run_of,
 )
-from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState, Measurement, Reaction
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Measurement, Reaction
 
 MAX_NODE = 127
-_FOREIGN = EXTENDED | REMOTE | ERROR
-_OLDEST = 8
-"""Of the 16 counter values, these many ticks back count as late; the rest are refused."""
 _COMMANDS = {
     "classic": ("COMMAND_CLASSIC_A", "COMMAND_CLASSIC_B"),
     "fd": ("COMMAND_FD",),
@@ -52,9 +52,11 @@ LAYOUTS = tuple(_COMMANDS)
 _BYTES = [bytes([value]) for value in range(256)]
 _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
-_STATES = len(DriveState)
-_FAULTS = len(DriveFault)
-_MODES = len(DriveMode)
+_UNTRUSTED = {
+    BROKEN: "CRC of a command",
+    UNKNOWN_MODE: "unknown mode",
+    UNFIT: "force not finite or out of range",
+}
 _REACTIONS = len(Reaction)
 
 
@@ -98,7 +100,7 @@ class LegsProtocol:
         self._status = compile_message(get("STATUS_1"), "State", "Fault")
         quantities = ("Length", "Rate") if layout == "classic" else ("Length", "Rate", "Force")
         feedback = get(f"FEEDBACK_{layout.upper()}_1")
-        self._feedback = compile_message(feedback, *quantities, "Counter", "State", "CRC")
+        self._feedback = compile_message(feedback, *quantities, "Counter", "State", "Invalid", "CRC")
         self._has_force = "Force" in quantities
         self._exact = self._feedback.exact
         # m, m/s, N; the last one stands idle in a layout without force.
@@ -111,17 +113,14 @@ class LegsProtocol:
             self._commands.append(_CommandFrame(codec, legs, identifier_state(codec.id)))
             first = legs[-1] + 1
 
-        feedback_id = [self._feedback.id - 1 + node for node in nodes]
+        self._feedback_id = feedback_id = [self._feedback.id - 1 + node for node in nodes]
         self._feedback_ids = frozenset(feedback_id)
+        self._feedback_legs = list(enumerate(feedback_id))
         # Per leg: identifier, CRC register after it.
         self._feedback_key = [(identifier, identifier_state(identifier)) for identifier in feedback_id]
         self._status_id = [self._status.id - 1 + node for node in nodes]
         self._config_id = [self._config.id - 1 + node for node in nodes]
-        # Controller side: identifier -> (leg, CRC register), the register is -1 for a status.
-        self._heard = {
-            **{identifier: (leg, -1) for leg, identifier in enumerate(self._status_id)},
-            **{identifier: (leg, register) for leg, (identifier, register) in enumerate(self._feedback_key)},
-        }
+        self._tabulate()
         # Device side: identifier -> parser.
         self._parsers: dict[int, Callable[[bytes], DeviceMessage]] = {
             self._estop.id: _parse_estop,
@@ -132,6 +131,26 @@ class LegsProtocol:
                 for leg, identifier in enumerate(self._config_id)
             },
         }
+
+    def _tabulate(self) -> None:
+        """Make the tables of `drivers.kernels` and `drivers.device_kernels`."""
+        feedback, status, command = self._feedback, self._status, self._commands[0].codec
+        ids, registers = zip(*self._feedback_key, strict=True)
+        self._identifiers = np.array([*ids, *registers, *self._status_id], np.int64)
+        at = [status.place("State").start, status.place("Fault").start, feedback.place("Counter").start]
+        places = [*feedback.places[: 3 if self._has_force else 2], Place(0, 0, is_float=False)]
+        self._feedback_form = np.array(
+            [feedback.length, status.length, *at, self._exact, *chain(*places[:QUANTITIES])], np.int64
+        )
+        self._feedback_range = np.array([*feedback.scale[:3], *feedback.low[:3], *feedback.high[:3]])
+        force = command.places[0]
+        frames = [(frame.codec.length, frame.state) for frame in self._commands]
+        self._command_form = np.array([*force, command.place("Counter").start, *chain(*frames)], np.int64)
+        steps = 1 << 8 * force.size - 1
+        ends = (command.low[0], command.high[0]) if self._exact else (-steps, steps - 1)
+        self._command_range = np.array([command.scale[0], *ends], float)
+        self._command_size = sum(size for size, _ in frames)
+        self._split = struct.Struct(f"{feedback.length}s" * LEGS).unpack
 
     @property
     def feedback_ids(self) -> frozenset[int]:
@@ -169,26 +188,23 @@ class LegsProtocol:
         force (6,) N, > 0 extends; the counter is the tick modulo 16.
         Raises ProtocolError if a force is not finite or does not fit the layout's field.
         """
-        force = command.force.tolist()
+        data = np.empty(self._command_size, np.uint8)
         last = command.mode << 4 | tick & 0xF
+        if not encode(command.force, last, self._command_form, self._command_range, data):
+            raise self._unfit(command.force)
+        sent = data.tobytes()
+        start = 0
         frames = []
-        for codec, legs, state in self._commands:
-            part = force[legs[0] : legs[-1] + 1]
-            try:
-                if self._exact:
-                    check_range(codec, part)
-                    data = codec.pack(*part, last)
-                else:
-                    scale = codec.scale[0]
-                    data = codec.pack(*[round(f / scale) for f in part], last)
-            except (struct.error, ValueError, OverflowError):
-                raise self._unfit(codec, force) from None
-            frames.append(_new(Frame, (codec.id, data + _BYTES[crc8(data, state)], codec.flags)))
+        for codec, _, _ in self._commands:
+            end = start + codec.length
+            frames.append(_new(Frame, (codec.id, sent[start:end], codec.flags)))
+            start = end
         return tuple(frames)
 
-    def _unfit(self, codec: Codec, force: list[float]) -> ProtocolError:
+    def _unfit(self, force: NDArray[np.float64]) -> ProtocolError:
+        codec = self._commands[0].codec
         return ProtocolError(
-            f"force command {force} N does not fit layout {self.layout}: {codec.low[0]:.12g} to "
+            f"force command {force.tolist()} N does not fit layout {self.layout}: {codec.low[0]:.12g} to "
             f"{codec.high[0]:.12g} N are allowed; lower limits.force_N or choose another bus.layout"
         )
 
@@ -206,64 +222,23 @@ class LegsProtocol:
         the same four bits, and is refused. One whose counter lies d = 1..8 ticks back takes effect with age d
         if that is newer than what is held, else it is passed over; any other counter is refused. Refused as
         well, and counted in `rejected`: wrong length, CRC, state or fault, a value that is not finite.
-        Foreign frames are ignored. Fault comes from the status, state from the feedback. Layout classic
-        carries no force: it stays as it was.
+        A feedback of this tick that calls its length invalid gives state and force alone: the leg ages, and
+        is `blind`. Foreign frames are ignored. Fault comes from the status, state from the feedback. Layout
+        classic carries no force: it stays as it was.
         """
-        length = previous.length.copy()
-        rate = previous.rate.copy()
-        force = previous.force.copy()
-        state, fault = previous.state, previous.fault
-        held_state, held_age = state.tolist(), previous.age.tolist()
-        gone = tick - previous.tick if previous.tick >= 0 else 1
-        age = [min(NEVER, n + gone) for n in held_age]
-        rejected = 0
-        heard, has_force = self._heard, self._has_force
-        feedback = self._feedback
-        size, unpack, exact = feedback.length, feedback.unpack, feedback.exact
-        scale_l, scale_dl, scale_f = self._feedback_scale
-        table = TABLE
-        last_before = -1
-        f = 0
-        for t_ns, (identifier, data, flags) in frames:
-            if identifier not in heard or flags & _FOREIGN:
-                continue
-            leg, register = heard[identifier]
-            if register < 0:
-                if len(data) != self._status.length or data[0] >= _STATES or data[1] >= _FAULTS:
-                    rejected += 1
-                elif fault[leg] != data[1]:
-                    fault = fault.copy()
-                    fault[leg] = data[1]
-                continue
-            for byte in data:  # crc8, without six calls a tick
-                register = table[register ^ byte]
-            if len(data) != size or register != RESIDUE:
-                rejected += 1
-                continue
-            if has_force:
-                l, dl, f, last = unpack(data)
-            else:
-                l, dl, last = unpack(data)
-            if last != last_before:  # the six legs mostly agree
-                last_before = last
-                behind = (tick - last) & 0xF
-                drive_state = last >> 4
-                credible = behind <= _OLDEST and drive_state < _STATES
-            early = behind == 0 and t_ns < since_ns
-            # Integer fields cannot leave their range.
-            if early or not credible or (exact and not in_range(feedback, (l, dl, f))):
-                rejected += 1
-            elif behind < age[leg]:
-                length[leg] = l * scale_l
-                rate[leg] = dl * scale_dl
-                if has_force:
-                    force[leg] = f * scale_f
-                if held_state[leg] != drive_state:
-                    held_state[leg] = drive_state
-                    state = np.array(held_state, np.int64)
-                age[leg] = behind
-        ages = previous.age if age == held_age else np.array(age, np.int64)
-        return Measurement(length, rate, force, state, fault, ages, rejected, tick)
+        return self.decode_run(run_of(frames), tick, previous, since_ns)
+
+    def decode_run(self, run: bytes, tick: int, previous: Measurement, since_ns: int = ALWAYS) -> Measurement:
+        """As `decode`, of frames joined by `run_of`."""
+        length, rate, force = previous.length.copy(), previous.rate.copy(), previous.force.copy()
+        state, fault, age = previous.state.copy(), previous.fault.copy(), previous.age.copy()
+        blind = np.zeros(LEGS, np.bool_)
+        rejected = fold(
+            np.frombuffer(run, np.uint8), tick, tick - previous.tick if previous.tick >= 0 else 1, since_ns,
+            self._identifiers, self._feedback_form, self._feedback_range,
+            length, rate, force, state, fault, age, blind,
+        )  # fmt: skip
+        return _new(Measurement, (length, rate, force, state, fault, age, rejected, tick, blind))
 
     def fresh(self, frame: Frame, tick: int) -> bool:
         """Tell whether a frame is a feedback to this tick's SYNC; its CRC is checked by `decode`."""
@@ -282,7 +257,7 @@ class LegsProtocol:
         reaction, a force that is not finite.
         """
         parser = self._parsers.get(frame.id)
-        if parser is None or frame.flags & _FOREIGN:
+        if parser is None or frame.flags & FOREIGN:
             return None
         return parser(frame.data)
 
@@ -295,17 +270,11 @@ class LegsProtocol:
         codec, legs, register = command
         if len(data) != codec.length:
             return Rejected(f"command of {len(data)} bytes")
-        if not intact(data, register):
-            return Rejected("CRC of a command")
-        *raw, last = codec.unpack(data)
-        if last >> 4 >= _MODES:
-            return Rejected(f"mode {last >> 4}")
-        if self._exact:
-            if not in_range(codec, raw):
-                return Rejected("force not finite or out of range")
-            return DeviceCommand(legs, last >> 4, tuple(raw), last & 0xF)
-        scale = codec.scale[0]
-        return _new(DeviceCommand, (legs, last >> 4, tuple([f * scale for f in raw]), last & 0xF))
+        force = np.empty(len(legs))
+        last = decode_command(data, register, self._command_form, self._command_range, force)
+        if last < 0:
+            return Rejected(_UNTRUSTED[last])
+        return _new(DeviceCommand, (legs, last >> 4, force, last & 0xF))
 
     def _parse_config(self, leg: int, register: int, data: bytes) -> DeviceMessage:
         codec = self._config
@@ -316,24 +285,44 @@ class LegsProtocol:
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {slot}")
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
 
+    def feedbacks(
+        self,
+        length: NDArray[np.float64],
+        rate: NDArray[np.float64],
+        force: NDArray[np.float64],
+        state: NDArray[np.int64],
+        counter: int,
+    ) -> list[Frame]:
+        """Encode the six feedbacks to one SYNC, leg order; what exceeds its field saturates.
+
+        length m, rate m/s, force N, state as in `Feedback`, each (6,); counter: the low four bits count.
+        Raises ProtocolError on NaN.
+        """
+        data = np.empty(LEGS * self._feedback.length, np.uint8)
+        leg = encode_feedbacks(
+            length,
+            rate,
+            force,
+            state,
+            counter & 0xF,
+            self._identifiers,
+            self._feedback_form,
+            self._feedback_range,
+            data,
+        )
+        if leg >= 0:
+            raise ProtocolError(
+                f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
+            )
+        flags = self._feedback.flags
+        bodies = self._split(data.data)
+        return [_new(Frame, (identifier, bodies[leg], flags)) for leg, identifier in self._feedback_legs]
+
     def feedback(self, feedback: Feedback) -> Frame:
-        """Encode one drive's feedback; what exceeds its field saturates. Raises ProtocolError on NaN."""
+        """Encode one drive's feedback as `feedbacks` does."""
         leg, l, dl, f, state, counter = feedback
-        codec = self._feedback
-        scale_l, scale_dl, scale_f = self._feedback_scale
-        last = state << 4 | counter & 0xF
-        try:
-            if self._exact:
-                check_range(codec, (l, dl, f))
-                data = codec.pack(l, dl, f, last)
-            elif self._has_force:
-                data = codec.pack(round(l / scale_l), round(dl / scale_dl), round(f / scale_f), last)
-            else:
-                data = codec.pack(round(l / scale_l), round(dl / scale_dl), last)
-        except (struct.error, ValueError, OverflowError):
-            data = self._saturated(feedback, last)
-        identifier, register = self._feedback_key[leg]
-        return _new(Frame, (identifier, data + _BYTES[crc8(data, register)], codec.flags))
+        length, rate, force = (np.full(LEGS, value, float) for value in (l, dl, f))
+        return self.feedbacks(length, rate, force, np.full(LEGS, state, np.int64), counter)[leg]
 
     def status(self, status: Status) -> Frame:
         """Encode one drive's heartbeat."""
@@ -341,24 +330,14 @@ class LegsProtocol:
             self._status_id[status.leg], self._status.pack(status.state, status.fault), self._status.flags
         )
 
-    def _saturated(self, feedback: Feedback, last: int) -> bytes:
-        """Encode what does not fit its fields at their ends."""
-        codec = self._feedback
-        values = feedback[1 : len(codec.signals) - 2]
-        if any(value != value for value in values):  # noqa: PLR0124 - only NaN differs from itself
-            raise ProtocolError(f"feedback of leg {feedback.leg} is not a number: {feedback}")
-        ends = [min(max(v, low), high) for v, low, high in zip(values, codec.low, codec.high, strict=False)]
-        if self._exact:
-            return codec.pack(*ends, last)
-        return codec.pack(*[round(v / scale) for v, scale in zip(ends, codec.scale, strict=False)], last)
-
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: SYNC, commands, six feedbacks."""
         rest = Command(DriveMode.OFF, np.zeros(LEGS))
-        feedback = (self.feedback(Feedback(leg, 0.0, 0.0, 0.0, DriveState.OFF, 0)) for leg in range(LEGS))
-        return (*self.sync(0), *self.command(rest, 0), *feedback)
+        zeros = np.zeros(LEGS)
+        feedbacks = self.feedbacks(zeros, zeros, zeros, np.full(LEGS, DriveState.OFF, np.int64), 0)
+        return (*self.sync(0), *self.command(rest, 0), *feedbacks)
 
 
 def _parse_estop(_data: bytes) -> DeviceMessage:

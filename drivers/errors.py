@@ -9,7 +9,8 @@
     ├── ModelError              geometry, kinematics, dynamics (hil.geometry, hil.kinematics)
     │   ├── GeometryError
     │   ├── KinematicsError
-    │   └── CalibrationError    measured pairs that cannot calibrate (hil.calibrate)
+    │   ├── CalibrationError    measured pairs that cannot calibrate (hil.calibrate)
+    │   └── IdentificationError a log that does not hold what is looked for (hil.identify)
     ├── PlantError              plant, FMU, FMU hosting (plant_fmu)
     ├── LogError                log file: not MCAP, truncated, of another version
     └── RunError                the run itself: no drives, latched fault, another daemon

@@ -6,8 +6,12 @@ implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.signals import Command, Measurement, Reaction
 
@@ -39,6 +43,18 @@ class Received(NamedTuple):
     frame: Frame
 
 
+HEAD = struct.Struct("<qIHH")
+"""What stands before the data of each frame in a run: time, identifier, flags, number of data bytes."""
+_head = HEAD.pack
+
+
+def run_of(frames: Sequence[Received]) -> bytes:
+    """Return the frames as one run of bytes in their order, each HEAD and data: what compiled codecs read."""
+    return b"".join(
+        [_head(t_ns, identifier, flags, len(data)) + data for t_ns, (identifier, data, flags) in frames]
+    )
+
+
 class Sync(NamedTuple):
     """All drives latch their encoders; `counter` is the tick modulo 256."""
 
@@ -50,7 +66,7 @@ class DeviceCommand(NamedTuple):
 
     legs: tuple[int, ...]
     mode: int
-    force: tuple[float, ...]
+    force: NDArray[np.float64]
     """N, one per addressed leg."""
     counter: int
 
@@ -84,6 +100,7 @@ class Feedback(NamedTuple):
     rate: float
     force: float
     state: int
+    """DriveState; plus INVALID where length and rate are of no use."""
     counter: int
     """Low four bits of the SYNC counter at which the length was latched."""
 
@@ -124,12 +141,28 @@ class DriveProtocol(Protocol):
         What arrived before `since_ns`, the tick's scheduled time, is no answer to its SYNC.
         """
 
+    def decode_run(self, run: bytes, tick: int, previous: Measurement, since_ns: int = ALWAYS) -> Measurement:
+        """As `decode`, of frames joined by `run_of`."""
+
     def fresh(self, frame: Frame, tick: int) -> bool:
         """Tell whether a frame is a feedback to this tick's SYNC, by identifier and counter alone."""
 
     # device side
     def parse(self, frame: Frame) -> DeviceMessage | None:
         """Decode at the drives' end; None when the frame is not for them."""
+
+    def feedbacks(
+        self,
+        length: NDArray[np.float64],
+        rate: NDArray[np.float64],
+        force: NDArray[np.float64],
+        state: NDArray[np.int64],
+        counter: int,
+    ) -> list[Frame]:
+        """Encode the six drives' answers to one SYNC, leg order.
+
+        length m, rate m/s, force N, state as in `Feedback`, each (6,); counter: the low four bits count.
+        """
 
     def feedback(self, feedback: Feedback) -> Frame:
         """Encode one drive's cyclic feedback."""

@@ -41,6 +41,10 @@ class DriveState(IntEnum):
     """Latched: the reaction is active until RESET; OFF brakes, and stays latched."""
 
 
+INVALID = 8
+"""Added to the state in a feedback whose length and rate are of no use: encoder lost, the drive obeys."""
+
+
 class Reaction(IntEnum):
     """What a drive does by itself when it faults in RUN (its command stops, say).
 
@@ -76,6 +80,10 @@ class Command(NamedTuple):
     """(6,) N, > 0 extends the leg."""
 
 
+NO_BLIND = np.zeros(LEGS, np.bool_)
+NO_BLIND.flags.writeable = False
+
+
 class Measurement(NamedTuple):
     """What the six drives say, as of this tick."""
 
@@ -95,6 +103,8 @@ class Measurement(NamedTuple):
     """Frames of this tick that were refused: CRC, length, counter, time, value not finite."""
     tick: int = -1
     """The tick of this measurement; -1 before the first."""
+    blind: NDArray[np.bool_] = NO_BLIND
+    """(6,) this tick's feedback calls its length and rate of no use; force and state are this tick's."""
 
 
 def no_measurement() -> Measurement:

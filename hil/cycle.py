@@ -9,15 +9,15 @@ Verdict -> Command -> encode -> frames``
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
+from math import nan
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.protocol import DriveProtocol, Frame, run_of
+from drivers.sensors import Readings, SensorProtocol
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Measurement, Reaction, no_measurement
 from hil.config import EngageSettings, LegSpin
 from hil.control.law import Law
@@ -26,12 +26,14 @@ from hil.estimate import Estimator
 from hil.geometry import Platform
 from hil.modes import CONTROLLED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.motion import Motion
+from hil.observer import WrenchObserver
+from hil.predict import Predictor
 from hil.reference import complete
+from hil.rotations import turned
+from hil.row import make_row
 from hil.safety import Safety
 from hil.signals import (
-    ROW,
-    ROW_FLOATS,
-    ROW_INTEGERS,
+    NO_WRENCH,
     Array,
     Effort,
     Estimate,
@@ -43,8 +45,13 @@ from hil.signals import (
     TickInput,
     TickOutput,
     Verdict,
+    Warn,
 )
+from hil.steering import NO_SETPOINTS, Steering
 from hil.trajectory import PoseSample, Trajectory, quintic_move
+
+if TYPE_CHECKING:
+    from hil.fused_pose import PoseFusion  # its kernels are compiled only for who fuses
 
 _ZERO6 = np.zeros(6)
 _ZERO6.flags.writeable = False
@@ -54,12 +61,19 @@ _ZERO66.flags.writeable = False
 _POWERED_STATES = (DriveState.READY, DriveState.RUN)
 RESET_TICKS = 5
 """How often RESET is sent on the operator's command."""
+_ALL_LEGS = (1 << LEGS) - 1
+AGREED_m = 1e-4
+"""A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
 ENDING = frozenset({Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
 """Modes that end when the motion has ended and the legs are at rest."""
+STEERED = frozenset({Mode.TRACKING, Mode.STOPPING})
+"""Modes in which a live reference moves."""
 REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
 SETUPS = 3
 """How often a drive is sent its set-up: nothing acknowledges it."""
+SENSOR_PATIENCE = 3.0
+"""Sample periods of the wrench sensor without a sample that warn."""
 REST_m_s = 0.02
 """A motion has ended only when no measured leg is faster: brakes do not close on a moving platform."""
 
@@ -80,14 +94,27 @@ class Parts:
     rate_Hz: float
     watchdog_s: float
     reaction: Reaction
+    steering: Steering | None = None
+    """What takes set-points, where the reference is live."""
+    sensors: SensorProtocol | None = None
+    fusion: PoseFusion | None = None
+    """Gives the pose once the legs have; None: the legs alone do."""
+    predictor: Predictor | None = None
+    """For a law that is told state and reference of the instant at which its force acts."""
+    observer: WrenchObserver | None = None
+    """Of the external wrench."""
+    wrench_sensor_rate_Hz: float | None = None
+    """Set where the external wrench is what the sensor says."""
 
 
 class Cycle:
     """Six encoders in, six forces out, once per tick.
 
-    Mutable state, all of it: the last Measurement, the estimator's pose, mode and the tick of its entry,
-    latched faults, the motion, the law's and the safety's own state, and the forces that the bumpless
-    entry and the exit fade. `reset` restores the initial one.
+    Mutable state, all of it: the last Measurement, what the sensors last said, the estimator's pose, the
+    filter, mode and the tick of its entry, latched faults, the motion, the law's, the predictor's, the
+    observer's and the safety's own state, and the forces that the bumpless entry and the exit fade, what
+    limits last took from the effort, the external wrench, and the steering's own. `reset` restores the
+    initial one.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -101,6 +128,8 @@ class Cycle:
             release=engage.brake_release_s,
         )
         self._setup_interval = max(LEGS, round(0.02 * parts.rate_Hz))
+        self._followers = [each for each in (parts.predictor, parts.observer) if each is not None]
+        """Who follows the forces that were sent."""
         self.reset()
 
     def reset(self) -> None:
@@ -109,6 +138,15 @@ class Cycle:
         self.measurement: Measurement = no_measurement()
         self.estimator.reset(parts.home_p, parts.home_R)
         self.located = False
+        self.readings = Readings()
+        self.wrench_sensor = _ZERO6
+        """(6,) N, N m: what the wrench sensor last said, on the platform at its origin, base frame."""
+        self.wrench_sensor_tick = 0
+        """When it said that."""
+        self.wrench = NO_WRENCH
+        """(6,) N, N m: the external wrench of the last tick."""
+        self.fusing = False
+        """Whether the filter has begun."""
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R)
         self.mode = Mode.WAITING
         self.mode_tick = 0
@@ -119,14 +157,20 @@ class Cycle:
         self.set_up = [0] * LEGS
         """How often each drive has been sent watchdog and reaction."""
         self.holding = _ZERO6
-        """(6,) N: static force at the pose where the brakes open, or the force at which they close."""
+        """(6,) N: what holds weight and external wrench where the brakes open, or the force as they close."""
         self.offset = _ZERO6
         """(6,) N: holding force less the law's own at the moment of entry; fades out."""
         self.entry_tick: int | None = None
         """When the entry offset began to fade; None while it is whole."""
         self.last_tau = _ZERO6
+        self.shortfall = _ZERO6
+        """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
         parts.law.reset()
+        for follower in self._followers:
+            follower.reset()
         parts.safety.reset()
+        if parts.steering is not None:
+            parts.steering.reset()
 
     def begin(self, tick: int) -> tuple[Frame, ...]:
         """Return the frames that start a tick: all drives latch their encoders."""
@@ -136,74 +180,132 @@ class Cycle:
         """Return what to send and what to record for one tick."""
         parts = self.parts
         tick = inp.tick
-        measurement = parts.protocol.decode(inp.frames, tick, self.measurement, inp.t_ns)
+        run = run_of(inp.frames)
+        measurement = parts.protocol.decode_run(run, tick, self.measurement, inp.t_ns)
+        if parts.sensors is not None:
+            measurement = self._hear_sensors(parts.sensors, inp, measurement)
         self.measurement = measurement
-        estimate = self._estimate(tick, measurement)
+        estimate = self._with_wrench(tick, self._estimate(tick, inp.t_ns + inp.lateness_ns, measurement))
         state = estimate.state
 
         self._change_mode(inp, state)
+        if parts.steering is not None:
+            under_way = self.mode in STEERED and self.motion.trajectory is parts.trajectory
+            along = tick - self.motion.tick if under_way else None
+            parts.steering.step(inp.setpoints, along, tracking=self.mode is Mode.TRACKING)
         sample = self._sample(tick, state)
-        reference = complete(parts.platform, sample)
-        effort, own = self._effort(tick, state, reference)
+        tracking = self.mode is Mode.TRACKING
+        reference = complete(parts.platform, sample, self.motion.time(tick) if tracking else nan)
+        effort, own = self._effort(tick, *self._ahead(tick, state, reference))
         verdict = parts.safety.judge(inp, measurement, estimate, reference, effort, self.mode)
+        if parts.wrench_sensor_rate_Hz is not None and self._sensor_late(tick, parts.wrench_sensor_rate_Hz):
+            verdict = verdict._replace(warnings=verdict.warnings | Warn.SENSOR)
         self._latch(inp, verdict)
 
         command = self._command(tick, verdict)
+        limited = verdict.warnings and self.mode in CONTROLLED  # no limit acts without a warning
+        self.shortfall = command.force - effort.tau if limited else _ZERO6
+        for follower in self._followers:
+            follower.sent(command.force)
         frames = parts.protocol.command(command, tick)
         if Operator.ESTOP in inp.operator:
             frames = parts.protocol.emergency_stop() + frames
         frames += self._setup(tick)
-        return TickOutput(frames, self._row(inp, estimate, sample, reference, own, command, verdict))
+        row = self._row(inp, run, estimate, reference, own, command, verdict)
+        return TickOutput(frames, row)
 
     # -- estimate ------------------------------------------------------------------------------------
 
-    def _estimate(self, tick: int, measurement: Measurement) -> Estimate:
+    def _hear_sensors(self, sensors: SensorProtocol, inp: TickInput, measurement: Measurement) -> Measurement:
+        """Take in the sensors' samples; return the measurement with their refused frames counted."""
+        self.readings = readings = sensors.decode(inp.frames, inp.tick, self.readings)
+        if readings.wrench:
+            R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
+            self.wrench_sensor = turned(R, np.array(readings.wrench[-1].values))
+            self.wrench_sensor_tick = inp.tick
+        if readings.rejected:
+            measurement = measurement._replace(rejected=measurement.rejected + readings.rejected)
+        return measurement
+
+    def _estimate(self, tick: int, latched_ns: int, measurement: Measurement) -> Estimate:
         """Pose from lengths; a leg without fresh data is carried on at its last rate.
 
-        Until all legs have been heard and the first pose has been found from home, the pose is home's.
+        Until all legs have been heard and the first pose has been found from home, the pose is home's. After
+        a RESET it is looked for from the last one that all six lengths agreed on.
         """
         q, dq, age = measurement.length, measurement.rate, measurement.age
-        ages = age.tolist()
+        old = any(age.tolist())
         estimator = self.estimator
         if not self.located:
-            self.located = not any(ages) and tick % self._setup_interval == 0 and estimator.acquire(q)
+            self.located = not old and tick % self._setup_interval == 0 and estimator.acquire(q)
             if not self.located:
                 return Estimate(
                     State(q, dq, estimator.p, estimator.R, _ZERO6, _ZERO66, 0, np.inf), np.inf, 0.0
                 )
-        if any(ages):
+        fusion = self.parts.fusion
+        if fusion is not None and self.fusing:
+            found = fusion.estimate(tick, latched_ns, measurement, self.readings, self.last_tau, self.wrench)
+            if found.fusion.used == _ALL_LEGS and found.state.residual < AGREED_m:
+                estimator.p, estimator.R = found.state.p, found.state.R
+            return found
+        if old:
             q = q + dq * (age * self.period_s)
-        found = estimator.update(q, dq)
-        state = State(q, dq, found.p, found.R, found.twist, found.J, found.iterations, found.residual)
-        return Estimate(state, found.condition, found.hop)
+        p, R, twist, J, iterations, residual, condition, hop = estimator.update(q, dq)
+        if fusion is not None:
+            fusion.start(tick, latched_ns, p, R)
+            self.fusing = True
+        return Estimate(State(q, dq, p, R, twist, J, iterations, residual), condition, hop)
+
+    def _with_wrench(self, tick: int, estimate: Estimate) -> Estimate:
+        """Return the estimate with the external wrench of the configured source, zero without one."""
+        parts = self.parts
+        if parts.observer is not None:
+            seen = not self.fusing or estimate.fusion.used == _ALL_LEGS
+            drives = self.measurement.state.tolist()
+            self.wrench = parts.observer.observe(tick, estimate.state, drives, seen=seen)
+        elif parts.wrench_sensor_rate_Hz is not None:
+            self.wrench = self.wrench_sensor
+        else:
+            return estimate
+        return estimate._replace(state=estimate.state._replace(wrench=self.wrench))
+
+    def _sensor_late(self, tick: int, rate_Hz: float) -> bool:
+        """Tell whether the wrench sensor has left out samples: its last one is held."""
+        return (tick - self.wrench_sensor_tick) * self.period_s * rate_Hz > SENSOR_PATIENCE
+
+    def _free(self) -> bool:
+        """Tell whether all brakes are open, on the drives' own word."""
+        return all(s == DriveState.RUN for s in self.measurement.state.tolist())
 
     # -- modes ---------------------------------------------------------------------------------------
 
     def _change_mode(self, inp: TickInput, state: State) -> None:
-        measurement, tick = self.measurement, inp.tick
-        if Operator.RESET in inp.operator and self.mode in {Mode.FAULT, Mode.WAITING}:
+        tick, operator = inp.tick, inp.operator
+        if operator and Operator.RESET in operator and self.mode in {Mode.FAULT, Mode.WAITING}:
             self.reset_tick = tick
             self.set_up = [0] * LEGS
             self.faults = Fault.NONE
             self.stop_requested = False
-            self.located = False
+            self.located = self.fusing = False
+            self.wrench_sensor = _ZERO6  # a sensor that is there says it anew before the brakes open
             self.parts.safety.reset()
+        measurement, motion = self.measurement, self.motion
         elapsed = (tick - self.mode_tick) * self.period_s
         if overdue(self.mode, elapsed, self.durations):
             self.faults |= Fault.DRIVE
             self._enter(Mode.FAULT, tick, state)
             return
-        if self.mode in ENDING and self.motion.overdue(tick, REST_PATIENCE_S):
+        if self.mode in ENDING and motion.overdue(tick, REST_PATIENCE_S):
             self.faults |= Fault.FOLLOWING
             self._enter(Mode.FAULT, tick, state)
             return
         facts = Facts(
-            operator=inp.operator,
-            drive_state=measurement.state.tolist(),
-            ready=self.located and max(measurement.age.tolist()) <= 1 and min(self.set_up) >= SETUPS,
-            elapsed=elapsed,
-            finished=self.motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
-            stop=self.stop_requested,
+            operator,
+            measurement.state.tolist(),
+            self.located and max(measurement.age.tolist()) <= 1 and min(self.set_up) >= SETUPS,
+            elapsed,
+            motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
+            self.stop_requested,
         )
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
@@ -214,23 +316,30 @@ class Cycle:
         previous = self.mode
         match mode:
             case Mode.LOADING:
-                self.holding = self.statics.inverse_dynamics(state.p, state.R, _ZERO6, _ZERO6)
+                self.holding = self.statics.inverse_dynamics(state.p, state.R, _ZERO6, _ZERO6, state.wrench)
                 self.motion.rest(state.p, state.R, tick)
             case Mode.RELEASING:
                 self.motion.rest(state.p, state.R, tick)
                 parts.law.reset()
                 self.entry_tick = None
                 at_rest = complete(parts.platform, self.motion.sample(tick))
-                self.offset = self.holding - parts.law.effort(state, at_rest).tau
+                unloaded = state._replace(wrench=NO_WRENCH)  # as `_ahead` tells the law at entry
+                self.offset = self.holding - parts.law.effort(unloaded, at_rest, _ZERO6).tau
             case Mode.APPROACH:
+                if parts.steering is not None:
+                    parts.steering.restart()
                 here, start = self.motion.sample(tick), parts.trajectory.sample(0.0)
                 duration = self._approach_s(here, start)
-                self.motion.start(quintic_move(here.p, here.R, start.p, start.R, duration), tick)
+                move = quintic_move(here.p, here.R, start.p, start.R, duration)
+                self.motion.start(move, tick, then=parts.trajectory)
                 self.entry_tick = tick
             case Mode.TRACKING:
                 if previous is Mode.LOADING:
                     parts.law.reset()
                     self.offset = _ZERO6
+                    if parts.steering is not None:
+                        parts.steering.restart()
+                    self.entry_tick = tick
                 self.motion.start(parts.trajectory, tick)
             case Mode.STOPPING:
                 self.motion.stop(tick, parts.engage.stop_s)
@@ -255,11 +364,29 @@ class Cycle:
             return self.motion.sample(tick)
         return PoseSample(state.p, state.R, _ZERO6, _ZERO6)
 
+    def _ahead(self, tick: int, state: State, reference: Reference) -> tuple[State, Reference]:
+        """Return what the law is told: state and reference of now, or of when its force will act.
+
+        Safety judges the present ones. The external wrench comes in as the entry offset goes out: each alone
+        makes up for what the law's own model does not hold.
+        """
+        predictor = self.parts.predictor
+        if predictor is not None:
+            state = predictor.ahead(tick, state, free=self._free())
+        if state.wrench is not NO_WRENCH:
+            state = state._replace(wrench=state.wrench * (1.0 - self._entry_share(tick)))
+        if predictor is not None and self.mode in CONTROLLED:
+            sample, t = self.motion.ahead(tick, predictor.horizon_s)
+            if t is None:
+                t = self.motion.time(tick) + predictor.horizon_s if self.mode is Mode.TRACKING else nan
+            reference = complete(self.parts.platform, sample, t)
+        return state, reference
+
     def _effort(self, tick: int, state: State, reference: Reference) -> tuple[Effort, Array]:
         """Return the effort with the entry and exit ramps, and the law's own tau (6,) N."""
         elapsed = (tick - self.mode_tick) * self.period_s
         if self.mode in CONTROLLED:
-            own = self.parts.law.effort(state, reference).tau
+            own = self.parts.law.effort(state, reference, self.shortfall).tau
             left = self._entry_share(tick)
             return Effort(own + self.offset * left if left > 0.0 else own), own
         load = self.durations.load
@@ -319,78 +446,23 @@ class Cycle:
     def _row(
         self,
         inp: TickInput,
+        run: bytes,
         estimate: Estimate,
-        sample: PoseSample,
         reference: Reference,
         own: Array,
         command: Command,
         verdict: Verdict,
     ) -> NDArray[np.void]:
-        measurement, state = self.measurement, estimate.state
-        cells = np.empty(ROW_INTEGERS + ROW_FLOATS)
-        _INTEGERS.pack_into(
-            cells.data,
-            0,
-            inp.tick,
-            inp.t_ns,
-            inp.lateness_ns,
-            inp.skipped,
-            inp.sends_failed,
-            inp.bus_errors,
-            inp.bus_off,
-            inp.bus_overflow,
-            inp.recorder_alive,
-            inp.recorder_dropped,
-            inp.compute_ns,
-            len(inp.frames),
-            frames_crc32(inp.frames),
-            self.mode,
-            self.faults,
-            verdict.warnings,
-            measurement.rejected,
-            command.mode,
-            state.iterations,
-            *measurement.state.tolist(),
-            *measurement.fault.tolist(),
-            *measurement.age.tolist(),
-        )
-        np.concatenate(
-            (
-                state.q,
-                state.dq,
-                measurement.force,
-                state.p,
-                state.R.reshape(9),
-                state.twist,
-                sample.p,
-                sample.R.reshape(9),
-                sample.twist,
-                sample.dtwist,
-                reference.q,
-                reference.dq,
-                reference.ddq,
-                own,
-                command.force,
-                (state.residual, estimate.condition, self.motion.time(inp.tick)),
-            ),
-            out=cells[ROW_INTEGERS:],
-        )
-        return np.ndarray((), ROW, cells)
+        steering = self.parts.steering
+        setpoints = NO_SETPOINTS if steering is None else steering.counts
+        return make_row(
+            inp, run, self.mode, self.faults, self.measurement, estimate,
+            self.motion.time(inp.tick), reference, own, command, verdict, setpoints,
+            self.wrench_sensor,
+        )  # fmt: skip
 
 
 def smoothstep(x: float) -> float:
     """Return 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
     x = min(max(x, 0.0), 1.0)
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
-
-
-def frames_crc32(frames: Sequence[Received]) -> int:
-    """Return the CRC-32 of the received frames in order, their times, identifiers, flags and data."""
-    crc = 0
-    for t_ns, (identifier, data, flags) in frames:
-        crc = zlib.crc32(data, zlib.crc32(_HEAD.pack(t_ns, identifier, flags), crc))
-    return crc
-
-
-_HEAD = struct.Struct("<qII")
-_INTEGERS = struct.Struct(f"<{ROW_INTEGERS}q")

@@ -20,7 +20,9 @@ from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveSt
 from hil.clock import Deadlines
 from hil.cycle import Cycle
 from hil.record import Recording
+from hil.setpoints import SetPointSocket
 from hil.signals import Fault, Mode, Operator, TickInput
+from hil.steering import explain
 
 NO_DRIVES_S = 2.0
 """A run in which no drive has been heard for this long ends."""
@@ -112,15 +114,19 @@ def run(
     duration_s: float | None = None,
     *,
     reset: bool = False,
+    setpoints: SetPointSocket | None = None,
 ) -> Ending:
     """Run the cycle until it has parked, faulted, or found no drives.
 
     Engages by itself once the drives are there; `duration_s` asks for a stop that long after the start.
-    `reset` clears faults that the drives have latched before: without it they end the run.
+    `reset` clears faults that the drives have latched before: without it they end the run. `setpoints` is
+    where those of a live reference come in.
     Whatever fails in here, the drives are told to switch off before it returns.
     """
     try:
-        return _run(cycle, bus, deadlines, recording, panel, feedback_window_ns, duration_s, reset=reset)
+        return _run(
+            cycle, bus, deadlines, recording, panel, feedback_window_ns, duration_s, setpoints, reset=reset
+        )
     except Exception as error:  # noqa: BLE001 - a defect anywhere in the step must not leave drives powered
         switch_off(cycle, bus, deadlines)
         tick = deadlines.tick
@@ -154,6 +160,7 @@ def _run(
     panel: OperatorPanel,
     feedback_window_ns: int,
     duration_s: float | None,
+    setpoints: SetPointSocket | None,
     *,
     reset: bool,
 ) -> Ending:
@@ -202,12 +209,15 @@ def _run(
             recorder_dropped=recording.dropped,
             operator=operator,
             compute_ns=compute_ns,
+            setpoints=() if setpoints is None else setpoints.take(),
         )
         begun = time.perf_counter_ns()
         out = cycle.step(inp)
         compute_ns = time.perf_counter_ns() - begun
         sends_failed = bus.send(out.frames)
-        recording.tick(out.row, inp.frames, opening + out.frames, operator)
+        recording.tick(out.row, inp.frames, opening + out.frames, operator, setpoints=inp.setpoints)
+        if setpoints is not None:
+            _answer(setpoints, cycle, recording, t_ns)
 
         mode = cycle.mode
         if mode is Mode.PARKED:
@@ -231,6 +241,16 @@ def _run(
                 return Ending(mode, cycle.faults, waiting_text(cycle), tick)
 
 
+def _answer(setpoints: SetPointSocket, cycle: Cycle, recording: Recording, t_ns: int) -> None:
+    """Tell the senders what became of their set-points, and the log of those that were refused."""
+    steering = cycle.parts.steering
+    assert steering is not None
+    if steering.answers:
+        setpoints.answer(steering.answers)
+    if steering.counts.refusal:
+        recording.event(t_ns, "warning", f"set-point refused: {explain(steering.counts.refusal)}")
+
+
 def drives_off(cycle: Cycle) -> bool:
     """Tell whether all six drives report OFF."""
     return all(state == DriveState.OFF for state in cycle.measurement.state.tolist())
@@ -244,6 +264,9 @@ def fault_text(cycle: Cycle) -> str:
     if cycle.faults & Fault.STALE:
         ages = measurement.age.tolist()
         legs += [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age > 0]
+    if cycle.faults & Fault.ENCODER:
+        slipped = cycle.parts.fusion.slipped if cycle.parts.fusion else ()
+        legs += [f"the encoder of leg {leg} contradicts the pose of the others" for leg in slipped]
     if cycle.faults & Fault.DRIVE:
         for leg, (state, fault) in enumerate(zip(measurement.state, measurement.fault, strict=True)):
             if state in (DriveState.FAULT, DriveState.BOOT):

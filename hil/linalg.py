@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import MATRIX, REAL, VECTOR, helper, kernel
+from drivers.compile_cache import MATRIX, REAL, VECTOR, helper, kernel
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,12 +26,17 @@ from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR, Decoder
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import MessageTable, Record, decompress, records, split
 from hil.record.schema import CONFIGURATION, FORMAT, IDENTITY, RX, SUMMARY, TX
+from hil.signals import Operator, SetPoint
 
 _BATCH, _LOOKAHEAD = 256, 64
 """Ticks read before any is handed out, and how far other writers may have moved a message."""
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
 _LEVELS = {1: "debug", 2: "info", 3: "warning", 4: "error", 5: "error"}
+
+
+Commands = dict[int, list[tuple[int, int, tuple[float, ...]]]]
+"""By tick: index, command and the pose of a set-point."""
 
 
 class Tick(NamedTuple):
@@ -43,6 +48,7 @@ class Tick(NamedTuple):
     """In the order consumed."""
     sent: tuple[Frame, ...]
     operator: tuple[int, ...]
+    setpoints: tuple[SetPoint, ...] = ()
 
 
 class Event(NamedTuple):
@@ -173,13 +179,17 @@ class Log:
         """
         rows = np.zeros(0, self.dtype)
         items = np.zeros(0, ITEM)
-        commands: dict[int, list[tuple[int, int]]] = {}
+        commands: Commands = {}
         done = -1
         for data, table in self._buffers():
             rows = np.concatenate((rows, self._decoder.rows(data, table)))
             items = np.concatenate((items, self._decoder.frames(data, table)))
             for message in self._decoder.messages(data, table, OPERATOR):
-                commands.setdefault(message.tick, []).append((message.index, message.command))
+                if message.command == Operator.SETPOINT and len(message.setpoint) != len(SetPoint._fields):
+                    raise LogError(f"{self.path}: the set-point of tick {message.tick} has no six words")
+                commands.setdefault(message.tick, []).append(
+                    (message.index, message.command, tuple(message.setpoint))
+                )
             if len(rows) < _BATCH:
                 continue
             rows = self._sorted(rows, items, done)
@@ -267,9 +277,7 @@ class Log:
             yield data, split(data)[0]
 
 
-def _assemble(
-    rows: NDArray[np.void], items: NDArray[np.void], commands: Mapping[int, list[tuple[int, int]]]
-) -> Iterator[Tick]:
+def _assemble(rows: NDArray[np.void], items: NDArray[np.void], commands: Commands) -> Iterator[Tick]:
     """Yield the ticks of `rows`, with their items."""
     items = items[np.lexsort((items["index"], items["direction"], items["tick"]))]
     width = schema.MAX_DATA
@@ -282,5 +290,11 @@ def _assemble(
     wanted = rows["tick"] * 4
     first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in (RX, TX, TX + 1))
     for row, tick, a, b, c in zip(rows, rows["tick"].tolist(), first, middle, last, strict=True):
-        operator = tuple(command for _, command in sorted(commands[tick])) if tick in commands else ()
-        yield Tick(row, tuple(received[a:b]), tuple(frames[b:c]), operator)
+        tick_received, tick_sent = tuple(received[a:b]), tuple(frames[b:c])
+        if tick not in commands:
+            yield Tick(row, tick_received, tick_sent, ())
+            continue
+        given = sorted(commands[tick])
+        operator = tuple(command for _, command, _ in given if command != Operator.SETPOINT)
+        setpoints = tuple(SetPoint(*pose) for _, command, pose in given if command == Operator.SETPOINT)
+        yield Tick(row, tick_received, tick_sent, operator, setpoints)

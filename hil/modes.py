@@ -135,17 +135,21 @@ _STOPPED = {
 }
 """Where a stop leads; the other modes are already on their way to rest."""
 
+_LOAD, _RELEASE = range(2)
+_WAITS_FOR = {Mode.LOADING: _LOAD, Mode.RELEASING: _RELEASE, Mode.PARKING: _RELEASE}
+"""Modes that wait for the drives: which of the Durations they take at least."""
+_DRIVES = {
+    **dict.fromkeys(MOVING, DriveMode.RUN),
+    **dict.fromkeys((Mode.LOADING, Mode.PARKING, Mode.UNLOADING), DriveMode.READY),
+}
+"""What the drives are asked for; OFF in the other modes."""
+
 
 def overdue(mode: Mode, elapsed: float, durations: Durations) -> bool:
     """Tell whether a mode that waits for the drives has waited too long; elapsed in s since its entry."""
-    least = {Mode.LOADING: durations.load, Mode.RELEASING: durations.release, Mode.PARKING: durations.release}
-    return mode in least and elapsed > least[mode] + DRIVE_PATIENCE_S
+    return mode in _WAITS_FOR and elapsed > durations[_WAITS_FOR[mode]] + DRIVE_PATIENCE_S
 
 
 def drive_mode(mode: Mode) -> DriveMode:
     """Return what the drives are asked for in a mode."""
-    if mode in MOVING:
-        return DriveMode.RUN
-    if mode in {Mode.LOADING, Mode.PARKING, Mode.UNLOADING}:
-        return DriveMode.READY
-    return DriveMode.OFF
+    return _DRIVES.get(mode, DriveMode.OFF)

@@ -5,17 +5,20 @@ Rule of the room: pure, one kernel call.
 
 from __future__ import annotations
 
+import math
+
 from hil.geometry import Platform
 from hil.kernels.kinematics import reference_kernel
 from hil.signals import Reference
 from hil.trajectory import PoseSample
 
 
-def complete(platform: Platform, sample: PoseSample) -> Reference:
+def complete(platform: Platform, sample: PoseSample, t: float = math.nan) -> Reference:
     """Return the Reference of a sample: q, dq = J twist, ddq = J dtwist + (dJ/dt) twist; (6,), m and s.
 
+    t: the sample's time along the configured trajectory, s; nan elsewhere.
     An unreachable pose gives lengths outside the hard ends, which `hil check` and safety refuse.
     """
     p, R, twist, dtwist = sample
-    q, dq, ddq = reference_kernel(platform.base_joints, platform.platform_joints, p, R, twist, dtwist)
-    return Reference(p, R, twist, dtwist, q, dq, ddq)
+    motion = reference_kernel(platform.base_joints, platform.platform_joints, p, R, twist, dtwist)
+    return Reference(p, R, twist, dtwist, motion[0], motion[1], motion[2], t)

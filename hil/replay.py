@@ -115,6 +115,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
             recorder_dropped=recorder_dropped,
             operator=tuple(Operator(o) for o in entry.operator) if entry.operator else (),
             compute_ns=compute_ns,
+            setpoints=entry.setpoints,
         )
         sent = cycle.begin(tick)
         out = cycle.step(inp)

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals import Fault, Mode, Warn
+from hil.metrics import rotation_errors
+from hil.signals import Array, Fault, Mode, Warn
+from hil.steering import explain
 
 Rows = NDArray[np.void]
 
@@ -28,12 +30,9 @@ def figures(rows: Rows) -> dict[str, Any]:
         "duration_s": _span_s(rows),
         "final_mode": Mode(int(rows["mode"][-1])).name if len(rows) else None,
         "faults": _names(Fault, np.bitwise_or.reduce(rows["faults"])) if len(rows) else [],
-        "tracking": _tracking(rows[tracking]),
+        "tracking": {"ticks": int(tracking.sum())} | errors(rows[tracking]),
         "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),
-        "limited_ticks": {
-            w.name: int(np.count_nonzero(rows["warnings"] & w))
-            for w in (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
-        },
+        "limited_ticks": limited_ticks(rows),
         "wake_up_us": _percentiles(rows["lateness_ns"] / 1e3),
         "compute_us": _percentiles(rows["compute_ns"][1:] / 1e3),
         "stale_ticks": int(np.count_nonzero((rows["age"] > 0).any(axis=1) & powered)),
@@ -41,6 +40,12 @@ def figures(rows: Rows) -> dict[str, Any]:
         "rejected_frames": int(rows["rejected"].sum()),
         "dropped_ticks": int(rows["recorder_dropped"][-1]) if len(rows) else 0,
     }
+    if len(rows) and (rows["setpoints_taken"][-1] or rows["setpoints_refused"][-1]):
+        result["setpoints"] = {
+            "taken": int(rows["setpoints_taken"][-1]),
+            "refused": int(rows["setpoints_refused"][-1]),
+            "why": explain(int(np.bitwise_or.reduce(rows["setpoint_refusal"]))) or None,
+        }
     if tracking.any() and len(rows) > 0:
         result["first_motion_s"] = float((rows["t_ns"][tracking][0] - rows["t_ns"][0]) * 1e-9)
     return result
@@ -50,31 +55,31 @@ def _span_s(rows: Rows) -> float:
     return float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0
 
 
-def _tracking(rows: Rows) -> dict[str, Any]:
+def limited_ticks(rows: Rows) -> dict[str, int]:
+    """Return at how many ticks each limit of the force acted."""
+    limits = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
+    return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
+
+
+def pose_errors(rows: Rows) -> tuple[Array, Array]:
+    """Return the errors of position (n, 3) in mm and of rotation, a rotation vector (n, 3) in deg."""
+    return 1e3 * (rows["p_d"] - rows["p"]), np.rad2deg(rotation_errors(rows["R_d"], rows["R"]))
+
+
+def errors(rows: Rows) -> dict[str, float]:
+    """Return the figures of rows that follow a reference: leg error, distance, angle; empty without rows."""
     if not len(rows):
-        return {"ticks": 0}
+        return {}
     e_mm = (rows["q_d"] - rows["q"]) * 1e3
-    p_mm = (rows["p_d"] - rows["p"]) * 1e3
-    angle = _angle_deg(rows["R_d"], rows["R"])
+    p_mm, r_deg = pose_errors(rows)
     return {
-        "ticks": len(rows),
         "peak_leg_error_mm": float(np.abs(e_mm).max()),
         "rms_leg_error_mm": float(np.sqrt((e_mm**2).mean())),
         "peak_position_error_mm": float(np.linalg.norm(p_mm, axis=1).max()),
-        "peak_rotation_error_deg": float(angle.max()),
+        "peak_rotation_error_deg": float(np.linalg.norm(r_deg, axis=1).max()),
         "peak_force_N": float(np.abs(rows["tau"]).max()),
         "peak_leg_rate_m_s": float(np.abs(rows["dq"]).max()),
     }
-
-
-def _angle_deg(R_d: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angle of R_d R^T from the skew part, which keeps small angles exact to rounding."""
-    E = np.einsum("nij,nkj->nik", R_d.reshape(-1, 3, 3), R.reshape(-1, 3, 3))
-    skew = np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], axis=1) / 2
-    sine = np.linalg.norm(skew, axis=1)
-    cosine = (np.trace(E, axis1=1, axis2=2) - 1) / 2
-    angle: NDArray[np.float64] = np.rad2deg(np.arctan2(sine, cosine))
-    return angle
 
 
 def _percentiles(values: NDArray[np.float64]) -> dict[str, float]:

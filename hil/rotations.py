@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import MATRIX, VECTOR, helper, kernel
-from hil.vectors import Vector, add, cross, dot, scale
+from drivers.compile_cache import MATRIX, VECTOR, helper, kernel
+from hil.vectors import Vector, add, at, cross, dot, scale
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ def _reciprocal_factorials(first: int) -> tuple[float, ...]:
 _SINE = _reciprocal_factorials(1)
 _COSINE = _reciprocal_factorials(2)
 _REST = _reciprocal_factorials(3)
+_INVERSE = tuple(2 * (k + 1) * c for k, c in enumerate(_reciprocal_factorials(4)))
+"""(2 B - A) / x of ``rotation_vector_rate``."""
 
 
 @helper
@@ -78,23 +80,19 @@ def orthonormalise(R: Array) -> None:
         R[i, 2] = zx * x[i] + yz * y[i] + zz * z[i]
 
 
-@kernel(VECTOR, VECTOR, VECTOR)
-def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
-    """Return R = exp([r]x), omega and alpha (base frame) of a rotation vector r(t) and its derivatives.
+@helper
+def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector, Vector]:
+    """Fill R = exp([r]x), return omega and alpha (base frame) of a rotation vector r(t) and its derivatives.
 
     With x = r.r: R = I + A [r]x + B [r]x^2, omega = dr + B r x dr + C r x (r x dr), where
     A = sin|r|/|r|, B = (1 - cos|r|)/|r|^2, C = (|r| - sin|r|)/|r|^3 as power series in x; alpha is the
     time derivative of omega. All (3,), rad; for |r| <= 2 pi.
     """
-    rv = (r[0], r[1], r[2])
-    v = (dr[0], dr[1], dr[2])
-    a = (ddr[0], ddr[1], ddr[2])
     x = dot(rv, rv)
     dx = 2.0 * dot(rv, v)
     A, _ = _series(_SINE, x)
     B, Bx = _series(_COSINE, x)
     C, Cx = _series(_REST, x)
-    R = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             R[i, j] = B * rv[i] * rv[j]
@@ -107,17 +105,43 @@ def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Arra
     R[2, 1] += A * rv[0]
     rxv = cross(rv, v)
     rxrxv = cross(rv, rxv)
-    omega = np.empty(3)
-    alpha = np.empty(3)
     w = add(v, add(scale(B, rxv), scale(C, rxrxv)))
     rxa = cross(rv, a)
     second = add(cross(v, rxv), cross(rv, rxa))
     dw = add(a, add(scale(B, rxa), scale(C, second)))
     dw = add(dw, scale(dx, add(scale(Bx, rxv), scale(Cx, rxrxv))))
+    return w, dw
+
+
+@kernel(VECTOR, VECTOR, VECTOR)
+def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
+    """Return R, omega and alpha as `rotation_motion`, as arrays."""
+    R, omega, alpha = np.empty((3, 3)), np.empty(3), np.empty(3)
+    w, dw = rotation_motion(at(r, 0), at(dr, 0), at(ddr, 0), R)
     for i in range(3):
         omega[i] = w[i]
         alpha[i] = dw[i]
     return R, omega, alpha
+
+
+@kernel(VECTOR, VECTOR)
+def rotation_vector_rate(r: Array, omega: Array) -> Array:
+    """Return dr/dt (3,) rad/s of the rotation vector r of exp([r]x), which turns with omega (base frame).
+
+    The inverse of omega(r, dr) of ``rotation_motion_kernel``: dr = omega - r x omega / 2 + D r x (r x omega),
+    D = (2 B - A) / (2 B x), its numerator as a power series in x, too (Bullo and Murray, 1995). |r| < 2 pi.
+    """
+    rv = (r[0], r[1], r[2])
+    w = (omega[0], omega[1], omega[2])
+    x = dot(rv, rv)
+    B, _ = _series(_COSINE, x)
+    N, _ = _series(_INVERSE, x)
+    rxw = cross(rv, w)
+    dr = add(w, add(scale(-0.5, rxw), scale(N / (2.0 * B), cross(rv, rxw))))
+    rate = np.empty(3)
+    for i in range(3):
+        rate[i] = dr[i]
+    return rate
 
 
 @kernel(MATRIX)
@@ -170,6 +194,26 @@ def rotation_vector_kernel(R: Array) -> Array:
     for i in range(3):
         r[i] = sign * q[i + 1] / norm / sine * angle
     return r
+
+
+@kernel(MATRIX, MATRIX)
+def relative_rotation(R0: Array, R1: Array) -> Array:
+    """Return the rotation vector (3,) rad, base frame, of the shortest turn from R0 to R1: log(R1 R0^T)."""
+    product = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = R1[i, 0] * R0[j, 0] + R1[i, 1] * R0[j, 1] + R1[i, 2] * R0[j, 2]
+    return rotation_vector_kernel(product)
+
+
+@kernel(MATRIX, VECTOR)
+def turned(R: Array, x: Array) -> Array:
+    """Return [R x[:3]; R x[3:]], (6,): a twist or wrench of the platform frame in the base frame."""
+    y = np.empty(6)
+    for i in range(3):
+        y[i] = R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
+        y[3 + i] = R[i, 0] * x[3] + R[i, 1] * x[4] + R[i, 2] * x[5]
+    return y
 
 
 def rotation_from_vector(r: Array) -> Array:

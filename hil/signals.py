@@ -5,6 +5,7 @@ Rule of the room: values only; arrays are read-only to every reader.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
@@ -49,6 +50,33 @@ class Operator(IntEnum):
     STOP = 2
     RESET = 3
     ESTOP = 4
+    SETPOINT = 5
+    """Go to a pose: in a log only; TickInput has the poses as `setpoints`."""
+
+
+class SetPoint(NamedTuple):
+    """A pose to go to: m, and the rotation vector in rad, in the base frame."""
+
+    x: float
+    y: float
+    z: float
+    rx: float
+    ry: float
+    rz: float
+
+
+class Refusal(IntFlag):
+    """Why a set-point was not taken, or not followed to its end."""
+
+    NONE = 0
+    NOT_TRACKING = 1
+    NOT_A_POSE = 2
+    """Not finite, or turned by more than half a turn."""
+    STROKE = 4
+    CONDITION = 8
+    FORCE = 16
+    ON_THE_WAY = 32
+    """It is good itself; what lies before it is not."""
 
 
 class Fault(IntFlag):
@@ -68,6 +96,10 @@ class Fault(IntFlag):
     NOT_FINITE = 512
     ESTOP = 1024
     LAW = 2048
+    ENCODER = 4096
+    """An encoder contradicts the fused pose that may not be lost."""
+    UNCERTAIN = 8192
+    """The fused pose is less certain than it has to be."""
 
 
 class Warn(IntFlag):
@@ -84,6 +116,12 @@ class Warn(IntFlag):
     RECORDER = 128
     BUS = 256
     """Error frames, lost receptions or refused frames."""
+    SETPOINT = 512
+    """A set-point was refused."""
+    ENCODER = 1024
+    """The encoder of a leg is lost or contradicts the fused pose; column `legs_lost` says which."""
+    SENSOR = 2048
+    """A configured tracker or IMU has been silent or refused for several of its periods."""
 
 
 class TickInput(NamedTuple):
@@ -111,6 +149,12 @@ class TickInput(NamedTuple):
     operator: tuple[Operator, ...]
     compute_ns: int
     """Time that the previous step took: recorded, decides nothing."""
+    setpoints: tuple[SetPoint, ...] = ()
+    """For a live reference, in the order received."""
+
+
+NO_WRENCH = np.zeros(6)
+NO_WRENCH.flags.writeable = False
 
 
 class State(NamedTuple):
@@ -131,6 +175,36 @@ class State(NamedTuple):
     iterations: int
     residual: float
     """m, largest leg residual of forward kinematics; inf when it did not converge."""
+    wrench: Array = NO_WRENCH
+    """(6,) N, N m, external load ON the platform at its origin, base frame: measured, observed, or zero."""
+
+
+NOT_FUSED = np.zeros(18)
+NOT_FUSED.flags.writeable = False
+
+
+class Fusion(NamedTuple):
+    """What the filter of `hil.fusion` says of its own work, where it gives the pose."""
+
+    used: int = 0
+    """Legs whose encoders were used, bit i for leg i."""
+    lost: int = 0
+    """Legs whose encoders do not count: silent, blind or slipped, bit i for leg i."""
+    slipped: int = 0
+    """Legs whose encoders have slipped, bit i for leg i."""
+    tracker: int = 0
+    """1 this tick's tracker sample was used, -1 refused, 0 there was none."""
+    figures: Array = NOT_FUSED
+    """(18,): measured less predicted lengths m; measured less predicted pose of the tracker m, rad; the
+    pose's own standard deviation m, rad."""
+    ages: NDArray[np.int64] | None = None
+    """(6,) ticks, as safety is to judge them: 0 for a leg that may be lost; None: those of the
+    measurement."""
+    warnings: Warn = Warn.NONE
+    faults: Fault = Fault.NONE
+
+
+NO_FUSION = Fusion()
 
 
 class Estimate(NamedTuple):
@@ -141,6 +215,7 @@ class Estimate(NamedTuple):
     """Of J, lengths and angles made comparable; inf where it is singular."""
     hop: float
     """>= 1: not safely reachable from the last pose; forward kinematics may have changed assembly."""
+    fusion: Fusion = NO_FUSION
 
 
 class Reference(NamedTuple):
@@ -153,6 +228,8 @@ class Reference(NamedTuple):
     q: Array
     dq: Array
     ddq: Array
+    t: float = math.nan
+    """s along the configured trajectory; nan on the way to it, while stopping and at rest."""
 
 
 class Effort(NamedTuple):
@@ -206,6 +283,13 @@ INTEGER_COLUMNS: dict[str, int] = {
     "rejected": 1,
     "command_mode": 1,
     "fk_iterations": 1,
+    "setpoints_taken": 1,
+    "setpoints_refused": 1,
+    "setpoint_refusal": 1,
+    "legs_used": 1,
+    "legs_lost": 1,
+    "legs_slipped": 1,
+    "tracker": 1,
     "drive_state": 6,
     "drive_fault": 6,
     "age": 6,
@@ -228,9 +312,14 @@ FLOAT_COLUMNS: dict[str, int] = {
     "ddq_d": 6,
     "tau_law": 6,
     "tau": 6,
+    "wrench": 6,
     "fk_residual": 1,
     "condition": 1,
     "reference_time_s": 1,
+    "innovation_q": 6,
+    "innovation_tracker": 6,
+    "pose_std": 6,
+    "wrench_sensor": 6,
 }
 """Columns of the row that are float64, after the integers."""
 

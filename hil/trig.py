@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from hil.compile_cache import helper
+from drivers.compile_cache import helper
 
 # pi/2 as a sum whose first two terms have 31 bits: n * term is exact for n < 2^22
 _HALF_PI_1 = float.fromhex("0x1.921fb544p+0")

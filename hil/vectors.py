@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import helper
+from drivers.compile_cache import helper
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from drivers.compile_cache import INTEGER, OUT_VECTOR, REAL, VECTOR, helper, kernel
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
@@ -22,13 +22,13 @@ BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
 
 
-@njit(cache=True)
+@helper
 def _acceleration(x: float, v: float, f: float, m: float, b: float, k0: float, k1: float) -> float:
     """Solve m a + b v|v| + k0 x + k1 x^3 = f for a."""
     return (f - b * v * abs(v) - k0 * x - k1 * x * x * x) / m
 
 
-@njit(cache=True)
+@kernel(OUT_VECTOR, OUT_VECTOR, VECTOR, VECTOR, REAL, INTEGER, REAL, REAL, REAL, REAL)
 def _advance(
     x: Any,
     v: Any,
@@ -78,8 +78,6 @@ class Bench:
         self.settings = settings
         self.internal_step_s = settings.internal_step_us / 1e6
         self.reset()
-        self.step(np.zeros(LEGS), np.ones(LEGS), np.zeros(LEGS), self.internal_step_s)  # compiles
-        self.reset()
 
     def reset(self) -> tuple[Array, Array]:
         """Back to rest at the rest length; lengths (6,) m, rates (6,) m/s."""
@@ -126,6 +124,10 @@ class Bench:
 
     def truth(self) -> Truth | None:
         """None: there is no platform."""
+        return None
+
+    def applied_force(self) -> Array | None:
+        """None: there is no lag to know of."""
         return None
 
     def close(self) -> None:

@@ -90,11 +90,66 @@ class FmuPlant(Section):
         return names
 
 
+class SensorNode(Section):
+    """What every emulated sensor has."""
+
+    latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """From the sample to its frame's entry into the bus."""
+    lost_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Share of the samples that never become a frame."""
+
+
+class TrackerEmulation(SensorNode):
+    """The emulated tracker: white noise, constant bias."""
+
+    latency_ms: Annotated[float, Field(ge=0, le=60)] = 5.0
+    """From the sample to its frame's entry into the bus."""
+    position_noise_m: Annotated[float, Field(ge=0)] = 1e-3
+    """Standard deviation of each coordinate."""
+    orientation_noise_deg: Annotated[float, Field(ge=0)] = 0.1
+    """Standard deviation about each axis."""
+    position_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How far the tracker's frame is from the base frame."""
+    rotation_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Rotation vector of the same."""
+
+
+class ImuEmulation(SensorNode):
+    """The emulated IMU: white noise, constant biases."""
+
+    latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.2
+    """From the sample to its frame's entry into the bus."""
+    angular_rate_noise_rad_s: Annotated[float, Field(ge=0)] = 2e-3
+    specific_force_noise_m_s2: Annotated[float, Field(ge=0)] = 0.05
+    angular_rate_bias_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    specific_force_bias_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class WrenchEmulation(SensorNode):
+    """The emulated wrench sensor: white noise, constant bias."""
+
+    force_noise_N: Annotated[float, Field(ge=0)] = 0.0
+    moment_noise_N_m: Annotated[float, Field(ge=0)] = 0.0
+    force_bias_N: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment_bias_N_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class SensorEmulation(Section):
+    """What the emulated sensors add to the truth. Which of them there are says the section `sensors`."""
+
+    seed: Annotated[int, Field(ge=0)] = 1
+    """Of all noise and loss: the same seed, the same run."""
+    tracker: TrackerEmulation = TrackerEmulation()
+    imu: ImuEmulation = ImuEmulation()
+    wrench: WrenchEmulation = WrenchEmulation()
+
+
 class PlantSettings(Section):
     """What stands in for drives and platform."""
 
     model: Annotated[StewartPlant | BenchPlant | FmuPlant, Field(discriminator="type")]
     drives: DriveEmulation = DriveEmulation()
+    sensors: SensorEmulation = SensorEmulation()
     initial_position_m: tuple[float, float, float] | None = None
     """Platform origin at the start; default is the platform's home."""
     initial_rotation_vector_deg: tuple[float, float, float] | None = None

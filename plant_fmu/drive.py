@@ -1,97 +1,109 @@
-"""One emulated drive: what it remembers, how modes move it, what it does by itself.
+"""Six emulated drives: what they remember, how modes move them, what they do by themselves.
 
-Rule of the room: no time, no frames, no plant; `Nodes` owns the six drives.
+Rule of the room: no frames, no plant; time is an argument. `Nodes` owns the drives.
 """
 
 from __future__ import annotations
 
-from math import exp, pi
+from math import exp, nan, pi
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.config import DriveSettings
-from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import INVALID, LEGS, Reaction
+from plant_fmu import drive_kernels as kernels
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drive_kernels import BOOT, BRAKE, NEVER_NS, WORKS
+from plant_fmu.faults import Present
 
-# Names of the module: an attribute of an Enum class takes several times as long to look up.
-BOOT, OFF, READY, RUN, FAULT = DriveState
-BRAKE, DAMP, HOLD, ZERO = Reaction
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 _NO_COUNTER = -1
 
-TRANSITIONS: dict[int, dict[DriveState, DriveState]] = {
-    DriveMode.OFF: {READY: OFF, RUN: OFF},
-    DriveMode.READY: {OFF: READY, RUN: READY},
-    DriveMode.RUN: {READY: RUN},
-    DriveMode.RESET: {READY: OFF, RUN: OFF, FAULT: OFF},
-}
-"""What each commanded mode does to a drive; a state that is not listed stays as it is."""
 
+class Drives:
+    """Six drives that have just been powered up. Every array has one element a drive.
 
-class ForceStage:
-    """What the six drives have in common: rated force, gains of the reactions, force lag. Constant.
-
-    step_s is the plant's internal step, over which the lag is exact.
+    Mutable state: two matrices, whose rows are the attributes; `drive_kernels` says what they are.
     """
 
-    def __init__(self, emulation: DriveEmulation, settings: DriveSettings, step_s: float) -> None:
-        self.limit = settings.force_limit_N
-        self.damping = emulation.damping_N_s_m
-        self.stiffness = emulation.hold_stiffness_N_m
+    def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
+        """Power up; `step_s` is the plant's internal step, over which the force lag is exact."""
+        self._integers = integers = np.zeros((kernels.LOST + 1, LEGS), np.int64)
+        self._reals = reals = np.zeros((kernels.BRAKES + 1, LEGS))
+        self.state = integers[kernels.STATE]
+        self.fault = integers[kernels.REASON]
+        self.configured = integers[kernels.CONFIGURED]
+        self.watchdog_ns = integers[kernels.WATCHDOG]
+        self.deadline_ns = integers[kernels.DEADLINE]
+        self.reaction = integers[kernels.REACTION]
+        self.acting = integers[kernels.ACTING]
+        self.command = reals[kernels.COMMAND]
+        self.held_m = reals[kernels.HELD]
+        self.force = reals[kernels.FORCE]
+        """N, what the drives put on the plant."""
+        self.brake = reals[kernels.BRAKES]
+        """1 engaged, 0 released."""
+        self.state[:] = BOOT
+        integers[kernels.COUNTER] = _NO_COUNTER
+        self.watchdog_ns[:] = round(settings.watchdog_ms * 1e6)
+        self.deadline_ns[:] = NEVER_NS
+        self.reaction[:] = Reaction[settings.reaction.upper()]
+        self.acting[:] = BRAKE
+        integers[kernels.STUCK] = WORKS
+        reals[kernels.FROZEN] = nan
+        reals[kernels.GAIN] = 1.0
         # First-order lag over one step: its end value and its mean.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         self.lags = x > 0.0
-        self.lag_end = exp(-x)
-        self.lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else 1.0
+        stage = (
+            settings.force_limit_N,
+            emulation.damping_N_s_m,
+            emulation.hold_stiffness_N_m,
+            float(self.lags),
+            exp(-x),
+            (1.0 - exp(-x)) / x if x > 0.0 else 1.0,
+        )
+        self._stage = np.array(stage, float)
 
+    def disturb(self, present: Present, length: Array, rate: Array) -> None:
+        """Let the faults of this instant act, the plant being there; an encoder freezes at what it reads."""
+        self._reals[kernels.OFFSET] = present.offset_m
+        self._integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
+        reads, _, _ = self.encoders(length, rate)
+        frozen = self._reals[kernels.FROZEN]
+        frozen[:] = np.where(present.frozen, np.where(np.isnan(frozen), reads, frozen), nan)
+        self._reals[kernels.GAIN] = present.gain
+        self._integers[kernels.STUCK] = [WORKS if stuck is None else stuck for stuck in present.stuck]
 
-class Drive:
-    """One drive. A new one has just been powered up. Mutable state: every attribute but the stage."""
+    def enter(self, leg: int, state: int, fault: int) -> None:
+        """Move one drive to a state."""
+        kernels.enter(self._integers, self._reals, leg, state, fault)
 
-    __slots__ = (
-        "acting",
-        "command",
-        "configured",
-        "counter",
-        "fault",
-        "frozen_m",
-        "hold_m",
-        "lagged",
-        "reaction",
-        "stage",
-        "state",
-        "watchdog_ns",
-    )
+    def obey(
+        self,
+        length: Array,
+        rate: Array,
+        legs: Integers,
+        command: Array,
+        mode: int,
+        counter: int,
+        t_ns: int,
+    ) -> tuple[bool, bool, int, int]:
+        """As `drive_kernels.obey`."""
+        return kernels.obey(
+            self._integers, self._reals, self._stage, length, rate, legs, command, mode, counter, t_ns
+        )
 
-    def __init__(self, settings: DriveSettings, stage: ForceStage) -> None:
-        self.stage = stage
-        self.state = BOOT
-        self.fault = DriveFault.NONE
-        self.configured = False
-        self.watchdog_ns = round(settings.watchdog_ms * 1e6)
-        self.reaction = Reaction[settings.reaction.upper()]
-        self.acting = BRAKE
-        """The reaction of the fault that is latched."""
-        self.hold_m = 0.0
-        self.command = 0.0
-        """N, the last valid one; zero outside READY and RUN."""
-        self.counter = _NO_COUNTER
-        self.lagged = 0.0
-        """N, state of the force lag."""
-        self.frozen_m: float | None = None
-        """What a frozen encoder keeps reading."""
+    def encoders(
+        self, length: Array, rate: Array, dt_s: float = 0.0, quantum_m: float = 0.0
+    ) -> tuple[Array, Array, Integers]:
+        """Return what feedback tells: length m, rate m/s, state; see `drive_kernels.read_encoders`."""
+        l, dl, told = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS, np.int64)
+        kernels.read_encoders(self._integers, self._reals, length, rate, dt_s, quantum_m, l, dl, told)
+        return l, dl, told
 
-    @property
-    def controls(self) -> bool:
-        """Whether the drive follows its encoder by itself."""
-        return self.state is FAULT and (self.acting is DAMP or self.acting is HOLD)
-
-    def reaction_force(self, l: float, dl: float) -> float:
-        """Return what a drive that `controls` does at length l m and rate dl m/s, N."""
-        f = -self.stage.damping * dl
-        if self.acting is HOLD:
-            f -= self.stage.stiffness * (l - self.hold_m)
-        return f
-
-    def lag(self, f: float) -> float:
-        """Let the force stage follow f N for one step of the plant; return its mean over the step, N."""
-        gap = self.lagged - f
-        self.lagged = f + gap * self.stage.lag_end
-        return f + gap * self.stage.lag_mean
+    def actuate(self, length: Array, rate: Array, lag: bool) -> bool:
+        """As `drive_kernels.actuate`."""
+        return kernels.actuate(self._integers, self._reals, self._stage, length, rate, lag)

@@ -63,6 +63,11 @@ class EncoderFreeze(LegFault):
 
 
 @dataclass(frozen=True, kw_only=True)
+class EncoderLost(LegFault):
+    """The drive knows that its encoder is lost: it says so in its feedback, and still obeys."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LegGain(LegFault):
     """The leg's force is this multiple of what its drive means to apply; -1 is swapped wires."""
 
@@ -133,7 +138,7 @@ class Present:
     def __init__(self, faults: Sequence[Fault], t_s: float) -> None:
         self.offset_m = [0.0] * LEGS
         self.frozen = [False] * LEGS
-        self.encoders_disturbed = False
+        self.lost = [False] * LEGS
         self.gain = [1.0] * LEGS
         self.silent = [False] * LEGS
         self.stuck: list[bool | None] = [None] * LEGS
@@ -145,10 +150,10 @@ class Present:
             match fault:
                 case EncoderOffset(leg=leg, offset_m=offset_m):
                     self.offset_m[leg] += offset_m
-                    self.encoders_disturbed = True
                 case EncoderFreeze(leg=leg):
                     self.frozen[leg] = True
-                    self.encoders_disturbed = True
+                case EncoderLost(leg=leg):
+                    self.lost[leg] = True
                 case LegGain(leg=leg, gain=gain):
                     self.gain[leg] *= gain
                 case Silence(leg=leg):

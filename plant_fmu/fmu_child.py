@@ -198,6 +198,10 @@ class ChildHost:
         y = self._board.truth.copy()
         return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
 
+    def applied_force(self) -> Array | None:
+        """As FmuHost.applied_force, at no cost: it comes with the answer to every step."""
+        return None if self.spec.truth is None else self._board.truth[18:24].copy()
+
     def close(self) -> None:
         """Let the child free the FMU and end; stop it if it does not. A second call does nothing."""
         if self._life_w < 0:
@@ -256,13 +260,14 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
     if host is None:
         return
 
-    def measure(answer: tuple[Array, Array]) -> None:
-        board.measured[:6], board.measured[6:] = answer
-
     def true_state() -> None:
         truth = host.truth()
         if truth is not None:
             board.truth[:] = np.concatenate([truth.p, truth.R.ravel(), truth.twist, truth.applied_force])
+
+    def measure(answer: tuple[Array, Array]) -> None:
+        board.measured[:6], board.measured[6:] = answer
+        true_state()
 
     tasks: dict[int, Callable[[], None]] = {
         _RESET: lambda: measure(host.reset()),

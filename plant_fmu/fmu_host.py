@@ -1,6 +1,6 @@
 """FmuHost: any co-simulation FMU, 2.0 or 3.0, inside this process.
 
-Rule of the room: fmpy loads the library; each step then calls the C functions with arguments prepared once.
+Rule of the room: fmpy loads the library; each step then calls the C functions by their addresses.
 The FMU shares our process: it can crash it. FMUs that we did not build belong into a child process.
 """
 
@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import ctypes as ct
-import functools
-import math
 import os
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -25,39 +22,28 @@ from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
 from drivers.errors import PlantError
+from drivers.signals import LEGS
+from plant_fmu import fmu_call
 from plant_fmu.fmu_archive import checked_members, extract, open_archive, read_member
 from plant_fmu.fmu_check import Interface, read_interface
 from plant_fmu.fmu_spec import FmuSpec
 from plant_fmu.plant import Truth
 
 Array = NDArray[np.float64]
-_WARNING = 1
-"""The worst status of both standards that still is a success."""
 _MESSAGES = 20
+_new = tuple.__new__
+"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
+_REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
+_APPLIED = fmu_call.MEASURED + 18
+"""Where the applied forces stand among the outputs: behind pose and twist."""
+_STEPPED = {fmu_call.OUTPUTS_REFUSED, fmu_call.OUTPUT_NOT_FINITE}
 _LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
-def _prepare(fmu: Any, name: str, *arguments: Any) -> Callable[[], int]:
-    """Return a call of one C function with fixed arguments; the caller keeps what pointers point to."""
+def _address(fmu: Any, name: str) -> int:
     address = ct.cast(fmu._functions[name], ct.c_void_p).value  # noqa: SLF001 - fmpy's only table of them
     assert address is not None
-    return functools.partial(ct.CFUNCTYPE(ct.c_int, *[type(a) for a in arguments])(address), *arguments)
-
-
-class _Transfer(NamedTuple):
-    """A get or set of some values, with the memory that it uses."""
-
-    call: Callable[[], int]
-    references: Any
-    values: Array
-
-
-def _transfer(fmu: Any, name: str, references: list[int], values: Array, *, counted: bool) -> _Transfer:
-    """Prepare a call that gets or sets `values`; FMI 3 counts the values, too."""
-    vr = (ct.c_uint * len(references))(*references)
-    pointers = (ct.c_void_p(fmu.component), ct.c_void_p(ct.addressof(vr)), ct.c_size_t(len(references)))
-    tail = (ct.c_size_t(values.size),) if counted else ()
-    return _Transfer(_prepare(fmu, name, *pointers, ct.c_void_p(values.ctypes.data), *tail), vr, values)
+    return address
 
 
 class FmuHost:
@@ -147,31 +133,28 @@ class FmuHost:
         three = face.major >= 3
         get, put = ("fmi3GetFloat64", "fmi3SetFloat64") if three else ("fmi2GetReal", "fmi2SetReal")
         self._inputs = np.zeros(sum(c.count for c in face.inputs.values()))
-        self._slots: dict[str, Array] = {}
+        places: dict[str, int] = {}
         place = 0
         for key, channel in face.inputs.items():
-            self._slots[key] = self._inputs[place : place + channel.count]
+            places[key] = place
             place += channel.count
         self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
-        references = [r for c in face.inputs.values() for r in c.references]
-        given = [r for c in face.outputs.values() for r in c.references]
-        self._transfers = transfers = [
-            _transfer(fmu, put, references, self._inputs, counted=three),
-            _transfer(fmu, get, given, self._outputs, counted=three),
+        self._applied = self._outputs[_APPLIED:]
+        self._held = np.zeros(self._inputs.size, np.int64)
+        self._flags = np.zeros(3, np.uint8)
+        self._last = np.zeros(1)
+        self._references = [
+            np.array([r for c in channels.values() for r in c.references], np.uint32)
+            for channels in (face.inputs, face.outputs)
         ]
-        self._set_inputs, self._get_outputs = transfers[0].call, transfers[1].call
-        component = ct.c_void_p(fmu.component)
-        self._time, self._dt, self._last = ct.c_double(), ct.c_double(), ct.c_double()
-        self._flags = [ct.c_bool() for _ in range(3)]
-        self._event, self._ended, self._early = self._flags
-        if three:
-            pointers = [ct.c_void_p(ct.addressof(x)) for x in self._flags]
-            pointers.append(ct.c_void_p(ct.addressof(self._last)))
-            self._do_step = _prepare(
-                fmu, "fmi3DoStep", component, self._time, self._dt, ct.c_bool(True), *pointers
-            )
-        else:
-            self._do_step = _prepare(fmu, "fmi2DoStep", component, self._time, self._dt, ct.c_int(1))
+        self._call = call = np.zeros(fmu_call.CALL, np.int64)
+        call[fmu_call.INSTANCE], call[fmu_call.COUNTED] = fmu.component, three
+        call[fmu_call.SET], call[fmu_call.GET] = _address(fmu, put), _address(fmu, get)
+        call[fmu_call.STEP] = _address(fmu, "fmi3DoStep" if three else "fmi2DoStep")
+        call[fmu_call.FLAGS], call[fmu_call.LAST] = self._flags.ctypes.data, self._last.ctypes.data
+        for at, references in zip((fmu_call.INPUTS, fmu_call.OUTPUTS), self._references, strict=True):
+            call[at], call[at + 1] = references.ctypes.data, references.size
+        call[fmu_call.SLOTS :] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
 
     def _refused(self, status: int, what: str) -> PlantError:
         label = _LABELS.get(status, str(status))
@@ -191,10 +174,10 @@ class FmuHost:
                 self._set_start(start.setter, list(start.references), list(start.values), start.name)
             fmu.enterInitializationMode()
             self._inputs[:] = 0.0
-            if "brake" in self._slots:
-                self._slots["brake"][:] = 1.0
-            status = self._set_inputs()
-            if status <= _WARNING:
+            if (brake := self._call[fmu_call.SLOTS + 1]) >= 0:
+                self._inputs[brake : brake + LEGS] = 1.0
+            status = fmu_call.put(self._call, self._inputs, self._held)
+            if status <= fmu_call.WARNING:
                 fmu.exitInitializationMode()
         except PlantError:
             raise
@@ -202,9 +185,8 @@ class FmuHost:
             raise PlantError(
                 f"{self.spec.path}: the FMU cannot be initialised: {error}{self._said()}"
             ) from error
-        if status > _WARNING:
+        if status > fmu_call.WARNING:
             raise self._refused(status, "take its inputs")
-        self._held = self._inputs.tobytes()
         self._initialised = True
 
     def _set_start(self, setter: str, references: list[int], values: list[Any], name: str) -> None:
@@ -224,17 +206,24 @@ class FmuHost:
         """
         self._initialise()
         self._ticks = 0
+        ended, status = fmu_call.fetch(self._call, self._outputs)
+        if ended != fmu_call.DONE:
+            raise self._failed(ended, status, "")
         return self._measured()
 
     def _measured(self) -> tuple[Array, Array]:
-        """Read all outputs at once, true ones included: a second call would cost more than their values."""
-        if (status := self._get_outputs()) > _WARNING:
-            raise self._refused(status, "give its outputs")
-        y = self._outputs[:12].copy()
-        if not math.isfinite(sum(y.tolist())):  # faster than numpy's test for so few
-            said = self._said()
-            raise PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{said}")
-        return y[:6], y[6:]
+        y = self._outputs[: fmu_call.MEASURED].copy()
+        return y[:LEGS], y[LEGS:]
+
+    def _failed(self, ended: int, status: int, what: str) -> PlantError:
+        """Return the error for an exchange that ended like this."""
+        if ended == fmu_call.OUTPUT_NOT_FINITE:
+            y = self._outputs[: fmu_call.MEASURED]
+            return PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{self._said()}")
+        if ended == fmu_call.INTERRUPTED:
+            did = "ended the simulation" if self._flags[1] else "returned early"
+            return PlantError(f"{self.spec.path}: the FMU {did} at {self._last[0]:.9g} s{self._said()}")
+        return self._refused(status, _REFUSED.get(ended, what))
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
@@ -247,27 +236,27 @@ class FmuHost:
         n = round(dt_s / step) if 0.0 < dt_s < 1e9 * step else 0
         if n < 1 or abs(dt_s - n * step) > 1e-9 * dt_s:
             raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step!r} s")
-        slots = self._slots
-        slots["force"][:] = force
-        if "brake" in slots:
-            slots["brake"][:] = brake
-        if "wrench" in slots:
-            slots["wrench"][:] = wrench
         if not self._initialised:
             raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
-        if (held := self._inputs.tobytes()) != self._held:  # an FMU holds its inputs until they are set again
-            if not math.isfinite(sum(self._inputs.tolist())):
+        t_s = self._ticks * step
+        ended, status = fmu_call.exchange(
+            self._call,
+            force,
+            brake,
+            wrench,
+            t_s,
+            n * step,
+            self._inputs,
+            self._held,
+            self._outputs,
+            self._flags,
+        )
+        if ended != fmu_call.DONE:
+            if ended == fmu_call.NOT_FINITE:
                 raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
-            self._held = b""  # unknown, should the FMU refuse some of them
-            if (status := self._set_inputs()) > _WARNING:
-                raise self._refused(status, "take its inputs")
-            self._held = held
-        self._time.value, self._dt.value = self._ticks * step, n * step
-        if (status := self._do_step()) > _WARNING:
-            raise self._refused(status, f"step from {self._time.value:.9g} s by {dt_s:.9g} s")
-        if self._ended.value or self._early.value:
-            what = "ended the simulation" if self._ended.value else "returned early"
-            raise PlantError(f"{self.spec.path}: the FMU {what} at {self._last.value:.9g} s{self._said()}")
+            if ended in _STEPPED:
+                self._ticks += n
+            raise self._failed(ended, status, f"step from {t_s:.9g} s by {dt_s:.9g} s")
         self._ticks += n
         return self._measured()
 
@@ -277,8 +266,12 @@ class FmuHost:
             return None
         if not self._initialised:
             raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
-        y = self._outputs[12:].copy()
-        return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:])
+        y = self._outputs[fmu_call.MEASURED :].copy()
+        return _new(Truth, (y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:]))
+
+    def applied_force(self) -> Array | None:
+        """Return the forces behind the drives' lag; None where the FMU is not known to have them."""
+        return None if self.spec.truth is None else self._applied
 
     def close(self) -> None:
         """Terminate, free, unload, remove the unpacked files. A second call does nothing."""

@@ -13,6 +13,7 @@ point while a drive controls by itself (damp, hold) or lags.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import floor
 from operator import itemgetter
 from typing import NamedTuple
@@ -27,22 +28,25 @@ from drivers.protocol import (
     DeviceCommand,
     DriveProtocol,
     EmergencyStop,
-    Feedback,
     Frame,
     Received,
     Rejected,
     Status,
     Sync,
 )
-from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
+from drivers.signals import LEGS, DriveFault
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drive import BOOT, BRAKE, FAULT, OFF, READY, RUN, TRANSITIONS, Drive, ForceStage
+from plant_fmu.drive import Drives
+from plant_fmu.drive_kernels import BOOT, BRAKE, FAULT, NEVER_NS, OFF, READY, RUN
 from plant_fmu.faults import FaultPlan
 from plant_fmu.plant import Plant, Truth
 
-_NEVER_NS = 1 << 62
-_new = tuple.__new__
-"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
+_TIME = itemgetter(0)
+
+
+@lru_cache(maxsize=64)
+def _indices(legs: tuple[int, ...]) -> NDArray[np.int64]:
+    return np.array(legs, np.int64)
 
 
 class Snapshot(NamedTuple):
@@ -107,7 +111,6 @@ class Nodes:
         self._h_s = plant.internal_step_s
         self._h_ns = plant.internal_step_s * 1e9
         self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
-        self._stage = ForceStage(emulation, drives, self._h_s)
         self.start(0)
 
     def start(self, t0_ns: int) -> None:
@@ -116,8 +119,7 @@ class Nodes:
         self._now_ns = t0_ns
         self._k = 0
         self._length, self._rate = self._plant.reset()
-        self._drives = [Drive(self._settings, self._stage) for _ in range(LEGS)]
-        self._deadline_ns = [_NEVER_NS] * LEGS
+        self._drives = Drives(self._settings, self._emulation, self._h_s)
         self._beats = 0
         self._next_beat_ns = t0_ns
         self._calm_ns = t0_ns
@@ -128,8 +130,7 @@ class Nodes:
         self._truth: Truth | None = None
         self._truth_k = -1
         self._syncs = self._commands = self._repeated = self._rejected = 0
-        self._freeze()
-        self._actuate()
+        self._disturb()
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
         """Live until `t_ns`, hearing `received`, and return (instant queued, frame) in time order.
@@ -143,14 +144,13 @@ class Nodes:
         if t_ns < self._now_ns:
             raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self._now_ns} ns")
         out: list[tuple[int, Frame]] = []
-        frames = received if len(received) < 2 else sorted(received, key=itemgetter(0))
+        frames = received if len(received) < 2 else sorted(received, key=_TIME)
         for t_frame_ns, frame in frames:
             t = min(max(t_frame_ns, self._now_ns), t_ns)
-            self._run_timers(t, out)
+            self._pass_time(t, out)
             self._receive(t, frame, out)
-        self._run_timers(t_ns, out)
+        self._pass_time(t_ns, out)
         self._advance(t_ns)
-        self._now_ns = t_ns
         return out
 
     @property
@@ -165,12 +165,12 @@ class Nodes:
             t_ns=self._grid_ns(),
             length=np.array(self._length),
             rate=np.array(self._rate),
-            command=np.array([drive.command for drive in self._drives]),
-            force=self._force.copy(),
-            applied=self._force.copy() if truth is None else truth.applied_force,
-            state=np.array([drive.state for drive in self._drives], np.int64),
-            fault=np.array([drive.fault for drive in self._drives], np.int64),
-            brake=self._brake.copy(),
+            command=self._drives.command.copy(),
+            force=self._drives.force.copy(),
+            applied=self._drives.force.copy() if truth is None else truth.applied_force,
+            state=self._drives.state.copy(),
+            fault=self._drives.fault.copy(),
+            brake=self._drives.brake.copy(),
             wrench=self._present.wrench.copy(),
             truth=truth,
             syncs=self._syncs,
@@ -184,50 +184,47 @@ class Nodes:
     def _grid_ns(self) -> int:
         return self._t0_ns + round(self._k * self._h_ns)
 
-    def _run_timers(self, t: int, out: list[tuple[int, Frame]]) -> None:
+    def _pass_time(self, t: int, out: list[tuple[int, Frame]]) -> None:
         """Let watchdogs (before t), plan edges and heartbeats (up to t) happen, in order."""
-        if t < self._calm_ns:
-            self._now_ns = max(self._now_ns, t)
-            return
-        while True:
-            watchdog = min(self._deadline_ns)
-            edge, edge_s = self._edges[0] if self._edges else (_NEVER_NS, 0.0)
+        while t >= self._calm_ns:
+            deadlines = self._drives.deadline_ns.tolist()
+            watchdog = min(deadlines)
+            edge, edge_s = self._edges[0] if self._edges else (NEVER_NS, 0.0)
             other = min(edge, self._next_beat_ns)
             if watchdog < t and watchdog <= other:
                 self._now_ns = max(self._now_ns, watchdog)
                 for leg in range(LEGS):
-                    if self._deadline_ns[leg] <= watchdog:
+                    if deadlines[leg] <= watchdog:
                         self._fail(leg, DriveFault.WATCHDOG, watchdog, out)
             elif other > t:
-                self._calm_ns = min(watchdog, other)
-                break
+                self._calm_ns = min(max(watchdog, t + 1), other)
             elif edge <= self._next_beat_ns:
                 del self._edges[0]
                 self._advance(edge)
                 self._present = self._faults.present(edge_s)
-                self._freeze()
-                self._actuate()
+                self._disturb()
             else:
                 self._send_status(self._beats % LEGS, self._next_beat_ns, out)
                 self._beats += 1
                 self._next_beat_ns = self._t0_ns + round(self._beats * self._beat_ns)
-        self._now_ns = max(self._now_ns, t)
+        self._now_ns = t
 
     def _advance(self, t: int) -> None:
         """Bring the plant to the grid point nearest to t."""
         n = floor((t - self._t0_ns) / self._h_ns + 0.5) - self._k
         if n <= 0:
             return
-        if self._stage.lags or self._controls:
+        if self._drives.lags or self._controls:
             for _ in range(n):
-                self._actuate(lag=self._stage.lags)
+                self._actuate(lag=self._drives.lags)
                 self._move(1)
         else:
             self._move(n)
 
     def _move(self, n: int) -> None:
+        drives = self._drives
         self._length, self._rate = self._plant.step(
-            self._force, self._brake, self._present.wrench, n * self._h_s
+            drives.force, drives.brake, self._present.wrench, n * self._h_s
         )
         self._k += n
 
@@ -240,69 +237,27 @@ class Nodes:
 
     # drives
 
-    def _encoder(self, leg: int) -> tuple[float, float]:
-        """Return what the encoder reads at the grid point, before quantisation: m, m/s."""
-        frozen_m = self._drives[leg].frozen_m
-        if frozen_m is not None:
-            return frozen_m, 0.0
-        return float(self._length[leg]) + self._present.offset_m[leg], float(self._rate[leg])
-
-    def _freeze(self) -> None:
-        for leg, drive in enumerate(self._drives):
-            if not self._present.frozen[leg]:
-                drive.frozen_m = None
-            elif drive.frozen_m is None:
-                drive.frozen_m = self._encoder(leg)[0]
+    def _disturb(self) -> None:
+        self._drives.disturb(self._present, self._length, self._rate)
+        self._actuate()
 
     def _actuate(self, *, lag: bool = False) -> None:
         """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
-        force, brake = [0.0] * LEGS, [1.0] * LEGS
-        limit, lags = self._stage.limit, self._stage.lags
-        gain, stuck = self._present.gain, self._present.stuck
-        self._controls = False
-        for leg, drive in enumerate(self._drives):
-            f = drive.command
-            state = drive.state
-            if state is RUN:
-                brake[leg] = 0.0
-            elif state is FAULT and drive.acting is not BRAKE:
-                brake[leg] = 0.0
-                if drive.controls:
-                    self._controls = True
-                    f = drive.reaction_force(*self._encoder(leg))
-            if not -limit <= f <= limit:
-                f = limit if f > 0.0 else -limit
-            if lag:
-                f = drive.lag(f)
-            elif lags:
-                f = drive.lagged
-            force[leg] = f * gain[leg]
-            if stuck[leg] is not None:
-                brake[leg] = float(stuck[leg] is True)
-        self._force, self._brake = np.array(force), np.array(brake)
+        self._controls = self._drives.actuate(self._length, self._rate, lag)
 
     def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
         """Latch a fault; the first one stays, but an emergency stop brakes whatever was latched."""
-        drive = self._drives[leg]
+        drives = self._drives
         self._advance(t)
-        brakes = fault is DriveFault.ESTOP or drive.state is not RUN
-        if drive.state is not FAULT:
-            drive.acting = BRAKE if brakes else drive.reaction
-            drive.hold_m = self._encoder(leg)[0]
-            self._enter(leg, FAULT, fault, t, out)
+        brakes = fault is DriveFault.ESTOP or drives.state[leg] != RUN or self._present.lost[leg]
+        if drives.state[leg] != FAULT:
+            drives.acting[leg] = BRAKE if brakes else drives.reaction[leg]
+            drives.held_m[leg] = drives.encoders(self._length, self._rate)[0][leg]
+            drives.enter(leg, FAULT, fault)
+            self._send_status(leg, t, out)
         elif brakes:
-            drive.acting = BRAKE
+            drives.acting[leg] = BRAKE
         self._actuate()
-
-    def _enter(
-        self, leg: int, state: DriveState, fault: DriveFault, t: int, out: list[tuple[int, Frame]]
-    ) -> None:
-        drive = self._drives[leg]
-        drive.state, drive.fault = state, fault
-        if state is not READY and state is not RUN:
-            drive.command = 0.0
-            self._deadline_ns[leg] = _NEVER_NS
-        self._send_status(leg, t, out)
 
     # frames
 
@@ -330,70 +285,53 @@ class Nodes:
         self._syncs += 1
         self._advance(t)
         dt = (t - self._grid_ns()) * 1e-9
-        counter = sync.counter & 0xF
-        truth = self._know()
-        force = (self._force if truth is None else truth.applied_force).tolist()
+        force = self._plant.applied_force()
+        if force is None:
+            force = self._drives.force
         quantum = self._emulation.encoder_resolution_m
-        length, rate = self._length.tolist(), self._rate.tolist()
-        if self._present.encoders_disturbed:
-            length, rate = zip(*map(self._encoder, range(LEGS)), strict=True)
-        silent, faulty, encode = self._present.silent, self._faults.touches_frames, self._protocol.feedback
-        for leg, drive in enumerate(self._drives):
-            if silent[leg]:
-                continue
-            dl = rate[leg]
-            l = length[leg] + dl * dt
-            if quantum > 0.0:
-                l = round(l / quantum) * quantum
-            frame = encode(_new(Feedback, (leg, l, dl, force[leg], drive.state, counter)))
-            if faulty:
-                self._send(t, frame, out)
-            else:
-                out.append((t, frame))
+        length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
+        frames = self._protocol.feedbacks(length, rate, force, state, sync.counter)
+        silent = self._present.silent
+        if self._faults.touches_frames or any(silent):
+            for leg, frame in enumerate(frames):
+                if not silent[leg]:
+                    self._send(t, frame, out)
+        else:
+            out += [(t, frame) for frame in frames]
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
         self._advance(t)
-        moves = TRANSITIONS[command.mode]
-        counter = command.counter
-        deadline_ns = self._deadline_ns
-        fresh = False
-        for leg, force in zip(command.legs, command.force, strict=True):
-            drive = self._drives[leg]
-            if drive.counter == counter:
-                continue
-            fresh = True
-            drive.counter = counter
-            state = drive.state
-            if state in moves:
-                state = moves[state] if drive.configured else BOOT
-                self._enter(leg, state, DriveFault.NONE, t, out)
-            elif state is FAULT and command.mode == DriveMode.OFF:
-                drive.acting = BRAKE
-            if state is RUN or state is READY:
-                drive.command = force
-                deadline_ns[leg] = t + drive.watchdog_ns
+        legs, mode, force, counter = command
+        fresh, controls, entered, earliest = self._drives.obey(
+            self._length, self._rate, _indices(legs), force, mode, counter, t
+        )
+        if entered:
+            for leg in legs:
+                if entered >> leg & 1:
+                    self._send_status(leg, t, out)
         if fresh:
-            self._calm_ns = min(self._calm_ns, *deadline_ns)
+            self._calm_ns = min(self._calm_ns, earliest)
             self._commands += 1
-            self._actuate()
+            self._controls = controls
         else:
             self._repeated += 1
 
     def _configure(self, configure: Configure, t: int, out: list[tuple[int, Frame]]) -> None:
-        drive = self._drives[configure.leg]
-        if drive.state is READY or drive.state is RUN:
+        drives, leg = self._drives, configure.leg
+        if drives.state[leg] in (READY, RUN):
             self._rejected += 1
             return
-        drive.watchdog_ns = round(configure.watchdog_s * 1e9)
-        drive.reaction = configure.reaction
-        drive.configured = True
-        if drive.state is BOOT:
-            self._enter(configure.leg, OFF, DriveFault.NONE, t, out)
+        drives.watchdog_ns[leg] = round(configure.watchdog_s * 1e9)
+        drives.reaction[leg] = configure.reaction
+        drives.configured[leg] = True
+        if drives.state[leg] == BOOT:
+            drives.enter(leg, OFF, DriveFault.NONE)
+            self._send_status(leg, t, out)
 
     def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
         if not self._present.silent[leg]:
-            drive = self._drives[leg]
-            self._send(t, self._protocol.status(Status(leg, drive.state, drive.fault)), out)
+            state, fault = int(self._drives.state[leg]), int(self._drives.fault[leg])
+            self._send(t, self._protocol.status(Status(leg, state, fault)), out)
 
     def _send(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
         if self._faults.touches_frames:

@@ -53,5 +53,11 @@ class Plant(Protocol):
     def truth(self) -> Truth | None:
         """Pose and forces now; None for a plant without a platform."""
 
+    def applied_force(self) -> NDArray[np.float64] | None:
+        """Return `applied_force` of the truth alone; None where the plant does not know it.
+
+        It may be the plant's own memory: good until its next step.
+        """
+
     def close(self) -> None:
         """Free what the plant holds."""

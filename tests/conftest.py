@@ -14,6 +14,9 @@ from typing import IO
 
 import pytest
 
+LONGEST = ("packaging", "vcan")
+"""Folders whose tests take a minute each."""
+
 
 @contextlib.contextmanager
 def held(file: IO[str], kind: int) -> Iterator[None]:
@@ -47,5 +50,14 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the real-time tests last: a mistake elsewhere shows sooner."""
-    items.sort(key=lambda item: item.get_closest_marker("realtime") is not None)
+    """Put the real-time tests last, since a mistake elsewhere shows sooner, and the longest tests first.
+
+    Those start programs that compile all kernels anew: at the end, one process would wait for the other.
+    """
+    items.sort(key=_when)
+
+
+def _when(item: pytest.Item) -> int:
+    if item.get_closest_marker("realtime") is not None:
+        return 2
+    return 0 if item.path.parent.name in LONGEST else 1

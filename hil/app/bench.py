@@ -18,6 +18,7 @@ from drivers.errors import HilError
 from hil.app.benchmarks.bench import Bench
 from hil.app.benchmarks.figures import EARLY, FAILED, Figure, lines
 from hil.app.benchmarks.fmu import fmu
+from hil.app.benchmarks.laws import laws
 from hil.app.benchmarks.lockstep import recorder, replaying, simulation
 from hil.app.benchmarks.mathematics import mathematics
 from hil.app.benchmarks.memory import memory
@@ -31,6 +32,7 @@ PARTS: dict[str, Callable[[Bench], list[Figure]]] = {
     "realtime": realtime,
     "tick": tick,
     "mathematics": mathematics,
+    "laws": laws,
     "simulation": simulation,
     "replay": replaying,
     "recorder": recorder,
@@ -42,6 +44,7 @@ TITLES = {
     "realtime": "real time: the loop at 1 kHz against hil plant on localcan",
     "tick": "tick compute, hot: recorded ticks back to back",
     "mathematics": "mathematics of one tick, hot",
+    "laws": "mathematics of one tick under each control law, hot",
     "simulation": "lockstep",
     "replay": "replay",
     "recorder": "recorder, fed without pause",
@@ -83,7 +86,7 @@ def machine(priority: int) -> dict[str, str]:
     help="Write the figures there, too.",
 )
 def main(only: str | None, seconds: float, memory_minutes: float, json_file: Path | None) -> None:
-    r"""Measure this machine: compute, wake-ups, latency, recorder, replay, FMU, memory.
+    r"""Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU, memory.
 
     \b
     Examples:

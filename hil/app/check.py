@@ -14,22 +14,28 @@ import numpy as np
 from drivers import PROTOCOLS
 from drivers.bustime import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
+from hil.app.compose import build_admission
 from hil.app.configuration import Configuration, load, platform_dict
 from hil.app.consistency import bus_budget
 from hil.app.reach import Walk, span_s, violations, walk, window_swing
 from hil.app.yaml_positions import Problem, parse
 from hil.clock import real_time
-from hil.config import HoldReference, InverseDynamicsSettings
+from hil.config import (
+    ErrorDynamics,
+    HoldReference,
+    LiveReference,
+    ModelSettings,
+    RobustInverseDynamicsSettings,
+    SlidingModeSettings,
+)
+from hil.control.margin import cross_over, phase_margin_deg
 from hil.dynamics import Model
 from hil.geometry import Platform
-from hil.kinematics import condition, leg_lengths
+from hil.kinematics import condition, jacobian, leg_lengths
+from hil.rotations import rotation_from_vector
 from hil.safety.guard import WINDOW_S
-from hil.trajectory import build_trajectory
-
-CROSS_OVER = 2.058
-"""Gain cross-over over wn of (2 zeta wn s + wn^2) / s^2 at zeta = 1: sqrt(2 + sqrt 5)."""
-PHASE_MARGIN_DEG = 76.35
-"""Of that loop without delay: atan(2 sqrt(2 + sqrt 5))."""
+from hil.steering import explain
+from hil.trajectory import axis_limits, build_trajectory, six_words
 
 
 @dataclass
@@ -98,10 +104,10 @@ def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -
 
 def _bus(report: Report, c: Configuration) -> None:
     title = f"bus {c.bus.interface} {c.bus.channel}, layout {c.bus.layout}"
-    if c.bus.layout == "ideal":
+    budget = bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    if budget is None:
         report.sections[title] = ["no bus time: exists only in lockstep (hil sim)"]
         return
-    budget = bus_budget(c.bus, c.drives, c.loop.rate_Hz)
     lines = budget.table().splitlines()
     lines.append(f"  highest rate at {c.bus.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
     report.sections[title] = [line.removeprefix("  ") for line in lines]
@@ -141,34 +147,64 @@ def _drives(report: Report, c: Configuration) -> None:
 
 
 def _controller(report: Report, c: Configuration) -> None:
-    lines = [f"law {c.controller.law}"]
-    if isinstance(c.controller, InverseDynamicsSettings):
-        model = c.controller.model
-        w_n = float(np.max(c.controller.wn_rad_s))
-        lag = 0.0
-        if c.plant is not None and c.plant.model.type == "stewart" and c.plant.model.force_bandwidth_Hz > 0:
-            lag = 1 / (2 * np.pi * c.plant.model.force_bandwidth_Hz)
-        # SYNC to force at most one period, the zero-order hold half of one, the drives' force loop.
-        transport = 0.0 if c.bus.layout == "ideal" else 1.0
-        delay = (transport + 0.5) / c.loop.rate_Hz + lag
-        loss = np.rad2deg(CROSS_OVER * w_n * delay)
+    law = c.controller
+    report.sections["controller"] = lines = [f"law {law.law}"]
+    if isinstance(law, LINEARISING):
+        model = getattr(law, "model", None)
+        variant = model.variant if isinstance(model, ModelSettings) else "no_H"
+        lines.append(f"model {variant}")
+        if variant in MODEL_WARNINGS:
+            report.warnings.append(f"controller.model.variant {variant}: {MODEL_WARNINGS[variant]}")
+        lines += _margin(report, c, *law.linear_gains)
+    if isinstance(law, SlidingModeSettings):
+        phi = law.boundary_layer
         lines.append(
-            f"model {model.variant}, wn up to {w_n:g} rad/s; {1e3 * delay:.1f} ms of delay cost about "
-            f"{loss:.0f} of {PHASE_MARGIN_DEG:.0f} degrees of phase margin (damping ratio 1)"
+            f"switching gain {law.switching_gain:.3g} m/s^2, boundary layer {phi:.3g} m/s: "
+            f"|e| <= {1e3 * phi / law.lambda_rad_s:.3g} mm"
         )
-        report.figures["controller"] = {"delay_ms": 1e3 * delay, "phase_loss_deg": float(loss)}
-        if PHASE_MARGIN_DEG - loss < 30:
-            report.warnings.append(
-                f"controller.wn_rad_s {w_n:g} leaves about {PHASE_MARGIN_DEG - loss:.0f} degrees of phase "
-                f"margin at loop.rate_Hz {c.loop.rate_Hz:g}: lower wn or raise the rate"
-            )
-        if model.variant in MODEL_WARNINGS:
-            report.warnings.append(
-                f"controller.model.variant {model.variant}: {MODEL_WARNINGS[model.variant]}"
-            )
-    report.sections["controller"] = lines
+    if isinstance(law, RobustInverseDynamicsSettings):
+        lines.append(f"bound rho {law.bound:.3g} m/s^2, boundary layer {law.boundary_layer_m_s:.3g} m/s")
 
 
+def _margin(report: Report, c: Configuration, K_P: float, K_D: float) -> list[str]:
+    """Return what the loop's delay costs a law with these gains, and warn where too little is left."""
+    lag = 0.0
+    if c.plant is not None and c.plant.model.type == "stewart" and c.plant.model.force_bandwidth_Hz > 0:
+        lag = 1 / (2 * np.pi * c.plant.model.force_bandwidth_Hz)
+    # SYNC to force at most one period, the zero-order hold half of one, the drives' force loop.
+    transport = 0.0 if c.bus.layout == "ideal" else 1.0
+    delay = (transport + 0.5) / c.loop.rate_Hz + lag
+    if np.isinf(K_D):
+        report.warnings.append(
+            "controller.boundary_layer_m_s 0 switches between two forces at every tick: with "
+            f"{1e3 * delay:.1f} ms of delay it chatters; make it thicker"
+        )
+        return ["no boundary layer: the law switches"]
+    w_c, whole, left = cross_over(K_P, K_D), phase_margin_deg(K_P, K_D), phase_margin_deg(K_P, K_D, delay)
+    report.figures["controller"] = {
+        "cross_over_rad_s": w_c,
+        "delay_ms": 1e3 * delay,
+        "phase_loss_deg": whole - left,
+        "phase_margin_deg": left,
+    }
+    if left < LEAST_MARGIN_DEG:
+        keys, remedy = TUNING.get(c.controller.law, ("wn_rad_s", "lower it"))
+        report.warnings.append(
+            f"controller.{keys}: about {left:.0f} degrees of phase margin at loop.rate_Hz "
+            f"{c.loop.rate_Hz:g}, advised: at least {LEAST_MARGIN_DEG:g}; {remedy} or raise the rate"
+        )
+    line = f"crosses over at {w_c:.0f} rad/s; {1e3 * delay:.1f} ms of delay cost about {whole - left:.0f} of "
+    return [line + f"{whole:.0f} degrees of phase margin"]
+
+
+LINEARISING = ErrorDynamics | SlidingModeSettings | RobustInverseDynamicsSettings
+"""Laws that leave e'' + K_D e' + K_P e = d of an error, at least while it is small."""
+LEAST_MARGIN_DEG = 30.0
+TUNING = {
+    "sliding_mode": ("lambda_rad_s and boundary_layer_m_s", "make lambda smaller, the layer thicker,"),
+    "robust_inverse_dynamics": ("wn_rad_s and boundary_layer_m_s", "make wn smaller, the layer thicker,"),
+}
+"""By law: what sets its gains beside wn alone, and how to lower them."""
 MODEL_WARNINGS = {
     "constant": (
         "M, G and J frozen at one pose: good for small motion only. On the book's path (0.6 m, 19 deg) it "
@@ -197,12 +233,16 @@ def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> t
     period = 1 / c.loop.rate_Hz
     try:
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
-        w = walk(platform, model, trajectory, span_s(c.reference, trajectory), period, c.plant)
+        w = walk(platform, model, trajectory, span_s(trajectory), period, c.plant)
     except ConfigurationError:
         raise
     except HilError as error:
         raise ConfigurationError(_line(c, str(error))) from error
     found = violations(w, c.platform, c.limits, period)
+    if isinstance(c.reference, LiveReference) and not found:
+        against = build_admission(c, platform)(six_words(c.reference.start or c.platform.home))
+        if against:
+            raise ConfigurationError(_line(c, f"at its start, set-points are refused: {explain(against)}"))
     if found:
         raise ConfigurationError(*(_line(c, f"at t = {v.t:.3f} s: {v.message}") for v in found))
     return w, trajectory.duration_s
@@ -223,6 +263,7 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
     ] = [
         f"leg lengths    {w.q.min():.4f} to {w.q.max():.4f} m",
         f"leg rates      up to {np.abs(w.dq).max():.3f} m/s (limit {c.limits.speed_m_s:g})",
+        f"accelerations  up to {np.abs(w.ddq).max():.3f} m/s^2 (limit {_limit(c.limits.acceleration_m_s2)})",
         f"leg forces     {w.tau.min():.0f} to {w.tau.max():.0f} N (limit {c.limits.force_N:g})",
         f"force change   {change}",
         f"condition of J up to {w.condition.max():.2f} (limit {c.limits.condition:g})",
@@ -232,12 +273,15 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         "length_min_m": float(w.q.min()),
         "length_max_m": float(w.q.max()),
         "rate_max_m_s": float(np.abs(w.dq).max()),
+        "acceleration_max_m_s2": float(np.abs(w.ddq).max()),
         "force_min_N": float(w.tau.min()),
         "force_max_N": float(w.tau.max()),
         "force_step_N": step if w.every_tick else None,
         "force_window_N": swing if w.every_tick else None,
         "condition_max": float(w.condition.max()),
     }
+    if isinstance(c.reference, LiveReference):
+        _live(report, c, c.reference, platform)
     if peak > 0.9 * c.limits.force_N:
         report.warnings.append(
             f"the reference needs {peak:.0f} N of limits.force_N {c.limits.force_N:g}: less than 10 % "
@@ -245,8 +289,29 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         )
 
 
+def _live(report: Report, c: Configuration, reference: LiveReference, platform: Platform) -> None:
+    """Say what the legs may have to do where all axes move at their limits at once, near the start."""
+    chi = six_words(reference.start or c.platform.home)
+    J = jacobian(platform, chi[:3], rotation_from_vector(chi[3:]))
+    legs = np.abs(J)
+    fastest, hardest = (float((legs @ words).max()) for words in axis_limits(reference.limits)[:2])
+    report.figures["reference"]["setpoint_rate_max_m_s"] = fastest
+    report.figures["reference"]["setpoint_acceleration_max_m_s2"] = hardest
+    if hardest > c.limits.deceleration_m_s2:
+        report.warnings.append(
+            f"set-points may brake a leg by {hardest:.2f} m/s^2 near the start, limits.deceleration_m_s2 is "
+            f"{c.limits.deceleration_m_s2:g}: before a soft end that is a fault; lower the accelerations of "
+            "reference.limits"
+        )
+    if fastest > c.limits.speed_m_s:
+        report.warnings.append(
+            f"set-points on all axes at once may ask for {fastest:.2f} m/s in a leg near the start, "
+            f"limits.speed_m_s is {c.limits.speed_m_s:g}: lower the velocities of reference.limits"
+        )
+
+
 def _changes(w: Walk, period: float) -> tuple[float, float]:
-    forces = np.vstack([w.rest[:1], w.tau, w.rest[1:]])
+    _, forces = w.forces()
     ticks = max(1, round(WINDOW_S / period))
     return float(np.abs(np.diff(forces, axis=0)).max()), float(window_swing(forces, ticks).max())
 
@@ -278,6 +343,10 @@ def _line(c: Configuration, message: str) -> str:
     """Point at the section `reference` of the file."""
     document = parse(c.text)
     return Problem(document.key_position(("reference",)), ("reference",), message).line(c.source)
+
+
+def _limit(value: float | None) -> str:
+    return "none" if value is None else f"{value:g}"
 
 
 def _six(x: Any, digits: int) -> str:

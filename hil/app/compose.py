@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,29 +12,53 @@ from drivers.bustime import BitTiming, BusBudget
 from drivers.dbc import legs_dbc
 from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol
+from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
+from hil.admission import Admission
 from hil.app import consistency
 from hil.app.configuration import Configuration, platform_dict
-from hil.config import Pose, SampledReference
-from hil.control import build_law
+from hil.config import (
+    ControllerSettings,
+    ForceDelay,
+    LegSpin,
+    LiveReference,
+    ModelBasedSettings,
+    Pose,
+    SampledReference,
+    TimeOptimalReference,
+    WrenchSettings,
+)
+from hil.control import LawContext, build_law
+from hil.control.model import build_model
 from hil.cycle import Cycle, Parts
+from hil.dynamics import Model
+from hil.force_path import ForcePath
 from hil.geometry import Platform
 from hil.kinematics import leg_lengths
+from hil.observer import WrenchObserver
+from hil.predict import Predictor
 from hil.record import Scene
 from hil.rotations import rotation_from_vector
 from hil.safety import Safety
 from hil.signals import Array
-from hil.trajectory import build_trajectory
+from hil.steering import Steering
+from hil.trajectory import LiveTrajectory, Trajectory, axis_limits, build_trajectory, plan
 from plant_fmu.config import BenchPlant
 from plant_fmu.faults import FaultPlan
 from plant_fmu.fmu import open_plant
 from plant_fmu.nodes import Nodes
 from plant_fmu.plant import Plant
+from plant_fmu.sensor_nodes import SensedNodes
+
+if TYPE_CHECKING:
+    from hil.fused_pose import PoseFusion
 
 LENGTH_TOLERANCE_M = 1e-3
 """How far the plant's initial lengths may be from those of the section `platform`."""
 REFERENCE_CSV = "reference.csv"
 """Attachment of a log: the samples of its reference."""
+REFERENCE_PLAN = "reference.npy"
+"""Attachment of a log: the polynomials of a planned reference."""
 
 
 def pose_arrays(pose: Pose) -> tuple[Array, Array]:
@@ -49,6 +74,12 @@ def build_protocol(configuration: Configuration) -> DriveProtocol:
     return PROTOCOLS[configuration.drives.protocol](configuration.bus, configuration.drives)
 
 
+def build_sensors(configuration: Configuration) -> SensorProtocol | None:
+    """Return the codec of the configured sensors, for both ends; None where there are none."""
+    sensors = SensorProtocol(configuration.bus, configuration.sensors)
+    return sensors if sensors.kinds else None
+
+
 def bit_timing(configuration: Configuration) -> BitTiming:
     """Return the bus' bit rates."""
     return BitTiming(configuration.bus.bitrate_bit_s, configuration.bus.data_bitrate_bit_s)
@@ -59,9 +90,8 @@ def bus_budget(configuration: Configuration, rate_Hz: float) -> BusBudget | None
 
     Raises ConfigurationError when the frames do not fit.
     """
-    if configuration.bus.layout == "ideal":
-        return None
-    return consistency.bus_budget(configuration.bus, configuration.drives, rate_Hz)
+    c = configuration
+    return consistency.bus_budget(c.bus, c.drives, c.sensors, rate_Hz)
 
 
 def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
@@ -69,15 +99,36 @@ def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
     return configuration.loop.window_s(rate_Hz)
 
 
-def build_cycle(configuration: Configuration, rate_Hz: float, watchdog_s: float) -> Cycle:
+def build_cycle(
+    configuration: Configuration,
+    rate_Hz: float,
+    watchdog_s: float,
+    recorded: bytes | None = None,
+    trajectory: Trajectory | None = None,
+) -> Cycle:
     """Return the controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
 
-    At another rate than the configured one the force may change by the same amount per second.
+    At another rate than the configured one the force may change by the same amount per second. `recorded` is
+    the plan of its reference that a log carries. It follows `trajectory`; by default that of section
+    `reference`.
     """
     c = configuration
     limits = c.limits.model_copy(update={"force_step_N": c.limits.force_step_N * c.loop.rate_Hz / rate_Hz})
     platform = Platform.from_dict(platform_dict(c.platform))
     p, R = pose_arrays(c.platform.home)
+    if trajectory is None:
+        trajectory = build_trajectory(c.reference, c.platform.home, c.folder, 1.0 / rate_Hz, recorded)
+    steering = None
+    if isinstance(trajectory, LiveTrajectory):
+        steering = Steering(trajectory, build_admission(c, platform))
+    predictor = build_predictor(c.controller, platform, c.platform.leg_spin, 1.0 / rate_Hz)
+    context = LawContext(
+        platform,
+        c.platform.leg_spin,
+        1.0 / rate_Hz,
+        trajectory,
+        preview_s=0.0 if predictor is None else predictor.horizon_s,
+    )
     safety = Safety(
         limits,
         length_min=c.platform.length_min_m,
@@ -91,8 +142,8 @@ def build_cycle(configuration: Configuration, rate_Hz: float, watchdog_s: float)
             platform=platform,
             leg_spin=c.platform.leg_spin,
             protocol=build_protocol(c),
-            law=build_law(c.controller, platform, c.platform.leg_spin),
-            trajectory=build_trajectory(c.reference, c.platform.home, c.folder),
+            law=build_law(c.controller, context),
+            trajectory=trajectory,
             safety=safety,
             engage=c.engage,
             home_p=p,
@@ -100,12 +151,76 @@ def build_cycle(configuration: Configuration, rate_Hz: float, watchdog_s: float)
             rate_Hz=rate_Hz,
             watchdog_s=watchdog_s,
             reaction=Reaction[c.drives.reaction.upper()],
+            steering=steering,
+            sensors=build_sensors(c),
+            fusion=_fusion(c, platform, rate_Hz),
+            predictor=predictor,
+            observer=build_observer(c.estimation.wrench, platform, c.platform.leg_spin, 1.0 / rate_Hz),
+            wrench_sensor_rate_Hz=_wrench_sensor_rate(c),
         )
     )
 
 
+def _wrench_sensor_rate(c: Configuration) -> float | None:
+    sensor = c.sensors.wrench
+    return None if sensor is None or c.estimation.wrench.source != "sensor" else sensor.rate_Hz
+
+
+def build_admission(c: Configuration, platform: Platform) -> Admission:
+    """Return what judges the set-points of a live reference."""
+    assert isinstance(c.reference, LiveReference)
+    return Admission(
+        platform,
+        Model(platform, leg_spin=c.platform.leg_spin),
+        c.limits,
+        length_min=c.platform.length_min_m,
+        length_max=c.platform.length_max_m,
+        drive_force_limit=c.drives.force_limit_N,
+        ddchi=axis_limits(c.reference.limits)[1],
+    )
+
+
+def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> PoseFusion | None:
+    if c.estimation.pose != "fused":
+        return None
+    # A third of all compilation, for the few who fuse.
+    from hil.fused_pose import PoseFusion  # noqa: PLC0415
+    from hil.fusion import FusedEstimator  # noqa: PLC0415
+
+    settings = c.estimation.fusion
+    model = build_model(settings.model, platform, c.platform.leg_spin)
+    estimator = FusedEstimator(platform, model, settings, c.sensors.tracker, c.sensors.imu, 1.0 / rate_Hz)
+    return PoseFusion(estimator, settings)
+
+
+def build_predictor(
+    settings: ControllerSettings, platform: Platform, leg_spin: LegSpin, period_s: float
+) -> Predictor | None:
+    """Return what looks ahead for the law, where its section `delay_compensation` asks for it."""
+    if not isinstance(settings, ModelBasedSettings) or settings.delay_compensation is None:
+        return None
+    delay = settings.delay_compensation
+    model = build_model(settings.model, platform, leg_spin)
+    return Predictor(model, force_path(delay, period_s), 1e-3 * delay.hold_ms)
+
+
+def build_observer(
+    settings: WrenchSettings, platform: Platform, leg_spin: LegSpin, period_s: float
+) -> WrenchObserver | None:
+    """Return what estimates the external wrench from forces and motion, where it is the source of it."""
+    if settings.source != "observer":
+        return None
+    model = build_model(settings.model, platform, leg_spin)
+    return WrenchObserver(model, force_path(settings, period_s), settings.bandwidth_Hz)
+
+
+def force_path(delay: ForceDelay, period_s: float) -> ForcePath:
+    """Return how commands become forces in the legs."""
+    return ForcePath(period_s, 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms)
+
+
 def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[Nodes, Plant]:
-    """Return the six emulated drives and the configured plant behind them; the caller closes the plant.
+    """Return the emulated drives and sensors, and the plant behind them; the caller closes the plant.
 
     Raises PlantError: the plant cannot be opened, or does not start at the configured platform's lengths.
     """
@@ -129,7 +244,12 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
     try:
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
-        return Nodes(plant, build_protocol(c), c.plant.drives, c.drives, faults), plant
+        drives = (plant, build_protocol(c), c.plant.drives, c.drives, faults)
+        sensors = build_sensors(c)
+        if sensors is None:
+            return Nodes(*drives), plant
+        gravity = c.platform.gravity_m_s2
+        return SensedNodes(*drives, sensors, c.sensors, c.plant.sensors, gravity), plant
     except BaseException:
         plant.close()
         raise
@@ -168,6 +288,8 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     files = [("legs.dbc", legs_dbc().encode())]
     if isinstance(configuration.reference, SampledReference):
         files.append((REFERENCE_CSV, configuration.path(configuration.reference.path).read_bytes()))
+    if isinstance(configuration.reference, TimeOptimalReference):
+        files.append((REFERENCE_PLAN, plan(configuration.reference)))
     return files
 
 

@@ -14,15 +14,17 @@ from typing import Any, Literal
 from pydantic import PrivateAttr, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
-from drivers.config import BusSettings, DriveSettings, Section
+from drivers.config import BusSettings, DriveSettings, Section, SensorSettings
 from drivers.errors import ConfigurationError
 from hil.app import problems as translate
 from hil.app.consistency import RULES
 from hil.app.platform import platform_dict
 from hil.app.yaml_positions import Document, Position, Problem, parse
 from hil.config import (
+    CompareSettings,
     ControllerSettings,
     EngageSettings,
+    EstimationSettings,
     LimitSettings,
     LoopSettings,
     PlatformSettings,
@@ -46,7 +48,9 @@ class Configuration(Section):
     platform: PlatformSettings
     bus: BusSettings
     drives: DriveSettings = DriveSettings()
+    sensors: SensorSettings = SensorSettings()
     loop: LoopSettings = LoopSettings()
+    estimation: EstimationSettings = EstimationSettings()
     controller: ControllerSettings
     engage: EngageSettings = EngageSettings()
     reference: ReferenceSettings
@@ -54,6 +58,8 @@ class Configuration(Section):
     recording: RecordingSettings = RecordingSettings()
     plant: PlantSettings | None = None
     """The other end of a virtual bus; left out for real drives."""
+    compare: CompareSettings = CompareSettings()
+    """What `hil compare` compares; no other command reads it."""
 
     _text: str = PrivateAttr("")
     _source: str = PrivateAttr("")

@@ -6,6 +6,7 @@ when all sections it needs are valid. Only rules that are handed a folder look a
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
@@ -15,21 +16,30 @@ import numpy as np
 
 from drivers import PROTOCOLS, bustime
 from drivers.bustime import BitTiming
-from drivers.config import BusSettings, DriveSettings
+from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, HilError
+from drivers.sensors import KINDS, OLDEST, SensorProtocol
 from hil.app.platform import platform_dict
 from hil.app.yaml_positions import Path
 from hil.config import (
+    ControllerSettings,
+    EstimationSettings,
+    FeedforwardPDSettings,
     HoldReference,
     LimitSettings,
+    LiveReference,
     LoopSettings,
+    ModelBasedSettings,
+    MultisineReference,
     PlatformSettings,
     Pose,
     ReferenceSettings,
     SampledReference,
     SinusoidReference,
+    TimeOptimalReference,
     WaypointReference,
 )
+from hil.control.feedforward_pd import ENDLESS
 from hil.geometry import GeometryError, Platform
 from hil.kinematics import leg_lengths
 from hil.trajectory import build_trajectory
@@ -89,23 +99,117 @@ def bit_rates(bus: BusSettings, _: Folder) -> Iterator[Finding]:
         yield ("bus", "data_bitrate_bit_s"), message
 
 
-def bus_load(bus: BusSettings, drives: DriveSettings, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
-    """Refuse frames that do not fit into the period, with the arithmetic."""
-    if bus.layout != "ideal":
-        try:
-            bus_budget(bus, drives, loop.rate_Hz)
-        except HilError as error:
-            yield ("bus",), str(error).removeprefix("bus: ")
+def bus_load(
+    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, loop: LoopSettings, _: Folder
+) -> Iterator[Finding]:
+    """Refuse frames that do not fit into a frame's bytes or into the period, with the arithmetic."""
+    try:
+        bus_budget(bus, drives, sensors, loop.rate_Hz)
+    except HilError as error:
+        text = str(error)
+        where = ("bus", "layout") if text.startswith("bus.layout: ") else ("bus",)
+        yield where, text.removeprefix(f"{'.'.join(where)}: ")
 
 
-def bus_budget(bus: BusSettings, drives: DriveSettings, rate_Hz: float) -> bustime.BusBudget:
-    """Return the bus time of one tick's frames at `rate_Hz`.
+def bus_budget(
+    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
+) -> bustime.BusBudget | None:
+    """Return the bus time of the fullest tick at `rate_Hz`; None for the ideal layout, which takes no time.
 
-    Raises ConfigurationError with the arithmetic when they take more than `max_load_percent`.
+    Raises ConfigurationError with the arithmetic when it is more than `max_load_percent`, or where the layout
+    has no room for a configured sensor's frame.
     """
-    frames = PROTOCOLS[drives.protocol](bus, drives).cyclic_frames()
+    frames = SensorProtocol(bus, sensors).cyclic_frames(rate_Hz)
+    if bus.layout == "ideal":
+        return None
+    frames = PROTOCOLS[drives.protocol](bus, drives).cyclic_frames() + frames
     timing = BitTiming(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
     return bustime.check(frames, timing, rate_Hz, bus.max_load_percent)
+
+
+def node_numbers(drives: DriveSettings, sensors: SensorSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse a node number that a drive or another sensor has."""
+    taken = dict.fromkeys(drives.node_ids, "drives.node_ids")
+    for kind in KINDS:
+        settings = getattr(sensors, kind)
+        if settings is None:
+            continue
+        if settings.node_id in taken:
+            message = (
+                f"already the number of another node, allowed: one that {taken[settings.node_id]} does not "
+                f"have, given: {settings.node_id}"
+            )
+            yield ("sensors", kind, "node_id"), message
+        taken.setdefault(settings.node_id, f"sensors.{kind}.node_id")
+
+
+def sensor_rates(sensors: SensorSettings, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse more than one sample a tick, and samples so late that their stamp has come round again."""
+    for kind in KINDS:
+        settings = getattr(sensors, kind)
+        if settings is not None and settings.rate_Hz > loop.rate_Hz * (1 + 1e-9):
+            message = (
+                f"more than one sample a tick, allowed: at most {loop.rate_Hz:g} (loop.rate_Hz), "
+                f"given: {settings.rate_Hz:g}"
+            )
+            yield ("sensors", kind, "rate_Hz"), message
+    oldest_ms = 1e3 * (OLDEST - 1) / loop.rate_Hz
+    if sensors.tracker is not None and sensors.tracker.latency_max_ms > oldest_ms:
+        message = (
+            f"older than a stamp can tell, allowed: at most {oldest_ms:g} ({OLDEST - 1} ticks at "
+            f"loop.rate_Hz {loop.rate_Hz:g}), given: {sensors.tracker.latency_max_ms:g}"
+        )
+        yield ("sensors", "tracker", "latency_max_ms"), message
+
+
+def fusion_sources(
+    estimation: EstimationSettings, sensors: SensorSettings, bus: BusSettings, _: Folder
+) -> Iterator[Finding]:
+    """Refuse to go on without an encoder where nothing else measures the pose, and fusion without forces."""
+    if estimation.fusion.may_lose_legs and (estimation.pose != "fused" or sensors.tracker is None):
+        message = (
+            "without the pose from outside five legs do not hold the platform's pose, allowed: none, or "
+            f"estimation.pose fused with sensors.tracker, given: {estimation.fusion.may_lose_legs}"
+        )
+        yield ("estimation", "fusion", "may_lose_legs"), message
+    if estimation.pose == "fused" and bus.layout == "classic":
+        message = (
+            "the filter needs the drives' forces, and the feedback of bus.layout classic carries none, "
+            "allowed with it: legs, given: fused"
+        )
+        yield ("estimation", "pose"), message
+
+
+def measured_wrench(estimation: EstimationSettings, sensors: SensorSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse to take the external wrench from a sensor that is not there."""
+    if estimation.wrench.source == "sensor" and sensors.wrench is None:
+        message = "there is no sensors.wrench, allowed without it: none, observer, given: sensor"
+        yield ("estimation", "wrench", "source"), message
+
+
+def live_preview(
+    controller: ControllerSettings, reference: ReferenceSettings, _: Folder
+) -> Iterator[Finding]:
+    """Refuse to look ahead along a path that is not known yet."""
+    if not isinstance(reference, LiveReference) or not isinstance(controller, ModelBasedSettings):
+        return
+    if controller.delay_compensation is not None:
+        message = (
+            "looks ahead along the reference, and where set-points will send a live one is not known, "
+            "allowed with reference.type live: leave it out"
+        )
+        yield ("controller", "delay_compensation"), message
+
+
+def emulated_sensors(plant: PlantSettings | None, sensors: SensorSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse sensors in front of a plant that does not know its pose."""
+    configured = [f"sensors.{kind}" for kind in KINDS if getattr(sensors, kind) is not None]
+    if plant is not None and configured and not isinstance(plant.model, StewartPlant):
+        message = (
+            f"knows no pose that {', '.join(configured)} could measure, allowed with sensors: stewart, "
+            f"given: {plant.model.type}"
+        )
+        yield ("plant", "model", "type"), message
 
 
 def geometry(platform: PlatformSettings, _: Folder) -> Iterator[Finding]:
@@ -155,11 +259,16 @@ def reference_poses(
         return
     if isinstance(reference, HoldReference) and reference.pose is not None:
         yield from _within(platform, limits, reference.pose, ("reference", "pose"))
-    if isinstance(reference, SinusoidReference) and reference.centre is not None:
+    if isinstance(reference, SinusoidReference | MultisineReference) and reference.centre is not None:
         yield from _within(platform, limits, reference.centre, ("reference", "centre"))
+    if isinstance(reference, LiveReference) and reference.start is not None:
+        yield from _within(platform, limits, reference.start, ("reference", "start"))
     if isinstance(reference, WaypointReference):
         for k, point in enumerate(reference.points):
             pose = Pose(position_m=point.position_m, rotation_vector_deg=point.rotation_vector_deg)
+            yield from _within(platform, limits, pose, ("reference", "points", k))
+    if isinstance(reference, TimeOptimalReference):
+        for k, pose in enumerate(reference.points):
             yield from _within(platform, limits, pose, ("reference", "points", k))
 
 
@@ -179,6 +288,17 @@ def reference_path(
         else:
             sampled = isinstance(reference, SampledReference)
             yield ("reference", "path") if sampled else ("reference",), str(error)
+
+
+def feedforward_table(
+    controller: ControllerSettings, reference: ReferenceSettings, platform: PlatformSettings, folder: Folder
+) -> Iterator[Finding]:
+    """Refuse forces that are to be computed before a run which has no end."""
+    if not isinstance(controller, FeedforwardPDSettings) or controller.evaluation == "online":
+        return
+    with contextlib.suppress(ConfigurationError):  # no path at all: `reference_path` says so
+        if build_trajectory(reference, platform.home, folder or FilePath()).duration_s is None:
+            yield ("controller", "evaluation"), ENDLESS
 
 
 def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
@@ -245,12 +365,19 @@ RULES: tuple[Rule, ...] = (
     Rule(("drives", "limits"), rated_force),
     Rule(("loop",), feedback_window),
     Rule(("bus",), bit_rates),
-    Rule(("bus", "drives", "loop"), bus_load),
+    Rule(("bus", "drives", "sensors", "loop"), bus_load),
+    Rule(("drives", "sensors"), node_numbers),
+    Rule(("sensors", "loop"), sensor_rates),
+    Rule(("estimation", "sensors", "bus"), fusion_sources),
+    Rule(("estimation", "sensors"), measured_wrench),
+    Rule(("controller", "reference"), live_preview),
     Rule(("platform",), geometry),
     Rule(("platform", "limits"), stroke),
     Rule(("reference", "platform", "limits"), reference_poses),
     Rule(("reference", "platform"), reference_path),
+    Rule(("controller", "reference", "platform"), feedforward_table),
     Rule(("plant", "loop"), plant_steps),
+    Rule(("plant", "sensors"), emulated_sensors),
     Rule(("plant",), plant_lag),
     Rule(("plant",), fmu_file),
     Rule(("plant", "platform"), bench_rest),

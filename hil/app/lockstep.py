@@ -5,14 +5,16 @@ Rule of the room: no clock. A frame takes its worst-case bit time and the lowest
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
+from typing import NamedTuple
 
-from drivers.bustime import BitTiming, Wire, frame_time_ns, priority
-from drivers.protocol import Frame, Received
+from drivers.bustime import BitTiming, frame_time_ns, priority, transmit
+from drivers.protocol import ALWAYS, Frame, Received
 from hil.cycle import Cycle
 from hil.daemon import FAULT_TAIL_S, NO_DRIVES_S, drives_off
-from hil.signals import Mode, Operator, TickInput, TickOutput
+from hil.signals import Mode, Operator, SetPoint, TickInput, TickOutput
 from plant_fmu.nodes import Nodes
 
 Observer = Callable[[TickInput, tuple[Frame, ...], TickOutput], None]
@@ -21,16 +23,34 @@ Observer = Callable[[TickInput, tuple[Frame, ...], TickOutput], None]
 _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 
+_frame_of = itemgetter(1)
+_ENDED = frozenset({Mode.PARKED, Mode.FAULT})
+
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
+
+
+Shape = tuple[int, int, int]
+"""(identifier, bytes, flags): decides a frame's priority and its time on the wire."""
+
+
+class Burst(NamedTuple):
+    """How frames of certain shapes, queued at one instant, follow each other on a bus that has no others."""
+
+    ends: tuple[tuple[int, int], ...]
+    """Which of them, and ns from the start of the first to its end, in the order of the wire."""
+    duration: int
+    """ns from the start of the first to the end of the last."""
+    answered: int
+    """How many of them, in that order, it takes to bring every feedback; 0 if one is not there."""
 
 
 @dataclass
 class Lockstep:
     """The bus between a Cycle and Nodes, and the time that both share.
 
-    Mutable state: the wire, the frames on their way to either end, the tick; and the controller and the
-    nodes themselves. One run per instance.
+    Mutable state: the transmit queue and when the bus falls free, the frames on their way to either end, the
+    tick; and the controller and the nodes themselves. One run per instance.
     """
 
     cycle: Cycle
@@ -39,15 +59,20 @@ class Lockstep:
     """None is the ideal bus: no frame takes time, the force acts at the instant of the measurement."""
     feedback_window_s: float
     compute_us: float = COMPUTE_US
-    recorder_alive: bool = True
     tick: int = -1
-    wire: Wire[tuple[bool, Frame]] = field(default_factory=Wire)
+    free_ns: int = ALWAYS
+    """When the bus falls free."""
+    _queued: list[tuple[int, int, int, int, bool, Frame]] = field(default_factory=list)
+    """Not started yet; see `bustime.transmit`, then whether a drive sends it, and the frame."""
+    _number: int = 0
     _late: list[Received] = field(default_factory=list)
     """Frames for the controller that ended after its window."""
     _commands: list[Received] = field(default_factory=list)
     """Frames for the drives that ended since their last step."""
-    _shapes: dict[tuple[int, int, int], tuple[int, int]] = field(default_factory=dict)
-    """(identifier, bytes, flags) -> (priority, ns on the wire) of every kind of frame seen so far."""
+    _shapes: dict[Shape, tuple[int, int]] = field(default_factory=dict)
+    """Priority and ns on the wire of every shape seen so far."""
+    _bursts: dict[tuple[Shape, ...], Burst] = field(default_factory=dict)
+    """What is known of frames of these shapes: the same few come together tick after tick."""
 
     def __post_init__(self) -> None:
         self.period_ns = round(1e9 / self.cycle.parts.rate_Hz)
@@ -56,43 +81,44 @@ class Lockstep:
         self.wanted = self.cycle.parts.protocol.feedback_ids
         self.nodes.start(0)
 
-    def step(self, operator: tuple[Operator, ...] = ()) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
+    def step(
+        self, operator: tuple[Operator, ...] = (), setpoints: tuple[SetPoint, ...] = ()
+    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
         """Advance both ends by one tick."""
         self.tick = tick = self.tick + 1
         t_ns = tick * self.period_ns
         opening = self.cycle.begin(tick)
-        self._queue([(t_ns, frame) for frame in opening], from_drive=False)
         feedback, step_ns = self._exchange(t_ns, opening)
-        inp = TickInput(
-            tick=tick,
-            t_ns=t_ns,
-            lateness_ns=0,
-            skipped=0,
-            frames=tuple(feedback),
-            sends_failed=0,
-            bus_errors=0,
-            bus_off=False,
-            bus_overflow=0,
-            recorder_alive=self.recorder_alive,
-            recorder_dropped=0,
-            operator=operator,
-            compute_ns=0,
-        )
+        inp = TickInput(tick, t_ns, 0, 0, tuple(feedback), 0, 0, False, 0, True, 0, operator, 0, setpoints)
         out = self.cycle.step(inp)
         queued_ns = step_ns + self.compute_ns
-        self._queue([(queued_ns, frame) for frame in out.frames], from_drive=False)
+        # nothing else is queued before the next SYNC
+        if not self._send(queued_ns, out.frames, t_ns + self.period_ns - 1, self._commands):
+            self._queue([(queued_ns, frame) for frame in out.frames], from_drive=False)
         return inp, opening, out
 
     def _exchange(self, t_ns: int, opening: tuple[Frame, ...]) -> tuple[list[Received], int]:
         """Let SYNC reach the drives and their answers the controller; return those and the step's time."""
         deadline = t_ns + self.window_ns
-        self._carry(t_ns)
-        if opening[-1] not in [frame for _, frame in self._commands]:  # SYNC waits for the frame on the wire
-            self._carry(self.wire.free_ns)
+        if not self._send(t_ns, opening, deadline, self._commands):
+            self._queue([(t_ns, frame) for frame in opening], from_drive=False)
+            self._carry(t_ns)
+            if opening[-1] not in map(_frame_of, self._commands):  # SYNC waits for the frame on the wire
+                self._carry(self.free_ns)
         synced = self._commands[-1].t_ns if self._commands else t_ns
         commands, self._commands = self._commands, []
-        self._queue(self.nodes.step(max(synced, t_ns), commands), from_drive=True)
+        replies = self.nodes.step(max(synced, t_ns), commands)
         early, self._late = self._late, []
+        answers: list[Received] = []
+        if replies and replies[0][0] == replies[-1][0]:
+            burst = self._send(replies[0][0], list(map(_frame_of, replies)), deadline, answers)
+            if burst:
+                taken = burst.answered
+                if not taken:
+                    return early + answers, deadline
+                self._late = answers[taken:]
+                return early + answers[:taken], answers[taken - 1].t_ns
+        self._queue(replies, from_drive=True)
         self._carry(deadline)
         answers, self._late = self._late, []
         missing = set(self.wanted)
@@ -104,31 +130,70 @@ class Lockstep:
                 return early + answers[:taken], min(end_ns, deadline)
         return early + answers, deadline
 
+    def _send(
+        self, t_ns: int, frames: Sequence[Frame], end_ns: int, receiver: list[Received]
+    ) -> Burst | None:
+        """Pass frames queued at `t_ns` over a bus that nobody else waits for.
+
+        Does nothing and returns None if a frame waits already or these are not through by `end_ns`.
+        """
+        if self._queued:
+            return None
+        shapes = tuple([(identifier, len(data), flags) for identifier, data, flags in frames])
+        burst = self._bursts.get(shapes)
+        if burst is None:
+            burst = self._bursts[shapes] = self._burst(shapes)
+        start = max(t_ns, self.free_ns)
+        if start + burst.duration > end_ns:
+            return None
+        self.free_ns = start + burst.duration
+        for k, end in burst.ends:
+            receiver.append(_new(Received, (start + end, frames[k])))
+        return burst
+
+    def _burst(self, shapes: tuple[Shape, ...]) -> Burst:
+        """Find out how frames of these shapes go."""
+        queued = [(0, rank, k, ns) for k, (rank, ns) in enumerate(map(self._wire, shapes))]
+        sent, _, duration = transmit(queued, 0, sum(ns for *_, ns in queued))
+        ends = tuple((k, end) for end, (_, _, k, _) in sent)
+        missing = set(self.wanted)
+        answered = 0
+        for n, (k, _) in enumerate(ends, 1):
+            if shapes[k][0] in missing:
+                missing.discard(shapes[k][0])
+                answered = n
+        return Burst(ends, duration, 0 if missing else answered)
+
+    def _wire(self, shape: Shape) -> tuple[int, int]:
+        """Return the priority of a frame and its ns on the wire."""
+        wire = self._shapes.get(shape)
+        if wire is None:
+            identifier, length, flags = shape
+            duration = 0 if self.timing is None else frame_time_ns(length, flags, self.timing)
+            wire = self._shapes[shape] = priority(identifier, flags), duration
+        return wire
+
     def _queue(self, sends: Iterable[tuple[int, Frame]], *, from_drive: bool) -> None:
         """Put frames into their nodes' transmit queues, each at its instant."""
-        shapes, queue = self._shapes, self.wire.queue
         for t_ns, frame in sends:
             identifier, data, flags = frame
-            shape = identifier, len(data), flags
-            try:
-                rank, duration = shapes[shape]
-            except KeyError:
-                duration = 0 if self.timing is None else frame_time_ns(len(data), flags, self.timing)
-                rank = priority(identifier, flags)
-                shapes[shape] = rank, duration
-            queue(t_ns, rank, duration, (from_drive, frame))
+            rank, duration = self._wire((identifier, len(data), flags))
+            self._number += 1
+            self._queued.append((t_ns, rank, self._number, duration, from_drive, frame))
 
     def _carry(self, until_ns: int) -> None:
         """Move every frame that starts by `until_ns` to its receiver's list."""
-        for end_ns, (from_drive, frame) in self.wire.advance(until_ns):
+        sent, self._queued, self.free_ns = transmit(self._queued, self.free_ns, until_ns)
+        for end_ns, (_, _, _, _, from_drive, frame) in sent:
             (self._late if from_drive else self._commands).append(_new(Received, (end_ns, frame)))
 
     def run(
         self,
         duration_s: float | None,
         observe: Observer,
+        setpoints: Callable[[int], tuple[SetPoint, ...]] | None = None,
     ) -> Mode:
-        """Engage, run the reference, park.
+        """Engage, run the reference, park. `setpoints` gives those of a tick.
 
         Ends when parked with all drives off, FAULT_TAIL_S after a fault or after parking drives that never
         were on, or when the drives do not get ready.
@@ -140,14 +205,14 @@ class Lockstep:
         operator: tuple[Operator, ...] = ()
         engaged = False
         while True:
-            observe(*self.step(operator))
+            observe(*self.step(operator, () if setpoints is None else setpoints(self.tick + 1)))
             operator = ()
             mode = self.cycle.mode
             if not engaged and mode is Mode.IDLE:
                 operator, engaged = (Operator.ENGAGE,), True
             if stop_tick is not None and self.tick + 1 == stop_tick:
                 operator = (*operator, Operator.STOP)
-            ending += mode in {Mode.PARKED, Mode.FAULT}
+            ending += mode in _ENDED
             parked = mode is Mode.PARKED and drives_off(self.cycle)
             waited = mode is Mode.WAITING and self.tick > NO_DRIVES_S * rate
             if parked or ending > tail_ticks or waited:

@@ -22,6 +22,8 @@ from drivers.errors import LogError
 from hil.signals import Mode
 
 console = Console(stderr=True, highlight=False)
+PNG = b"\x89PNG\r\n"
+"""How every PNG file begins."""
 
 
 def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Path:
@@ -45,6 +47,27 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
         raise LogError(f"{path.parent}: cannot be made: {error.strerror}") from None
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise LogError(f"{path.parent}: no right to write there; name another file with --log")
+    return path
+
+
+def picture_path(folder: str, stem: str, given: Path | None) -> Path:
+    """Return the PNG file to write: the given one, or a new dated one in the given or the recordings folder.
+
+    Raises LogError: it exists and is no PNG picture, or its folder cannot be made or written.
+    """
+    path = Path(folder) if given is None else given
+    if given is None or given.is_dir():
+        path /= f"{stem}-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}.png"
+    if path.suffix.lower() != ".png":
+        raise LogError(f"--picture {path}: the picture is a PNG file; let its name end in .png")
+    try:
+        if path.exists() and path.stat().st_size and not path.read_bytes().startswith(PNG):
+            raise LogError(f"--picture {path}: exists, is no PNG picture and is not overwritten")
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"--picture {path}: {error.strerror}") from None
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise LogError(f"--picture {path}: no right to write there; name another file")
     return path
 
 

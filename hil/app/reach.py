@@ -10,15 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ModelError
-from hil.config import LimitSettings, PlatformSettings, ReferenceSettings, SampledReference, WaypointReference
+from hil.config import LimitSettings, PlatformSettings
 from hil.dynamics import Model
 from hil.geometry import Platform
 from hil.kernels.dynamics import inverse_dynamics_kernel
 from hil.kernels.kinematics import jacobian_kernel, jacobian_rate_kernel, leg_lengths_kernel
 from hil.linalg import condition_kernel
 from hil.safety.guard import WINDOW_S
-from hil.trajectory import Trajectory
+from hil.trajectory import PiecewisePolynomial, Trajectory
 from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
 Array = NDArray[np.float64]
@@ -43,9 +42,20 @@ class Walk(NamedTuple):
     rest: Array
     """(2, 6) N, what holds the first and the last pose."""
     condition: Array
-    """(n,) of J, lengths made comparable."""
+    """(n,) of J, lengths made comparable; inf where it is singular."""
+    sign: Array
+    """(n,) sign of det J: where it changes, the path has gone through a singularity."""
     every_tick: bool
     """Whether the step is one period of the loop: only then jumps of force are seen."""
+    repeats: bool
+    """Whether the path goes on where the walk ends, with its beginning."""
+
+    def forces(self) -> tuple[Array, Array]:
+        """Return instants (n,) s and forces (n, 6) N from rest to rest; two passes of a path that repeats."""
+        passes = 2 if self.repeats else 1
+        t = np.concatenate([self.t + k * self.t[-1] for k in range(passes)])
+        tau = np.vstack([self.rest[:1], *[self.tau] * passes, self.rest[1:]])
+        return np.concatenate([t[:1], t, t[-1:]]), tau
 
 
 class Violation(NamedTuple):
@@ -55,14 +65,11 @@ class Violation(NamedTuple):
     message: str
 
 
-def span_s(settings: ReferenceSettings, trajectory: Trajectory) -> float:
+def span_s(trajectory: Trajectory) -> float:
     """Return how long the walk has to be: one period of what repeats."""
-    if isinstance(settings, WaypointReference):
-        return settings.points[-1].t_s
-    duration = trajectory.duration_s
-    if duration is None:
-        return 0.0
-    return duration / settings.periods if isinstance(settings, SampledReference) else duration
+    if isinstance(trajectory, PiecewisePolynomial):
+        return trajectory.period_s
+    return trajectory.duration_s or 0.0
 
 
 def walk(
@@ -76,14 +83,14 @@ def walk(
     """Sample the reference over `span` s, once per `period` s where that gives at most SAMPLES samples.
 
     Leg forces: inverse dynamics of `model`, plus friction and reflected mass of our own plant; the bench
-    plant's own equation where that is the plant. Raises ModelError where the path
-    meets a singularity.
+    plant's own equation where that is the plant; nan where the path meets a singularity. Raises ModelError
+    where it begins or ends in one.
     """
     steps = round(span / period)
     n = min(steps, SAMPLES) + 1
     t = np.linspace(0.0, steps * period, n) if steps else np.zeros(1)
     q, dq, ddq, tau = (np.empty((n, 6)) for _ in range(4))
-    cond = np.empty(n)
+    cond, sign = np.empty(n), np.empty(n)
     a, b, no_wrench = platform.base_joints, platform.platform_joints, np.zeros(6)
     for k in range(n):
         # Just inside the end, where the path still moves: outside it rests.
@@ -93,14 +100,14 @@ def walk(
         dq[k] = J @ twist
         ddq[k] = J @ dtwist + jacobian_rate_kernel(a, b, p, R, twist) @ twist
         cond[k] = condition_kernel(J, platform.radius)
+        sign[k] = np.linalg.slogdet(J)[0]
         tau[k] = inverse_dynamics_kernel(model.constants, model.code, p, R, twist, dtwist, no_wrench)
-    if not np.isfinite(tau).all():
-        k = int(np.argmin(np.isfinite(tau).all(axis=1)))
-        raise ModelError(f"at t = {t[k]:.3f} s: J is singular, no leg forces can hold the platform there")
     still = np.zeros(6)
     ends = (trajectory.sample(0.0), trajectory.sample(span))
     rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
-    return Walk(t, q, dq, ddq, *_drive_forces(plant, q, dq, ddq, tau, rest), cond, steps == n - 1)
+    forces = _drive_forces(plant, q, dq, ddq, tau, rest)
+    repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
+    return Walk(t, q, dq, ddq, *forces, cond, sign, steps == n - 1, repeats)
 
 
 def _drive_forces(
@@ -153,22 +160,35 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
         _first(
             w, np.abs(w.tau) > limits.force_N, w.tau, f"force above limits.force_N {limits.force_N:g}", "N"
         ),
+        _singularity(w, limits.condition),
     ]
+    if limits.acceleration_m_s2 is not None:
+        text = f"acceleration above limits.acceleration_m_s2 {limits.acceleration_m_s2:g}"
+        found.append(_first(w, np.abs(w.ddq) > limits.acceleration_m_s2, w.ddq, text, "m/s^2"))
     if w.every_tick:
-        forces = np.vstack([w.rest[:1], w.tau, w.rest[1:]])
-        jumps = w._replace(t=np.concatenate([w.t[:1], w.t, w.t[-1:]]))
+        t, forces = w.forces()
+        jumps = w._replace(t=t)
         step = np.vstack([np.zeros((1, 6)), np.diff(forces, axis=0)])
         text = f"force changes by more than limits.force_step_N {limits.force_step_N:g} in one tick, by"
         found.append(_first(jumps, np.abs(step) > limits.force_step_N, step, text, "N"))
         swing = window_swing(forces, max(1, round(WINDOW_S / period)))
         text = f"force changes by more than limits.force_window_N {limits.force_window_N:g} within 250 ms, by"
         found.append(_first(jumps, swing > limits.force_window_N, swing, text, "N"))
-    far = w.condition > limits.condition
-    if far.any():
-        k = int(np.argmax(far))
-        text = f"condition of J above limits.condition {limits.condition:g}: {w.condition[k]:.1f}"
-        found.append(Violation(float(w.t[k]), text))
     return sorted(v for v in found if v is not None)
+
+
+def _singularity(w: Walk, limit: float) -> Violation | None:
+    """Return where the path comes too near to a singularity, or has gone through one between two samples."""
+    turned = np.concatenate([[False], np.diff(w.sign) != 0])
+    far = (w.condition > limit) | turned
+    if not far.any():
+        return None
+    k = int(np.argmax(far))
+    t = float(w.t[k])
+    if turned[k] or not np.isfinite(w.condition[k]):
+        text = "the path goes through a singularity of J, where no leg forces can hold the platform"
+        return Violation(t, text)
+    return Violation(t, f"condition of J above limits.condition {limit:g}: {w.condition[k]:.1f}")
 
 
 def window_swing(forces: Array, ticks: int) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.compose import REFERENCE_CSV, build_cycle, with_attached_reference
+from hil.app.compose import REFERENCE_CSV, REFERENCE_PLAN, build_cycle, with_attached_reference
 from hil.app.configuration import loads
 from hil.clock import collector_paused
 from hil.log import Log
@@ -36,7 +36,8 @@ def replay_log(path: Path, progress: Callable[[int], None] | None = None) -> tup
             samples = Path(folder) / REFERENCE_CSV
             samples.write_bytes(log.attachments[REFERENCE_CSV])
             configuration = with_attached_reference(configuration, samples)
-        cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]))
+        plan = log.attachments.get(REFERENCE_PLAN)
+        cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]), plan)
     begun = time.perf_counter()
     with collector_paused():
         verdict = replay(log, cycle, progress)

@@ -24,6 +24,7 @@ from hil.log import Log
 from hil.record import LogSummary, Recording
 from hil.report import Rows, figures, picture
 from hil.safety.timing import MISSED_AT
+from hil.setpoints import SetPointSocket
 from hil.signals import Mode
 
 RELAXED_WATCHDOG_S = 0.2
@@ -78,12 +79,25 @@ def run_daemon(
                 reference_s=cycle.parts.trajectory.duration_s,
             )
         )
+        setpoints = None
+        if cycle.parts.steering is not None:
+            setpoints = stack.enter_context(SetPointSocket(c.bus.interface, c.bus.channel))
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
             window_ns = round(feedback_window_s(c, rate) * 1e9)
-            ending = run(cycle, bus, deadlines, recording, panel, window_ns, duration_s, reset=reset)
+            ending = run(
+                cycle,
+                bus,
+                deadlines,
+                recording,
+                panel,
+                window_ns,
+                duration_s,
+                reset=reset,
+                setpoints=setpoints,
+            )
         if plant is not None:
             plant_trouble = plant.trouble()
         trouble = _trouble(ending, c, plant_trouble, with_plant=with_plant)

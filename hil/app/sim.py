@@ -22,11 +22,47 @@ from hil.app.lockstep import Lockstep
 from hil.app.output import log_path
 from hil.app.replay import replay_log
 from hil.clock import collector_paused
+from hil.config import LiveReference
+from hil.cycle import Cycle
 from hil.log import Log
 from hil.record import Recording
 from hil.report import figures
-from hil.signals import Mode, TickInput, TickOutput
+from hil.signals import Mode, SetPoint, TickInput, TickOutput
+from hil.trajectory.sampled import read_poses
 from plant_fmu.faults import FaultPlan
+
+
+class Script:
+    """Set-points of a CSV file, each in the first tick at or after its time along the live reference.
+
+    Mutable state: how many have been given. Raises ConfigurationError for a reference that takes none, and
+    for what is wrong in the file.
+    """
+
+    def __init__(self, c: Configuration, cycle: Cycle, path: Path) -> None:
+        if not isinstance(c.reference, LiveReference):
+            raise ConfigurationError(
+                f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
+            )
+        t, chi = read_poses(path, at_least=1)
+        self._t = t.tolist()
+        self._setpoints = [SetPoint(*words) for words in chi.tolist()]
+        self._cycle = cycle
+        self._given = 0
+
+    @property
+    def left(self) -> int:
+        """How many have not been given."""
+        return len(self._t) - self._given
+
+    def __call__(self, tick: int) -> tuple[SetPoint, ...]:
+        """Return the set-points of a tick."""
+        if self._cycle.mode is not Mode.TRACKING:
+            return ()
+        now, first = self._cycle.motion.time(tick), self._given
+        while self._given < len(self._t) and self._t[self._given] <= now:
+            self._given += 1
+        return tuple(self._setpoints[first : self._given])
 
 
 def simulate(
@@ -37,10 +73,12 @@ def simulate(
     check_replay: bool = True,
     faults: FaultPlan | None = None,
     live: bool = False,
+    setpoints: Path | None = None,
 ) -> dict[str, Any]:
     """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
 
-    `live` draws a status line on standard error.
+    `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
+    their times along it.
 
     Raises ConfigurationError for what cannot run, PlantError where the plant fails.
     """
@@ -55,6 +93,7 @@ def simulate(
             f"{c.source}: reference: it has no end, and a simulation needs one: set duration_s or "
             "periods, or call with --duration"
         )
+    script = None if setpoints is None else Script(c, cycle, setpoints)
     path = log_path(c.recording.folder, c.name, log)
     nodes, physics = build_nodes(c, faults)
     try:
@@ -75,13 +114,13 @@ def simulate(
         )
 
         def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
-            recording.tick(out.row, inp.frames, opening + out.frames, inp.operator)
+            recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
 
         trouble = ""
         with recording, collector_paused():
             begun = time.perf_counter()
             try:
-                mode = lockstep.run(duration_s, observe)
+                mode = lockstep.run(duration_s, observe, script)
             except PlantError as error:
                 mode, trouble = cycle.mode, str(error)
             wall = time.perf_counter() - begun
@@ -102,6 +141,8 @@ def simulate(
         **figures(rows),
         "recorder_cpu_s": recorder.recorder_cpu_s,
     }
+    if script is not None and script.left:
+        result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
     if check_replay:
         _, result["replay"] = replay_log(path)
         result["success"] = result["success"] and result["replay"]["agrees"]

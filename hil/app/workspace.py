@@ -5,7 +5,6 @@ Rule of the room: reads a configuration, moves nothing; the mathematics is in `h
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError
 from hil.app.configuration import Configuration, platform_dict
+from hil.app.output import picture_path
 from hil.app.workspace_picture import draw
 from hil.app.yaml_positions import Problem, parse
 from hil.geometry import Platform
@@ -22,8 +22,6 @@ from hil.kernels.workspace import FORCE, LENGTH
 from hil.rotations import rotation_from_vector
 from hil.workspace import KINDS, Limits, Surveyor, Workspace, WorkspaceError, explore
 from hil.workspace.limits import CHUNK
-
-PNG = b"\x89PNG\r\n"
 
 
 def map_workspace(
@@ -43,7 +41,7 @@ def map_workspace(
     reached, LogError where the picture cannot be written.
     """
     begun = time.perf_counter()
-    path = picture_path(c, picture)
+    path = picture_path(c.recording.folder, f"{c.name}-workspace", picture)
     surveyor = build_surveyor(c, payload_kg, payload_at, leg_diameter_m)
     w = explore(surveyor, resolution, position, lambda what, share: _tell(progress, f"{what}, {share:.0%}"))
     result: dict[str, Any] = {
@@ -196,28 +194,6 @@ def shown(summary: dict[str, Any]) -> dict[str, Any]:
         "picture": s["picture"],
         "wall": f"{s['wall_s']:.1f} s",
     }
-
-
-def picture_path(c: Configuration, given: Path | None) -> Path:
-    """Return the PNG file to write: the given one, or a new dated one in the recordings folder.
-
-    Raises LogError: it exists and is no PNG picture, or its folder cannot be made or written.
-    """
-    stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
-    path = given or Path(c.recording.folder) / f"{c.name}-workspace-{stamp}.png"
-    if path.suffix.lower() != ".png":
-        raise LogError(f"--picture {path}: the picture is a PNG file; let its name end in .png")
-    if path.is_dir():
-        raise LogError(f"--picture {path}: is a folder; name a file")
-    try:
-        if path.exists() and path.stat().st_size and not path.read_bytes().startswith(PNG):
-            raise LogError(f"--picture {path}: exists, is no PNG picture and is not overwritten")
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LogError(f"--picture {path}: {error.strerror}") from None
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise LogError(f"--picture {path}: no right to write there; name another file")
-    return path
 
 
 def _largest_force(surveyor: Surveyor, nodes: np.ndarray[Any, np.dtype[np.float64]]) -> float:

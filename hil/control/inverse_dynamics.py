@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.compile_cache import INTEGER, MATRIX, VECTOR, kernel
-from hil.config import InverseDynamicsSettings, LegSpin
-from hil.control.law import per_leg
+from drivers.compile_cache import VECTOR, kernel
+from hil.config import InverseDynamicsSettings
+from hil.control.law import LawContext, error_gains
+from hil.control.model import build_model
 from hil.dynamics import Model
-from hil.geometry import Platform
 from hil.kernels.dynamics import joint_idc_kernel
-from hil.rotations import rotation_from_vector
 from hil.signals import Array, Effort, Reference, State
 
 
@@ -32,54 +31,36 @@ class JointInverseDynamics:
         self.K_D = K_D
 
     @classmethod
-    def build(
-        cls, settings: InverseDynamicsSettings, platform: Platform, leg_spin: LegSpin
-    ) -> JointInverseDynamics:
+    def build(cls, settings: InverseDynamicsSettings, context: LawContext) -> JointInverseDynamics:
         """Make the law and its model from their section of the configuration."""
-        w_n = per_leg(settings.wn_rad_s)
-        believed = settings.model
-        frozen = believed.frozen_at
-        model = Model(
-            platform,
-            believed.variant,
-            leg_spin,
-            inertia_scale=believed.inertia_scale,
-            reflected_mass=believed.reflected_mass_kg,
-            viscous=believed.viscous_friction_N_s_m,
-            coulomb=believed.coulomb_friction_N,
-            sliding_speed=believed.sliding_speed_m_s,
-            frozen_at=None
-            if frozen is None
-            else (
-                np.array(frozen.position_m, float),
-                rotation_from_vector(np.deg2rad(frozen.rotation_vector_deg)),
-            ),
-        )
-        return cls(model, w_n**2, 2.0 * settings.damping_ratio * w_n)
+        model = build_model(settings.model, context.platform, context.leg_spin)
+        return cls(model, *error_gains(settings.wn_rad_s, settings.damping_ratio))
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference) -> Effort:
+    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
         """Return tau (6,) N; NaN where J is singular."""
-        return Effort(
-            _tau(
-                self.model.constants, self.model.code, self.K_P, self.K_D,
-                state.p, state.R, state.twist, state.J, state.q, state.dq,
-                reference.q, reference.dq, reference.ddq,
-            )
-        )  # fmt: skip
+        del shortfall
+        ddq_star = linear_error(self.K_P, self.K_D, state, reference)
+        return Effort(linearising_tau(self.model, state, ddq_star, state.wrench))
 
 
-@kernel(
-    VECTOR, INTEGER, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR
-)
-def _tau(
-    constants: Array, code: int, K_P: Array, K_D: Array,
-    p: Array, R: Array, twist: Array, J: Array, q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array,
-) -> Array:  # fmt: skip
+def linear_error(K_P: Array, K_D: Array, state: State, reference: Reference) -> Array:
+    """Return ddq* = ddq_d + K_D dE + K_P E, (6,) m/s^2."""
+    return _ddq_star(K_P, K_D, state.q, state.dq, reference.q, reference.dq, reference.ddq)
+
+
+def linearising_tau(model: Model, state: State, ddq_star: Array, wrench: Array) -> Array:
+    """Return tau (6,) N for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
+    return joint_idc_kernel(
+        model.constants, model.code, state.p, state.R, state.twist, state.J, ddq_star, wrench
+    )
+
+
+@kernel(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
+def _ddq_star(K_P: Array, K_D: Array, q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> Array:
     ddq_star = np.empty(6)
     for i in range(6):
         ddq_star[i] = ddq_d[i] + K_D[i] * (dq_d[i] - dq[i]) + K_P[i] * (q_d[i] - q[i])
-    tau: Array = joint_idc_kernel(constants, code, p, R, twist, J, ddq_star, np.zeros(6))
-    return tau
+    return ddq_star

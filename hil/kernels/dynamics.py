@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.compile_cache import INTEGER, MATRIX, VECTOR, helper, kernel
+from drivers.compile_cache import INTEGER, MATRIX, VECTOR, helper, kernel
 from hil.kernels.kinematics import jacobian_rate_twist, leg, leg_motion
 from hil.linalg import lu_factor, lu_solve, lu_solve_transposed
 from hil.vectors import Array, Vector, add, at, cross, dot, rotate, rotate_back, scale, sub

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from drivers.compile_cache import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
 from hil.linalg import condition_from_lu, lu_factor, lu_solve
 from hil.rotations import cayley_step, orthonormalise
 from hil.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
@@ -102,13 +102,10 @@ def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w:
 
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR)
-def reference_kernel(
-    a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array
-) -> tuple[Array, Array, Array]:
-    """Return q, dq = J twist, ddq = J dtwist + (dJ/dt) twist, each (6,)."""
-    q = np.empty(6)
-    dq = np.empty(6)
-    ddq = np.empty(6)
+def reference_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array) -> Array:
+    """Return q, dq = J twist, ddq = J dtwist + (dJ/dt) twist as the rows of one array, (3, 6)."""
+    motion = np.empty((3, 6))
+    q, dq, ddq = motion[0], motion[1], motion[2]
     v = at(twist, 0)
     w = at(twist, 3)
     for i in range(6):
@@ -119,7 +116,7 @@ def reference_kernel(
         q[i] = l
         dq[i] = dl
         ddq[i] = dot(ds, u) + dot(s, du)
-    return q, dq, ddq
+    return motion
 
 
 @helper

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.compile_cache import MATRIX, OUT_MATRIX, REAL, VECTOR, helper, kernel
+from drivers.compile_cache import MATRIX, OUT_MATRIX, REAL, VECTOR, helper, kernel
 from hil.kernels.dynamics import BASE, GRAVITY, PLATFORM, gravity_kernel
 from hil.kernels.kinematics import lengths_and_jacobian
 from hil.linalg import condition_from_lu, lu_factor, lu_solve_transposed

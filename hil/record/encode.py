@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 from hil.record import schema
 from hil.record.recording import Scene
-from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, Batch
+from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, SETPOINT, Batch
 from hil.record.scene import SceneDrawer, transforms
 from hil.record.schema import RX, TX, Schema
 
@@ -165,7 +165,9 @@ class Encoder:
         item = items[i]
         time_ns = int(item["t_ns"]) + self._epoch
         if item["kind"] == OPERATOR:
-            message = self._operator(command=int(item["id"]), tick=tick, index=index)
+            data = bytes(item["data"][: item["length"]])
+            pose = SETPOINT.unpack(data) if data else ()
+            message = self._operator(command=int(item["id"]), tick=tick, index=index, setpoint=pose)
             message.stamp.seconds, message.stamp.nanos = divmod(time_ns, 1_000_000_000)
             return [_single(COMMANDS, tick, time_ns, t_ns + self._epoch, message, key)]
         if item["kind"] != EVENT or item["id"] != 0:

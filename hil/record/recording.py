@@ -37,18 +37,20 @@ from hil.record.ring import (
     READ_ITEMS,
     RECEIVED,
     SENT,
+    SETPOINT,
     WRITTEN,
     Ring,
     fence,
     pack_item,
 )
 from hil.record.schema import CONFIGURATION, FORMAT, MAX_DATA, ROW_UNITS, check_row_type, describe_row_type
-from hil.signals import ROW
+from hil.signals import ROW, Operator, SetPoint
 
 LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
 """2000-01-01T00:00:00Z: the UTC of t_ns = 0 in lockstep."""
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 """Levels of events, as foxglove.Log counts them."""
+_SETPOINT = int(Operator.SETPOINT)
 _START_S = 20.0
 _PIECE = MAX_DATA
 
@@ -220,8 +222,9 @@ class Recording:
         sent: Sequence[Frame],
         operator: Sequence[int] = (),
         sent_t_ns: Sequence[int] = (),
+        setpoints: Sequence[SetPoint] = (),
     ) -> None:
-        """Record one tick: its row, the frames consumed and sent in their order, operator commands.
+        """Record one tick: its row, the frames consumed and sent in their order, commands and set-points.
 
         `sent_t_ns` gives the instant of each sent frame; by default it is the time of the tick.
         A 0-d array as `row` is fastest.
@@ -233,7 +236,7 @@ class Recording:
             more than 64 bytes.
 
         """
-        count = len(received) + len(sent) + len(operator)
+        count = len(received) + len(sent) + len(operator) + len(setpoints)
         if not self._has_room(count):
             self._dropped += 1
             self._counters[DROPPED] = self._dropped
@@ -250,7 +253,7 @@ class Recording:
                     raise _too_long(can_id, length)
                 pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, flags, length, data)
                 item += 1
-            if sent or operator:
+            if sent or operator or setpoints:
                 now = int(row["t_ns"])
                 for can_id, data, flags in sent:
                     length = len(data)
@@ -264,6 +267,10 @@ class Recording:
                         struct.pack_into("<q", buffer, (first + i) % capacity * size, t_ns)
                 for command in operator:
                     pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
+                    item += 1
+                for setpoint in setpoints:
+                    data = SETPOINT.pack(*setpoint)
+                    pack_item(buffer, item % capacity * size, now, _SETPOINT, OPERATOR, 0, len(data), data)
                     item += 1
             self._items = item
         ring.ends[slot] = self._items

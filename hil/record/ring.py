@@ -33,7 +33,9 @@ ITEM = np.dtype(
 pack_item = struct.Struct("<qIBBBx64s").pack_into
 """pack_item(buffer, offset, t_ns, id, kind, flags, length, data)."""
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
-"""Kinds of item. Operator: id is the command. Event: id is how many pieces follow, flags the level."""
+"""Kinds of item. Operator: id is the command, data a set-point (SETPOINT). Event: id is how many pieces
+follow, flags the level."""
+SETPOINT = struct.Struct("<6d")
 
 ITEMS_PER_TICK = 16
 _HEADER = 4096

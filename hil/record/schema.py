@@ -63,7 +63,12 @@ ROW_UNITS: dict[str, str] = {
     "ddq_d": "m/s^2",
     "tau_law": "N",
     "tau": "N",
+    "wrench": "N, N m, on the platform at its origin, base frame",
     "reference_time_s": "s",
+    "innovation_q": "m, measured less predicted",
+    "innovation_tracker": "m, rad, measured less predicted",
+    "pose_std": "m, rad, of the fused pose, base frame",
+    "wrench_sensor": "N, N m, base frame, on the platform at its origin",
 }
 """Units of the columns of hil.signals.ROW; columns not listed are counts, flags or enumerations."""
 
@@ -325,6 +330,8 @@ def operator_schema() -> Schema:
     _field(message, "command", 2, _Type.TYPE_ENUM, type_name=".hil.Operator")
     _field(message, "tick", 3, _Type.TYPE_SFIXED64)
     _field(message, "index", 4, _Type.TYPE_FIXED32)
+    _field(message, "setpoint", 5, _Type.TYPE_DOUBLE, repeated=True)
+    _comment(file, 4, " x, y, z in m and the rotation vector in rad, of SETPOINT\n")
     return _schema(OPERATOR, [_timestamp(), file])
 
 

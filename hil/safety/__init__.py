@@ -6,6 +6,7 @@ Rule of the room: every rule is a pure function of numbers and small arrays; onl
 family      rules                                                   acts as
 =========== ======================================================= ==========================
 finite      every number is finite                                  NOT_FINITE, LAW
+encoders    lost or slipped encoder, uncertain fused pose           ENCODER, UNCERTAIN, warnings
 legs        stale leg; drive in fault, rebooted, or out of RUN      STALE, DRIVE
 bus         bus off; sends failing tick after tick                  BUS
 kinematics  residual, assembly hop, condition of J                  KINEMATICS, ASSEMBLY, CONDITION

@@ -9,50 +9,78 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import helper
+from drivers.compile_cache import helper
 
 Array = NDArray[np.float64]
 
 
 @helper
-def clamp(tau: Array, low: Array, high: Array) -> bool:
-    """Bring tau (6,) between low and high (6,), in place; tell whether that changed it."""
-    acted = False
-    for i in range(6):
-        if tau[i] > high[i]:
-            tau[i] = high[i]
-            acted = True
-        elif tau[i] < low[i]:
-            tau[i] = low[i]
-            acted = True
-    return acted
+def clamp(tau: Array, i: int, low: float, high: float) -> bool:
+    """Bring tau[i] between low and high, in place; tell whether that changed it."""
+    if tau[i] > high:
+        tau[i] = high
+        return True
+    if tau[i] < low:
+        tau[i] = low
+        return True
+    return False
 
 
 @helper
 def limit_force(tau: Array, force: float) -> bool:
     """Keep every |tau| <= force (N)."""
-    bound = np.full_like(tau, force)
-    return clamp(tau, -bound, bound)
+    acted = False
+    for i in range(6):
+        acted |= clamp(tau, i, -force, force)
+    return acted
 
 
 @helper
 def limit_step(tau: Array, last: Array, step: float) -> bool:
     """Keep every tau within `step` (N) of the last one sent, last (6,) N."""
-    return clamp(tau, last - step, last + step)
+    acted = False
+    for i in range(6):
+        acted |= clamp(tau, i, last[i] - step, last[i] + step)
+    return acted
+
+
+BLOCK = 16
+"""Rows of the window whose extremes are kept together: a new force then costs 16 rows and not the window."""
 
 
 @helper
-def window_extremes(history: Array, count: int) -> tuple[Array, Array]:
-    """Smallest and largest force (6,) N of each leg in the first `count` >= 1 rows of history (n, 6)."""
-    low, high = history[0].copy(), history[0].copy()
-    for k in range(count):
+def widen(rows: Array, low: Array, high: Array) -> None:
+    """Let low and high (6,) take in all rows (n, 6)."""
+    for k in range(rows.shape[0]):
         for i in range(6):
-            low[i] = min(low[i], history[k, i])
-            high[i] = max(high[i], history[k, i])
+            low[i] = min(low[i], rows[k, i])
+            high[i] = max(high[i], rows[k, i])
+
+
+@helper
+def remember(tau: Array, row: int, history: Array, lows: Array, highs: Array) -> None:
+    """Put tau (6,) N into a row of history (n, 6) and mend the extremes of its block, (ceil(n/BLOCK), 6)."""
+    history[row] = tau
+    block = row // BLOCK
+    lows[block] = tau
+    highs[block] = tau
+    first = block * BLOCK
+    widen(history[first : first + BLOCK], lows[block], highs[block])
+
+
+@helper
+def window_extremes(lows: Array, highs: Array) -> tuple[Array, Array]:
+    """Smallest and largest force (6,) N of each leg in the window, from those of its blocks."""
+    low, high = lows[0].copy(), highs[0].copy()
+    widen(lows, low, high)
+    widen(highs, low, high)
     return low, high
 
 
 @helper
 def limit_window(tau: Array, low: Array, high: Array, window: float) -> bool:
     """Keep every tau within `window` (N) of all forces between low and high (6,) N, those of the window."""
-    return clamp(tau, high - window, low + window)
+    acted = False
+    for i in range(6):
+        acted |= clamp(tau, i, high[i] - window, low[i] + window)
+    return acted

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import helper
+from drivers.compile_cache import helper
 
 Array = NDArray[np.float64]
 
@@ -19,4 +19,7 @@ def lagging(q: Array, q_d: Array, dq_d: Array, at_rest: float, per_speed: float)
 
     q, q_d (6,) m measured and reference lengths, dq_d (6,) m/s reference rates; at_rest m, per_speed s.
     """
-    return bool(np.any(np.abs(q_d - q) > at_rest + per_speed * np.abs(dq_d)))
+    for i in range(6):  # noqa: SIM110 - compiled
+        if abs(q_d[i] - q[i]) > at_rest + per_speed * abs(dq_d[i]):
+            return True
+    return False

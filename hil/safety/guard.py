@@ -5,15 +5,16 @@ Rule of the room: pure but for the state named in the class; no clock, no bus, n
 
 from __future__ import annotations
 
-from math import inf
+import math
 from typing import Literal
 
 import numpy as np
 
 from drivers.signals import LEGS, Measurement
 from hil.config import LimitSettings
-from hil.safety import bus, recorder, timing
-from hil.safety.kernels import judge_state, limit_effort
+from hil.safety.effort import BLOCK
+from hil.safety.kernels import DROPPED, MEMORY, judge_tick
+from hil.safety.recorder import recorder_stop
 from hil.signals import Effort, Estimate, Fault, Mode, Reference, TickInput, Verdict, Warn
 
 WINDOW_S = 0.25
@@ -21,10 +22,6 @@ WINDOW_S = 0.25
 
 _ZEROS = np.zeros(LEGS)
 _ZEROS.flags.writeable = False
-
-_LATE, _DEGRADED, _REJECTED, _RECORDER = map(int, (Warn.LATE, Warn.DEGRADED, Warn.REJECTED, Warn.RECORDER))
-_NOISY = int(Warn.BUS)
-_BUS = int(Fault.BUS)
 _LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)
 
 
@@ -51,41 +48,37 @@ class Safety:
     ) -> None:
         """Take the hard ends of the legs (m), the loop's rate and the drives' rated force (N)."""
         self._period_ns = round(1e9 / rate_Hz)
-        self._on_recorder_loss = on_recorder_loss
-        self._state_limits = (
-            limits.stale_warn_ticks,
-            limits.stale_fault_ticks,
-            limits.consistency_m,
-            limits.condition,
-            length_min,
-            length_max,
-            limits.stroke_margin_m,
-            limits.deceleration_m_s2,
-            limits.speed_m_s,
-            limits.following_error_m,
-            limits.following_error_s,
+        self._stop_on_loss = recorder_stop(losing=True, on_loss=on_recorder_loss)
+        self._limits = np.array(
+            [
+                limits.stale_warn_ticks,
+                limits.stale_fault_ticks,
+                limits.consistency_m,
+                limits.condition,
+                length_min,
+                length_max,
+                limits.stroke_margin_m,
+                limits.deceleration_m_s2,
+                limits.speed_m_s,
+                limits.following_error_m,
+                limits.following_error_s,
+                min(limits.force_N, drive_force_limit),
+                limits.force_step_N,
+                limits.force_window_N,
+            ],
+            float,
         )
-        self._force_limits = (
-            min(limits.force_N, drive_force_limit),
-            limits.force_step_N,
-            limits.force_window_N,
-        )
+        self._memory = np.zeros(MEMORY, np.int64)
         self._history = np.zeros((max(1, round(WINDOW_S * rate_Hz)), LEGS))
+        self._lows = np.zeros((math.ceil(len(self._history) / BLOCK), LEGS))
+        self._highs = np.zeros_like(self._lows)
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick: no force, no late tick, no failure."""
-        self._forget_forces()
-        self._late = 0
-        self._missed = 0
-        self._refused = 0
-        self._dropped = inf  # what was lost before the first look is no news
-        self._running = 0
-
-    def _forget_forces(self) -> None:
-        self._history[0] = 0.0
-        self._newest = 0
-        self._count = 1
+        for array in (self._memory, self._history, self._lows, self._highs):
+            array.fill(0)
+        self._memory[DROPPED] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
     def judge(
         self,
@@ -101,51 +94,27 @@ class Safety:
         effort: what the law asks for, not finite where it failed; mode: that of this tick. Mutates the state
         named in the class, once per tick.
         """
-        state = estimate.state
+        fusion = estimate.fusion
+        if fusion.ages is not None:
+            measurement = measurement._replace(age=fusion.ages)
         powered = _LOADING <= mode <= _UNLOADING
-        losing = self._watch_recorder(inp)
-        warnings = self._watch_time(inp) | (_RECORDER if losing else 0)
-        if measurement.rejected > 0:
-            warnings |= _REJECTED
-        self._refused = bus.refusals(self._refused, inp.sends_failed)
-        if bus.bus_noisy(inp.bus_errors, inp.bus_overflow, inp.sends_failed):
-            warnings |= _NOISY
-
-        faults, more, self._running = judge_state(
-            int(mode), self._running, measurement.age, measurement.state,
-            measurement.length, measurement.rate, measurement.force,
-            state.q, state.dq, state.p, state.R, state.twist, state.J, state.residual,
-            estimate.condition, estimate.hop,
-            reference.q, reference.dq, reference.ddq, reference.twist, reference.dtwist,
-            *self._state_limits,
+        tau = np.empty(LEGS)
+        values = (*measurement, *estimate.state, estimate.condition, estimate.hop, *reference, effort.tau)
+        faults, warnings, stop = judge_tick(
+            int(mode), inp.lateness_ns, inp.skipped,
+            inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow,
+            inp.recorder_alive, inp.recorder_dropped,
+            *values,
+            self._limits, self._period_ns, self._stop_on_loss,
+            self._memory, self._history, self._lows, self._highs, tau,
         )  # fmt: skip
-        warnings |= more
-        if not powered:
-            self._forget_forces()
-            return Verdict(_ZEROS, _warn(warnings), _fault(faults), stop=False)
-        if bus.bus_down(inp.bus_off, self._refused):
-            faults |= _BUS
-        tau, law, more, self._newest, self._count = limit_effort(
-            effort.tau, self._history, self._newest, self._count, inp.skipped, *self._force_limits
+        if fusion.warnings:
+            warnings |= fusion.warnings
+        if fusion.faults and powered:
+            faults |= fusion.faults
+        return Verdict(
+            tau if powered else _ZEROS,
+            Warn(warnings) if warnings else Warn.NONE,
+            Fault(faults) if faults else Fault.NONE,
+            stop,
         )
-        stop = timing.too_many_missed(self._missed) or recorder.recorder_stop(losing, self._on_recorder_loss)
-        return Verdict(tau, _warn(warnings | more), _fault(faults | law), stop)
-
-    def _watch_time(self, inp: TickInput) -> int:
-        late = timing.is_late(inp.lateness_ns, self._period_ns)
-        self._late = timing.late_history(self._late, late, inp.skipped)
-        self._missed = timing.missed_run(self._missed, inp.skipped)
-        return (_LATE if late else 0) | (_DEGRADED if timing.is_degraded(self._late) else 0)
-
-    def _watch_recorder(self, inp: TickInput) -> bool:
-        losing = recorder.recorder_losing(inp.recorder_alive, inp.recorder_dropped, self._dropped)
-        self._dropped = inp.recorder_dropped
-        return losing
-
-
-def _warn(bits: int) -> Warn:
-    return Warn(bits) if bits else Warn.NONE
-
-
-def _fault(bits: int) -> Fault:
-    return Fault(bits) if bits else Fault.NONE

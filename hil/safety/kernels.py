@@ -1,4 +1,4 @@
-"""The rules of one tick fused into two kernels: what faults, and how far the forces may go.
+"""The rules of one tick fused into one kernel: what faults, and how far the forces may go.
 
 Rule of the room: fixed order, bits of `hil.signals.Fault` and `Warn`; the rules themselves are in the files
 beside this one.
@@ -9,43 +9,44 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import INTEGER, MATRIX, OUT_MATRIX, REAL, VECTOR, kernel
-from hil.safety.effort import limit_force, limit_step, limit_window, window_extremes
+from drivers.compile_cache import INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from hil.kernels.signals import MEASUREMENT, REFERENCE, STATE
+from hil.safety.bus import bus_down, bus_noisy, refusals
+from hil.safety.effort import limit_force, limit_step, limit_window, remember, window_extremes
 from hil.safety.finite import all_finite
 from hil.safety.following import lagging
 from hil.safety.kinematics import hopped, ill_conditioned, inconsistent
 from hil.safety.legs import all_running, drive_lost, stale
+from hil.safety.recorder import recorder_losing
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
+from hil.safety.timing import is_degraded, is_late, late_history, missed_run, too_many_missed
 from hil.signals import Fault, Mode, Warn
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
-INTEGERS = VECTOR.copy(dtype=INTEGER)
-
+LATE, MISSED, REFUSED, DROPPED, RUNNING, NEWEST, MEMORY = range(7)
+"""What is remembered: late ticks, periods missed in a row, ticks with refused frames (bits, see the rules),
+the recorder's losses so far, whether all drives have been in RUN since the brakes opened, the newest row of
+the force window. MEMORY is their number."""
 _IDLE, _LOADING, _UNLOADING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.UNLOADING)
 _RELEASING, _STOPPING = int(Mode.RELEASING), int(Mode.STOPPING)
 _STALE, _DRIVE, _NOT_FINITE = int(Fault.STALE), int(Fault.DRIVE), int(Fault.NOT_FINITE)
 _KINEMATICS, _ASSEMBLY, _CONDITION = int(Fault.KINEMATICS), int(Fault.ASSEMBLY), int(Fault.CONDITION)
 _LAW, _STROKE, _SPEED, _FOLLOWING = int(Fault.LAW), int(Fault.STROKE), int(Fault.SPEED), int(Fault.FOLLOWING)
-_WARN_STALE = int(Warn.STALE)
+_BUS = int(Fault.BUS)
+_WARN_STALE, _WARN_LATE, _WARN_DEGRADED = int(Warn.STALE), int(Warn.LATE), int(Warn.DEGRADED)
+_WARN_REJECTED, _WARN_RECORDER, _WARN_BUS = int(Warn.REJECTED), int(Warn.RECORDER), int(Warn.BUS)
 _FORCE_LIMIT, _FORCE_STEP, _FORCE_WINDOW = int(Warn.FORCE_LIMIT), int(Warn.FORCE_STEP), int(Warn.FORCE_WINDOW)
 
 
-@kernel(
-    INTEGER, INTEGER, INTEGERS, INTEGERS, VECTOR, VECTOR, VECTOR,
-    VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, REAL, REAL, REAL,
-    VECTOR, VECTOR, VECTOR, VECTOR, VECTOR,
-    INTEGER, INTEGER, REAL, REAL, REAL, REAL, REAL, REAL, REAL, REAL, REAL,
-)  # fmt: skip
+@helper
 def judge_state(
     mode: int, running: int, age: Ints, drive_state: Ints, length: Array, rate: Array, force: Array,
     q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array,
     residual: float, condition: float, hop: float,
-    q_d: Array, dq_d: Array, ddq_d: Array, twist_d: Array, dtwist_d: Array,
-    stale_warn: int, stale_fault: int, consistency: float, condition_max: float,
-    length_min: float, length_max: float, margin: float, deceleration: float, speed: float,
-    at_rest: float, per_speed: float,
+    q_d: Array, dq_d: Array, ddq_d: Array, twist_d: Array, dtwist_d: Array, limits: Array,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Return fault bits, warning bits, and whether all drives have been in RUN since the brakes opened.
 
@@ -53,6 +54,9 @@ def judge_state(
     reference is followed from RELEASING to STOPPING. Faults from LOADING to UNLOADING only.
     """
     faults = warnings = 0
+    stale_warn, stale_fault, consistency, condition_max = limits[0], limits[1], limits[2], limits[3]
+    length_min, length_max, margin, deceleration = limits[4], limits[5], limits[6], limits[7]
+    speed, at_rest, per_speed = limits[8], limits[9], limits[10]
     if mode > _IDLE and stale(age, stale_warn):
         warnings |= _WARN_STALE
     if mode < _LOADING or mode > _UNLOADING:
@@ -92,25 +96,19 @@ def judge_state(
     return faults, warnings, now_running
 
 
-@kernel(VECTOR, OUT_MATRIX, INTEGER, INTEGER, INTEGER, REAL, REAL, REAL)
+@helper
 def limit_effort(
-    tau: Array,
-    history: Array,
-    newest: int,
-    count: int,
-    skipped: int,
-    force: float,
-    step: float,
-    window: float,
-) -> tuple[Array, int, int, int, int]:
-    """Return the limited forces (6,) N, fault bits, warning bits, and the new `newest` and `count`.
+    tau: Array, history: Array, lows: Array, highs: Array, newest: int, skipped: int,
+    force: float, step: float, window: float, limited: Array,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Fill the limited forces (6,) N; return fault bits, warning bits, and the new `newest`.
 
-    history (n, 6) N is a ring of the forces sent, its newest row `newest`, `count` >= 1 rows filled; the
-    forces held during `skipped` periods and the new ones are written into it. tau (6,) N; asked for
-    anything that is not finite, the answer is LAW and no force.
+    history (n, 6) N is a ring of the forces sent, its newest row `newest`, lows and highs as in
+    `hil.safety.effort`; the forces held during `skipped` periods and the new ones are written into it. tau
+    (6,) N; asked for anything that is not finite, the answer is LAW and no force.
     """
     faults = warnings = 0
-    limited = tau.copy()
+    limited[:] = tau
     if not all_finite(tau):
         faults = _LAW
         limited[:] = 0.0
@@ -118,9 +116,8 @@ def limit_effort(
     last = history[newest].copy()
     for _ in range(min(skipped, rows)):
         newest = (newest + 1) % rows
-        history[newest] = last
-        count = min(count + 1, rows)
-    low, high = window_extremes(history, count)
+        remember(last, newest, history, lows, highs)
+    low, high = window_extremes(lows, highs)
     if limit_force(limited, force):
         warnings |= _FORCE_LIMIT
     if limit_step(limited, last, step):
@@ -128,5 +125,64 @@ def limit_effort(
     if limit_window(limited, low, high, window):
         warnings |= _FORCE_WINDOW
     newest = (newest + 1) % rows
-    history[newest] = limited
-    return limited, faults, warnings, newest, min(count + 1, rows)
+    remember(limited, newest, history, lows, highs)
+    return faults, warnings, newest
+
+
+@kernel(
+    INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
+    *MEASUREMENT, *STATE, REAL, REAL, *REFERENCE, VECTOR,
+    VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX, OUT_VECTOR,
+)  # fmt: skip
+def judge_tick(
+    mode: int, lateness_ns: int, skipped: int,
+    sends_failed: int, bus_errors: int, bus_off: int, bus_overflow: int, recorder_alive: int, dropped: int,
+    length: Array, rate: Array, force: Array, drive_state: Ints, _fault: Ints, age: Ints,
+    rejected: int, _tick: int, _blind: Flags,
+    q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, residual: float,
+    _wrench: Array, condition: float, hop: float,
+    _p_d: Array, _R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
+    _t: float, tau: Array,
+    limits: Array, period_ns: int, stop_on_loss: int,
+    memory: Ints, history: Array, lows: Array, highs: Array, limited: Array,
+) -> tuple[int, int, bool]:  # fmt: skip
+    """Fill the limited forces (6,) N; return fault bits, warning bits, and whether a stop is asked for.
+
+    The tick as in hil.signals, in the order of its values; limits: see `Safety`. Changes memory and the force
+    window. Fills nothing where the drives are off.
+    """
+    warnings = 0
+    late = is_late(lateness_ns, period_ns)
+    memory[LATE] = late_history(memory[LATE], late, skipped)
+    memory[MISSED] = missed_run(memory[MISSED], skipped)
+    memory[REFUSED] = refusals(memory[REFUSED], sends_failed)
+    losing = recorder_losing(recorder_alive != 0, dropped, memory[DROPPED])
+    memory[DROPPED] = dropped
+    if late:
+        warnings |= _WARN_LATE
+    if is_degraded(memory[LATE]):
+        warnings |= _WARN_DEGRADED
+    if losing:
+        warnings |= _WARN_RECORDER
+    if rejected > 0:
+        warnings |= _WARN_REJECTED
+    if bus_noisy(bus_errors, bus_overflow, sends_failed):
+        warnings |= _WARN_BUS
+    faults, more, memory[RUNNING] = judge_state(
+        mode, memory[RUNNING], age, drive_state, length, rate, force,
+        q, dq, p, R, twist, J, residual, condition, hop,
+        q_d, dq_d, ddq_d, twist_d, dtwist_d, limits,
+    )  # fmt: skip
+    warnings |= more
+    if mode < _LOADING or mode > _UNLOADING:
+        history[:] = 0.0
+        lows[:] = 0.0
+        highs[:] = 0.0
+        return faults, warnings, False
+    if bus_down(bus_off != 0, memory[REFUSED]):
+        faults |= _BUS
+    law, more, memory[NEWEST] = limit_effort(
+        tau, history, lows, highs, memory[NEWEST], skipped, limits[11], limits[12], limits[13], limited
+    )
+    stop = too_many_missed(memory[MISSED]) or (losing and stop_on_loss != 0)
+    return faults | law, warnings | more, bool(stop)

@@ -5,7 +5,7 @@ Rule of the room: see `hil.safety`. Each rule is written so that a value that is
 
 from __future__ import annotations
 
-from hil.compile_cache import helper
+from drivers.compile_cache import helper
 
 HOP = 1.0
 """Measure of a hop from which a pose cannot be told from another assembly's; see `hil.estimate`."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compile_cache import helper
 from drivers.signals import DriveState
-from hil.compile_cache import helper
 
 Ints = NDArray[np.int64]
 
@@ -19,16 +19,25 @@ _BOOT, _RUN, _FAULT = int(DriveState.BOOT), int(DriveState.RUN), int(DriveState.
 @helper
 def stale(age: Ints, limit: int) -> bool:
     """Tell whether some leg's last fresh feedback is `limit` ticks old or older. age (6,) ticks."""
-    return bool(np.any(age >= limit))
+    for ticks in age:  # noqa: SIM110 - compiled
+        if ticks >= limit:
+            return True
+    return False
 
 
 @helper
 def drive_lost(state: Ints) -> bool:
     """Tell whether some drive reports FAULT, or BOOT: it restarted under load. state (6,) DriveState."""
-    return bool(np.any((state == _FAULT) | (state == _BOOT)))
+    for said in state:  # noqa: SIM110 - compiled
+        if said in (_FAULT, _BOOT):
+            return True
+    return False
 
 
 @helper
 def all_running(state: Ints) -> bool:
     """Tell whether all drives report RUN. state (6,) DriveState."""
-    return bool(np.all(state == _RUN))
+    for said in state:  # noqa: SIM110 - compiled
+        if said != _RUN:
+            return False
+    return True

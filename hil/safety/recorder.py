@@ -5,8 +5,11 @@ Rule of the room: see `hil.safety`.
 
 from __future__ import annotations
 
+from drivers.compile_cache import helper
 
-def recorder_losing(alive: bool, dropped: int, dropped_before: float) -> bool:
+
+@helper
+def recorder_losing(alive: bool, dropped: int, dropped_before: int) -> bool:
     """Tell whether the recorder is dead or has lost ticks since the last look."""
     return not alive or dropped > dropped_before
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compile_cache import helper
+from drivers.compile_cache import helper
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,10 @@ def speed_cap(distance: float, deceleration: float) -> float:
 @helper
 def beyond_hard_end(q: Array, length_min: float, length_max: float) -> bool:
     """Tell whether some leg length q (6,) m is outside the hard ends."""
-    return bool(np.any((q < length_min) | (q > length_max)))
+    for length in q:  # noqa: SIM110 - compiled
+        if length < length_min or length > length_max:
+            return True
+    return False
 
 
 @helper
@@ -44,4 +47,7 @@ def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, dece
 @helper
 def overspeed(dq: Array, limit: float) -> bool:
     """Tell whether some leg rate dq (6,) m/s is above the limit in size."""
-    return bool(np.any(np.abs(dq) > limit))
+    for rate in dq:  # noqa: SIM110 - compiled
+        if abs(rate) > limit:
+            return True
+    return False

@@ -5,19 +5,22 @@ Rule of the room: see `hil.safety`. Integer arithmetic on what the tick says abo
 
 from __future__ import annotations
 
-HISTORY = 32
-"""Ticks that are remembered."""
+from drivers.compile_cache import helper
+from hil.safety.history import HISTORY, ones
+
 DEGRADED_AT = 8
 """Late ones among them that make a degraded loop."""
 MISSED_AT = 5
 """Periods missed in a row that ask for a controlled stop."""
 
 
+@helper
 def is_late(lateness_ns: int, period_ns: int) -> bool:
     """Tell whether a tick woke up more than a fifth of a period late."""
     return 5 * lateness_ns > period_ns
 
 
+@helper
 def late_history(history: int, late: bool, skipped: int) -> int:
     """Return the last HISTORY ticks as bits, 1 late, newest lowest; a skipped period counts as late."""
     for _ in range(min(skipped, HISTORY)):
@@ -25,11 +28,13 @@ def late_history(history: int, late: bool, skipped: int) -> int:
     return (2 * history + late) % (1 << HISTORY)
 
 
+@helper
 def is_degraded(history: int) -> bool:
     """Tell whether DEGRADED_AT or more of the remembered ticks were late."""
-    return history.bit_count() >= DEGRADED_AT
+    return ones(history) >= DEGRADED_AT
 
 
+@helper
 def missed_run(run: int, skipped: int) -> int:
     """Return the periods missed in a row, from their number so far and those skipped before this tick.
 
@@ -38,6 +43,7 @@ def missed_run(run: int, skipped: int) -> int:
     return run + skipped if skipped > 0 else 0
 
 
+@helper
 def too_many_missed(run: int) -> bool:
     """Tell whether the run of missed periods asks for a controlled stop."""
     return run >= MISSED_AT

@@ -7,61 +7,114 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from drivers.errors import ConfigurationError
 from hil.config import (
+    Evaluated,
     HoldReference,
+    LiveReference,
+    MultisineReference,
     Pose,
     ReferenceSettings,
     SampledReference,
     SinusoidReference,
+    TimeOptimalReference,
     WaypointReference,
 )
 from hil.trajectory.holding import hold_words
-from hil.trajectory.path import Trajectory, require_half_turn, six_words
+from hil.trajectory.live import LiveTrajectory
+from hil.trajectory.multisine import multisine_trajectory
+from hil.trajectory.path import Trajectory, axis_limits, require_half_turn, six_words
 from hil.trajectory.sampled import sampled_trajectory
 from hil.trajectory.sinusoids import SinusoidTrajectory
+from hil.trajectory.tabulated import TabulatedTrajectory, require_end
+from hil.trajectory.time_optimal import plan, planned_trajectory
 from hil.trajectory.waypoints import waypoint_trajectory
 
+UNTIMED_S = 1e-3
+"""Period of a live reference that is only looked at."""
 
-def _hold(settings: HoldReference, home: Pose, folder: Path | None) -> Trajectory:  # noqa: ARG001
-    chi = six_words(settings.pose or home)
+
+class Context(NamedTuple):
+    """What a trajectory is built with, beside its own settings."""
+
+    home: Pose
+    """The platform's home pose: default of hold, sinusoids, multisine and live."""
+    folder: Path | None
+    """That of the configuration file, to which a CSV path is relative; without one a CSV is refused."""
+    period_s: float
+    """Of the loop."""
+    plan: bytes | None
+    """The plan that a log carries; None plans anew."""
+
+
+def _hold(settings: HoldReference, context: Context) -> Trajectory:
+    chi = six_words(settings.pose or context.home)
     require_half_turn(float(np.linalg.norm(chi[3:])), "reference.pose.rotation_vector_deg")
     return hold_words(chi, settings.duration_s)
 
 
-def _waypoints(settings: WaypointReference, home: Pose, folder: Path | None) -> Trajectory:  # noqa: ARG001
+def _waypoints(settings: WaypointReference, context: Context) -> Trajectory:  # noqa: ARG001
     return waypoint_trajectory(settings)
 
 
-def _sinusoids(settings: SinusoidReference, home: Pose, folder: Path | None) -> Trajectory:  # noqa: ARG001
-    return SinusoidTrajectory(settings, home)
+def _time_optimal(settings: TimeOptimalReference, context: Context) -> Trajectory:
+    return planned_trajectory(context.plan or plan(settings), settings.periods)
 
 
-def _sampled(settings: SampledReference, home: Pose, folder: Path | None) -> Trajectory:  # noqa: ARG001
-    if folder is None:
+def _sinusoids(settings: SinusoidReference, context: Context) -> Trajectory:
+    return SinusoidTrajectory(settings, context.home)
+
+
+def _multisine(settings: MultisineReference, context: Context) -> Trajectory:
+    return multisine_trajectory(settings, context.home)
+
+
+def _sampled(settings: SampledReference, context: Context) -> Trajectory:
+    if context.folder is None:
         raise ConfigurationError(
             f"reference.path: {settings.path} needs the configuration's folder; there is none here."
         )
-    return sampled_trajectory(settings, folder)
+    return sampled_trajectory(settings, context.folder)
+
+
+def _live(settings: LiveReference, context: Context) -> Trajectory:
+    chi = six_words(settings.start or context.home)
+    require_half_turn(float(np.linalg.norm(chi[3:])), "reference.start.rotation_vector_deg")
+    return LiveTrajectory(chi, axis_limits(settings.limits), context.period_s)
 
 
 BUILDERS: dict[type, Callable[..., Trajectory]] = {
     HoldReference: _hold,
     WaypointReference: _waypoints,
+    TimeOptimalReference: _time_optimal,
     SinusoidReference: _sinusoids,
+    MultisineReference: _multisine,
     SampledReference: _sampled,
+    LiveReference: _live,
 }
 """Settings model -> builder."""
 
 
-def build_trajectory(settings: ReferenceSettings, home: Pose, folder: Path | None) -> Trajectory:
+def build_trajectory(
+    settings: ReferenceSettings,
+    home: Pose,
+    folder: Path | None,
+    period_s: float | None = None,
+    recorded: bytes | None = None,
+) -> Trajectory:
     """Return the trajectory of the `reference` section.
 
-    home: the platform's home pose, the default of hold and sinusoids; folder: that of the configuration
-    file, to which a CSV path is relative; without one a CSV is refused. Raises ConfigurationError on what
-    cannot be a trajectory.
+    home: the platform's home pose; folder: that of the configuration file; period_s: of the loop (None: only
+    to look at the path, nothing is evaluated beforehand); recorded: the plan in a log. Raises
+    ConfigurationError on what cannot be a trajectory.
     """
-    return BUILDERS[type(settings)](settings, home, folder)
+    trajectory = BUILDERS[type(settings)](settings, Context(home, folder, period_s or UNTIMED_S, recorded))
+    if isinstance(settings, Evaluated) and settings.evaluation == "offline":
+        require_end(trajectory)
+        if period_s is not None:
+            return TabulatedTrajectory(trajectory, period_s)
+    return trajectory

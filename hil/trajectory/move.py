@@ -7,39 +7,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.compile_cache import MATRIX, REAL, VECTOR, kernel
-from hil.rotations import rotation_motion_kernel, rotation_vector_kernel
-from hil.trajectory.path import Array, Kernel, PoseSample, quintic
+from drivers.compile_cache import MATRIX, REAL, VECTOR, kernel
+from hil.rotations import relative_rotation, rotation_motion
+from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, quintic
+from hil.vectors import at, scale
 
 
-@kernel(MATRIX, MATRIX)
-def relative_rotation(R0: Array, R1: Array) -> Array:
-    """Rotation vector (3,) rad, base frame, of the shortest turn from R0 to R1: log(R1 R0^T)."""
-    product = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            product[i, j] = R1[i, 0] * R0[j, 0] + R1[i, 1] * R0[j, 1] + R1[i, 2] * R0[j, 2]
-    return rotation_vector_kernel(product)
-
-
-@kernel(REAL, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
-def evaluate(t: float, p0: Array, R0: Array, dp: Array, phi: Array, duration: float) -> Kernel:
-    """Return p, R, twist, dtwist of p = p0 + s dp, R = exp([s phi]) R0, with s the quintic of t/duration."""
+@kernel(REAL, VECTOR, MATRIX, VECTOR, VECTOR, REAL, *SAMPLE)
+def evaluate(
+    t: float, p0: Array, R0: Array, dp: Array, phi: Array, duration: float,
+    p: Array, R: Array, twist: Array, dtwist: Array,
+) -> None:  # fmt: skip
+    """Fill p, R, twist, dtwist of p = p0 + s dp, R = exp([s phi]) R0, with s the quintic of t/duration."""
     moving = 0.0 <= t <= duration
     s, ds, dds = quintic(min(max(t / duration, 0.0), 1.0))
     if not moving:
         ds = dds = 0.0
     ds /= duration
     dds /= duration * duration
-    turn, omega, domega = rotation_motion_kernel(s * phi, ds * phi, dds * phi)
-    p, R, twist, dtwist = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6)
+    along = at(phi, 0)
+    turn = np.empty((3, 3))
+    omega, domega = rotation_motion(scale(s, along), scale(ds, along), scale(dds, along), turn)
     for i in range(3):
         p[i] = p0[i] + s * dp[i]
         for j in range(3):
             R[i, j] = turn[i, 0] * R0[0, j] + turn[i, 1] * R0[1, j] + turn[i, 2] * R0[2, j]
         twist[i], twist[3 + i] = ds * dp[i], omega[i]
         dtwist[i], dtwist[3 + i] = dds * dp[i], domega[i]
-    return p, R, twist, dtwist
 
 
 class GeodesicMove:
@@ -53,7 +47,9 @@ class GeodesicMove:
 
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""
-        return PoseSample(*evaluate(t, self._p0, self._R0, self._dp, self._phi, self.duration_s))
+        sample = blank()
+        evaluate(t, self._p0, self._R0, self._dp, self._phi, self.duration_s, *sample)
+        return sample
 
 
 def quintic_move(p0: Array, R0: Array, p1: Array, R1: Array, duration_s: float) -> GeodesicMove:

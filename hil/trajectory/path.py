@@ -11,13 +11,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compile_cache import OUT_MATRIX, OUT_VECTOR, helper
 from drivers.errors import ConfigurationError
-from hil.compile_cache import helper
-from hil.config import Pose
-from hil.rotations import rotation_motion_kernel
+from hil.config import AxisLimits, Pose
+from hil.rotations import rotation_motion
+from hil.vectors import at
 
 Array = NDArray[np.float64]
-Kernel = tuple[Array, Array, Array, Array]
+SAMPLE = (OUT_VECTOR, OUT_MATRIX, OUT_VECTOR, OUT_VECTOR)
+"""The arguments of a kernel that fills p, R, twist, dtwist: returning them would cost 0.3 us each."""
 
 
 class PoseSample(NamedTuple):
@@ -33,6 +35,11 @@ class PoseSample(NamedTuple):
     """(6,) m/s^2, rad/s^2."""
 
 
+def blank() -> PoseSample:
+    """Return a sample that a kernel can fill."""
+    return PoseSample(np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6))
+
+
 class Trajectory(Protocol):
     """A path in time. No state: the same t gives the same bits."""
 
@@ -45,16 +52,13 @@ class Trajectory(Protocol):
 
 
 @helper
-def lift(chi: Array, dchi: Array, ddchi: Array) -> Kernel:
-    """Return p, R, twist, dtwist of a six-word path with value chi, first and second derivative."""
-    p = chi[:3].copy()
-    R, omega, domega = rotation_motion_kernel(chi[3:], dchi[3:], ddchi[3:])
-    twist = np.empty(6)
-    dtwist = np.empty(6)
+def lift(chi: Array, dchi: Array, ddchi: Array, p: Array, R: Array, twist: Array, dtwist: Array) -> None:
+    """Fill p, R, twist, dtwist of a six-word path with value chi, first and second derivative."""
+    omega, domega = rotation_motion(at(chi, 3), at(dchi, 3), at(ddchi, 3), R)
     for i in range(3):
+        p[i] = chi[i]
         twist[i], twist[3 + i] = dchi[i], omega[i]
         dtwist[i], dtwist[3 + i] = ddchi[i], domega[i]
-    return p, R, twist, dtwist
 
 
 @helper
@@ -69,6 +73,21 @@ def quintic(u: float) -> tuple[float, float, float]:
 def six_words(pose: Pose) -> Array:
     """Return chi (6,) of a configured pose: m and rad."""
     return np.concatenate([np.asarray(pose.position_m, float), np.deg2rad(pose.rotation_vector_deg)])
+
+
+def axis_limits(limits: AxisLimits) -> Array:
+    """Return (3, 6): largest velocity, acceleration and jerk of the six words, in m and rad."""
+
+    def words(linear: float | tuple[float, ...], angular: float | tuple[float, ...]) -> Array:
+        return np.concatenate([np.broadcast_to(linear, 3), np.deg2rad(np.broadcast_to(angular, 3))])
+
+    return np.array(
+        [
+            words(limits.velocity_m_s, limits.velocity_deg_s),
+            words(limits.acceleration_m_s2, limits.acceleration_deg_s2),
+            words(limits.jerk_m_s3, limits.jerk_deg_s3),
+        ]
+    )
 
 
 def require_half_turn(angle: float, where: str) -> None:

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.compile_cache import INTEGER, MATRIX, REAL, VECTOR, kernel
-from hil.trajectory.path import Array, Kernel, PoseSample, lift
+from drivers.compile_cache import INTEGER, MATRIX, REAL, VECTOR, kernel
+from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift
 
 DEGREE = 5
 TENSOR = MATRIX.copy(ndim=3)
 
 
-@kernel(REAL, VECTOR, TENSOR, INTEGER)
-def evaluate(t: float, knots: Array, coefficients: Array, periods: int) -> Kernel:
-    """Return p, R, twist, dtwist at t (s) of chi(u) = sum_k c[segment, k] u^k, u in [0, 1] on each segment.
+@kernel(REAL, VECTOR, TENSOR, INTEGER, *SAMPLE)
+def evaluate(
+    t: float, knots: Array, coefficients: Array, periods: int, p: Array, R: Array, twist: Array, dtwist: Array
+) -> None:
+    """Fill p, R, twist, dtwist at t (s) of chi(u) = sum_k c[segment, k] u^k, u in [0, 1] on each segment.
 
     knots (n + 1,) s from 0; coefficients (n, 6, 6) by segment, power, word; `periods` passes, 0 is for ever.
     At a knot the segment that begins there counts, except at the very end.
@@ -38,7 +40,8 @@ def evaluate(t: float, knots: Array, coefficients: Array, periods: int) -> Kerne
             high = middle
     h = knots[low + 1] - knots[low]
     u = (local - knots[low]) / h
-    chi, dchi, ddchi = np.zeros(6), np.zeros(6), np.zeros(6)
+    motion = np.zeros((3, 6))
+    chi, dchi, ddchi = motion[0], motion[1], motion[2]
     for word in range(6):
         value = rate = curvature = 0.0
         for k in range(DEGREE, -1, -1):
@@ -49,7 +52,7 @@ def evaluate(t: float, knots: Array, coefficients: Array, periods: int) -> Kerne
         if moving:
             dchi[word] = rate / h
             ddchi[word] = curvature / (h * h)
-    return lift(chi, dchi, ddchi)
+    lift(chi, dchi, ddchi, p, R, twist, dtwist)
 
 
 class PiecewisePolynomial:
@@ -63,9 +66,12 @@ class PiecewisePolynomial:
         self._knots = np.array(knots, float)
         self._coefficients = np.array(coefficients, float)
         self._periods = 0 if periods is None else periods
-        self.duration_s = None if periods is None else periods * float(self._knots[-1])
+        self.period_s = float(self._knots[-1])
+        self.duration_s = None if periods is None else periods * self.period_s
         self.sample(0.0)
 
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""
-        return PoseSample(*evaluate(t, self._knots, self._coefficients, self._periods))
+        sample = blank()
+        evaluate(t, self._knots, self._coefficients, self._periods, *sample)
+        return sample

@@ -20,12 +20,12 @@ from hil.trajectory.waypoints import require_closed
 HEADER = ("t_s", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 
 
-def read_samples(path: Path) -> tuple[Array, Array]:
-    """Read a CSV of poses; return times (n,) s from 0 and chi (n, 6) m, rad.
+def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
+    """Read a CSV of poses; return times (n,) s and chi (n, 6) m, rad.
 
-    Blank lines are skipped; the first row's time is taken as 0. Raises ConfigurationError with every problem
-    as `file:line: ...`: the file cannot be read, its header is another, a value is no finite number, times
-    do not increase, or fewer than two rows are there.
+    Blank lines are skipped. Raises ConfigurationError with every problem as `file:line: ...`: the file cannot
+    be read, its header is another, a value is no finite number, times do not increase, or fewer than
+    `at_least` rows are there.
     """
     rows: list[list[float]] = []
     problems: list[str] = []
@@ -44,14 +44,14 @@ def read_samples(path: Path) -> tuple[Array, Array]:
                         problems.append(f"{path}:{lines.line_num}: {problem}")
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}.") from error
-    if len(rows) < 2:
-        problems.append(f"{path}: {len(rows)} row(s) of samples; a path needs at least 2.")
+    if len(rows) < at_least:
+        problems.append(f"{path}: {len(rows)} row(s) of poses; at least {at_least} must be there.")
     if problems:
         raise ConfigurationError(*problems)
     table = np.array(rows)
     chi = table[:, 1:].copy()
     chi[:, 3:] = np.deg2rad(chi[:, 3:])
-    return table[:, 0] - table[0, 0], chi
+    return table[:, 0].copy(), chi
 
 
 def _row(words: list[str], before: float) -> tuple[list[float], str]:
@@ -110,10 +110,12 @@ def spline_coefficients(t: Array, y: Array) -> Array:
 def sampled_trajectory(settings: SampledReference, folder: Path) -> PiecewisePolynomial:
     """Return the spline through the rows of `settings.path` (relative to `folder`), at rest at both ends.
 
-    Raises ConfigurationError; see `read_samples`; also when a repeated path does not close.
+    The first row's time is taken as 0. Raises ConfigurationError; see `read_poses`; also when a repeated path
+    does not close.
     """
     path = folder / settings.path
-    t, chi = read_samples(path)
+    t, chi = read_poses(path, at_least=2)
+    t = t - t[0]
     require_half_turn(float(np.linalg.norm(chi[:, 3:], axis=1).max()), str(path))
     require_closed(chi, settings.periods, str(path))
     return PiecewisePolynomial(t, spline_coefficients(t, chi), settings.periods)

@@ -10,14 +10,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compile_cache import INTEGERS, MATRIX, REAL, VECTOR, helper, kernel
 from drivers.errors import ConfigurationError
-from hil.compile_cache import INTEGER, MATRIX, REAL, VECTOR, helper, kernel
 from hil.config import Pose, SinusoidReference
-from hil.trajectory.path import Array, Kernel, PoseSample, lift, quintic, require_half_turn, six_words
+from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift, quintic, require_half_turn, six_words
 from hil.trig import sincos
 
 AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
-WORDS = VECTOR.copy(dtype=INTEGER)
 _TURN = 2.0 * math.pi
 
 
@@ -33,11 +32,12 @@ def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
     return 1.0, 0.0, 0.0
 
 
-@kernel(REAL, VECTOR, WORDS, MATRIX, REAL, REAL)
+@kernel(REAL, VECTOR, INTEGERS, MATRIX, REAL, REAL, *SAMPLE)
 def evaluate(
-    t: float, centre: Array, axis: NDArray[np.int64], wave: Array, duration: float, ramp: float
-) -> Kernel:
-    """Return p, R, twist, dtwist at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase).
+    t: float, centre: Array, axis: NDArray[np.int64], wave: Array, duration: float, ramp: float,
+    p: Array, R: Array, twist: Array, dtwist: Array,
+) -> None:  # fmt: skip
+    """Fill p, R, twist, dtwist at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase).
 
     centre (6,) m, rad; axis (n,) word of each component; wave (n, 3) amplitude (m or rad), Hz, rad.
     """
@@ -56,16 +56,18 @@ def evaluate(
         if moving:
             dchi[k] += de * x + e * dx
             ddchi[k] += dde * x + 2.0 * de * dx + e * ddx
-    return lift(chi, dchi, ddchi)
+    lift(chi, dchi, ddchi, p, R, twist, dtwist)
 
 
 class SinusoidTrajectory:
     """chi(t) = centre + e(t) sum of a sin(2 pi f t + phase) on single words, e(t) fading in and out.
 
-    With `ramp_s` 0 it starts and ends at speed. Raises ConfigurationError when the two ramps do not fit.
+    With `ramp_s` 0 it starts and ends at speed. Raises ConfigurationError when the two ramps do not fit, or a
+    turn could be too large.
     """
 
-    def __init__(self, settings: SinusoidReference, home: Pose) -> None:
+    def __init__(self, settings: SinusoidReference, home: Pose, largest: Array | None = None) -> None:
+        """Take the largest deviation (6,) m, rad from the centre; by default the sum of the amplitudes."""
         if 2.0 * settings.ramp_s > settings.duration_s:
             raise ConfigurationError(
                 f"reference.ramp_s: fading in and out takes 2 x {settings.ramp_s:g} s, more than duration_s "
@@ -86,11 +88,15 @@ class SinusoidTrajectory:
             ],
             float,
         )
-        reach = np.abs(self._centre)
-        np.add.at(reach, self._axis, np.abs(self._wave[:, 0]))
-        require_half_turn(float(np.linalg.norm(reach[3:])), "reference.components")
+        if largest is None:
+            largest = np.zeros(6)
+            np.add.at(largest, self._axis, np.abs(self._wave[:, 0]))
+        turn = np.abs(self._centre[3:]) + largest[3:]
+        require_half_turn(float(np.linalg.norm(turn)), "reference: centre and amplitudes")
         self.sample(0.0)
 
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""
-        return PoseSample(*evaluate(t, self._centre, self._axis, self._wave, self.duration_s, self._ramp))
+        sample = blank()
+        evaluate(t, self._centre, self._axis, self._wave, self.duration_s, self._ramp, *sample)
+        return sample

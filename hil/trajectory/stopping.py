@@ -5,7 +5,7 @@ Rule of the room: see `hil.trajectory`.
 
 from __future__ import annotations
 
-from hil.compile_cache import REAL, VECTOR, kernel
+from drivers.compile_cache import REAL, VECTOR, kernel
 from hil.trajectory.path import Array, PoseSample, Trajectory
 
 

@@ -1,23 +1,42 @@
-"""Rest-to-rest segments through way-points.
+"""Paths through way-points at given times.
 
 Rule of the room: see `hil.trajectory`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from drivers.errors import ConfigurationError
 from hil.config import Pose, WaypointReference
+from hil.trajectory.minimum_jerk import minimum_jerk_coefficients
 from hil.trajectory.path import Array, require_half_turn, six_words
 from hil.trajectory.piecewise import PiecewisePolynomial
 
-SCALING = {"cubic": (0.0, 0.0, 3.0, -2.0, 0.0, 0.0), "quintic": (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)}
+CUBIC = (0.0, 0.0, 3.0, -2.0, 0.0, 0.0)
+QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 """Coefficients of the scaling function s(u), s(0) = 0, s(1) = 1, with no speed at either end."""
 SAME = 1e-9
 """m and rad: how far the last point may lie from the first one when the list is repeated."""
+
+
+def rest_to_rest(s: tuple[float, ...], t: Array, chi: Array) -> Array:  # noqa: ARG001
+    """Coefficients (n - 1, 6, 6) of straight segments through chi (n, 6), scaled by s(u)."""
+    coefficients = np.array(s)[None, :, None] * np.diff(chi, axis=0)[:, None, :]
+    coefficients[:, 0, :] = chi[:-1]
+    return coefficients
+
+
+INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
+    "cubic": partial(rest_to_rest, CUBIC),
+    "quintic": partial(rest_to_rest, QUINTIC),
+    "minimum_jerk": minimum_jerk_coefficients,
+}
+"""Name -> coefficients [segment, power, word] from times (n,) and points (n, 6)."""
 
 
 def require_closed(chi: Array, periods: int | None, where: str) -> None:
@@ -34,10 +53,11 @@ def require_closed(chi: Array, periods: int | None, where: str) -> None:
 
 
 def waypoint_trajectory(settings: WaypointReference) -> PiecewisePolynomial:
-    """Return the path chi_k + (chi_k+1 - chi_k) s(u) through the points; before the first point it holds.
+    """Return the path through the points; before the first point it holds.
 
-    The rotation vector is interpolated like the position. Raises ConfigurationError when the times do not
-    increase, or when a repeated path does not close.
+    Cubic and quintic rest at every point: chi_k + (chi_k+1 - chi_k) s(u). Minimum jerk rests at the first
+    and the last one. The rotation vector is interpolated like the position. Raises ConfigurationError when
+    the times do not increase, or when a repeated path does not close.
     """
     times = [point.t_s for point in settings.points]
     for k, (t0, t1) in enumerate(pairwise(times)):
@@ -54,11 +74,11 @@ def waypoint_trajectory(settings: WaypointReference) -> PiecewisePolynomial:
     )
     for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
         require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
+    require_closed(chi, settings.periods, "reference.points")
+    coefficients = INTERPOLATIONS[settings.interpolation](np.array(times), chi)
     if times[0] > 0.0:
         times.insert(0, 0.0)
-        chi = np.vstack([chi[:1], chi])
-    require_closed(chi, settings.periods, "reference.points")
-    s = np.array(SCALING[settings.interpolation])
-    coefficients = s[None, :, None] * np.diff(chi, axis=0)[:, None, :]
-    coefficients[:, 0, :] = chi[:-1]
+        wait = np.zeros_like(coefficients[:1])
+        wait[0, 0] = chi[0]
+        coefficients = np.concatenate([wait, coefficients])
     return PiecewisePolynomial(np.array(times), coefficients, settings.periods)

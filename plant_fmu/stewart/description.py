@@ -236,7 +236,7 @@ def build_description(sources: Sequence[str]) -> bytes:
         configuration,
         "SourceFileSet",
         language="C99",
-        compilerOptions="-O2 -funroll-loops -ffp-contract=off -std=c99",
+        compilerOptions="-O2 -funroll-loops -ffp-contract=off -fno-math-errno -std=c99",
     )
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import ast
+import doctest
 import pkgutil
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 NAME = re.compile(r"`((?:hil|drivers|plant_fmu)(?:\.[A-Za-z_]\w*)+)`")
+TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
+EXAMPLE = re.compile(r"```pycon\n(.*?)```", re.DOTALL)
 FILE = re.compile(
     r"`((?:configs|docs|drivers|hil|plant_fmu|tests|tools)/[\w./-]+\.\w+|Makefile|pyproject\.toml|requirements[\w-]*\.lock)`"
 )
@@ -32,3 +37,39 @@ def test_every_name_in_a_page_exists(page):
 
 def test_the_theory_page_names_functions():
     assert len(NAME.findall((ROOT / "docs/theory/equations.md").read_text())) >= 12
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_test_in_a_page_exists(page):
+    named = TEST.findall(page.read_text())
+    missing = [(file, name) for file, name in named if name not in functions(ROOT / file)]
+    assert not missing
+
+
+def functions(file):
+    if not file.is_file():
+        return set()
+    return {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)}
+
+
+def test_the_theory_names_tests_and_the_chapter_its_pages():
+    theory = {page.name: page.read_text() for page in PAGES if page.parent.name == "theory"}
+    assert sum(len(TEST.findall(text)) for text in theory.values()) >= 30
+    linked = set(re.findall(r"\[\]\((\w+\.md)\)", "".join(theory.values())))
+    assert linked | {"chapter.md", "equations.md"} == set(theory)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if EXAMPLE.search(page.read_text())],
+    ids=lambda page: page.relative_to(ROOT).as_posix(),
+)
+def test_the_examples_of_a_page_say_what_it_says(page):
+    """All of one page in order, with one set of names."""
+    text = "\n".join(EXAMPLE.findall(page.read_text()))
+    examples = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    assert examples.examples
+    heard: list[str] = []
+    with np.printoptions():
+        doctest.DocTestRunner().run(examples, out=heard.append)
+    assert not heard, "".join(heard)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,13 +12,13 @@ from hypothesis import strategies as st
 from drivers.bustime import (
     FD_LENGTHS,
     BitTiming,
-    Wire,
     arbitrate,
     budget,
     check,
     frame_bits,
     frame_time_ns,
     priority,
+    transmit,
 )
 from drivers.errors import BusError, ConfigurationError
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
@@ -225,16 +226,31 @@ def test_the_bus_never_idles_while_a_frame_waits_and_the_best_one_goes_first(fra
         free = end
 
 
-def test_wire_gives_answers_their_turn():
-    wire: Wire[str] = Wire()
-    wire.queue(1000, priority(0x80, 0), 50, "sync")
-    assert wire.advance(1000) == [(1050, "sync")]
-    for leg in (3, 1, 2):
-        wire.queue(1050, priority(0x180 + leg, 0), 65, f"leg {leg}")
-    wire.queue(1060, priority(0x100, 0), 100, "command")
-    assert wire.advance(1114) == [(1115, "leg 1")]
-    assert len(wire) == 3
-    assert wire.advance(5000) == [(1215, "command"), (1280, "leg 2"), (1345, "leg 3")]
-    wire.queue(6000, 1, 10, "late")
-    assert wire.clear() == ["late"]
-    assert wire.advance(9000) == []
+def test_answers_get_their_turn():
+    first = [(1000, priority(0x80, 0), 0, 50, "sync")]
+    assert transmit(first, 0, 999) == ([], first, 0)
+    assert transmit(first, 0, 1000) == ([(1050, first[0])], [], 1050)
+    queued = [(1050, priority(0x180 + leg, 0), leg, 65, f"leg {leg}") for leg in (3, 1, 2)]
+    queued.append((1060, priority(0x100, 0), 4, 100, "command"))
+    sent, left, free = transmit(queued, 1050, 1114)
+    assert [(end, entry[-1]) for end, entry in sent] == [(1115, "leg 1")]
+    assert free == 1115
+    sent, left, free = transmit(left, free, 5000)
+    assert [(end, entry[-1]) for end, entry in sent] == [(1215, "command"), (1280, "leg 2"), (1345, "leg 3")]
+    assert (left, free) == ([], 1345)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 5), st.integers(1, 200)), max_size=20),
+    st.lists(st.integers(0, 2000), max_size=5),
+)
+def test_looking_in_between_changes_nothing(frames, looks):
+    queued = [(t, key, i, duration) for i, (t, key, duration) in enumerate(frames)]
+    at_once, left, _ = transmit(queued, 100, 1 << 40)
+    assert left == []
+    pieces: list[Any] = []
+    free = 100
+    for until in [*sorted(looks), 1 << 40]:
+        sent, queued, free = transmit(queued, free, until)
+        pieces += sent
+    assert pieces == at_once

@@ -34,7 +34,7 @@ from drivers.protocol import (
     Rejected,
     Status,
 )
-from drivers.signals import NEVER, Command, DriveMode, DriveState, Reaction, no_measurement
+from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Reaction, no_measurement
 
 DATABASE: Any = cantools.database.load_file(Path(drivers.__file__).with_name("legs.dbc"))
 P = {layout: LegsProtocol(layout, (1, 2, 3, 4, 5, 6)) for layout in LAYOUTS}
@@ -84,24 +84,32 @@ def test_dbc_loads_in_strict_cantools_without_a_warning(caplog):
         warnings.simplefilter("error")
         database: Any = cantools.database.load_string(legs_dbc(), "dbc", strict=True)
     assert not caplog.records
-    assert len(database.messages) == 36
+    assert len(database.messages) == 39
 
 
-def test_arbitration_order_is_estop_sync_command_feedback_config_status():
-    order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "CONFIG", "STATUS")
+def test_arbitration_order_is_estop_sync_command_feedback_sensors_config_status():
+    order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "TRACKER", "IMU", "WRENCH", "CONFIG", "STATUS")
     kinds = [m.name.split("_")[0] for m in sorted(DATABASE.messages, key=lambda m: m.frame_id)]
     assert list(dict.fromkeys(kinds)) == list(order)
 
 
 def test_every_quantity_has_unit_and_range_and_every_enumeration_its_names():
-    units = {"Force": "N", "Length": "m", "Rate": "m/s", "Watchdog": "s"}
+    drives = {"Force": "N", "Length": "m", "Rate": "m/s", "Watchdog": "s"}
+    sensors = {
+        "TRACKER": dict.fromkeys("XYZ", "m") | dict.fromkeys(("RX", "RY", "RZ"), "rad"),
+        "IMU": dict.fromkeys(("WX", "WY", "WZ"), "rad/s") | dict.fromkeys(("FX", "FY", "FZ"), "m/s^2"),
+        "WRENCH": dict.fromkeys(("FX", "FY", "FZ"), "N") | dict.fromkeys(("MX", "MY", "MZ"), "N m"),
+    }
+    choices = {"Source", "Mode", "State", "Invalid", "Fault", "Reaction", "Validity"}
     for message in DATABASE.messages:
+        kind = sensors.get(message.name.split("_")[0])
+        units = drives if kind is None else kind | {"Offset": "s"}
         for signal in message.signals:
             assert signal.minimum is not None, signal
             assert signal.maximum is not None, signal
             assert signal.minimum < signal.maximum, signal
             assert signal.unit == units.get(signal.name.rstrip("123456")), signal
-            assert bool(signal.choices) == (signal.name in {"Source", "Mode", "State", "Fault", "Reaction"})
+            assert bool(signal.choices) == (signal.name in choices)
 
 
 def test_drive_enumerations_have_the_names_of_the_dbc():
@@ -116,13 +124,15 @@ def test_drive_enumerations_have_the_names_of_the_dbc():
 
 def test_fd_attributes_and_cycle_times():
     for message in DATABASE.messages:
+        sensors = {"TRACKER_7": 5, "IMU_8": 2, "WRENCH_9": 1}
         fd = message.name.startswith(("COMMAND_FD", "COMMAND_IDEAL", "FEEDBACK_FD", "FEEDBACK_IDEAL"))
+        fd = fd or message.name in sensors
         assert message.is_fd == fd
         attributes = message.dbc.attributes
         assert str(attributes["CANFD_BRS"].value) == "1" if fd else "CANFD_BRS" not in attributes, message
         cyclic = message.name.startswith(("SYNC", "COMMAND", "FEEDBACK"))
         status = message.name.startswith("STATUS")
-        assert message.cycle_time == (1 if cyclic else 100 if status else None)
+        assert message.cycle_time == sensors.get(message.name, 1 if cyclic else 100 if status else None)
 
 
 # set-up
@@ -248,7 +258,7 @@ def test_a_feedback_under_another_identifier_is_refused(layout):
 
 
 @all_layouts
-@pytest.mark.parametrize("state", range(5, 16))
+@pytest.mark.parametrize("state", [5, 6, 7, 13, 14, 15])
 def test_an_unknown_state_is_refused(layout, state):
     at = {"classic": 6, "fd": 10, "ideal": 24}[layout]
     frame = resealed(feedback(layout, 5), at, state << 4 | 5)
@@ -374,6 +384,29 @@ def test_decode_leaves_the_previous_measurement_alone():
     assert (after.length[0], after.fault[0]) == (2.0, 2)
 
 
+# decode: encoders that are lost
+
+
+@all_layouts
+def test_a_length_that_its_drive_calls_invalid_does_not_count_but_state_and_force_do(layout):
+    before = P[layout].decode(received(feedback(layout, 5, length=1.5)), 5, no_measurement())
+    frame = feedback(layout, 6, length=1.9, state=DriveState.READY | INVALID)
+    after = P[layout].decode(received(frame, feedback(layout, 6, leg=1)), 6, before)
+    assert (after.length[0], after.rate[0], after.age[0]) == (before.length[0], before.rate[0], 1)
+    assert (after.state[0], after.rejected) == (DriveState.READY, 0)
+    assert after.blind.tolist() == [True, False, False, False, False, False]
+    assert after.force[0] == before.force[0] == (0.0 if layout == "classic" else 1000.0)
+    assert not P[layout].decode((), 7, after).blind.any(), "it is this tick's word"
+
+
+def test_an_old_feedback_without_a_length_says_nothing_and_a_valid_one_ends_the_loss():
+    frame = feedback("fd", 4, state=DriveState.RUN | INVALID)
+    late = P["fd"].decode(received(frame), 5, no_measurement())
+    assert (late.blind[0], late.age[0], late.rejected, late.state[0]) == (False, NEVER, 0, DriveState.BOOT)
+    back = P["fd"].decode(received(feedback("fd", 6)), 6, late)
+    assert (back.blind[0], back.age[0]) == (False, 0)
+
+
 # device side
 
 
@@ -450,7 +483,8 @@ def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, sta
     values = message.decode(frame.data, decode_choices=False)
     assert (values["Length"], values["Rate"]) == got[:2]
     assert (values["State"], values["Counter"]) == (state, tick & 15)
-    exact = {"Length": length, "Rate": rate, "Counter": tick & 15, "State": int(state), "CRC": values["CRC"]}
+    exact = {"Length": length, "Rate": rate, "Counter": tick & 15, "State": int(state), "Invalid": 0}
+    exact["CRC"] = values["CRC"]
     if "Force" in values:
         assert values["Force"] == got[2]
         exact["Force"] = force
@@ -488,3 +522,23 @@ def test_configuration_round_trip(watchdog_s, reaction):
         parsed: Any = P["fd"].parse(frame)
         assert (parsed.leg, parsed.reaction) == (leg, reaction)
         assert parsed.watchdog_s == pytest.approx(watchdog_s, abs=0.51e-6)
+
+
+@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
+def test_six_feedbacks_at_once_are_those_of_each_drive_alone(layout):
+    length, rate, force = np.linspace(1.0, 2.0, 6), np.linspace(-0.5, 0.5, 6), np.linspace(-9e3, 9e3, 6)
+    state = np.array([0, 1, 2, 3, 4, 3 | INVALID], np.int64)
+    together = P[layout].feedbacks(length, rate, force, state, 0x2B)
+    alone = [
+        P[layout].feedback(Feedback(leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB))
+        for leg in range(6)
+    ]
+    assert together == alone
+    assert [frame.id for frame in together] == sorted({frame.id for frame in together})
+
+
+@all_layouts
+@pytest.mark.parametrize("legs", [0, 5, 7])
+def test_a_command_for_another_number_of_legs_is_refused(layout: str, legs: int) -> None:
+    with pytest.raises(ProtocolError, match="does not fit"):
+        P[layout].command(Command(DriveMode.RUN, np.zeros(legs)), 0)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import drivers
+from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.dbc import LegsProtocol
 from drivers.protocol import (
     BRS,
@@ -26,11 +27,16 @@ from drivers.protocol import (
     Status,
     Sync,
 )
-from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction, no_measurement
+from drivers.sensors import SensorProtocol
+from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction, no_measurement
 
 DATABASE: Any = cantools.database.load_file(Path(drivers.__file__).with_name("legs.dbc"))
 NODES = (1, 2, 3, 4, 5, 6)
 P = {layout: LegsProtocol(layout, NODES) for layout in ("classic", "fd", "ideal")}
+S = SensorProtocol(
+    BusSettings(),
+    SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings()),
+)
 CLASSIC_FORCE = np.array([1000.0, -2000.0, 60_000.0, 2.0, -2.0, -60_000.0])
 FD_FORCE = np.array([1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256])
 IDEAL_FORCE = np.array([1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75])
@@ -133,7 +139,7 @@ VECTORS = [
         0,
         # 1.5/1e-7 = 15000000 = 0x00E4E1C0; -0.25/1e-4 = -2500 = 0x10000 - 0x09C4 = 0xF63C; state 3 above counter 7
         "C0 E1 E4 00  3C F6  37  F3",
-        {"Length": 1.5, "Rate": -0.25, "Counter": 7, "State": 3, "CRC": 0xF3},
+        {"Length": 1.5, "Rate": -0.25, "Counter": 7, "State": 3, "Invalid": 0, "CRC": 0xF3},
     ),
     Vector(
         "FEEDBACK_FD_2",
@@ -142,7 +148,32 @@ VECTORS = [
         FD | BRS,
         # 12345678 = 0x00BC614E; -0.25/1e-7 = -2500000 = 2^32 - 0x002625A0 = 0xFFD9DA60; 1234/2 = 617 = 0x0269
         "4E 61 BC 00  60 DA D9 FF  69 02  37  41",
-        {"Length": 1.2345678, "Rate": -0.25, "Force": 1234, "Counter": 7, "State": 3, "CRC": 0x41},
+        {
+            "Length": 1.2345678,
+            "Rate": -0.25,
+            "Force": 1234,
+            "Counter": 7,
+            "State": 3,
+            "Invalid": 0,
+            "CRC": 0x41,
+        },
+    ),
+    Vector(
+        "FEEDBACK_FD_2",
+        P["fd"].feedback(Feedback(1, 1.2345678, -0.25, 1234.0, DriveState.RUN | INVALID, 7)),
+        0x282,
+        FD | BRS,
+        # as before; the highest bit of byte 10 says that length and rate are of no use
+        "4E 61 BC 00  60 DA D9 FF  69 02  B7  67",
+        {
+            "Length": 1.2345678,
+            "Rate": -0.25,
+            "Force": 1234,
+            "Counter": 7,
+            "State": 3,
+            "Invalid": 1,
+            "CRC": 0x67,
+        },
     ),
     Vector(
         "FEEDBACK_IDEAL_1",
@@ -151,7 +182,74 @@ VECTORS = [
         FD | BRS,
         # 1.5 -> 0x3FF8...; -0.25 = -2^-2 -> 0xBFD0...; 60000 as in the command
         "00 00 00 00 00 00 F8 3F  00 00 00 00 00 00 D0 BF  00 00 00 00 00 4C ED 40  37  00 00 00 00 00 00  13",
-        {"Length": 1.5, "Rate": -0.25, "Force": 60_000, "Counter": 7, "State": 3, "CRC": 0x13},
+        {"Length": 1.5, "Rate": -0.25, "Force": 60_000, "Counter": 7, "State": 3, "Invalid": 0, "CRC": 0x13},
+    ),
+    Vector(
+        "TRACKER_7",
+        S.encode("tracker", (0.25, -0.5, 1.0, 0.1, -0.2, 3.0), TICK, 0.012345, 7),
+        0x407,
+        FD | BRS,
+        # in 0.1 um: 2500000 = 0x002625A0; -5000000 = 2^32 - 0x004C4B40 = 0xFFB3B4C0; 10000000 = 0x00989680;
+        # in 2 nrad: 50000000 = 0x02FAF080; -100000000 = 2^32 - 0x05F5E100 = 0xFA0A1F00; 1500000000 = 0x59682F00;
+        # 12345 us = 0x3039; Cycle; valid above counter 7; three zero bytes
+        "A0 25 26 00  C0 B4 B3 FF  80 96 98 00  80 F0 FA 02  00 1F 0A FA  00 2F 68 59  39 30  A7  07  00 00 00  F4",
+        {
+            "X": 0.25,
+            "Y": -0.5,
+            "Z": 1.0,
+            "RX": 0.1,
+            "RY": -0.2,
+            "RZ": 3.0,
+            "Offset": 0.012345,
+            "Cycle": 167,
+            "Counter": 7,
+            "Validity": 0,
+            "CRC": 0xF4,
+        },
+    ),
+    Vector(
+        "IMU_8",
+        S.encode("imu", (1.5, -0.25, 0.002, -9.81, 0.5, 65.534), TICK, 400e-6, 15),
+        0x488,
+        FD | BRS,
+        # in 0.2 mrad/s: 7500 = 0x1D4C; -1250 = 0x10000 - 0x04E2 = 0xFB1E; 10; in 2 mm/s^2: -4905 = 0x10000 - 0x1329 =
+        # 0xECD7; 250 = 0x00FA; 32767 = 0x7FFF; 400 us = 0x0190; Cycle; valid above counter 15; three zero bytes
+        "4C 1D  1E FB  0A 00  D7 EC  FA 00  FF 7F  90 01  A7  0F  00 00 00  5E",
+        {
+            "WX": 1.5,
+            "WY": -0.25,
+            "WZ": 0.002,
+            "FX": -9.81,
+            "FY": 0.5,
+            "FZ": 65.534,
+            "Offset": 400e-6,
+            "Cycle": 167,
+            "Counter": 15,
+            "Validity": 0,
+            "CRC": 0x5E,
+        },
+    ),
+    Vector(
+        "WRENCH_9",
+        S.encode("wrench", (1234.567, -0.001, -60_000.0, 100.5, 0.0, -2.5), 256, 0.0, 16),
+        0x509,
+        FD | BRS,
+        # in mN and mN m: 1234567 = 0x0012D687; -1; -60000000 = 0xFC6C7900; 100500 = 0x00018894; 0; -2500 =
+        # 2^32 - 0x09C4 = 0xFFFFF63C; Cycle 256 mod 256 and counter 16 mod 16 are 0
+        "87 D6 12 00  FF FF FF FF  00 79 6C FC  94 88 01 00  00 00 00 00  3C F6 FF FF  00 00  00  00  00 00 00  24",
+        {
+            "FX": 1234.567,
+            "FY": -0.001,
+            "FZ": -60_000,
+            "MX": 100.5,
+            "MY": 0,
+            "MZ": -2.5,
+            "Offset": 0,
+            "Cycle": 0,
+            "Counter": 0,
+            "Validity": 0,
+            "CRC": 0x24,
+        },
     ),
 ]
 by_message = pytest.mark.parametrize("vector", VECTORS, ids=lambda v: v.message)
@@ -212,20 +310,21 @@ def test_drives_read_the_vectors():
     assert isinstance(configure, Configure)
     assert (configure.leg, configure.reaction) == (2, Reaction.HOLD)
     assert configure.watchdog_s == pytest.approx(0.0125, rel=1e-15)
-    assert P["classic"].parse(frame_of("COMMAND_CLASSIC_A")) == DeviceCommand(
-        (0, 1, 2), DriveMode.RUN, (1000.0, -2000.0, 60_000.0), 7
-    )
-    assert P["classic"].parse(frame_of("COMMAND_CLASSIC_B")) == DeviceCommand(
-        (3, 4, 5), DriveMode.RUN, (2.0, -2.0, -60_000.0), 7
-    )
+    for half, expected in (
+        ("A", ((0, 1, 2), DriveMode.RUN, [1000.0, -2000.0, 60_000.0], 7)),
+        ("B", ((3, 4, 5), DriveMode.RUN, [2.0, -2.0, -60_000.0], 7)),
+    ):
+        classic = P["classic"].parse(frame_of(f"COMMAND_CLASSIC_{half}"))
+        assert isinstance(classic, DeviceCommand)
+        assert (classic.legs, classic.mode, classic.force.tolist(), classic.counter) == expected
     fd = P["fd"].parse(frame_of("COMMAND_FD"))
     assert isinstance(fd, DeviceCommand)
     assert fd.legs == (0, 1, 2, 3, 4, 5)
     assert fd.force == pytest.approx((1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256), rel=1e-15)
     ideal = P["ideal"].parse(frame_of("COMMAND_IDEAL"))
-    assert ideal == DeviceCommand(
-        (0, 1, 2, 3, 4, 5), DriveMode.RUN, (1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75), 7
-    )
+    assert isinstance(ideal, DeviceCommand)
+    assert (ideal.legs, ideal.mode, ideal.counter) == ((0, 1, 2, 3, 4, 5), DriveMode.RUN, 7)
+    assert ideal.force.tolist() == [1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75]
 
 
 @pytest.mark.parametrize(

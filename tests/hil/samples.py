@@ -4,7 +4,7 @@ import numpy as np
 
 from drivers.protocol import BRS, ESI, EXTENDED, FD, Frame, Received
 from hil.log import Tick
-from hil.signals import ROW
+from hil.signals import ROW, SetPoint
 
 FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED)
 CAN_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -37,13 +37,18 @@ def random_ticks(count, seed=1, dtype=ROW):
         )
         sent = tuple(random_frame(rng) for _ in range(rng.integers(4)))
         operator = tuple(int(k) for k in rng.integers(1, 5, rng.integers(3))) if rng.random() < 0.05 else ()
-        ticks.append(Tick(row, received, sent, operator))
+        setpoints = tuple(
+            SetPoint(*rng.normal(size=6)) for _ in range(rng.integers(3) * (rng.random() < 0.05))
+        )
+        ticks.append(Tick(row, received, sent, operator, setpoints))
     return ticks
 
 
 def record(recording, ticks):
     for tick in ticks:
-        recording.tick(np.asarray(tick.row), tick.received, tick.sent, tick.operator)
+        recording.tick(
+            np.asarray(tick.row), tick.received, tick.sent, tick.operator, setpoints=tick.setpoints
+        )
 
 
 def assert_same(found, expected):
@@ -52,3 +57,4 @@ def assert_same(found, expected):
     for a, b in zip(found, expected, strict=True):
         assert a.row.tobytes() == b.row.tobytes()
         assert (a.received, a.sent, a.operator) == (b.received, b.sent, b.operator)
+        assert a.setpoints == b.setpoints

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.config import WrenchSensorSettings
 from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Feedback, Received
 from drivers.signals import DriveMode, DriveState
 from hil.app.compose import build_cycle
@@ -54,8 +55,8 @@ class Drives:
 
 
 class Bench:
-    def __init__(self):
-        c = load("virtual")
+    def __init__(self, c=None):
+        c = c or load("virtual")
         self.cycle = build_cycle(c, 1000.0, 0.01)
         parts = self.cycle.parts
         self.drives = Drives(parts.protocol, leg_lengths(parts.platform, parts.home_p, parts.home_R))
@@ -162,6 +163,54 @@ def test_a_fault_latches_through_engage_and_leaves_by_reset(bench):
     bench.step((Operator.RESET,))
     assert bench.cycle.faults == Fault.NONE
     bench.until(Mode.APPROACH)
+
+
+def test_a_reset_with_a_fused_pose_looks_for_it_where_it_was_and_not_at_home():
+    c = load("virtual")
+    bench = Bench(c.model_copy(update={"estimation": c.estimation.model_copy(update={"pose": "fused"})}))
+    parts = bench.cycle.parts
+    for _ in range(100):
+        bench.step()
+    aside = parts.home_p + np.array([0.05, -0.03, 0.02])
+    for share in np.linspace(0.0, 1.0, 500):
+        p = parts.home_p + share * (aside - parts.home_p)
+        bench.drives.length = leg_lengths(parts.platform, p, parts.home_R)
+        bench.step()
+    for _ in range(100):
+        row = bench.step().row
+    np.testing.assert_allclose(row["p"], aside, atol=1e-5)
+    bench.step((Operator.ESTOP,))
+    while bench.tick % 20 != 3:  # before the tick at which the legs are asked
+        row = bench.step((Operator.RESET,)).row
+    assert not bench.cycle.fusing
+    np.testing.assert_allclose(row["p"], aside, atol=1e-5)
+    for _ in range(50):
+        row = bench.step().row
+    assert bench.cycle.fusing
+    np.testing.assert_allclose(row["p"], aside, atol=1e-5)
+
+
+def test_a_reset_forgets_the_load_of_a_sensor_that_fell_silent():
+    c = load("virtual")
+    sensors = c.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=100.0)})
+    source = c.estimation.wrench.model_copy(update={"source": "sensor"})
+    estimation = c.estimation.model_copy(update={"wrench": source})
+    bench = Bench(c.model_copy(update={"sensors": sensors, "estimation": estimation}))
+    protocol = bench.cycle.parts.sensors
+    assert protocol is not None
+    sample = protocol.encode("wrench", (100.0, 0, -300.0, 0, 20.0, 0), 0, 0.0, 0)
+    said = (*bench.drives.feedback(0), Received(300_000, sample))
+    row = bench.step(frames=said).row
+    np.testing.assert_allclose(row["wrench"], [100.0, 0, -300.0, 0, 20.0, 0])
+    for _ in range(100):
+        row = bench.step().row
+    np.testing.assert_allclose(row["wrench"], [100.0, 0, -300.0, 0, 20.0, 0])
+    assert int(row["warnings"]) & Warn.SENSOR
+    bench.step((Operator.ESTOP,))
+    bench.step((Operator.RESET,))
+    row = bench.step().row
+    assert not row["wrench"].any()
+    assert int(row["warnings"]) & Warn.SENSOR
 
 
 def test_an_emergency_stop_goes_to_the_wire_first(bench):

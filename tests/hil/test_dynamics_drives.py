@@ -13,14 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ModelError
 from hil.config import InverseDynamicsSettings, ModelSettings
-from hil.control import build_law
+from hil.control import LawContext, build_law
 from hil.dynamics import Model, Variant
 from hil.geometry import Platform
 from hil.kernels.dynamics import joint_idc_kernel
 from hil.kinematics import KinematicsError
 from hil.reference import complete
 from hil.signals import State
-from hil.trajectory import PoseSample
+from hil.trajectory import PoseSample, hold
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
@@ -220,9 +220,10 @@ def test_the_configured_law_believes_in_the_configured_drives(per_leg):
     reference = complete(platform, PoseSample(p, R, twist, dtwist))
     state = State(reference.q, reference.dq, p, R, twist, J, 0, 0.0)
     dq, ddq = np.array(e["rates"]), np.array(e["length_accels"])
-    legs = np.array(e["leg_forces"]) + np.linalg.solve(J.T, wrench)  # the law knows of no wrench
+    legs = np.array(e["leg_forces"]) + np.linalg.solve(J.T, wrench)  # the state has no wrench
     expected = legs + m * ddq + b * dq + c * np.sign(dq)
-    assert relative(build_law(settings, platform, "none").effort(state, reference).tau, expected) <= 1e-9
+    context = LawContext(platform, "none", 1e-3, hold(p, R))
+    assert relative(build_law(settings, context).effort(state, reference, np.zeros(6)).tau, expected) <= 1e-9
 
 
 @pytest.mark.parametrize("name", ["reflected_mass", "viscous", "coulomb", "sliding_speed"])

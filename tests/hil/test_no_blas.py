@@ -12,9 +12,22 @@ FEEDS_THE_CYCLE = sorted(
     [
         *(
             HIL / name
-            for name in ("cycle.py", "estimate.py", "motion.py", "reference.py", "rotations.py", "trig.py")
+            for name in (
+                "cycle.py",
+                "estimate.py",
+                "fused_pose.py",
+                "fusion.py",
+                "kernels/fusion.py",
+                "motion.py",
+                "reference.py",
+                "rotations.py",
+                "row.py",
+                "trig.py",
+            )
         ),
-        *(HIL / name for name in ("inertia.py", "joints.py", "vectors.py", "app/platform.py")),
+        *(HIL / name for name in ("inertia.py", "joints.py", "rotations.py", "trig.py", "vectors.py")),
+        HIL / "kernels/fusion.py",
+        HIL / "app/platform.py",
         *(HIL / "control").glob("*.py"),
         *(HIL / "safety").glob("*.py"),
     ]

@@ -84,8 +84,12 @@ def test_protobuf_reads_every_column_and_frame_as_it_was_given(tmp_path):
         assert {name for name in bits if getattr(parsed, name)} == {
             name for name, bit in bits.items() if frame.flags & bit
         }
-    commands = [d.command for topic, _, d in messages if topic == "/operator"]
-    assert commands == [command for tick in ticks for command in tick.operator]
+    given = [(d.command, tuple(d.setpoint)) for topic, _, d in messages if topic == "/operator"]
+    commands: list[tuple[int, tuple[float, ...]]] = []
+    for tick in ticks:
+        commands += [(command, ()) for command in tick.operator]
+        commands += [(5, tuple(setpoint)) for setpoint in tick.setpoints]
+    assert given == commands
     assert commands
 
 

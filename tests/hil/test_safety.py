@@ -8,7 +8,18 @@ import pytest
 from drivers.signals import DriveState, Measurement
 from hil.config import LimitSettings
 from hil.safety import guard
-from hil.signals import Effort, Estimate, Fault, Mode, Reference, State, TickInput, Warn
+from hil.signals import (
+    NO_FUSION,
+    Effort,
+    Estimate,
+    Fault,
+    Fusion,
+    Mode,
+    Reference,
+    State,
+    TickInput,
+    Warn,
+)
 
 POWERED = (
     Mode.LOADING,
@@ -61,7 +72,7 @@ class Bench:
                 np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6), np.full(6, 5.0), np.zeros(6), np.zeros(6)
             ),
         }  # fmt: skip
-        quality: dict[str, Any] = {"condition": 2.0, "hop": 0.0}
+        quality: dict[str, Any] = {"condition": 2.0, "hop": 0.0, "fusion": NO_FUSION}
         for name, value in changes.items():
             part, _, field = name.partition("__")
             if part in quality:
@@ -350,6 +361,16 @@ def test_guard_window_counts_what_came_after_skipped_periods():
     assert [float(bench.tick(tau=leg(a), inp__skipped=n).tau[3]) for a, n in asked] == [50.0, 80.0, 30.0, 0.0]
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_guard_window_starts_anew_in_every_part_of_it(sign):
+    bench = Bench(rate_Hz=160.0)
+    for _ in range(15):
+        bench.tick(tau=leg(sign * 30.0))
+    bench.tick(Mode.IDLE)
+    sent = [sign * bench.tick(tau=leg(sign * 100.0)).tau[3] for _ in range(30)]
+    assert sent == [50.0] + [80.0] * 29
+
+
 def test_guard_window_counts_the_last_tick():
     bench = Bench()
     limits = LIMITS.model_copy(update={"force_step_N": 1e6})
@@ -407,3 +428,28 @@ def test_guard_repeats_to_the_bit_after_reset():
     first = run()
     bench.safety.reset()
     assert run() == first
+
+
+UNSURE = Fusion(warnings=Warn.ENCODER, faults=Fault.UNCERTAIN)
+
+
+@pytest.mark.parametrize("mode", POWERED)
+def test_guard_passes_on_what_the_filter_warns_and_faults_beside_its_own(mode):
+    verdict = Bench().tick(mode, fusion=UNSURE, condition=60.0, inp__bus_errors=1)
+    assert verdict.warnings == Warn.ENCODER | Warn.BUS
+    assert verdict.faults & Fault.UNCERTAIN
+    assert verdict.faults & Fault.CONDITION
+
+
+@pytest.mark.parametrize("mode", OFF)
+def test_guard_warns_of_the_filter_without_force_but_does_not_fault(mode):
+    verdict = Bench().tick(mode, fusion=UNSURE)
+    assert verdict.warnings == Warn.ENCODER
+    assert not verdict.faults
+
+
+def test_guard_judges_the_ages_that_the_filter_excuses():
+    old = np.array([9, 0, 0, 0, 0, 0])
+    assert Bench().tick(measurement__age=old).faults & Fault.STALE
+    excused = Fusion(ages=np.zeros(6, np.int64))
+    assert not Bench().tick(measurement__age=old, fusion=excused).faults

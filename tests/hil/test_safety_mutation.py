@@ -19,10 +19,23 @@ import pytest
 import hil.safety
 
 PACKAGE = Path(hil.safety.__file__).parent
-FAMILIES = ["finite", "legs", "bus", "recorder", "kinematics", "stroke", "following", "timing", "effort"]
+FAMILIES = [
+    "history",
+    "finite",
+    "legs",
+    "bus",
+    "recorder",
+    "kinematics",
+    "stroke",
+    "following",
+    "timing",
+    "effort",
+]
 TOGETHER = ["kernels", "guard"]
 
 EQUIVALENT = {
+    "effort 16: 16 one more": "blocks of any size have the same extremes",
+    "effort 16: 16 less": "blocks of any size have the same extremes",
     "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",
 }
 """Changes that no test can notice, by their name, with the reason."""
@@ -223,7 +236,7 @@ def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
     links = plain_links()
 
     def exchange(kernels: ModuleType) -> None:
-        functions = {k: getattr(kernels, k) for k in ("judge_state", "limit_effort")}
+        functions = {k: getattr(kernels, k) for k in ("judge_tick",)}
         module.guard = load("guard", source_of("guard"), {**links, **functions})  # type: ignore[attr-defined]
 
     left = survivors("kernels", module, exchange, "test_guard_")

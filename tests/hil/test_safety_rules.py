@@ -3,11 +3,13 @@
 A test is named after the file of the rule: the mutation test runs those of a file against changed copies of it.
 """
 
+import math
+
 import numpy as np
 import pytest
 
 from drivers.signals import NEVER, DriveState
-from hil.safety import bus, effort, finite, following, kinematics, legs, recorder, stroke, timing
+from hil.safety import bus, effort, finite, following, history, kinematics, legs, recorder, stroke, timing
 
 ON_ONE_LEG = pytest.mark.parametrize("leg", range(6))
 
@@ -38,6 +40,15 @@ def test_finite_finds_one_bad_number_anywhere(shape, bad):
         y = x.copy()
         y[index] = bad
         assert not finite.all_finite(y)
+
+
+# -- history
+
+
+def test_history_counts_the_ones():
+    for bits in (0, 1, 2, 3, 4, 0b1011, 1 << 31, (1 << 32) - 1):
+        assert history.ones(bits) == bits.bit_count()
+    assert history.ones((1 << 40) - 1) == 32
 
 
 # -- legs
@@ -259,20 +270,26 @@ def test_effort_moves_at_most_a_step_from_the_last_one(leg, sign):
     np.testing.assert_array_equal(last, six(7.0))
 
 
+def test_effort_window_has_the_extremes_of_all_its_rows():
+    for rows in (1, 5, effort.BLOCK, effort.BLOCK + 1, 3 * effort.BLOCK - 2):
+        blocks = math.ceil(rows / effort.BLOCK)
+        history, lows, highs = np.zeros((rows, 6)), np.zeros((blocks, 6)), np.zeros((blocks, 6))
+        random = np.random.default_rng(rows)
+        for tick in range(2 * rows):
+            effort.remember(random.normal(size=6), tick % rows, history, lows, highs)
+            low, high = effort.window_extremes(lows, highs)
+            np.testing.assert_array_equal(low, history.min(axis=0))
+            np.testing.assert_array_equal(high, history.max(axis=0))
+
+
 @ON_ONE_LEG
-def test_effort_window_has_the_extremes_of_the_filled_rows_only(leg):
-    history = np.zeros((5, 6))
-    history[:, leg] = [3.0, -4.0, 5.0, 90.0, -90.0]
-    low, high = effort.window_extremes(history, 3)
-    np.testing.assert_array_equal(low, six(-4.0, leg))
-    np.testing.assert_array_equal(high, six(5.0, leg))
-    for first in (history, -history):
-        low, high = effort.window_extremes(first, 1)
-        np.testing.assert_array_equal(low, first[0])
-        np.testing.assert_array_equal(high, first[0])
-    low, high = effort.window_extremes(history, 5)
-    np.testing.assert_array_equal(low, six(-90.0, leg))
-    np.testing.assert_array_equal(high, six(90.0, leg))
+def test_effort_window_forgets_a_force_with_its_row(leg):
+    history, lows, highs = np.zeros((40, 6)), np.zeros((3, 6)), np.zeros((3, 6))
+    for tick in range(120):
+        effort.remember(six(7.0 if tick == 50 else 0.0, leg), tick % 40, history, lows, highs)
+        low, high = effort.window_extremes(lows, highs)
+        np.testing.assert_array_equal(low, six(0.0))
+        np.testing.assert_array_equal(high, six(7.0 if 50 <= tick < 90 else 0.0, leg))
 
 
 @ON_ONE_LEG

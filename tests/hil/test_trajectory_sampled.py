@@ -73,7 +73,7 @@ def test_periods_repeat_a_closed_path_and_refuse_an_open_one(tmp_path):
         ("", r"path.csv:1: the header must be t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg; given: nothing"),
         (ROWS, r"path.csv:1: the header must be .*; given: 0,0,0,1,0,0,0"),
         (HEADER.replace("rx_deg", "rx_rad") + ROWS, r"path.csv:1: .*rx_rad"),
-        (HEADER, r"path.csv: 0 row\(s\) of samples; a path needs at least 2"),
+        (HEADER, r"path.csv: 0 row\(s\) of poses; at least 2 must be there"),
         (HEADER + "0,0,0,1,0,0,0\n", r"path.csv: 1 row\(s\)"),
         (HEADER + "0,0,0,1,0,0\n1,0,0,1,0,0,0\n", r"path.csv:2: 6 values; 7 are needed"),
         (

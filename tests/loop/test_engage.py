@@ -27,6 +27,18 @@ LAWS = {
     "inverse dynamics": "controller:\n  law: inverse_dynamics\n  wn_rad_s: 20\n\n",
     "pd": "controller:\n  law: pd\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n\n",
 }
+GAINS = "kp_N_m: 2.0e+6, kv_N_s_m: 5.0e+4"
+OTHER_LAWS = {
+    "pid": f"controller: {{law: pid, {GAINS}, ki_N_m_s: 2.0e+7, integral_limit_N: 8000}}\n\n",
+    "pd_gravity": f"controller: {{law: pd_gravity, {GAINS}}}\n\n",
+    "cartesian_pd": "controller: {law: cartesian_pd, kp_position_N_m: 1.0e+7, kv_position_N_s_m: 2.0e+5, "
+    "kp_rotation_N_m_rad: 1.0e+7, kv_rotation_N_m_s_rad: 1.0e+5}\n\n",
+    "feedforward_pd online": f"controller: {{law: feedforward_pd, {GAINS}}}\n\n",
+    "feedforward_pd offline": f"controller: {{law: feedforward_pd, {GAINS}, evaluation: offline}}\n\n",
+    "pose_inverse_dynamics": "controller: {law: pose_inverse_dynamics, wn_rad_s: 20}\n\n",
+    "partial_linearisation": "controller: {law: partial_linearisation, wn_rad_s: 20}\n\n",
+}
+"""From one pose only; what a law does at entry depends little on the pose."""
 POSES = {
     "home": ([0.0, 0.0, 1.0], [0.0, 0.0, 0.0]),
     "10 cm aside, 8 degrees about y": ([0.1, 0.0, 1.0], [0.0, 8.0, 0.0]),
@@ -40,7 +52,10 @@ STEEPEST = 1.875
 
 def bench(law="inverse dynamics", pose="home"):
     text = load("virtual").text
-    for first, last, new in (("controller:", "engage:", LAWS[law]), ("reference:", "limits:", QUINTIC)):
+    for first, last, new in (
+        ("controller:", "engage:", (LAWS | OTHER_LAWS)[law]),
+        ("reference:", "limits:", QUINTIC),
+    ):
         a, b = text.index("\n" + first) + 1, text.index("\n" + last) + 1
         text = text[:a] + new + text[b:]
     p, r = POSES[pose]
@@ -48,11 +63,15 @@ def bench(law="inverse dynamics", pose="home"):
     return loads(text, "engage.yaml", Path())
 
 
-@pytest.fixture(scope="module", params=itertools.product(LAWS, POSES), ids=": ".join)
+ENTRIES = [*itertools.product(LAWS, POSES), *itertools.product(OTHER_LAWS, ["aside, down and skew"])]
+
+
+@pytest.fixture(scope="module", params=ENTRIES, ids=": ".join)
 def engaged(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("engage") / "run.mcap"
     summary = simulate(bench(*request.param), log=path)
     assert summary["success"], summary
+    assert summary["replay"]["exact"]
     return summary, Log.open(path).rows()
 
 

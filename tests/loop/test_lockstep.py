@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.app.configuration import load
+from drivers.bustime import arbitrate, frame_time_ns, priority
+from drivers.protocol import Frame
+from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
+from hil.app.configuration import load, loads
+from hil.app.lockstep import Lockstep
 from hil.app.sim import simulate
 from hil.log import Log
-from hil.signals import Mode
+from hil.signals import Mode, Operator
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +70,54 @@ def test_a_stop_before_the_drives_are_ready_ends_the_simulation_too(virtual, tmp
     summary = simulate(virtual, log=tmp_path / "short.mcap", duration_s=duration_s)
     assert summary["final_mode"] == "PARKED"
     assert summary["duration_s"] < 1.5
+
+
+@pytest.mark.parametrize("layout", ["fd", "classic"])
+def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monkeypatch):
+    """SYNC, six answers and the commands, in ticks without a status; identifiers not in the order of legs."""
+    text = virtual.text
+    for old, new in (
+        ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [3, 1, 6, 2, 5, 4]"),
+        ("layout: fd", f"layout: {layout}"),
+        ("rate_Hz: 1000", "rate_Hz: 400"),
+        ("watchdog_ms: 10", "watchdog_ms: 25"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    c = loads(text, virtual.name, virtual.folder)
+    cycle, (nodes, plant), timing = build_cycle(c, 400.0, 0.025), build_nodes(c), bit_timing(c)
+    lockstep = Lockstep(cycle, nodes, timing, feedback_window_s(c, 400.0))
+    live = nodes.step
+    answers: list[tuple[int, Frame]] = []
+    got: set[tuple[int, Frame]] = set()
+    expected: set[tuple[int, Frame]] = set()
+
+    def step(t_ns, received):
+        got.update(received)
+        answers[:] = live(t_ns, received)
+        return answers
+
+    monkeypatch.setattr(nodes, "step", step)
+    operator: tuple[Operator, ...] = ()
+    for _ in range(300):
+        inp, opening, out = lockstep.step(operator)
+        operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()
+        got.update(inp.frames)
+        if len(answers) > 6:
+            continue
+        last_ns = max(t_ns for t_ns, frame in inp.frames if frame.id in cycle.parts.protocol.feedback_ids)
+        queued = [(inp.t_ns, frame) for frame in opening] + answers
+        queued += [(last_ns + 60_000, frame) for frame in out.frames]
+        entries = [
+            (t_ns, priority(frame.id, frame.flags), n, frame_time_ns(len(frame.data), frame.flags, timing))
+            for n, (t_ns, frame) in enumerate(queued)
+        ]
+        ends, free_ns = arbitrate(entries, inp.t_ns, inp.t_ns + lockstep.period_ns)
+        assert len(ends) == len(queued)
+        assert free_ns < inp.t_ns + lockstep.period_ns
+        expected.update((end_ns, queued[n][1]) for n, end_ns in ends)
+    lockstep.step()
+    plant.close()
+    assert cycle.mode > Mode.LOADING
+    assert len(expected) > 200 * 8
+    assert expected <= got

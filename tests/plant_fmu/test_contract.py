@@ -152,13 +152,15 @@ def test_an_input_that_is_not_finite_is_refused_and_the_plant_goes_on(plant, val
 def test_truth_agrees_with_the_lengths_where_there_is_one(plant):
     q, _ = plant.reset()
     q, _ = plant.step(FORCE, OPEN, CALM, 0.02)
-    truth = plant.truth()
+    truth, applied = plant.truth(), plant.applied_force()
     if truth is None:
+        assert applied is None
         return
     arms = truth.p + np.array(BOOK["platform_joints"]) @ truth.R.T - np.array(BOOK["base_joints"])
     assert np.linalg.norm(arms, axis=1) == pytest.approx(q, abs=1e-12)
     assert pytest.approx(np.eye(3), abs=1e-12) == truth.R @ truth.R.T
     assert truth.applied_force == pytest.approx(FORCE, rel=1e-9)
+    assert applied.tobytes() == truth.applied_force.tobytes()
 
 
 def test_all_faces_and_isolations_of_our_fmu_give_the_same_bits():

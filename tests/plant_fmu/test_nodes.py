@@ -25,6 +25,7 @@ from drivers.signals import (
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults import (
     EncoderFreeze,
+    EncoderLost,
     EncoderOffset,
     Fault,
     FaultPlan,
@@ -70,6 +71,9 @@ class Masses:
     def truth(self) -> Truth | None:
         return None
 
+    def applied_force(self) -> NDArray[np.float64] | None:
+        return None
+
     def close(self) -> None:
         """Nothing to free."""
 
@@ -112,7 +116,7 @@ class Bench:
         self, t_ns: int, mode: DriveMode, force: float | Sequence[float] = 0.0
     ) -> list[tuple[int, Frame]]:
         self.tick += 1
-        command = Command(mode, np.broadcast_to(np.asarray(force, float), 6))
+        command = Command(mode, np.array(np.broadcast_to(force, 6), float))
         return self.at(t_ns, *self.protocol.command(command, self.tick))
 
     def configure(self, watchdog_s: float = 0.01) -> None:
@@ -552,6 +556,24 @@ def test_frozen_encoder_keeps_its_length_at_rate_zero():
     assert measurement.length[1] - REST[1] == pytest.approx(0.5 * 10 * 3e-3**2, abs=1e-12)
     assert measurement.rate[1] == 0.0
     assert measurement.length[0] - REST[0] == pytest.approx(0.5 * 10 * 8e-3**2, abs=1e-12)
+
+
+def test_a_drive_that_lost_its_encoder_says_so_and_still_obeys():
+    bench = Bench("ideal", faults=[EncoderLost(leg=1, start_s=3e-3)])
+    bench.run(10 * MASS)
+    measurement = bench.sync(8 * MS)
+    assert measurement.blind.tolist() == [False, True, False, False, False, False]
+    assert (measurement.age[1], measurement.state[1], measurement.force[1]) == (1_000_000, 3, 10 * MASS)
+    assert bench.nodes.snapshot().length[1] - REST[1] == pytest.approx(0.5 * 10 * 8e-3**2, abs=1e-12)
+
+
+@pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.DAMP])
+def test_a_drive_without_its_encoder_brakes_where_its_reaction_needs_one(reaction):
+    bench = Bench("ideal", faults=[EncoderLost(leg=1, start_s=3e-3)], reaction=reaction)
+    bench.run(10 * MASS)
+    bench.at(50 * MS)
+    assert bench.nodes.snapshot().fault.tolist() == [DriveFault.WATCHDOG] * 6
+    assert bench.nodes.snapshot().brake.tolist() == [0, 1, 0, 0, 0, 0]
 
 
 def test_swapped_wires_push_the_other_way():

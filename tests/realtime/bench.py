@@ -39,8 +39,8 @@ SHORT = """\
 """A quarter of the book's path in half its time: the same acceleration. One second."""
 PATIENT = {
     "rate_Hz: 1000": "rate_Hz: 500",
-    "watchdog_ms: 10 ": "watchdog_ms: 50 ",
-    "stale_fault_ticks: 5": "stale_fault_ticks: 25",
+    "watchdog_ms: 10 ": "watchdog_ms: 150 ",
+    "stale_fault_ticks: 5": "stale_fault_ticks: 60",
 }
 FIFO = fifo_allowed(80)
 
@@ -50,7 +50,7 @@ def configuration(
 ) -> Path:
     """Write configs/virtual.yaml with a channel and a log folder of the test's own, and `changes` of its text.
 
-    patient: a stall of some milliseconds, as a loaded or a virtual machine has them, faults nothing: half
+    patient: a stall of a tenth of a second, as a loaded or a virtual machine has them, faults nothing: half
     the rate, longer watchdog and stale limit. Without it the timing is the shipped one.
     """
     text = (ROOT / "configs" / "virtual.yaml").read_text()

@@ -54,7 +54,7 @@ def last_command(file: Path, log: Log) -> tuple[int, int]:
 def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
-    file = configuration(tmp_path, {"watchdog_ms: 50 ": "watchdog_ms: 10 "})
+    file = configuration(tmp_path, {"watchdog_ms: 150 ": "watchdog_ms: 10 "})
     run = start("run", str(file), "--plant")
     listen(file).wait_for_motion(run, FAST_m_s)
     family = run.find_family()
@@ -157,7 +157,7 @@ def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
 
 
 def test_a_killed_plant_faults_the_daemon_within_10_ms(tmp_path: Path, start: Start, listen: Listen) -> None:
-    file = configuration(tmp_path, {"stale_fault_ticks: 25": "stale_fault_ticks: 5"})
+    file = configuration(tmp_path, {"stale_fault_ticks: 60": "stale_fault_ticks: 5"})
     run = start("run", str(file), "--plant")
     listen(file).wait_for_motion(run, FAST_m_s)
     family = run.find_family()

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from hil import compile_cache
+from drivers import compile_cache
 from plant_fmu.stewart import build
 from tests.realtime.bench import ROOT, Process, configuration
 

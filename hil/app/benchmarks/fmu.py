@@ -6,15 +6,16 @@ Rule of the room: the same instance, inputs and motion for all of them.
 from __future__ import annotations
 
 import ctypes
-import functools
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.app.benchmarks.bench import Bench
 from hil.app.benchmarks.figures import Figure, Mark, spread
 from hil.app.compose import build_cycle, build_nodes
 from hil.signals import Array
+from plant_fmu.fmu_call import STEP, do_step
 from plant_fmu.fmu_child import ChildHost
 from plant_fmu.fmu_host import FmuHost
 from plant_fmu.plant import Plant
@@ -73,7 +74,7 @@ def _hosted(plant: Plant, force: Array) -> list[int]:
 def _alone(host: FmuHost, force: Array) -> tuple[Array, float]:
     """Return the times of DoStep of the host's instance, ns, less that of an empty call, and the latter."""
     brake, wrench = np.zeros(6), np.zeros(6)
-    do_step, at = host._do_step, host._time  # noqa: SLF001 - the C call without the host around it
+    call = host._call  # noqa: SLF001 - the C call without the host around it
     ticks = round(STEP_S / host.internal_step_s)
     took = []
     for k in range(STEPS):
@@ -81,24 +82,24 @@ def _alone(host: FmuHost, force: Array) -> tuple[Array, float]:
             host.reset()
             host.step(force, brake, wrench, STEP_S)
             tick = ticks
-        at.value = tick * host.internal_step_s
+        t_s = tick * host.internal_step_s
         begun = _now()
-        status = do_step()
+        status = do_step(call, t_s, STEP_S)
         took.append(_now() - begun)
         assert status == 0
         tick += ticks
     host.reset()
-    nothing = _empty_call()
+    nothing = _empty_call(call)
     return np.array(took, float) - nothing, nothing
 
 
-def _empty_call() -> float:
-    """Return what a prepared call into C costs by itself, ns: that of a function that does little."""
-    function = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int)(("abs", ctypes.CDLL(None)))
-    call = functools.partial(function, ctypes.c_int(1))
+def _empty_call(call: NDArray[np.int64]) -> float:
+    """Return what such a call into C costs by itself, ns: that of a function that does little."""
+    little = call.copy()
+    little[STEP] = ctypes.cast(ctypes.CDLL(None).abs, ctypes.c_void_p).value or 0
     took = []
     for _ in range(STEPS):
         begun = _now()
-        call()
+        do_step(little, 0.0, STEP_S)
         took.append(_now() - begun)
     return float(np.median(took))

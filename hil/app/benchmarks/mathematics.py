@@ -63,7 +63,7 @@ def _kernels(law: JointInverseDynamics, path: list[Reference]) -> tuple[Array, A
         located = _now()
         state = State(r.q, r.dq, found.p, found.R, found.twist, found.J, found.iterations, found.residual)
         ready = _now()
-        tau[k] = law.effort(state, r).tau
+        tau[k] = law.effort(state, r, np.zeros(6)).tau
         done = _now()
         times[k] = located - begun, done - ready, done - begun
     return times, tau

@@ -12,7 +12,7 @@
 
 /* What does not change while a simulation runs. SI. */
 typedef struct {
-    double a[LEGS][3], b[LEGS][3]; /* base joints in the base frame, platform joints in the platform frame */
+    double a[3][LEGS], b[3][LEGS]; /* base joints in the base frame, platform joints in the platform frame */
     double mass, com[3], inertia[9];
     double cylinder_mass, cylinder_com, cylinder_axial, cylinder_transverse;
     double rod_mass, rod_com, rod_axial, rod_transverse;

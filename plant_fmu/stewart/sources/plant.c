@@ -92,8 +92,11 @@ static int take_parameters(Plant *plant, char *why)
 {
     const double *v = plant->v;
     Body *body = &plant->body;
-    memcpy(body->a, v + V_base_joints, sizeof body->a);
-    memcpy(body->b, v + V_platform_joints, sizeof body->b);
+    for (int i = 0; i < LEGS; i++)
+        for (int k = 0; k < 3; k++) {
+            body->a[k][i] = v[V_base_joints + 3 * i + k];
+            body->b[k][i] = v[V_platform_joints + 3 * i + k];
+        }
     body->mass = v[V_mass];
     memcpy(body->com, v + V_com, sizeof body->com);
     memcpy(body->inertia, v + V_inertia, sizeof body->inertia);

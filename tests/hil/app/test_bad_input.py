@@ -15,7 +15,7 @@ from hil.cli import main
 from plant_fmu.stewart.build import build
 
 VIRTUAL = load("virtual").text
-FIRST_TIME = "compiling the mathematics, once (about 20 s) ...\n"
+FIRST_TIME = "compiling the mathematics, once (about 45 s) ...\n"
 
 
 def edited(*changes):

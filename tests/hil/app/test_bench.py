@@ -16,6 +16,7 @@ from hil.app.benchmarks import cyclictest, realtime
 from hil.app.benchmarks.bench import CHANNEL, Bench
 from hil.app.benchmarks.figures import Figure, Mark, lines, number, spread
 from hil.app.benchmarks.fmu import fmu
+from hil.app.benchmarks.laws import laws
 from hil.app.benchmarks.lockstep import recorder, replaying, simulation
 from hil.app.benchmarks.memory import memory_figures
 from hil.app.benchmarks.plain import (
@@ -32,10 +33,11 @@ from hil.app.benchmarks.tick import tick
 from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration import load
 from hil.app.sim import simulate
-from hil.control import build_law
+from hil.control import LAWS, LawContext, build_law
 from hil.geometry import Platform
 from hil.replay import replay
 from hil.signals import Mode, Reference, State
+from hil.trajectory import hold
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
@@ -161,9 +163,9 @@ def test_plain_inverse_dynamics_agrees_with_the_engines_and_the_kernel(case):
     tau = joint_inverse_dynamics(PlainRobot.of(platform), PlainPose(p, R, twist, J), ddq)
     wrench = np.array(case["state"]["wrench"])
     assert relative(tau - np.linalg.solve(J.T, wrench), np.array(e["leg_forces"])) < 1e-9
-    law = build_law(load("virtual").controller, platform, "none")
+    law = build_law(load("virtual").controller, LawContext(platform, "none", 1e-3, hold(p, R)))
     here = Reference(p, R, twist, twist, q, dq, ddq)  # dtwist is not the law's to know
-    assert relative(law.effort(State(q, dq, p, R, twist, J, 0, 0.0), here).tau, tau) < 1e-9
+    assert relative(law.effort(State(q, dq, p, R, twist, J, 0, 0.0), here, np.zeros(6)).tau, tau) < 1e-9
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -299,6 +301,13 @@ def test_the_loop_in_real_time_cannot_be_faster_than_the_bus(bench):
     assert figures["dropped ticks"].values[""] == 0.0
     assert 0.0 < figures["recorder's share of a core"].values[""] < 100.0
     assert figures["tick compute"].values["median"] > 0.0
+
+
+def test_every_law_of_the_table_is_timed_and_has_a_mark(bench):
+    figures = {f.name: f for f in laws(bench)}
+    assert set(LAWS) <= set(figures)
+    assert all(f.mark is not None for name, f in figures.items() if not name.startswith("no law"))
+    assert all(0.0 < f.values["median"] <= f.values["p99"] for f in figures.values())
 
 
 # -- the command ---------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from hil.app.check import check, inspect
@@ -83,12 +84,103 @@ def test_the_first_instant_beyond_a_limit_lies_where_the_book_has_it(old, new, m
     assert beyond - 0.05 <= t <= beyond
 
 
+SPIN = """reference:
+  type: waypoints
+  points:
+    - {t_s: 0, position_m: [0, 0, 1]}
+    - {t_s: 2, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 160]}
+"""
+
+
+def spinning(limits=()):
+    """A turn of 160 deg about z: on a platform of this kind J is singular at +-90 deg (Fichter 1986)."""
+    first, last = VIRTUAL.index("\nreference:") + 1, VIRTUAL.index("\nlimits:") + 1
+    text = VIRTUAL[:first] + SPIN + "\n" + VIRTUAL[last:]
+    for old, new in (
+        ("length_min_m: 0.75", "length_min_m: 0.1"),
+        ("length_max_m: 2.2", "length_max_m: 5"),
+        *limits,
+    ):
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return loads(text, "my.yaml")
+
+
+def test_a_path_through_a_singularity_is_refused_with_its_first_instant():
+    """On this platform det J changes its sign at a turn of 90 deg about z, where opposite legs cross."""
+    with pytest.raises(ConfigurationError) as caught:
+        inspect(spinning([("condition: 50 ", "condition: 1e30 ")]))
+    (problem,) = [p for p in caught.value.problems if "the path goes through a singularity of J" in p]
+    t = float(re.findall(r"at t = ([\d.]+) s", problem)[0])
+    u = np.roots([6, -15, 10, 0, 0, -90 / 160])
+    (expected,) = 2 * u[(np.abs(u.imag) < 1e-12) & (u.real > 0) & (u.real < 1)].real
+    assert expected <= t <= expected + 1.1e-3
+
+
+def test_a_path_too_near_to_a_singularity_is_refused_before_it():
+    with pytest.raises(ConfigurationError, match=r"condition of J above limits\.condition 50: 50\.\d"):
+        inspect(spinning())
+
+
+def test_an_acceleration_beyond_its_limit_is_named_with_its_first_instant():
+    c = edited(
+        ("  stroke_margin_m: 0.02\n", "  stroke_margin_m: 0.02\n  acceleration_m_s2: 3\n"),
+        ("interpolation: cubic ", "interpolation: quintic "),
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        inspect(c)
+    (problem,) = caught.value.problems
+    t = float(
+        re.findall(r"at t = ([\d.]+) s: leg \d: acceleration above limits.acceleration_m_s2 3", problem)[0]
+    )
+    a, b = np.array(c.platform.base_joints_m), np.array(c.platform.platform_joints_m)
+    times = np.arange(0.0, 1.0, 1e-3)
+    u = (10 * times**3 - 15 * times**4 + 6 * times**5)[:, None]
+    p = [0, 0, 1] + u * [0.25, 0.5, -0.25]
+    R = Rotation.from_rotvec(u * [5, 10, 15], degrees=True).as_matrix()
+    q = np.linalg.norm(p[:, None] + np.einsum("nij,kj->nki", R, b) - a, axis=2)
+    acceleration = np.gradient(np.gradient(q, times, axis=0), times, axis=0)[3:-3]
+    beyond = times[3:-3][(np.abs(acceleration) > 3).any(axis=1)][0]
+    assert 0.05 < beyond < 0.3
+    assert t == pytest.approx(beyond, abs=1.1e-3)
+
+
 def test_a_step_of_force_that_the_limit_would_cut_is_named_at_the_start():
     with pytest.raises(
         ConfigurationError,
         match=r"at t = 0\.000 s: leg 1: force changes by more than limits\.force_step_N 2000",
     ):
         inspect(edited(("force_step_N: 4000 ", "force_step_N: 2000 ")))
+
+
+SWINGING = """  points:
+    - {t_s: 0, position_m: [0, 0, 1]}
+    - {t_s: 1, position_m: [0, 0, 1.1]}
+    - {t_s: 4, position_m: [0, 0, 0.9]}
+    - {t_s: 5, position_m: [0, 0, 1]}
+
+limits:"""
+
+
+def test_a_jump_of_force_from_one_pass_to_the_next_is_seen():
+    """Up at the end and up at the start: 6 D/h^2 down, then up, twice what either has against rest."""
+    first, last = VIRTUAL.index("  points:"), VIRTUAL.index("limits:  ")
+    text = VIRTUAL[:first] + SWINGING + VIRTUAL[last + len("limits:") :]
+    steps = {
+        periods: inspect(loads(text.replace("periods: 10", f"periods: {periods}"), "my.yaml")).figures[
+            "reference"
+        ]["force_step_N"]
+        for periods in ("1", "2", "null")
+    }
+    assert steps["2"] == steps["null"]
+    # At one pose the force is linear in the acceleration: +0.6 m/s^2 from rest at the start, -0.6 at the end.
+    assert steps["2"] == pytest.approx(2 * steps["1"], rel=1e-3)
+    limited = text.replace("force_step_N: 4000 ", f"force_step_N: {1.5 * steps['1']:.0f} ")
+    inspect(loads(limited.replace("periods: 10", "periods: 1"), "my.yaml"))
+    with pytest.raises(
+        ConfigurationError, match=r"at t = 5\.000 s: leg \d: force changes by more than limits.f"
+    ):
+        inspect(loads(limited, "my.yaml"))
 
 
 def test_a_window_narrower_than_the_paths_own_change_is_named():
@@ -126,6 +218,45 @@ def test_a_simplified_model_is_warned_of(variant):
 
 def test_a_bandwidth_that_the_delay_cannot_carry_is_warned_of():
     assert any("phase margin" in w for w in inspect(edited(("wn_rad_s: 20\n", "wn_rad_s: 200\n"))).warnings)
+
+
+UNCERTAIN = "  uncertainty: {disturbance_m_s2: 13, model_error: 0.1, acceleration_m_s2: 12}\n"
+SLIDING = "  law: sliding_mode\n  reaching_m_s2: 1\n" + UNCERTAIN
+ROBUST = "  law: robust_inverse_dynamics\n  wn_rad_s: 60\n" + UNCERTAIN
+
+
+def with_law(law):
+    return edited(("  law: inverse_dynamics\n", law), ("  wn_rad_s: 20\n", ""), ("  damping_ratio: 1\n", ""))
+
+
+@pytest.mark.parametrize(
+    ("law", "margin_deg"),
+    [
+        # A delay T of 2.296 ms costs 117.9 lambda T degrees of 76.35 where the layer is k / lambda.
+        (SLIDING + "  lambda_rad_s: 92\n", 51.44),
+        (SLIDING + "  lambda_rad_s: 175\n", 28.97),
+        # rho = sqrt(6) 14.2 / 0.9 = 38.65 m/s^2. 0.43 m/s: K_P 8993, K_D 209.9, 214.0 rad/s, 78.7 less 28.2 deg.
+        (ROBUST + "  boundary_layer_m_s: 0.43\n", 50.5),
+        # 0.1 m/s: K_P 26788, K_D 506.5, 509.2 rad/s, 84.1 less 67.0 deg.
+        (ROBUST + "  boundary_layer_m_s: 0.1\n", 17.1),
+    ],
+)
+def test_the_phase_margin_of_a_boundary_layer_is_that_of_its_linear_law(law, margin_deg):
+    report = inspect(with_law(law))
+    assert report.figures["controller"]["phase_margin_deg"] == pytest.approx(margin_deg, abs=0.06)
+    assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
+
+
+def test_a_boundary_layer_says_what_error_it_lets_through():
+    """k = (13 + 0.1 12 + 1) / 0.9 = 16.9 m/s^2, phi = k / 92 = 0.184 m/s, k / 92^2 = 2.00 mm."""
+    lines = inspect(with_law(SLIDING + "  lambda_rad_s: 92\n")).sections["controller"]
+    assert "switching gain 16.9 m/s^2, boundary layer 0.184 m/s: |e| <= 2 mm" in lines
+
+
+def test_a_law_that_switches_is_warned_of():
+    report = inspect(with_law(SLIDING + "  lambda_rad_s: 92\n  boundary_layer_m_s: 0\n"))
+    assert any("it chatters" in w for w in report.warnings)
+    json.dumps(report.to_dict())
 
 
 def test_a_window_shorter_than_the_feedbacks_is_warned_of():

@@ -301,3 +301,9 @@ def test_logs_of_the_same_second_get_names_of_their_own(tmp_path, monkeypatch):
         "bench-20260131T120000-plant.mcap",
         "bench-20260131T120000-2-plant.mcap",
     ]
+
+
+def test_a_set_point_without_its_position_is_refused_and_does_not_wait_for_input():
+    result = hil("setpoint", "virtual", "--rotation", 0, 5, 0)
+    assert result.exit_code == 2
+    assert "--rotation needs --position" in result.output

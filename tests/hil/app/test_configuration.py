@@ -48,8 +48,8 @@ ONE_PROBLEM = [
     ("  wn_rad_s: 20\n", "  wn_rad_s: [1, 2, 3, 4, 5, -6]\n", "-6]", "controller.wn_rad_s[5]: out of range, allowed: a number greater than 0, given: -6"),
     ("  wn_rad_s: 20\n", "  wn_rad_s: quick\n", "quick", 'controller.wn_rad_s: wrong type, allowed: a number greater than 0 or a list of 6 numbers greater than 0, given: "quick"'),
     ("  wn_rad_s: 20\n", "  wn_rad_s: true\n", "true", "controller.wn_rad_s: wrong type"),
-    ("  law: inverse_dynamics\n", "  law: idc\n", "idc", 'controller.law: unknown value, allowed: inverse_dynamics, pd, given: "idc"'),
-    ("  type: waypoints\n", "", "reference:", "reference.type: missing, allowed: hold, sampled, sinusoids, waypoints"),
+    ("  law: inverse_dynamics\n", "  law: idc\n", "idc", "controller.law: unknown value, allowed: cartesian_pd, "),
+    ("  type: waypoints\n", "", "reference:", "reference.type: missing, allowed: hold, "),
     ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5]", "[1, 2, 3, 4, 5]", "drives.node_ids: wrong number of entries, allowed: a list of 6 whole numbers at least 1 and at most 127, given: 5 entries"),
     ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5, 5]", "[1, 2, 3, 4, 5, 5]", "drives.node_ids: two legs have the same node number"),
     ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5, 128]", "128", "drives.node_ids[5]: out of range"),
@@ -60,6 +60,7 @@ ONE_PROBLEM = [
     ("priority: 80", "priority: 80.5", "80.5", "loop.priority: wrong type, allowed: a whole number at least 1 and at most 99, given: 80.5"),
     ('fmi_version: "3.0"', "fmi_version: 3.0", "3.0\n", "plant.model.fmi_version: unknown value, allowed: 2.0, 3.0, given: 3.0"),
     ("variant: full", "variant: constant", "variant: constant", "controller.model: frozen_at is missing"),
+    ("variant: full", "variant: precise", "precise", "controller.model.variant: unknown value, allowed: full, no_H, printed"),
     ("com_m: [0, 0, 0]", "com_m: [0, 0]", "[0, 0]\n", "platform.platform.com_m: wrong number of entries, allowed: a list of 3 numbers, given: 2 entries"),
     ("[0, 0, 285]]", "[0, 0, 28]]", "[[570, 0, 0], [0, 285, 0], [0, 0, 28]]", "platform.platform.inertia_kg_m2: got principal moments 28, 285, 570"),
     ("stale_warn_ticks: 2", "stale_warn_ticks: 6", "force_N: 25000", "limits: stale_warn_ticks is above stale_fault_ticks"),
@@ -91,6 +92,21 @@ def test_an_unreachable_way_point_is_named_with_legs_and_lengths():
         f"my.yaml:{at}: reference.points[1]: out of reach, allowed leg lengths: 0.77 to 2.18 m"
     )
     assert "leg 4 2.5605" in problem
+
+
+OFFLINE = [
+    ("  law: inverse_dynamics\n", "  law: feedforward_pd\n  evaluation: offline\n"),
+    ("  wn_rad_s: 20\n  damping_ratio: 1\n", "  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n"),
+]
+
+
+def test_forces_computed_before_the_run_need_a_reference_that_ends():
+    loads(edited(*OFFLINE), "my.yaml")
+    text = edited(*OFFLINE, ("periods: 10", "periods: null"))
+    (problem,) = problems(text)
+    at = place(text, "offline\n")
+    assert problem.startswith(f"my.yaml:{at}: controller.evaluation: offline needs a reference that ends")
+    loads(text.replace("offline", "online"), "my.yaml")
 
 
 def test_a_home_outside_the_stroke_is_refused():
@@ -297,3 +313,26 @@ def test_platform_dict_has_the_keys_of_the_model():
     assert platform.platform.mass == 1150
     assert d["cylinder"] == {"mass": 85.0, "com": 0.75, "inertia_axial": None, "inertia_transverse": 16.0}
     assert "universal_joint_base_axes" not in d
+
+
+def test_a_wrench_from_a_sensor_needs_the_sensor():
+    text = load("virtual").text + "\nestimation: {wrench: {source: sensor}}\n"
+    with pytest.raises(ConfigurationError, match=r"estimation.wrench.source: there is no sensors.wrench"):
+        loads(text, "virtual.yaml")
+    assert loads(text + "sensors: {wrench: {}}\n", "virtual.yaml").estimation.wrench.source == "sensor"
+
+
+LIVE = """\
+reference:
+  type: live
+  limits: {velocity_m_s: 0.2, velocity_deg_s: 10, acceleration_m_s2: 1, acceleration_deg_s2: 50, jerk_m_s3: 10, jerk_deg_s3: 500}
+"""
+
+
+def test_nothing_looks_ahead_along_a_live_reference():
+    text = load("virtual").text
+    first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+    text = text[:first] + LIVE + text[last:]
+    text = text.replace("    variant: full\n", "    variant: full\n  delay_compensation: {bus_ms: 0.5}\n")
+    with pytest.raises(ConfigurationError, match=r"controller.delay_compensation: looks ahead"):
+        loads(text, "virtual.yaml")

@@ -7,32 +7,90 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
-from hil.config import ControllerSettings, InverseDynamicsSettings, ModelSettings, PDSettings, Pose
-from hil.control import LAWS, build_law
+from hil.config import (
+    CartesianPDSettings,
+    ControllerSettings,
+    FeedforwardPDSettings,
+    InverseDynamicsSettings,
+    ModelSettings,
+    PartialLinearisationSettings,
+    PDGravitySettings,
+    PDSettings,
+    PIDSettings,
+    Pose,
+    PoseInverseDynamicsSettings,
+    RobustInverseDynamicsSettings,
+    SlidingModeSettings,
+    UncertaintySettings,
+)
+from hil.control import LAWS, LawContext, build_law
 from hil.geometry import Platform
 from hil.kinematics import jacobian, leg_lengths
 from hil.reference import complete
 from hil.rotations import rotation_from_vector
 from hil.signals import State
-from hil.trajectory import PoseSample
+from hil.trajectory import PoseSample, hold
 
 BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
+UNCERTAINTY = UncertaintySettings(disturbance_m_s2=10.0)
 SETTINGS: dict[str, ControllerSettings] = {
     "pd": PDSettings(law="pd", kp_N_m=2e6, kv_N_s_m=5e4),
+    "pid": PIDSettings(law="pid", kp_N_m=2e6, kv_N_s_m=5e4, ki_N_m_s=1e7, integral_limit_N=5e3),
+    "pd_gravity": PDGravitySettings(law="pd_gravity", kp_N_m=2e6, kv_N_s_m=5e4),
+    "cartesian_pd": CartesianPDSettings(
+        law="cartesian_pd",
+        kp_position_N_m=1e6,
+        kv_position_N_s_m=1e5,
+        kp_rotation_N_m_rad=1e7,
+        kv_rotation_N_m_s_rad=1e5,
+    ),
+    "feedforward_pd": FeedforwardPDSettings(law="feedforward_pd", kp_N_m=2e6, kv_N_s_m=5e4),
+    "pose_inverse_dynamics": PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0),
+    "partial_linearisation": PartialLinearisationSettings(law="partial_linearisation", wn_rad_s=20.0),
     "inverse_dynamics": InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0),
     "inverse_dynamics, constant": InverseDynamicsSettings(
         law="inverse_dynamics",
         wn_rad_s=20.0,
         model=ModelSettings(variant="constant", frozen_at=Pose(position_m=(0, 0, 1))),
     ),
+    "sliding_mode": SlidingModeSettings(
+        law="sliding_mode", lambda_rad_s=60.0, uncertainty=UNCERTAINTY, reaching_m_s2=1.0
+    ),
+    "sliding_mode, switching": SlidingModeSettings(
+        law="sliding_mode",
+        lambda_rad_s=60.0,
+        uncertainty=UNCERTAINTY,
+        reaching_m_s2=1.0,
+        boundary_layer_m_s=0.0,
+    ),
+    "robust_inverse_dynamics": RobustInverseDynamicsSettings(
+        law="robust_inverse_dynamics", wn_rad_s=40.0, uncertainty=UNCERTAINTY, boundary_layer_m_s=0.2
+    ),
+    "robust_inverse_dynamics, switching": RobustInverseDynamicsSettings(
+        law="robust_inverse_dynamics", wn_rad_s=40.0, uncertainty=UNCERTAINTY, boundary_layer_m_s=0.0
+    ),
 }
+EXACT = (
+    "feedforward_pd",
+    "pose_inverse_dynamics",
+    "inverse_dynamics",
+    "sliding_mode",
+    "sliding_mode, switching",
+    "robust_inverse_dynamics",
+    "robust_inverse_dynamics, switching",
+)
+"""Laws whose effort without error is the inverse dynamics of an exact model."""
+CONTEXT = LawContext(PLATFORM, "none", 1e-3, hold(np.array([0.0, 0.0, 1.0]), np.eye(3)))
+NONE = np.zeros(6)
 laws = pytest.mark.parametrize("name", SETTINGS)
 
 
 def make(name):
-    return build_law(SETTINGS[name], PLATFORM, "none")
+    return build_law(SETTINGS[name], CONTEXT)
 
 
 def sample(case):
@@ -50,6 +108,28 @@ def test_every_law_of_the_table_is_under_contract():
     assert {n.split(",")[0] for n in SETTINGS} == set(LAWS)
 
 
+MAY_BE_ZERO = {"boundary_layer_m_s"}
+
+
+def gains(name):
+    """The positive numbers of a law: one for all, as the settings above give them."""
+    given = SETTINGS[name].model_dump()
+    return [
+        key
+        for key, value in given.items()
+        if isinstance(value, float) and value > 0 and key not in MAY_BE_ZERO
+    ]
+
+
+@pytest.mark.parametrize(("name", "gain"), [(name, gain) for name in SETTINGS for gain in gains(name)])
+def test_a_gain_is_positive_and_finite_for_all_legs_and_for_each(name, gain):
+    good = SETTINGS[name].model_dump()
+    for bad in (0.0, -1.0, float("inf"), float("nan")):
+        for value in (bad, [1.0, 1.0, bad, 1.0, 1.0, 1.0], [1.0, 1.0, bad]):
+            with pytest.raises(ValidationError, match=gain):
+                type(SETTINGS[name]).model_validate(good | {gain: value})
+
+
 @laws
 def test_finite_in_finite_out(name):
     law = make(name)
@@ -57,54 +137,132 @@ def test_finite_in_finite_out(name):
     for case in BOOK["states"]:
         state, reference = on_reference(sample(case))
         state = state._replace(q=state.q + random.normal(0, 0.01, 6), dq=state.dq + random.normal(0, 0.1, 6))
-        assert np.isfinite(law.effort(state, reference).tau).all()
+        assert np.isfinite(law.effort(state, reference, NONE).tau).all()
 
 
 @laws
 def test_reset_repeats_to_the_bit(name):
     law = make(name)
     pairs = [on_reference(sample(case)) for case in BOOK["states"]]
-    first = [law.effort(*pair).tau.tobytes() for pair in pairs]
+    first = [law.effort(*pair, NONE).tau.tobytes() for pair in pairs]
     law.reset()
-    assert [law.effort(*pair).tau.tobytes() for pair in pairs] == first
+    assert [law.effort(*pair, NONE).tau.tobytes() for pair in pairs] == first
 
 
 @laws
-def test_singular_jacobian_gives_no_number_or_a_finite_one_but_never_raises(name):
+def test_whatever_finite_comes_in_a_number_or_nan_comes_out_and_nothing_is_raised(name):
+    """Poses far out of reach, any turn, speeds and shortfalls that no machine has."""
+    law = make(name)
+    random = np.random.default_rng(3)
+    for size in np.repeat([0.1, 1.0, 30.0, 1e3], 25):
+        p, p_d = random.normal(0, size, (2, 3))
+        R, R_d = (np.ascontiguousarray(r.as_matrix()) for r in Rotation.random(2, random))
+        twist, twist_d, dtwist_d = random.normal(0, size, (3, 6))
+        state, _ = on_reference(PoseSample(p, R, twist, NONE))
+        state = state._replace(q=state.q + random.normal(0, size, 6), wrench=random.normal(0, 1e3 * size, 6))
+        reference = complete(PLATFORM, PoseSample(p_d, R_d, twist_d, dtwist_d))
+        assert not np.isinf(law.effort(state, reference, random.normal(0, 1e4 * size, 6)).tau).any()
+
+
+NO_INVERSE = {"pd", "pid", "inverse_dynamics, constant"}
+"""Laws without the inverse of a current J."""
+
+
+@laws
+def test_a_leg_of_length_zero_or_a_jacobian_of_zeros_gives_no_number(name):
+    """J has no inverse then: nan, which safety turns into a latched fault."""
     law = make(name)
     state, reference = on_reference(sample(BOOK["states"][0]))
-    tau = law.effort(state._replace(J=np.zeros((6, 6))), reference).tau
-    assert tau.shape == (6,)
-    if name == "inverse_dynamics":
-        assert np.isnan(tau).any()
+    p = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
+    there = reference._replace(p=p, R=np.eye(3))
+    tau = law.effort(state._replace(p=p, R=np.eye(3), J=np.zeros((6, 6))), there, NONE).tau
+    assert np.isfinite(tau).all() == (name in NO_INVERSE)
+
+
+STATIC_SHARE = dict.fromkeys(SETTINGS, 1.0) | {"pd": 0.0, "pid": 0.0, "cartesian_pd": 0.0}
+"""How much of the static force a law feeds forward."""
+
+
+@laws
+def test_at_rest_without_error_a_law_is_its_feedforward_of_the_weight(name):
+    """3618.6 N in each leg at the book's home, or nothing where a law knows no model."""
+    home = BOOK["home_static"]
+    tau = make(name).effort(*on_reference(sample(home)), NONE).tau
+    np.testing.assert_allclose(tau, STATIC_SHARE[name] * np.array(home["force"]), rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", EXACT)
+@pytest.mark.parametrize("case", BOOK["states"], ids=lambda c: f"t={c['t']:.2f}")
+def test_in_motion_without_error_a_law_with_the_whole_model_is_the_forces_of_the_book(case, name):
+    """41 states of the book's trajectory; forces confirmed by an independent engine to 1.6e-11 N."""
+    tau = make(name).effort(*on_reference(sample(case)), NONE).tau
+    np.testing.assert_allclose(tau, case["force"], rtol=0, atol=1e-8 * np.abs(case["force"]).max())
+
+
+@laws
+def test_a_load_that_is_known_is_taken_off_by_laws_with_a_whole_model_and_by_no_other(name):
+    """J^T (tau without it - tau with it) = wrench, ON the platform; constant dynamics has J of its pose."""
+    law, load = make(name), np.array([1e3, -2e3, 3e3, 100.0, 200.0, -300.0])
+    state, reference = on_reference(sample(BOOK["states"][5]))
+    less = (
+        law.effort(state, reference, NONE).tau - law.effort(state._replace(wrench=load), reference, NONE).tau
+    )
+    constant = name == "inverse_dynamics, constant"
+    J = jacobian(PLATFORM, np.array([0.0, 0.0, 1.0]), np.eye(3)) if constant else state.J
+    np.testing.assert_allclose(J.T @ less, load if constant or name in EXACT else NONE, rtol=0, atol=1e-6)
+
+
+@laws
+def test_what_a_limit_holds_back_does_not_pile_up(name):
+    """Half of what is asked is given, for 2 s and for 20 s: the same is asked for in the end."""
+    law = make(name)
+    state, reference = on_reference(sample(BOOK["states"][5]))
+    state = state._replace(q=state.q - 2e-3)
+    limit = 0.5 * np.abs(law.effort(state, reference, NONE).tau)
+    asked = []
+    for calls in (2_000, 20_000):
+        law.reset()
+        shortfall = NONE
+        for _ in range(calls):
+            tau = law.effort(state, reference, shortfall).tau
+            shortfall = np.clip(tau, -limit, limit) - tau
+        asked.append(tau)
+    np.testing.assert_allclose(asked[1], asked[0], rtol=1e-9)
+
+
+def test_pd_feeds_the_acceleration_of_each_leg_forward_times_its_mass():
+    settings = PDSettings(
+        law="pd", kp_N_m=2e6, kv_N_s_m=5e4, feedforward_mass_kg=[100, 200, 300, 400, 500, 0]
+    )
+    law = build_law(settings, CONTEXT)
+    state, reference = on_reference(sample(BOOK["states"][0]))
+    tau = law.effort(state, reference._replace(ddq=np.array([1.0, -2.0, 3.0, 0.5, 0.0, 7.0])), NONE).tau
+    assert tau.tolist() == [100.0, -400.0, 900.0, 200.0, 0.0, 0.0]
 
 
 def test_pd_without_error_is_zero_and_with_error_is_the_gains():
     law = make("pd")
     state, reference = on_reference(sample(BOOK["states"][0]))
-    assert not law.effort(state, reference).tau.any()
+    assert not law.effort(state, reference, NONE).tau.any()
     e = np.array([1e-3, 0, -2e-3, 0, 0, 0])
-    np.testing.assert_allclose(law.effort(state._replace(q=state.q - e), reference).tau, 2e6 * e, atol=1e-6)
-    np.testing.assert_allclose(law.effort(state._replace(dq=state.dq - e), reference).tau, 5e4 * e, atol=1e-9)
-
-
-@pytest.mark.parametrize("case", BOOK["states"], ids=lambda c: f"t={c['t']:.2f}")
-def test_exact_inverse_dynamics_without_error_is_the_forces_of_the_book(case):
-    """41 states of the book's trajectory; forces confirmed by an independent engine to 1.6e-11 N."""
-    tau = make("inverse_dynamics").effort(*on_reference(sample(case))).tau
-    np.testing.assert_allclose(tau, case["force"], rtol=0, atol=1e-8 * np.abs(case["force"]).max())
+    np.testing.assert_allclose(
+        law.effort(state._replace(q=state.q - e), reference, NONE).tau, 2e6 * e, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        law.effort(state._replace(dq=state.dq - e), reference, NONE).tau, 5e4 * e, atol=1e-9
+    )
 
 
 def test_exact_inverse_dynamics_answers_an_error_with_the_reflected_inertia():
     """An error E in the lengths adds J^-T M J^-1 K_P E, and that inertia is symmetric and positive definite."""
     law = make("inverse_dynamics")
     state, reference = on_reference(sample(BOOK["states"][10]))
-    base = law.effort(state, reference).tau
+    base = law.effort(state, reference, NONE).tau
     inertia = np.column_stack(
-        [law.effort(state, reference._replace(ddq=reference.ddq + d)).tau - base for d in np.eye(6)]
+        [law.effort(state, reference._replace(ddq=reference.ddq + d), NONE).tau - base for d in np.eye(6)]
     )
     e = np.array([3e-3, -1e-3, 2e-3, 0, 1e-3, -4e-3])
-    tau = law.effort(state._replace(q=state.q - e), reference).tau - base
+    tau = law.effort(state._replace(q=state.q - e), reference, NONE).tau - base
     np.testing.assert_allclose(tau, inertia @ (400.0 * e), rtol=1e-7, atol=1e-6)
     assert (np.linalg.eigvalsh((inertia + inertia.T) / 2) > 0).all()
     np.testing.assert_allclose(inertia, inertia.T, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())

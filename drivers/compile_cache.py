@@ -19,10 +19,14 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite import ir
 from numba import types
+from numba.extending import intrinsic
 
-_HERE = Path(__file__).resolve().parent
-_PACKAGES = ("hil", "drivers")
+_ROOT = Path(__file__).resolve().parents[1]
+_EVERY_RUN = _ROOT / "hil" / "app" / "compose.py"
+"""Imports what every run needs."""
+_PACKAGES = ("drivers", "hil", "plant_fmu")
 _IMPORT = re.compile(
     r"^from ([\w.]+) import \(?([^)\n]*(?:\n[^)\n]*)*?)(?:\)|\n)|^import ([\w.]+)", re.MULTILINE
 )
@@ -54,7 +58,7 @@ def cache_folder() -> Path:
 
 
 def _file_of(module: str) -> Path | None:
-    path = _HERE.parent.joinpath(*module.split("."))
+    path = _ROOT.joinpath(*module.split("."))
     for candidate in (path.with_suffix(".py"), path / "__init__.py"):
         if module.partition(".")[0] in _PACKAGES and candidate.is_file():
             return candidate
@@ -93,18 +97,18 @@ def folder_of(source: Path) -> Path:
 
 
 def _has_to_compile() -> bool:
-    """Return True if some source of kernels has nothing compiled yet."""
-    return any(next(folder_of(path).glob("*/*.nbi"), None) is None for path in _kernel_sources())
+    """Return True if a source of kernels that every run imports has nothing compiled yet.
 
-
-def _kernel_sources() -> list[Path]:
+    What only an option needs is imported, and compiled, where that is taken.
+    """
     marked = re.compile(rb"^@kernel\(", re.MULTILINE)
-    return [path for path in sorted(_HERE.rglob("*.py")) if marked.search(path.read_bytes())]
+    kernels = (path for path in sources_of(_EVERY_RUN) if marked.search(path.read_bytes()))
+    return any(next(folder_of(path).glob("*/*.nbi"), None) is None for path in kernels)
 
 
 CACHE_FOLDER = cache_folder()
 FIRST_COMPILATION = _has_to_compile()
-"""True if the kernels are compiled now (some 20 s once) instead of loaded (0.5 s)."""
+"""True if the kernels are compiled now (some 45 s once) instead of loaded (0.5 s)."""
 
 VECTOR = types.Array(types.float64, 1, "C", readonly=True)
 """Argument: any C-contiguous float64 vector, writeable or not."""
@@ -112,17 +116,28 @@ MATRIX = types.Array(types.float64, 2, "C", readonly=True)
 """Argument: any C-contiguous float64 matrix, writeable or not."""
 OUT_VECTOR = types.Array(types.float64, 1, "C")
 OUT_MATRIX = types.Array(types.float64, 2, "C")
-"""Arguments that the kernel fills."""
+INTEGERS = types.Array(types.int64, 1, "C", readonly=True)
+OUT_INTEGERS = types.Array(types.int64, 1, "C")
+BYTES = types.Array(types.uint8, 1, "C", readonly=True)
+OUT_BYTES = types.Array(types.uint8, 1, "C")
+FLAGS = types.Array(types.boolean, 1, "C", readonly=True)
+OUT_FLAGS = types.Array(types.boolean, 1, "C")
+OUT_INTEGER_MATRIX = types.Array(types.int64, 2, "C")
+"""OUT_...: arguments that the kernel fills."""
+DATA = types.Bytes(types.uint8, 1, "C", readonly=True)
+"""Argument: `bytes`, as a frame has them."""
 REAL = types.float64
 INTEGER = types.int64
+BOOLEAN = types.boolean
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": False}
 
 
-def kernel(*arguments: Any) -> Callable[[F], F]:
+def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """Compile for exactly these argument types when the module is imported; other types are refused.
 
-    Nothing can then be compiled inside the loop, whatever it is called with.
+    Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
+    the interpreter run meanwhile.
     """
 
     def decorate(function: F) -> F:
@@ -130,7 +145,7 @@ def kernel(*arguments: Any) -> Callable[[F], F]:
         elsewhere = settings["CACHE_DIR"]
         settings["CACHE_DIR"] = str(folder_of(Path(inspect.getfile(function)).resolve()))
         try:
-            return cast("F", numba.njit(arguments, **_OPTIONS)(function))
+            return cast("F", numba.njit(arguments, nogil=unlocked, **_OPTIONS)(function))
         finally:
             settings["CACHE_DIR"] = elsewhere
 
@@ -140,3 +155,20 @@ def kernel(*arguments: Any) -> Callable[[F], F]:
 def helper(function: F) -> F:
     """Compile as a part of the kernels that call it."""
     return cast("F", numba.njit(error_model="numpy", fastmath=False)(function))
+
+
+def _foreign(_context: Any, address: Any, arguments: Any) -> Any:
+    def generate(_target: Any, builder: Any, _signature: Any, values: Any) -> Any:
+        given = [builder.extract_value(values[1], i) for i in range(len(arguments))]
+        function = ir.FunctionType(ir.IntType(32), [value.type for value in given])
+        return builder.call(builder.inttoptr(values[0], function.as_pointer()), given)
+
+    return types.int32(address, arguments), generate
+
+
+foreign: Any = intrinsic(_foreign)
+"""foreign(address, arguments): call, inside a kernel, the C function at `address` with a tuple of arguments.
+
+It returns a C int. Integers pass as what they are, pointers as int64. As with ctypes, a wrong address or
+argument crashes the process.
+"""

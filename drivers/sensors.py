@@ -1,0 +1,174 @@
+"""Sensors beside the drives: tracker, IMU and wrench sensor, both ends of one table.
+
+Rule of the room: positions, scales and lengths come from legs.dbc alone. No state, no clock.
+
+A sample is stamped in the controller's own time: Offset after the end of the SYNC that carried Cycle. No
+clock has to be set, and a sample may be late by up to 127 ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, isfinite, pi
+from typing import NamedTuple
+
+from cantools.database.can import Database
+
+from drivers.codec import Codec, compile_message, in_range
+from drivers.config import BusSettings, SensorSettings
+from drivers.crc import crc8, identifier_state
+from drivers.dbc import legs_dbc
+from drivers.device_kernels import intact
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
+
+KINDS = ("tracker", "imu", "wrench")
+_MESSAGES = {
+    "tracker": ("TRACKER_7", 7, ("X", "Y", "Z", "RX", "RY", "RZ")),
+    "imu": ("IMU_8", 8, ("WX", "WY", "WZ", "FX", "FY", "FZ")),
+    "wrench": ("WRENCH_9", 9, ("FX", "FY", "FZ", "MX", "MY", "MZ")),
+}
+"""Kind -> message of legs.dbc, the node number in its identifier, its six quantities."""
+_TRAILER = ("Offset", "Cycle", "Counter", "Validity", "CRC")
+_FOREIGN = EXTENDED | REMOTE | ERROR
+OLDEST = 127
+"""Ticks: Cycle counts to 255, and a stamp further back cannot be told from one in the future."""
+_NEVER = -1
+_HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
+
+
+class Sample(NamedTuple):
+    """One measurement of a sensor and its instant."""
+
+    tick: int
+    """Tick of the SYNC before the sample."""
+    offset_s: float
+    """From the end of that SYNC to the sample, 1 us steps."""
+    values: tuple[float, ...]
+    """Six. tracker: position m in the base frame, rotation vector rad from platform to base.
+    imu: angular rate rad/s, specific force m/s^2. wrench: force N, moment N m. Both in the platform frame."""
+
+    def ticks(self, period_s: float) -> float:
+        """Return its instant in ticks: k is the latching of tick k."""
+        return self.tick + self.offset_s / period_s
+
+
+class Readings(NamedTuple):
+    """What the sensors have said in one tick."""
+
+    tracker: tuple[Sample, ...] = ()
+    """Valid samples that arrived in this tick, oldest first."""
+    imu: tuple[Sample, ...] = ()
+    wrench: tuple[Sample, ...] = ()
+    rejected: int = 0
+    """Frames of this tick that were refused: CRC, length, a stamp in the future, a value out of range."""
+    lost: int = 0
+    """Samples that the counters of this tick show to be missing."""
+    counters: tuple[int, int, int] = (_NEVER, _NEVER, _NEVER)
+    """Counter of each kind's last frame; -1 before the first."""
+
+
+class SensorProtocol:
+    """Codec of the configured sensors. Holds compiled tables only.
+
+    Raises ConfigurationError where the layout has no room for them.
+    """
+
+    def __init__(self, bus: BusSettings, sensors: SensorSettings) -> None:
+        self.rates_Hz = {k: s.rate_Hz for k in KINDS if (s := getattr(sensors, k)) is not None}
+        if self.rates_Hz and bus.layout == "classic":
+            given = ", ".join(f"sensors.{kind}" for kind in self.rates_Hz)
+            raise ConfigurationError(
+                f"bus.layout: classic carries 8 bytes a frame and a sample takes up to 32, given: {given}; "
+                "use layout fd, or leave the sensors out"
+            )
+        database = Database()
+        database.add_dbc_string(legs_dbc())
+        self.sync_id: int = database.get_message_by_name("SYNC").frame_id
+        self._codecs: dict[str, tuple[int, int, Codec]] = {}
+        """Kind -> identifier, CRC register after it, codec."""
+        for kind in self.rates_Hz:
+            name, node, quantities = _MESSAGES[kind]
+            codec = compile_message(database.get_message_by_name(name), *quantities, *_TRAILER)
+            identifier = codec.id - node + getattr(sensors, kind).node_id
+            self._codecs[kind] = identifier, identifier_state(identifier), codec
+        self._heard = {
+            identifier: (KINDS.index(kind), register, codec)
+            for kind, (identifier, register, codec) in self._codecs.items()
+        }
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The configured ones of KINDS."""
+        return tuple(self._codecs)
+
+    def decode(self, frames: Sequence[Received], tick: int, previous: Readings) -> Readings:
+        """Return the samples among this tick's frames.
+
+        A frame with the counter of the one before is a repetition and passed over; a gap in the counter
+        counts as lost, whatever the reason. A sample that its node calls invalid is none. Refused, and
+        counted in `rejected`: wrong length or CRC, a stamp in the future, before tick 0 or more than OLDEST
+        ticks back, an unknown validity, a turn of more than pi, a value outside the range of legs.dbc.
+        Foreign frames are ignored.
+        """
+        heard = self._heard
+        samples: list[list[Sample]] = [[], [], []]
+        counters = list(previous.counters)
+        rejected = lost = 0
+        for _, (identifier, data, flags) in frames:
+            if identifier not in heard or flags & _FOREIGN:
+                continue
+            kind, register, codec = heard[identifier]
+            if len(data) != codec.length or not intact(data, register):
+                rejected += 1
+                continue
+            *raw, offset, cycle, last = codec.unpack(data)
+            values = tuple([r * scale for r, scale in zip(raw, codec.scale, strict=False)])
+            behind = (tick - cycle) & 0xFF
+            turned = kind == 0 and values[3] ** 2 + values[4] ** 2 + values[5] ** 2 > _HALF_TURN_2
+            if behind > OLDEST or tick < behind or last >> 4 > 1 or turned or not in_range(codec, values):
+                rejected += 1
+                continue
+            counter = last & 0xF
+            if counter == counters[kind]:
+                continue
+            if counters[kind] != _NEVER:
+                lost += (counter - counters[kind] - 1) & 0xF
+            counters[kind] = counter
+            if last >> 4 == 0:
+                samples[kind].append(Sample(tick - behind, offset * codec.scale[6], values))
+        tracker, imu, wrench = (tuple(sorted(s)) if len(s) > 1 else tuple(s) for s in samples)
+        return Readings(tracker, imu, wrench, rejected, lost, (counters[0], counters[1], counters[2]))
+
+    def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
+        """Return the frame of one sample; what exceeds a field saturates and makes the sample invalid.
+
+        values: six, as in `Sample`; cycle and offset_s say when: offset_s after the SYNC that carried cycle.
+        Raises ProtocolError on NaN and on an offset that is not 0 .. 65.535 ms.
+        """
+        identifier, register, codec = self._codecs[kind]
+        if any(value != value for value in values):  # noqa: PLR0124 - only NaN differs from itself
+            raise ProtocolError(f"sample of {kind} is not a number: {list(values)}")
+        offset = round(offset_s / codec.scale[6]) if isfinite(offset_s) else -1
+        if not 0 <= offset <= 0xFFFF:
+            raise ProtocolError(f"sample of {kind}: offset of {offset_s} s, allowed: 0 to 0.065535")
+        bounded = [
+            min(max(v, low), high) for v, low, high in zip(values, codec.low, codec.high, strict=False)
+        ]
+        raw = [round(v / scale) for v, scale in zip(bounded, codec.scale, strict=False)]
+        invalid = bounded != list(values)
+        data = codec.pack(*raw, offset, cycle & 0xFF, int(invalid) << 4 | counter & 0xF)
+        return Frame(identifier, data + bytes([crc8(data, register)]), codec.flags)
+
+    def cycle_of(self, frame: Frame) -> int | None:
+        """Return the Cycle that a SYNC carries, at a sensor's end; None for any other frame."""
+        if frame.id != self.sync_id or frame.flags & _FOREIGN or len(frame.data) != 1:
+            return None
+        return frame.data[0]
+
+    def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
+        """Return one example of every frame that can fall into one tick at a loop of `rate_Hz`."""
+        found: list[Frame] = []
+        for kind, rate in self.rates_Hz.items():
+            found += [self.encode(kind, (0.0,) * 6, 0, 0.0, 0)] * ceil(rate / rate_Hz * (1 - 1e-9))
+        return tuple(found)

@@ -1,0 +1,90 @@
+"""The mathematics of a tick under each control law: forward kinematics and the law; and what may be added."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.signals import LEGS, DriveState
+from hil.app.benchmarks.bench import Bench
+from hil.app.benchmarks.figures import Figure, Mark, spread
+from hil.app.compare.laws import chosen
+from hil.app.compose import build_cycle, build_observer, build_predictor
+from hil.config import DelayCompensation, InverseDynamicsSettings, WrenchSettings
+from hil.control import Law, LawContext, build_law
+from hil.cycle import Parts
+from hil.estimate import Estimator
+from hil.reference import complete
+from hil.signals import Array, Reference, State
+
+TICK = Mark(40.0, of=("median",))
+"""us, one tick of mathematics with any law."""
+TICKS = 2000
+"""One period of the path at 1 kHz."""
+OFF = np.full(LEGS, 1e-4)
+"""m: how far the legs are off the path."""
+_NONE = np.zeros(LEGS)
+_RUN = [int(DriveState.RUN)] * LEGS
+Work = Callable[[int, State, Reference], object]
+_now = time.perf_counter_ns
+
+
+def laws(bench: Bench) -> list[Figure]:
+    """Follow one period of the path with each law, then with a predictor and an observer beside none."""
+    bench.say("each law along one period of the path")
+    c = bench.configuration
+    period = 1.0 / c.loop.rate_Hz
+    parts = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
+    path = [complete(parts.platform, parts.trajectory.sample(k * period), k * period) for k in range(TICKS)]
+    context = LawContext(parts.platform, parts.leg_spin, period, parts.trajectory)
+    figures = []
+    for name, settings in chosen(c).items():
+        figures.append(
+            Figure(name, spread(_follow(parts, path, _effort(build_law(settings, context)))), "us", TICK)
+        )
+
+    delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
+    compensated = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0, delay_compensation=delay)
+    predictor = build_predictor(compensated, parts.platform, parts.leg_spin, period)
+    observer = build_observer(
+        WrenchSettings(source="observer", bus_ms=0.5, drive_lag_ms=0.8),
+        parts.platform,
+        parts.leg_spin,
+        period,
+    )
+    assert predictor is not None
+    assert observer is not None
+
+    def look_ahead(k: int, state: State, r: Reference) -> None:
+        predictor.ahead(k, state, free=True)
+        predictor.sent(r.q)
+
+    def observe(k: int, state: State, r: Reference) -> None:
+        observer.observe(k, state, _RUN)
+        observer.sent(r.q)
+
+    for name, work in {
+        "no law, delay compensation": look_ahead,
+        "no law, momentum observer": observe,
+    }.items():
+        figures.append(Figure(name, spread(_follow(parts, path, work)), "us"))
+    return figures
+
+
+def _effort(law: Law) -> Work:
+    return lambda _, state, reference: law.effort(state, reference, _NONE)
+
+
+def _follow(parts: Parts, path: list[Reference], work: Work) -> Array:
+    """Return the ns of each tick: the pose from lengths that are off the path, and `work`."""
+    estimator = Estimator(parts.platform, path[0].p, path[0].R)
+    times = np.zeros(len(path))
+    for k, r in enumerate(path):
+        q = r.q + OFF
+        begun = _now()
+        p, R, twist, J, iterations, residual, _, _ = estimator.update(q, r.dq)
+        work(k, State(q, r.dq, p, R, twist, J, iterations, residual), r)
+        times[k] = _now() - begun
+    return times

@@ -1,0 +1,273 @@
+"""One law on one bench: along the reference, and a step of the set-point at home.
+
+Rule of the room: lockstep in memory, no log. What a law does wrong is a result: it never raises for it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import HilError
+from hil.app.compose import (
+    bit_timing,
+    build_cycle,
+    build_nodes,
+    bus_budget,
+    feedback_window_s,
+    pose_arrays,
+)
+from hil.app.configuration import Configuration
+from hil.app.lockstep import Lockstep
+from hil.clock import collector_paused
+from hil.config import DisturbanceSettings, StepSettings
+from hil.daemon import NO_DRIVES_S
+from hil.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
+from hil.report import errors, limited_ticks, pose_errors
+from hil.rotations import rotation_from_vector
+from hil.signals import ROW, Array, Fault, Mode, Operator
+from hil.trajectory import PoseSample, Trajectory
+from plant_fmu.faults import FaultPlan, WrenchStep
+
+Rows = NDArray[np.void]
+
+AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
+SETTLE_PERIODS = 30.0
+"""Time constants 1 / wn before and after a step: exp(-30) is nothing, and an integral is slower."""
+TRACE_SAMPLES = 2000
+"""Most samples of a trace for the picture."""
+
+
+class Job(NamedTuple):
+    """One measurement, complete: what a process of its own needs to know."""
+
+    law: str
+    path: str
+    configuration: Configuration
+    duration_s: float
+    """Along the reference."""
+    disturbance: DisturbanceSettings | None
+    step: StepSettings | None
+    """None: the step is not measured on this path."""
+    settle_s: float
+
+
+class Outcome(NamedTuple):
+    """What became of a job."""
+
+    law: str
+    path: str
+    fault: str | None
+    """Names of the latched faults, or why it could not be run; None where it went well."""
+    fault_s: float | None
+    """Along the reference; None where it never got there."""
+    figures: dict[str, Any]
+    """Empty where nothing was measured."""
+    traces: dict[str, Array]
+    """For the picture: t, error, force, step_t, step."""
+
+
+@dataclass(frozen=True)
+class StepTrajectory:
+    """Rests at (p0, R0), from `at_s` on at (p1, R1); no rates: nothing is fed forward."""
+
+    p0: Array
+    R0: Array
+    p1: Array
+    R1: Array
+    at_s: float
+    duration_s: float | None
+
+    def sample(self, t: float) -> PoseSample:
+        """Return the pose of time t, at rest."""
+        still = np.zeros(6)
+        p, R = (self.p0, self.R0) if t < self.at_s else (self.p1, self.R1)
+        return PoseSample(p, R, still, still)
+
+
+def measure(job: Job) -> Outcome:
+    """Run a job. A fault, or an error of a law or of the plant, is in the outcome."""
+    try:
+        with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
+            return _measure(job)
+    except (HilError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return Outcome(job.law, job.path, str(error) or type(error).__name__, None, {}, {})
+
+
+def _measure(job: Job) -> Outcome:
+    c = job.configuration
+    faults = None
+    if job.disturbance is not None:
+        faults = _wrench(job.disturbance, _engagement_s(c))
+    rows = _run(c, job.duration_s, faults=faults)
+    fault, tracked = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
+    figures = _tracking(tracked) if len(tracked) else {}
+    figures["limited_ticks"] = limited_ticks(tracked)
+    traces = _traces(tracked)
+    fault_s = float(tracked["reference_time_s"][-1]) if fault and len(tracked) else None
+    if job.step is not None:
+        at_rest, step_traces, step_fault = _at_rest(job, c, job.step)
+        figures |= at_rest
+        traces |= step_traces
+        if fault is None and step_fault is not None:
+            fault = f"{step_fault} at the step"
+    return Outcome(job.law, job.path, fault, fault_s, figures, traces)
+
+
+# -- running -------------------------------------------------------------------------------------------------
+
+
+def _run(
+    c: Configuration,
+    duration_s: float,
+    *,
+    trajectory: Trajectory | None = None,
+    faults: FaultPlan | None = None,
+) -> Rows:
+    """Return the rows from the start until `duration_s` of the trajectory, its end, or a fault."""
+    rate = c.loop.rate_Hz
+    budget = bus_budget(c, rate)
+    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
+    nodes, physics = build_nodes(c, faults)
+    rows: list[NDArray[np.void]] = []
+    begun: int | None = None
+    ticks = math.floor(duration_s * rate + 1e-6)
+    operator: tuple[Operator, ...] = ()
+    engaged = False
+    try:
+        lockstep = Lockstep(
+            cycle, nodes, None if budget is None else bit_timing(c), feedback_window_s(c, rate)
+        )
+        while True:
+            rows.append(lockstep.step(operator)[2].row)
+            operator = ()
+            mode = cycle.mode
+            if not engaged and mode is Mode.IDLE:
+                operator, engaged = (Operator.ENGAGE,), True
+            if mode is Mode.TRACKING and begun is None:
+                begun = lockstep.tick
+            over = mode is Mode.FAULT or (mode is Mode.WAITING and lockstep.tick > NO_DRIVES_S * rate)
+            if over or (begun is not None and (mode is not Mode.TRACKING or lockstep.tick - begun >= ticks)):
+                return np.array(rows, ROW)
+    finally:
+        physics.close()
+
+
+def _engagement_s(c: Configuration, trajectory: Trajectory | None = None) -> float:
+    """Return the time from the start to the first tick of the reference."""
+    rows = _run(c, 0.0, trajectory=trajectory)
+    return float(rows["t_ns"][-1]) * 1e-9
+
+
+def _wrench(d: DisturbanceSettings, offset_s: float) -> FaultPlan:
+    stop = math.inf if d.stop_s is None else offset_s + d.stop_s
+    return FaultPlan(
+        [WrenchStep(start_s=offset_s + d.start_s, stop_s=stop, wrench=(*d.force_N, *d.moment_N_m))]
+    )
+
+
+def _fault(rows: Rows) -> str | None:
+    last = rows[-1]
+    if last["mode"] == Mode.FAULT:
+        return " ".join(str(f.name) for f in Fault if int(last["faults"]) & f)
+    if not (rows["mode"] == Mode.TRACKING).any():
+        return f"did not start: {Mode(int(last['mode'])).name}"
+    return None
+
+
+# -- figures -------------------------------------------------------------------------------------------------
+
+
+def _tracking(rows: Rows) -> dict[str, Any]:
+    p_mm, r_deg = pose_errors(rows)
+    return {
+        "tracked_s": float(rows["reference_time_s"][-1]),
+        **errors(rows),
+        "rms_position_error_mm": float(np.linalg.norm(rms(p_mm))),
+        "rms_rotation_error_deg": float(np.linalg.norm(rms(r_deg))),
+        "force_variation_N": float(total_variation(rows["tau"]).max()),
+        "per_axis": {
+            "peak_position_error_mm": peak(p_mm).tolist(),
+            "rms_position_error_mm": rms(p_mm).tolist(),
+            "peak_rotation_error_deg": peak(r_deg).tolist(),
+            "rms_rotation_error_deg": rms(r_deg).tolist(),
+        },
+    }
+
+
+def _at_rest(
+    job: Job, c: Configuration, step: StepSettings
+) -> tuple[dict[str, Any], dict[str, Array], str | None]:
+    """Return figures, traces and fault of three stretches at home: at rest, after a step, under the load."""
+    rate, d = c.loop.rate_Hz, job.disturbance
+    n = max(20, round(job.settle_s * rate))
+    p, R = pose_arrays(c.platform.home)
+    axis = AXES.index(step.axis)
+    turns, word = divmod(axis, 3)
+    size = float(np.deg2rad(step.size)) if turns else step.size
+    shift = size * np.eye(3)[word]
+    p1, R1 = (p, rotation_from_vector(shift) @ R) if turns else (p + shift, R)
+    stretches = 2 if d is None else 3
+    # Half a tick early: the sum of periods may fall short of the instant by its rounding.
+    trajectory = StepTrajectory(p, R, p1, R1, (n - 0.5) / rate, (stretches + 1) * n / rate)
+    faults = None
+    if d is not None:
+        always = DisturbanceSettings(force_N=d.force_N, moment_N_m=d.moment_N_m, start_s=(2 * n - 0.5) / rate)
+        faults = _wrench(always, _engagement_s(c, trajectory))
+    rows = _run(c, stretches * n / rate, trajectory=trajectory, faults=faults)
+    fault, rows = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
+    before, after, loaded = rows[:n], rows[n : 2 * n], rows[2 * n :]
+    figures: dict[str, Any] = {}
+    if len(before) == n:
+        figures["steady_leg_error_mm"] = _steady_mm(before)
+    if len(after) < n:
+        return figures, {}, fault
+    y0, y = (_moved(part, p, R)[:, axis] for part in (before, after))
+    initial, t = float(_last_tenth(y0).mean()), np.arange(n) / rate
+    answer = step_response(t, y, initial)
+    figures |= {
+        "rise_ms": 1e3 * answer.rise_s,
+        "overshoot_percent": 100.0 * answer.overshoot,
+        "settled": answer.settled,
+        "bandwidth_Hz": bandwidth_Hz(t, y, initial),
+    }
+    if d is not None and len(loaded):
+        figures["disturbed_peak_leg_error_mm"] = float(peak(_errors_mm(loaded)).max())
+        figures["disturbed_steady_leg_error_mm"] = _steady_mm(loaded)
+    return figures, {"step_t": t, "step": (y - initial) / size}, fault
+
+
+def _moved(rows: Rows, p: Array, R: Array) -> Array:
+    """Return (n, 6) m and rad, how far the pose is from (p, R), base frame."""
+    turned = rotation_errors(rows["R"], np.broadcast_to(R.ravel(), (len(rows), 9)))
+    return np.hstack([rows["p"] - p, turned])
+
+
+def _last_tenth(samples: Array) -> Array:
+    return samples[-max(1, len(samples) // 10) :]
+
+
+def _errors_mm(rows: Rows) -> Array:
+    e: Array = 1e3 * (rows["q_d"] - rows["q"])
+    return e
+
+
+def _steady_mm(rows: Rows) -> float:
+    """Return the largest mean error of a leg over the last tenth."""
+    return float(np.abs(_last_tenth(_errors_mm(rows)).mean(axis=0)).max())
+
+
+def _traces(rows: Rows) -> dict[str, Array]:
+    """Return largest leg error and force of each of at most TRACE_SAMPLES stretches of time."""
+    if not len(rows):
+        return {}
+    starts = np.unique(np.linspace(0, len(rows), min(TRACE_SAMPLES, len(rows)), endpoint=False).astype(int))
+    return {
+        "t": rows["reference_time_s"][starts],
+        "error_mm": np.maximum.reduceat(np.abs(_errors_mm(rows)).max(axis=1), starts),
+        "force_N": np.maximum.reduceat(np.abs(rows["tau"]).max(axis=1), starts),
+    }

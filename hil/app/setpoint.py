@@ -1,0 +1,40 @@
+"""`hil setpoint`: send a live reference somewhere, through the operator channel of a running controller."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration import Configuration
+from hil.config import LiveReference
+from hil.setpoints import TAKEN, SetPointSender
+
+
+def send_setpoints(configuration: Configuration, lines: Iterable[str]) -> dict[str, Any]:
+    """Send each line `x y z [rx ry rz]` (m, deg) as it comes; return the summary.
+
+    Raises ConfigurationError when the reference takes no set-points, RunError when no controller listens or
+    answers.
+    """
+    c = configuration
+    if not isinstance(c.reference, LiveReference):
+        raise ConfigurationError(
+            f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
+        )
+    sent, refused = 0, []
+    with SetPointSender(c.bus.interface, c.bus.channel) as sender:
+        for line in lines:
+            if not line.strip():
+                continue
+            sent += 1
+            answer = sender.send(line)
+            if answer != TAKEN:
+                refused.append(f"{line.strip()}: {answer.removeprefix('refused: ')}")
+    return {
+        "success": sent > 0 and not refused,
+        "kind": "setpoint",
+        "sent": sent,
+        "taken": sent - len(refused),
+        "refused": refused,
+    }

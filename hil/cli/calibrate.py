@@ -1,0 +1,46 @@
+"""`hil calibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, guarded, json_option
+
+
+@click.command("calibrate", short_help="Joint positions and length offsets from measured poses.")
+@click.argument("configuration")
+@click.argument("poses", type=FILE)
+@click.option(
+    "--out", type=FILE, metavar="FILE", help="Write the joints there as YAML; an existing file is refused."
+)
+@json_option
+@guarded
+def calibrate_command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:
+    """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.
+
+    Columns x_m,y_m,z_m,rx_deg,ry_deg,rz_deg (pose of the platform, rotation vector) and l1_m to l6_m (what
+    the legs read, in the order of the joint lists); optional standard deviations length_std_m,
+    position_std_m, rotation_std_deg. At least 8 rows; some 30, all over the workspace and tilted, are good.
+    Says how sure each figure is, and which these poses cannot determine. CONFIGURATION is not changed.
+
+    \b
+    Examples:
+      hil calibrate my.yaml poses.csv                      the report
+      hil calibrate my.yaml poses.csv --out joints.yaml    and the joints, to copy into my.yaml
+
+    \b
+    Exit code:
+      0  fitted; read the warnings
+      2  not fitted: configuration, CSV file, units, too few poses; the message says what
+    """
+    from hil.app.calibrate import run_calibration
+    from hil.app.output import show_lines, write_json
+
+    report = run_calibration(configuration, poses, out, json_file)
+    show_lines(report.lines)
+    if out is None:
+        click.echo(report.fragment, nl=False)
+    if json_file is not None:
+        write_json(json_file, {"success": True, "kind": "calibrate", **report.figures})

@@ -1,0 +1,131 @@
+"""`hil compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FiniteRange, configuration_argument, finish, guarded, json_option, load
+
+
+def _names(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    names = tuple(dict.fromkeys(name.strip() for name in value.split(",") if name.strip()))
+    if not names:
+        raise click.BadParameter("no name in it.", context, parameter)
+    return names
+
+
+@click.command("compare", short_help="All control laws on your platform and path; nothing moves.")
+@configuration_argument
+@click.option(
+    "--laws", callback=_names, metavar="A,B", help="Laws to compare; default: compare.laws, else all."
+)
+@click.option(
+    "--paths",
+    callback=_names,
+    metavar="A,B",
+    help="Laws to run also with the losses taken out, `all` or `none`; default: the configuration's own.",
+)
+@click.option(
+    "--duration",
+    type=FiniteRange(min=0, min_open=True),
+    metavar="S",
+    help="Stop S seconds along the reference; default: one period of it.",
+)
+@click.option(
+    "--inertia-scale",
+    type=FiniteRange(min=0, min_open=True),
+    metavar="X",
+    help="Masses that every law believes in, as a share of its own: 0.9 is 10 % too light.",
+)
+@click.option(
+    "--wrench",
+    type=(FiniteRange(),) * 6,
+    metavar="FX FY FZ MX MY MZ",
+    help="Load ON the platform at its origin, N and N m, base frame.",
+)
+@click.option(
+    "--wrench-at",
+    type=FiniteRange(min=0),
+    metavar="S",
+    help="When --wrench comes, along the reference; default: at its start.",
+)
+@click.option("--lift-limits", is_flag=True, help="Without the limits of error, force change and speed.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
+)
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="PNG file to draw, or a folder for it; an earlier picture is replaced.",
+)
+@json_option
+@guarded
+def compare_command(
+    configuration: str,
+    laws: tuple[str, ...] | None,
+    paths: tuple[str, ...] | None,
+    duration: float | None,
+    inertia_scale: float | None,
+    wrench: tuple[float, float, float, float, float, float] | None,
+    wrench_at: float | None,
+    lift_limits: bool,
+    jobs: int | None,
+    picture: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
+
+    Each law follows the reference and answers a step of 1 mm at home. Gains come from the configuration's
+    own law: the same natural frequency and damping, PD gains from those and the inertia that the legs feel.
+    The tables have leg, position and rotation error, peak force and how much the force varies (sum of its
+    changes); the error at rest, rise time, overshoot and -3 dB bandwidth of the step. Then: what encoders,
+    bus time and drive lag cost, one after the other; and the claims of the control chapter, each with the
+    figures that say whether it holds here.
+
+    A law that a limit stops keeps its row, with the fault and its time; see `--lift-limits`. Own laws, gains,
+    step and load: section `compare` of the configuration.
+
+    \b
+    Examples:
+      hil compare                           every law on the default bench
+      hil compare lab --laws pd,inverse_dynamics,printed --paths all
+      hil compare virtual --inertia-scale 0.9 --wrench 0 0 -500 0 0 0 --wrench-at 0.5
+      hil compare my.yaml --json my.json --picture plots/
+
+    The picture goes to --picture, else to runs/NAME-compare-TIME.png (recording.folder). No log.
+
+    \b
+    Exit code:
+      0  compared; laws other than the configuration's own may have faulted, the table says which
+      1  the configuration's own law faulted, or a run could not be made
+      2  not begun: configuration, unknown law, FMU or file; the message says what
+    """
+    if wrench_at is not None and wrench is None:
+        raise click.UsageError("--wrench-at says when --wrench comes: give both.")
+    loaded = load(configuration, "sim")
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from hil.app.compare import compare, table, with_options
+    from hil.app.output import console
+
+    loaded = with_options(loaded, inertia_scale=inertia_scale, wrench=wrench, wrench_at_s=wrench_at or 0.0)
+    columns = (TextColumn("running the laws"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+        summary = compare(
+            loaded,
+            laws=laws,
+            path_laws=paths,
+            duration_s=duration,
+            lift_limits=lift_limits,
+            jobs=jobs,
+            picture=picture,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    table.show(summary)
+    finish("compare", summary, json_file, table.shown(summary))

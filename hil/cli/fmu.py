@@ -1,0 +1,59 @@
+"""`hil fmu`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from hil.cli.shared import finish, guarded, json_option
+
+
+@click.group("fmu", short_help="Build the platform's FMU.")
+def fmu_group() -> None:
+    """Build the platform's FMU, for this project and for any other tool that takes FMUs.
+
+    `hil run --plant`, `hil plant` and `hil sim` build it by themselves when it is needed.
+    """
+
+
+@fmu_group.command("build", short_help="Compile the platform's physics into FMUs.")
+@click.option(
+    "--fmi",
+    type=click.Choice(["2.0", "3.0", "both"]),
+    default="both",
+    show_default=True,
+    help="FMI version of the interface; the physics is the same.",
+)
+@click.option(
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Copy the .fmu there.",
+)
+@json_option
+@guarded
+def fmu_build_command(
+    fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None
+) -> None:
+    """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
+
+    One FMU serves every platform: geometry and inertia are its parameters. The result stays in the user's
+    cache and is built again only when its sources change. No log.
+
+    \b
+    Examples:
+      hil fmu build                         both versions, into the cache
+      hil fmu build --fmi 3.0 --output .    ./stewart-fmi3.fmu for another tool
+
+    \b
+    Exit code:
+      0  built; the summary names the files
+      2  no compiler, it failed, or FOLDER cannot be written
+    """
+    from hil.app.fmu import build_fmus
+
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+    finish("fmu build", build_fmus(fmi, output), json_file)

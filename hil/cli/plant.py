@@ -1,0 +1,74 @@
+"""`hil plant`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import (
+    configuration_argument,
+    duration_option,
+    finish,
+    guarded,
+    json_option,
+    load,
+    log_option,
+)
+
+
+@click.command("plant", short_help="Six emulated drives and the platform, in real time.")
+@configuration_argument
+@duration_option
+@log_option
+@json_option
+@click.option("--supervisor", type=int, hidden=True)
+@click.option("--report", type=int, hidden=True)
+@guarded
+def plant_command(
+    configuration: str,
+    duration: float | None,
+    log: Path | None,
+    json_file: Path | None,
+    supervisor: int | None,
+    report: int | None,
+) -> None:
+    """Serve six emulated drives and the plant behind them on the bus, in real time.
+
+    The other end for `hil run` without hardware, or for somebody else's controller. Brakes hold at boot and
+    after a fault. Logs the true pose. Ends with Ctrl-C or after --duration.
+
+    \b
+    Examples:
+      hil plant                             then, in another terminal: hil run
+      hil plant lab --duration 60
+      hil plant vcan50                      on a SocketCAN bus, for any controller
+
+    The log goes to --log, else to runs/NAME-TIME-plant.mcap (recording.folder); `plant.log: false` in the
+    configuration writes none.
+
+    \b
+    Exit code:
+      0  ended as asked
+      1  the plant failed on the way
+      2  not begun: configuration, bus, FMU or log file; the message says what
+    """
+    loaded = load(configuration, "plant")
+    from hil.app.plant import run_plant
+
+    def tell() -> None:
+        if report is not None:
+            os.write(report, b"\n")
+        else:
+            click.echo("drives are on the bus; Ctrl-C ends", err=True)
+
+    summary = run_plant(loaded, log=log, duration_s=duration, supervisor=supervisor, ready=tell)
+    if report is not None:
+        with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
+            os.write(report, json.dumps(summary).encode())
+    if summary["trouble"]:
+        click.echo(f"hil: {summary['trouble']}", err=True)
+    finish("plant", summary, json_file)

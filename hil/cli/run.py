@@ -1,0 +1,71 @@
+"""`hil run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import (
+    configuration_argument,
+    duration_option,
+    finish,
+    guarded,
+    json_option,
+    load,
+    log_option,
+)
+
+
+@click.command("run", short_help="The controller, in real time.")
+@configuration_argument
+@click.option(
+    "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
+)
+@click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
+@duration_option
+@log_option
+@json_option
+@guarded
+def run_command(
+    configuration: str,
+    with_plant: bool,
+    reset: bool,
+    duration: float | None,
+    log: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Run the daemon in real time.
+
+    Waits for six drives, builds up the holding force against the closed brakes, opens them, moves to the
+    start of the reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a
+    second Ctrl-C is an emergency stop. Ends with a summary, a picture and the replay verdict of its log.
+
+    \b
+    Examples:
+      hil run --plant                       all virtual; needs nothing but this machine
+      hil run --plant --duration 5          the same, parked after 5 s
+      hil run socketcan                     real drives on can0
+      hil run socketcan --reset             the same, clearing faults that the drives have latched
+      hil run my.yaml --log today.mcap --json today.json
+
+    The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
+    with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png.
+
+    \b
+    Exit code:
+      0  parked as planned or on request, and what was recorded replays exactly
+      1  a latched fault, no drives, or stopped by safety; the log is closed and tells
+      2  not begun: configuration, bus, plant or log file; the message says what
+    """
+    loaded = load(configuration, "run")
+    from hil.app.run import run_daemon
+
+    summary = run_daemon(loaded, log=log, duration_s=duration, with_plant=with_plant, reset=reset)
+    if "last_ticks" in summary:
+        from hil.app.output import last_ticks_table
+
+        click.echo(last_ticks_table(summary["last_ticks"]), err=True)
+    if summary["trouble"]:
+        click.echo(f"hil: {summary['trouble']}", err=True)
+    finish("run", summary, json_file)

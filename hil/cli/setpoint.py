@@ -1,0 +1,56 @@
+"""`hil setpoint`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import configuration_argument, finish, guarded, json_option
+
+
+@click.command("setpoint", short_help="Send a live reference somewhere while it runs.")
+@configuration_argument
+@click.option("--position", type=float, nargs=3, metavar="X Y Z", help="Where to go, m.")
+@click.option(
+    "--rotation",
+    type=float,
+    nargs=3,
+    metavar="RX RY RZ",
+    help="Rotation vector, deg; with --position.  [default: 0 0 0]",
+)
+@json_option
+@guarded
+def setpoint_command(
+    configuration: str,
+    position: tuple[float, float, float] | None,
+    rotation: tuple[float, float, float] | None,
+    json_file: Path | None,
+) -> None:
+    """Send set-points to a running `hil run CONFIG` whose reference is of type live.
+
+    Without --position every line of the standard input is one: x y z in m and, after them, the rotation
+    vector in deg. The controller moves there within reference.limits, and answers whether it took the
+    set-point: out of stroke, too near to a singularity or beyond the force it refuses it.
+
+    \b
+    Examples:
+      hil setpoint my.yaml --position 0.1 0 1.05
+      hil setpoint my.yaml --position 0 0 1 --rotation 0 5 10
+      hil setpoint my.yaml                  one for each line typed, until Ctrl-D
+
+    \b
+    Exit code:
+      0  all set-points were taken
+      1  some were refused, or there were none; the summary says why
+      2  nothing was sent: no such configuration, its reference is not live, or no controller listens
+    """
+    from hil.app.configuration import load
+    from hil.app.setpoint import send_setpoints
+
+    if position is None and rotation is not None:
+        raise click.UsageError("--rotation needs --position: a set-point is a whole pose")
+    pose = (*(position or ()), *(rotation or ()))
+    lines = [" ".join(map(repr, pose))] if pose else sys.stdin
+    finish("setpoint", send_setpoints(load(configuration), lines), json_file)

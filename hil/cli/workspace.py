@@ -1,0 +1,110 @@
+"""`hil workspace`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import (
+    FILE,
+    FiniteRange,
+    announce_compilation,
+    configuration_argument,
+    finish,
+    guarded,
+    json_option,
+)
+
+
+@click.command("workspace", short_help="Map of the reachable poses, with a picture; nothing moves.")
+@configuration_argument
+@click.option(
+    "--resolution",
+    type=click.IntRange(8, 160),
+    default=60,
+    show_default=True,
+    metavar="N",
+    help="Steps of the grid along the longest side of the workspace.",
+)
+@click.option(
+    "--position",
+    type=(float, float, float),
+    metavar="X Y Z",
+    help="Where to map orientations, m in the base frame; default: home.",
+)
+@click.option(
+    "--payload",
+    type=FiniteRange(min=0),
+    default=0.0,
+    metavar="KG",
+    help="Further mass on the platform, for the static leg forces.",
+)
+@click.option(
+    "--payload-at",
+    type=(float, float, float),
+    default=(0.0, 0.0, 0.0),
+    metavar="X Y Z",
+    help="Its centre of mass, m in the platform frame; default: the origin.",
+)
+@click.option(
+    "--leg-diameter",
+    type=FiniteRange(min=0, min_open=True),
+    metavar="M",
+    help="Look at collisions of legs this thick, too.",
+)
+@click.option(
+    "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
+)
+@json_option
+@guarded
+def workspace_command(
+    configuration: str,
+    resolution: int,
+    position: tuple[float, float, float] | None,
+    payload: float,
+    payload_at: tuple[float, float, float],
+    leg_diameter: float | None,
+    picture: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Map the poses that the platform can reach from home within stroke, joint angle and force limits.
+
+    Translations at home's orientation: volume, extents, sections with the limit that is met along the edge,
+    the largest sphere and cylinder. Tilt and torsion at one position. Condition number and singularity
+    measure, static leg forces. What lies behind a singularity or a gap is not reachable and does not count.
+    Joint angles: platform.base_joint_angle_max_deg and platform.platform_joint_angle_max_deg.
+
+    \b
+    Examples:
+      hil workspace                         the default bench
+      hil workspace lab --picture lab.png --json lab.json
+      hil workspace lab --payload 200 --position 0 0 0.9
+      hil workspace my.yaml --resolution 120 --leg-diameter 0.08
+
+    The picture goes to --picture, else to runs/NAME-workspace-TIME.png (recording.folder).
+
+    \b
+    Exit code:
+      0  mapped
+      2  not begun: configuration, home outside a limit, position not reached, file
+    """
+    from hil.app.configuration import load
+    from hil.app.output import console
+
+    loaded = load(configuration)
+    announce_compilation()
+    with console.status("loading the mathematics") as status:
+        from hil.app.workspace import map_workspace, shown
+
+        summary = map_workspace(
+            loaded,
+            resolution=resolution,
+            position=position,
+            payload_kg=payload,
+            payload_at=payload_at,
+            leg_diameter_m=leg_diameter,
+            picture=picture,
+            progress=lambda what: status.update(f"mapping: {what}"),
+        )
+    finish("workspace", summary, json_file, shown(summary))

@@ -1,0 +1,48 @@
+"""Section `limits`: what safety refuses."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from drivers.config import Section
+from hil.config.values import NonNegative, Positive
+
+
+class LimitSettings(Section):
+    """Safety limits of the controller."""
+
+    force_N: Positive
+    """Per leg."""
+    force_step_N: Positive
+    """Largest change of a leg's force from one tick to the next."""
+    force_window_N: Positive
+    """Largest change of a leg's force within 250 ms."""
+    speed_m_s: Positive
+    """Leg speed; faults above."""
+    acceleration_m_s2: Positive | None = None
+    """Leg acceleration that the reference may ask for; checked before the run. Default: not limited."""
+    deceleration_m_s2: Positive
+    """The square-root speed cap before the soft ends: |dq| <= sqrt(2 a distance)."""
+    stroke_margin_m: NonNegative = 0.0
+    """Soft ends lie this far inside length_min_m and length_max_m."""
+    following_error_m: Positive
+    """Leg error that faults at rest."""
+    following_error_s: NonNegative = 0.0
+    """Added per m/s of reference leg rate."""
+    consistency_m: Positive = 1e-4
+    """Residual of forward kinematics that faults."""
+    condition: Positive = 50.0
+    """Condition number of J (lengths made comparable) that faults."""
+    stale_warn_ticks: Annotated[int, Field(ge=1)] = 2
+    stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
+
+    @model_validator(mode="after")
+    def _warn_before_fault(self) -> Self:
+        if self.stale_warn_ticks > self.stale_fault_ticks:
+            raise ValueError(
+                f"stale_warn_ticks is above stale_fault_ticks, allowed: at most {self.stale_fault_ticks}, "
+                f"given: {self.stale_warn_ticks}"
+            )
+        return self

@@ -1,0 +1,30 @@
+"""Section `loop`: the fixed rate and how it is held."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.config import Section
+from hil.config.values import NonNegative, Positive
+
+
+class LoopSettings(Section):
+    """The fixed-rate loop."""
+
+    rate_Hz: Positive = 1000.0
+    feedback_window_us: Positive | None = None
+    """Longest wait for the six feedbacks after SYNC; default 65 % of the period."""
+    cpu: int | None = None
+    """CPU to pin the loop to (only together with SCHED_FIFO)."""
+    priority: Annotated[int, Field(ge=1, le=99)] = 80
+    """SCHED_FIFO priority."""
+    spin_us: NonNegative = 100.0
+    """Busy-wait this long before each deadline."""
+    without_realtime: Literal["slow", "refuse"] = "slow"
+    """Without SCHED_FIFO: drop to a rate that can be held, or refuse to run."""
+
+    def window_s(self, rate_Hz: float) -> float:
+        """Return the longest wait for the six feedbacks at a rate, s."""
+        return 0.65 / rate_Hz if self.feedback_window_us is None else self.feedback_window_us * 1e-6

@@ -1,0 +1,46 @@
+"""What the controller believes of the robot."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import model_validator
+
+from drivers.config import Section
+from hil.config.values import NonNegative, Pose, Positive, SixNonNegative
+
+
+class MechanicsSettings(Section):
+    """What the controller believes of masses and friction."""
+
+    inertia_scale: Positive = 1.0
+    """All masses, all inertias and the platform's centre of mass times this. The centres of mass along the
+    legs stay exact, as do lengths, J, its rate, gravity and friction."""
+    reflected_mass_kg: NonNegative | SixNonNegative = 0.0
+    """Motor and screw inertia seen along each leg: rotary inertia times (2 pi / lead)^2. One for all legs,
+    or one per leg; so are the frictions."""
+    viscous_friction_N_s_m: NonNegative | SixNonNegative = 0.0
+    coulomb_friction_N: NonNegative | SixNonNegative = 0.0
+    sliding_speed_m_s: NonNegative = 1e-3
+    """Leg rate from which Coulomb friction counts in full; below, it grows linearly. 0: sgn of the rate."""
+
+
+class ModelSettings(MechanicsSettings):
+    """The controller's model of the robot."""
+
+    variant: Literal["full", "no_H", "printed", "constant", "constant_MG", "massless_legs"] = "full"
+    frozen_at: Pose | None = None
+    """Pose of the constant variants."""
+
+    @model_validator(mode="after")
+    def _frozen_somewhere(self) -> Self:
+        constant = self.variant in {"constant", "constant_MG"}
+        if constant and self.frozen_at is None:
+            raise ValueError(
+                f"frozen_at is missing: variant {self.variant} needs the pose at which it is frozen"
+            )
+        if self.frozen_at is not None and not constant:
+            raise ValueError(
+                f"frozen_at has no meaning for variant {self.variant}, allowed: constant, constant_MG"
+            )
+        return self

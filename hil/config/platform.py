@@ -1,0 +1,213 @@
+"""Section `platform`: geometry and inertia of the robot."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from drivers.config import Section
+from hil.config.values import (
+    JointAngle,
+    LegSpin,
+    Matrix3,
+    NonNegative,
+    Pose,
+    Positive,
+    Six,
+    SixVectors,
+    Vector3,
+)
+
+
+class JointCircle(Section):
+    """Six joints on a circle about z: by six angles, or in three pairs."""
+
+    radius_m: Positive
+    z_m: float = 0.0
+    angles_deg: Six | None = None
+    """One angle a leg, from x towards y."""
+    pair_centres_deg: Vector3 | None = None
+    """Instead of angles: direction of each pair of joints."""
+    pair_half_angle_deg: Annotated[float, Field(ge=0, lt=60)] | None = None
+    """The joints of a pair stand at its centre minus and plus this."""
+    pair_spacing_m: NonNegative | None = None
+    """Instead of the half angle: distance between the two joints of a pair."""
+    pairs_begin: Literal["first_leg", "second_leg"] = "first_leg"
+    """Pairs are legs 1-2, 3-4, 5-6 of the list, or 2-3, 4-5, 6-1."""
+
+    @model_validator(mode="after")
+    def _angles_or_pairs(self) -> Self:
+        halves = (self.pair_half_angle_deg, self.pair_spacing_m)
+        if (self.angles_deg is None) == (self.pair_centres_deg is None):
+            raise ValueError("allowed: either angles_deg or pair_centres_deg")
+        if self.angles_deg is not None and (halves != (None, None) or self.pairs_begin != "first_leg"):
+            raise ValueError("angles_deg needs no pairs, allowed: radius_m, z_m and angles_deg alone")
+        if self.pair_centres_deg is not None and halves.count(None) != 1:
+            raise ValueError("allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m")
+        if self.pair_spacing_m is not None and not self.pair_spacing_m < 2 * self.radius_m:
+            raise ValueError(
+                f"pair_spacing_m does not fit on the circle, allowed: less than {2 * self.radius_m:g} "
+                f"(2 radius_m), given: {self.pair_spacing_m:g}"
+            )
+        return self
+
+
+def _at_most_half_a_turn(vector: Vector3) -> Vector3:
+    angle = math.hypot(*vector)
+    if angle > 180 * (1 + 1e-12):
+        raise ValueError(f"more than half a turn, allowed: a length of at most 180 deg, given: {angle:g} deg")
+    return vector
+
+
+RotationVector = Annotated[Vector3, AfterValidator(_at_most_half_a_turn)]
+
+
+class Frame(Section):
+    """A coordinate system in the platform frame: x_platform = origin + R x."""
+
+    origin_m: Vector3 = (0.0, 0.0, 0.0)
+    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
+
+
+class InertiaReference(Section):
+    """What a tensor refers to, where that is not the centre of mass and the axes of the body's frame."""
+
+    point_m: Vector3 | None = None
+    """The tensor is about this point of the body's frame; default: the centre of mass."""
+    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
+    """Turns the axes of the body's frame into those of the tensor (principal axes, say)."""
+
+
+class BoxShape(Section):
+    """Homogeneous box, its sides along the axes of the body's frame, centred on com_m."""
+
+    type: Literal["box"]
+    size_m: tuple[Positive, Positive, Positive]
+
+
+class CylinderShape(Section):
+    """Homogeneous cylinder or tube along z of the body's frame, centred on com_m."""
+
+    type: Literal["cylinder"]
+    radius_m: Positive
+    length_m: Positive
+    inner_radius_m: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _wall(self) -> Self:
+        if self.inner_radius_m >= self.radius_m:
+            raise ValueError(
+                f"inner_radius_m leaves no wall, allowed: less than {self.radius_m:g} (radius_m), "
+                f"given: {self.inner_radius_m:g}"
+            )
+        return self
+
+
+class SphereShape(Section):
+    """Homogeneous sphere centred on com_m."""
+
+    type: Literal["sphere"]
+    radius_m: Positive
+
+
+class PointShape(Section):
+    """A point mass at com_m."""
+
+    type: Literal["point"]
+
+
+Shape = Annotated[BoxShape | CylinderShape | SphereShape | PointShape, Field(discriminator="type")]
+
+
+class RigidBodySettings(Section):
+    """A rigid body fixed to the platform."""
+
+    mass_kg: Positive
+    com_m: Vector3
+    """Centre of mass in the body's frame."""
+    inertia_kg_m2: Matrix3 | None = None
+    """About the centre of mass in the axes of the body's frame, unless inertia_about says otherwise."""
+    shape: Shape | None = None
+    """Instead of the tensor."""
+    frame: Frame = Frame()
+    """The coordinate system of the figures above, in the platform frame; default: the platform frame."""
+    inertia_about: InertiaReference = InertiaReference()
+    products: Literal["negative_integral", "positive_integral"] = "negative_integral"
+    """What stands off the diagonal of inertia_kg_m2: minus or plus the integral of x y dm."""
+
+    @model_validator(mode="after")
+    def _tensor_or_shape(self) -> Self:
+        if (self.inertia_kg_m2 is None) == (self.shape is None):
+            raise ValueError("allowed: either inertia_kg_m2 or shape")
+        lost = sorted(self.model_fields_set & {"inertia_about", "products"})
+        if self.shape is not None and lost:
+            raise ValueError(f"{', '.join(lost)} has no meaning with shape, allowed: with inertia_kg_m2")
+        return self
+
+
+class BodySettings(RigidBodySettings):
+    """The moving platform, and what is mounted on it."""
+
+    payload: list[RigidBodySettings] = []
+    """Further bodies; all are put together into one."""
+
+
+class LegBodySettings(Section):
+    """One half of every leg."""
+
+    mass_kg: NonNegative
+    com_m: NonNegative
+    """Cylinder: from the base joint. Rod: from the platform joint. Along the leg."""
+    inertia_axial_kg_m2: NonNegative | None = None
+    """About the leg's own axis; has no effect unless the legs spin."""
+    inertia_transverse_kg_m2: NonNegative
+
+
+class PlatformSettings(Section):
+    """Geometry and inertia of the robot."""
+
+    base_joints_m: SixVectors | JointCircle
+    """a_i in the base frame."""
+    platform_joints_m: SixVectors | JointCircle
+    """b_i in the platform frame."""
+    platform: BodySettings
+    cylinder: LegBodySettings
+    rod: LegBodySettings
+    gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
+    leg_spin: LegSpin = "none"
+    universal_joint_base_axes: SixVectors | None = None
+    home: Pose
+    """Where forward kinematics is seeded and the virtual plant starts."""
+    length_min_m: Positive
+    """Hard end of the stroke, joint centre to joint centre."""
+    length_max_m: Positive
+    base_joint_angle_max_deg: JointAngle | None = None
+    """Largest angle of a leg to the axis of its base joint; left out: not looked at. `hil workspace`."""
+    platform_joint_angle_max_deg: JointAngle | None = None
+    """The same for the platform joint."""
+    base_joint_axes: SixVectors | None = None
+    """Axes of the base joints' cones: directions from base to platform, base frame. Default: each leg's own
+    direction at home."""
+    platform_joint_axes: SixVectors | None = None
+    """Axes of the platform joints' cones: directions from base to platform, platform frame. Same default."""
+
+    @model_validator(mode="after")
+    def _joint_axes_are_directions(self) -> Self:
+        for key in ("base_joint_axes", "platform_joint_axes"):
+            axes: list[Vector3] | None = getattr(self, key)
+            if axes is not None and not all(any(x != 0 for x in axis) for axis in axes):
+                raise ValueError(f"{key} has a direction of length zero")
+        return self
+
+    @model_validator(mode="after")
+    def _spinning_legs_are_known(self) -> Self:
+        if self.leg_spin == "universal":
+            halves = {"cylinder": self.cylinder, "rod": self.rod}
+            lacking = [f"{n}.inertia_axial_kg_m2" for n, h in halves.items() if h.inertia_axial_kg_m2 is None]
+            if self.universal_joint_base_axes is None:
+                lacking.append("universal_joint_base_axes")
+            if lacking:
+                raise ValueError(f"leg_spin universal needs {', '.join(lacking)}")
+        return self

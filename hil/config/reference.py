@@ -1,0 +1,153 @@
+"""Section `reference`: one model a kind, told apart by `type`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.config import Section
+from hil.config.values import NonNegative, Pose, Positive, Vector3
+
+
+class Evaluated(Section):
+    """What every reference has that is known before the run."""
+
+    evaluation: Literal["online", "offline"] = "online"
+    """In the loop, or before the run at the loop's ticks, which needs an end; the same to the bit."""
+
+
+class HoldReference(Evaluated):
+    """Stay at a pose."""
+
+    type: Literal["hold"]
+    pose: Pose | None = None
+    """Default: home."""
+    duration_s: Positive | None = None
+    """Default: until stopped."""
+
+
+class Waypoint(Section):
+    """One way-point: pose at a time after the start."""
+
+    t_s: NonNegative
+    position_m: Vector3
+    rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
+
+
+class WaypointReference(Evaluated):
+    """A path through way-points at given times; position and rotation vector interpolated."""
+
+    type: Literal["waypoints"]
+    interpolation: Literal["cubic", "quintic", "minimum_jerk"] = "quintic"
+    """cubic and quintic rest at every point, minimum_jerk at the first and the last one."""
+    points: Annotated[list[Waypoint], Field(min_length=2)]
+    periods: Annotated[int, Field(ge=1)] | None = 1
+    """How many times the list is run through; null is for ever."""
+
+
+AxisLimit = Positive | tuple[Positive, Positive, Positive]
+"""One for all three axes, or one each."""
+
+
+class AxisLimits(Section):
+    """Largest velocity, acceleration and jerk of position and rotation vector, component by component."""
+
+    velocity_m_s: AxisLimit
+    velocity_deg_s: AxisLimit
+    acceleration_m_s2: AxisLimit
+    acceleration_deg_s2: AxisLimit
+    jerk_m_s3: AxisLimit
+    jerk_deg_s3: AxisLimit
+
+
+class TimeOptimalReference(Evaluated):
+    """From pose to pose in the shortest time within limits, at rest at each; the times follow."""
+
+    type: Literal["time_optimal"]
+    points: Annotated[list[Pose], Field(min_length=2)]
+    limits: AxisLimits
+    periods: Annotated[int, Field(ge=1)] | None = 1
+    """How many times the list is run through; null is for ever."""
+
+
+Axis = Literal["x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg"]
+
+
+class Sinusoid(Section):
+    """amplitude * sin(2 pi frequency t + phase) on one axis."""
+
+    axis: Axis
+    amplitude: float
+    """In the axis' unit."""
+    frequency_Hz: Positive
+    phase_rad: float = 0.0
+
+
+class SinusoidReference(Evaluated):
+    """Sum of sinusoids about a centre pose, faded in and out by quintics."""
+
+    type: Literal["sinusoids"]
+    centre: Pose | None = None
+    """Default: home."""
+    components: Annotated[list[Sinusoid], Field(min_length=1)]
+    ramp_s: NonNegative = 1.0
+    duration_s: Positive
+
+
+class MultisineAxis(Section):
+    """Lines of equal amplitude on one axis."""
+
+    axis: Axis
+    band_Hz: tuple[Positive, Positive]
+    """The lines are spread evenly from the first to the second frequency."""
+    lines: Annotated[int, Field(ge=1)]
+    amplitude: Positive
+    """Largest deviation from the centre, in the axis' unit."""
+    phases: Literal["schroeder", "random"] = "schroeder"
+    seed: int = 0
+    """Of random phases."""
+
+
+class MultisineReference(Evaluated):
+    """Sums of sinusoids on multiples of 1/period_s, for identification; faded in before and out after."""
+
+    type: Literal["multisine"]
+    centre: Pose | None = None
+    """Default: home."""
+    axes: Annotated[list[MultisineAxis], Field(min_length=1)]
+    """No two of them share a frequency."""
+    period_s: Positive
+    periods: Annotated[int, Field(ge=1)] = 1
+    """Whole periods between the ramps."""
+    ramp_s: NonNegative = 1.0
+
+
+class SampledReference(Evaluated):
+    """A CSV file: t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector), cubic spline through it."""
+
+    type: Literal["sampled"]
+    path: str
+    """Relative to the configuration file."""
+    periods: Annotated[int, Field(ge=1)] = 1
+
+
+class LiveReference(Section):
+    """Set-points that come while it runs, approached within limits on each axis; holds at the last one."""
+
+    type: Literal["live"]
+    start: Pose | None = None
+    """Before the first set-point. Default: home."""
+    limits: AxisLimits
+
+
+ReferenceSettings = Annotated[
+    HoldReference
+    | WaypointReference
+    | TimeOptimalReference
+    | SinusoidReference
+    | MultisineReference
+    | SampledReference
+    | LiveReference,
+    Field(discriminator="type"),
+]

@@ -1,0 +1,35 @@
+"""Sections `engage` and `recording`: how a run begins and ends, and what is kept of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.config import Section
+from hil.config.values import NonNegative, Positive
+
+
+class EngageSettings(Section):
+    """From rest to the first reference sample, without a bump."""
+
+    force_ramp_s: NonNegative = 0.3
+    """The static holding force builds up against the closed brakes; 0 starts with the law at once."""
+    brake_release_s: NonNegative = 0.1
+    """Time given to the brakes to open."""
+    approach_speed_m_s: Positive = 0.2
+    """Mean leg speed of the quintic move from the measured pose to the reference's start."""
+    stop_s: Positive = 0.5
+    """Time in which a controlled stop comes to rest along the path."""
+    blend_s: NonNegative = 0.5
+    """Time over which the holding-force offset fades into the law."""
+
+
+class RecordingSettings(Section):
+    """The log."""
+
+    folder: str = "runs"
+    on_recorder_loss: Literal["continue", "stop"] = "continue"
+    """What the daemon does when the recorder dies."""
+    ring_ticks: Annotated[int, Field(ge=256)] = 8192
+    """Length of the shared-memory ring."""

@@ -1,0 +1,31 @@
+"""From the configuration's `model` to what the controller believes of the robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config import LegSpin, ModelSettings
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.rotations import rotation_from_vector
+
+
+def build_model(settings: ModelSettings, platform: Platform, leg_spin: LegSpin) -> Model:
+    """Return the model that a law is configured with."""
+    frozen = settings.frozen_at
+    return Model(
+        platform,
+        settings.variant,
+        leg_spin,
+        inertia_scale=settings.inertia_scale,
+        reflected_mass=settings.reflected_mass_kg,
+        viscous=settings.viscous_friction_N_s_m,
+        coulomb=settings.coulomb_friction_N,
+        sliding_speed=settings.sliding_speed_m_s,
+        frozen_at=None
+        if frozen is None
+        else (
+            np.array(frozen.position_m, float),
+            rotation_from_vector(np.deg2rad(frozen.rotation_vector_deg)),
+        ),
+    )

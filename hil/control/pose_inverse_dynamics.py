@@ -1,0 +1,87 @@
+"""Inverse dynamics control in pose space (control notes, section 6.1.3 A: the pose is measured)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.compile_cache import MATRIX, VECTOR, kernel
+from hil.config import PoseInverseDynamicsSettings
+from hil.control.law import LawContext, error_gains
+from hil.control.model import build_model
+from hil.dynamics import Model
+from hil.kernels.dynamics import inverse_dynamics_kernel
+from hil.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
+from hil.signals import Array, Effort, Reference, State
+from hil.vectors import add, at, cross, rotate, rotate_back, sub
+
+
+class PoseInverseDynamics:
+    """tau = J^-T (M dtwist* + H + G - wrench) + friction, all at the measured pose.
+
+    With an exact model dtwist = dtwist*, and that is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
+    rotation vector of the shortest turn from R to R_d (base frame), obeys e'' + K_D e' + K_P e = 0 in
+    all six components, exactly and for turns of any size below half a turn:
+
+    - position: dv* = dv_d + K_D (v_d - v) + K_P (p_d - p);
+    - rotation: E = R_d R^T = exp([r]x) turns with Omega = omega_d - E omega, hence r' = L(r)^-1 Omega with
+      L = d Omega / d r' (``hil.rotations.rotation_vector_rate``), and
+      domega* = E^T (domega_d - Omega x E omega - Omega'*), Omega'* the Omega' of r'' = -K_D r' - K_P r.
+
+    Often omega_d - omega is put for r'. It is no derivative of r, not even to first order, where
+    r' = omega_d - omega - r x omega: that law's error dynamics change with the speed.
+
+    No mutable state.
+    """
+
+    def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
+        """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals, position first, axes of the base frame."""
+        self.model = model
+        self.K_P = K_P
+        self.K_D = K_D
+
+    @classmethod
+    def build(cls, settings: PoseInverseDynamicsSettings, context: LawContext) -> PoseInverseDynamics:
+        """Make the law and its model from their section of the configuration."""
+        model = build_model(settings.model, context.platform, context.leg_spin)
+        return cls(model, *error_gains(settings.wn_rad_s, settings.damping_ratio))
+
+    def reset(self) -> None:
+        """Nothing is accumulated."""
+
+    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
+        """Return tau (6,) N; NaN where J is singular."""
+        del shortfall
+        p, R, twist = state.p, state.R, state.twist
+        dtwist = _dtwist(
+            self.K_P, self.K_D, p, R, twist, reference.p, reference.R, reference.twist, reference.dtwist
+        )
+        return Effort(
+            inverse_dynamics_kernel(self.model.constants, self.model.code, p, R, twist, dtwist, state.wrench)
+        )
+
+
+@kernel(VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR)
+def _dtwist(
+    K_P: Array, K_D: Array,
+    p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array,
+) -> Array:  # fmt: skip
+    """Return dtwist* (6,) m/s^2, rad/s^2 of the class."""
+    r = relative_rotation(R, R_d)
+    still = np.zeros(3)
+    E, _, _ = rotation_motion_kernel(r, still, still)
+    E_omega = rotate(E, at(twist, 3))
+    turning = sub(at(twist_d, 3), E_omega)
+    Omega = np.empty(3)
+    for i in range(3):
+        Omega[i] = turning[i]
+    dr = rotation_vector_rate(r, Omega)
+    ddr = np.empty(3)
+    for i in range(3):
+        ddr[i] = -K_D[3 + i] * dr[i] - K_P[3 + i] * r[i]
+    _, _, dOmega = rotation_motion_kernel(r, dr, ddr)
+    domega = rotate_back(E, sub(at(dtwist_d, 3), add(cross(turning, E_omega), at(dOmega, 0))))
+    dtwist = np.empty(6)
+    for i in range(3):
+        dtwist[i] = dtwist_d[i] + K_D[i] * (twist_d[i] - twist[i]) + K_P[i] * (p_d[i] - p[i])
+        dtwist[3 + i] = domega[i]
+    return dtwist

@@ -1,0 +1,20 @@
+"""What a rule remembers of past ticks, as bits of one integer.
+
+Rule of the room: see `hil.safety`.
+"""
+
+from __future__ import annotations
+
+from drivers.compile_cache import helper
+
+HISTORY = 32
+"""Ticks that are remembered."""
+
+
+@helper
+def ones(history: int) -> int:
+    """Return how many of the lowest HISTORY bits are 1."""
+    count = 0
+    for k in range(HISTORY):
+        count += (history >> k) & 1
+    return count

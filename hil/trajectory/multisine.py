@@ -1,0 +1,119 @@
+"""Multisines for identification: many lines on each axis, with phases that keep the peak low.
+
+Rule of the room: see `hil.trajectory`. Random phases are drawn once, from the configured seed.
+"""
+
+from __future__ import annotations
+
+import math
+from random import Random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compile_cache import INTEGERS, VECTOR, kernel
+from drivers.errors import ConfigurationError
+from hil.config import MultisineAxis, MultisineReference, Pose, Sinusoid, SinusoidReference
+from hil.trajectory.path import Array
+from hil.trajectory.sinusoids import AXES, SinusoidTrajectory
+from hil.trig import sincos
+
+POINTS_PER_CYCLE = 64
+"""Of the highest line, where the peak is looked for: between two points it is at most 0.12 % higher."""
+_TURN = 2.0 * math.pi
+
+
+def multisine_trajectory(settings: MultisineReference, home: Pose) -> SinusoidTrajectory:
+    """Return the faded sum of sinusoids; the first whole period begins at `ramp_s`.
+
+    Raises ConfigurationError when a band has too few frequencies for its lines.
+    """
+    taken: set[int] = set()
+    components: list[Sinusoid] = []
+    largest = np.zeros(6)
+    for n, axis in enumerate(settings.axes):
+        harmonics = pick_lines(axis, settings.period_s, taken, f"reference.axes[{n}]")
+        taken.update(harmonics)
+        phases = PHASES[axis.phases](len(harmonics), axis.seed)
+        largest[AXES.index(axis.axis)] += (
+            math.radians(axis.amplitude) if axis.axis.endswith("_deg") else axis.amplitude
+        )
+        line = axis.amplitude / peak(np.array(harmonics, np.int64), np.array(phases, float))
+        for harmonic, phase in zip(harmonics, phases, strict=True):
+            f = harmonic / settings.period_s
+            # The period begins after the ramp: there the phases are those that were asked for.
+            late = harmonic * (settings.ramp_s / settings.period_s)
+            components.append(
+                Sinusoid(
+                    axis=axis.axis,
+                    amplitude=line,
+                    frequency_Hz=f,
+                    phase_rad=phase - _TURN * (late - math.floor(late)),
+                )
+            )
+    return SinusoidTrajectory(
+        SinusoidReference(
+            type="sinusoids",
+            centre=settings.centre,
+            components=components,
+            ramp_s=settings.ramp_s,
+            duration_s=2.0 * settings.ramp_s + settings.periods * settings.period_s,
+        ),
+        home,
+        largest,
+    )
+
+
+def pick_lines(axis: MultisineAxis, period_s: float, taken: set[int], where: str) -> list[int]:
+    """Return the axis' harmonics of 1/period_s, spread evenly over its band, none of them in `taken`.
+
+    Lines of their own tell the responses to several axes apart in one run. Raises ConfigurationError.
+    """
+    low, high = axis.band_Hz
+    first, last = math.ceil(low * period_s - 1e-9), math.floor(high * period_s + 1e-9)
+    free = [k for k in range(first, last + 1) if k not in taken]
+    if low > high or len(free) < axis.lines:
+        used = sum(k in taken for k in range(first, last + 1))
+        raise ConfigurationError(
+            f"{where}.lines: {axis.lines} lines do not fit into {low:g} to {high:g} Hz, allowed: at most "
+            f"{len(free)}, the multiples of 1/period_s = {1 / period_s:g} Hz there"
+            + (f" less {used} that other axes have" if used else "")
+            + ". Lengthen period_s or widen band_Hz."
+        )
+    if axis.lines == 1:
+        return [free[0]]
+    return [free[round(i * (len(free) - 1) / (axis.lines - 1))] for i in range(axis.lines)]
+
+
+def schroeder(lines: int, seed: int) -> list[float]:  # noqa: ARG001
+    """Phases in rad that keep the peak of equal lines low: -pi k (k - 1)/n, k = 1 .. n.
+
+    M. R. Schroeder, Synthesis of low-peak-factor signals, IEEE Trans. Inf. Theory 16(1), 1970.
+    """
+    return [-math.pi * ((k * (k - 1)) % (2 * lines)) / lines for k in range(1, lines + 1)]
+
+
+def seeded(lines: int, seed: int) -> list[float]:
+    """Phases in rad, uniform over a turn; the same seed gives the same ones on every machine."""
+    draw = Random(seed).random  # noqa: S311 - no secret
+    return [_TURN * draw() for _ in range(lines)]
+
+
+PHASES = {"schroeder": schroeder, "random": seeded}
+
+
+@kernel(INTEGERS, VECTOR)
+def peak(harmonics: NDArray[np.int64], phases: Array) -> float:
+    """Upper bound of |sum of sin(k w t + phase)| over a period, at most 0.12 % above it.
+
+    A sum of degree n is nowhere larger than its largest value at N points of a period over cos(pi n/N).
+    """
+    n = np.max(harmonics)
+    points = POINTS_PER_CYCLE * n
+    largest = 0.0
+    for i in range(points):
+        total = 0.0
+        for j in range(harmonics.shape[0]):
+            total += sincos(_TURN * (harmonics[j] * i % points) / points + phases[j])[0]
+        largest = max(largest, abs(total))
+    return largest / sincos(math.pi / POINTS_PER_CYCLE)[1]

@@ -1,0 +1,101 @@
+"""Way-points in the shortest time within limits of velocity, acceleration and jerk, at rest at each.
+
+Rule of the room: Ruckig plans while the trajectory is built; what runs in the cycle are its polynomials.
+"""
+
+from __future__ import annotations
+
+import io
+from itertools import pairwise
+
+import numpy as np
+from ruckig import InputParameter, Profile, Result, Ruckig, Synchronization
+from ruckig import Trajectory as Plan
+
+from drivers.errors import ConfigurationError
+from hil.config import TimeOptimalReference
+from hil.trajectory.path import Array, axis_limits, require_half_turn, six_words
+from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
+from hil.trajectory.waypoints import SAME, require_closed
+
+APART = 1e-12
+"""s: instants of two axes that are closer are one."""
+
+
+def time_optimal_path(settings: TimeOptimalReference) -> tuple[Array, Array]:
+    """Return knots (n + 1,) s and coefficients (n, 6, 6) of the path, as for `PiecewisePolynomial`.
+
+    Each move from rest to rest takes the time of its slowest axis; the others go in proportion, on a straight
+    line of the six words, where their limits allow that, and else within the same time. Raises
+    ConfigurationError when a point is its neighbour's twin, or a repeated path does not close.
+    """
+    chi = np.array([six_words(pose) for pose in settings.points])
+    for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
+        require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
+    for k, (a, b) in enumerate(pairwise(chi)):
+        if np.abs(b - a).max() <= SAME:
+            raise ConfigurationError(
+                f"reference.points[{k + 1}]: the same pose as the point before it; a move needs another one."
+            )
+    require_closed(chi, settings.periods, "reference.points")
+    limits = axis_limits(settings.limits)
+    knots, pieces = [0.0], []
+    for start, end in pairwise(chi):
+        t, coefficients = _move(start, end, limits)
+        pieces.append(coefficients)
+        knots += (knots[-1] + t[1:]).tolist()
+    return np.array(knots), np.concatenate(pieces)
+
+
+def plan(settings: TimeOptimalReference) -> bytes:
+    """Return the planned path as a file in NumPy's format: a row (37,) for each polynomial, knot first.
+
+    Another C library may plan with another last bit: a log carries its plan, so that it replays to the bit.
+    Raises ConfigurationError as `time_optimal_path`.
+    """
+    knots, coefficients = time_optimal_path(settings)
+    file = io.BytesIO()
+    np.save(file, np.column_stack([knots[1:], coefficients.reshape(len(coefficients), -1)]))
+    return file.getvalue()
+
+
+def planned_trajectory(file: bytes, periods: int | None) -> PiecewisePolynomial:
+    """Return the trajectory of a `plan`."""
+    table: Array = np.load(io.BytesIO(file), allow_pickle=False)
+    knots = np.concatenate([[0.0], table[:, 0]])
+    return PiecewisePolynomial(knots, table[:, 1:].reshape(len(table), DEGREE + 1, 6), periods)
+
+
+def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
+    """Return knots (n + 1,) from 0 and coefficients (n, 6, 6) of one move from rest to rest."""
+    ask = InputParameter(6)
+    ask.current_position, ask.target_position = start.tolist(), end.tolist()
+    ask.max_velocity, ask.max_acceleration, ask.max_jerk = limits.tolist()
+    ask.synchronization = Synchronization.Phase
+    answer = Plan(6)
+    result = Ruckig(6).calculate(ask, answer)
+    if result not in {Result.Working, Result.Finished}:
+        raise ConfigurationError(
+            f"reference.limits: no move from {start} to {end} was found ({result.name})."
+        )
+    axes = [_states(profile) for profile in answer.profiles[0]]
+    instants = np.unique(np.concatenate([t for t, _ in axes]))
+    t = instants[np.concatenate([[True], np.diff(instants) > APART])]
+    h = np.diff(t)
+    coefficients = np.zeros((len(h), DEGREE + 1, 6))
+    for word, (own, states) in enumerate(axes):
+        k = np.minimum(np.searchsorted(own, t[:-1] + APART, side="right") - 1, len(own) - 1)
+        x, v, a, j = states[k].T
+        s = t[:-1] - own[k]
+        coefficients[:, 0, word] = x + s * (v + s * (a / 2 + s * j / 6))
+        coefficients[:, 1, word] = h * (v + s * (a + s * j / 2))
+        coefficients[:, 2, word] = h * h * (a + s * j) / 2
+        coefficients[:, 3, word] = h * h * h * j / 6
+    return t, coefficients
+
+
+def _states(profile: Profile) -> tuple[Array, Array]:
+    """Return instants (n,) and, from each on, position, velocity, acceleration and constant jerk (n, 4)."""
+    instants = np.concatenate([[0.0], np.cumsum(profile.t)])
+    jerk = [*profile.j, 0.0]
+    return instants, np.array([profile.p, profile.v, profile.a, jerk]).T

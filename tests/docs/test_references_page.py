@@ -1,0 +1,39 @@
+"""The examples on the page about references are sections that load, pass the checks, and are all there are."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.app.check import inspect
+from hil.app.configuration import load, loads
+from hil.trajectory.build import BUILDERS
+
+ROOT = Path(__file__).resolve().parents[2]
+PATH = """t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg
+0,0,0,1,0,0,0
+1,0.02,0,1,0,0,1
+2,0,0.02,1.01,1,0,0
+3,0,0,1,0,0,0
+"""
+PAGE = (ROOT / "docs/guides/references.md").read_text()
+EXAMPLES = re.findall(r"```yaml\n(reference:\n.*?)```", PAGE, re.DOTALL)
+KNOWN: Any = BUILDERS
+KINDS = [match[1] for match in (re.search(r"  type: (\w+)", example) for example in EXAMPLES) if match]
+
+
+def test_every_kind_has_one_example_and_a_line_in_the_table():
+    types: set[str] = {kind.model_fields["type"].annotation.__args__[0] for kind in KNOWN}
+    assert sorted(KINDS) == sorted(types)
+    assert set(re.findall(r"^\| `(\w+)` \| [a-z]", PAGE.partition("## Hold")[0], re.MULTILINE)) == types
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=KINDS)
+def test_an_example_loads_and_passes_the_checks(example, tmp_path):
+    (tmp_path / "path.csv").write_text(PATH)
+    virtual = load("virtual").text
+    first, last = virtual.index("\nreference:") + 1, virtual.index("\nlimits:") + 1
+    report = inspect(loads(virtual[:first] + example + "\n" + virtual[last:], "my.yaml", tmp_path))
+    assert any(title.startswith("reference ") for title in report.sections)
+    assert [w for w in report.warnings if "SCHED_FIFO" not in w] == []

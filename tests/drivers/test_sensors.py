@@ -1,0 +1,155 @@
+"""Sensor frames: what is refused, what is late or lost, and round trips."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
+from drivers.sensors import KINDS, OLDEST, Readings, Sample, SensorProtocol
+
+ALL = SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings())
+P = SensorProtocol(BusSettings(), ALL)
+VALUES = (0.25, -0.5, 1.0, 0.1, -0.2, 3.0)
+STEP = {"tracker": [1e-7] * 3 + [2e-9] * 3, "imu": [2e-4] * 3 + [2e-3] * 3, "wrench": [1e-3] * 6}
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+def sample(kind, tick, counter, offset_s=0.0004):
+    return P.encode(kind, VALUES, tick, offset_s, counter)
+
+
+def decode(tick, *frames, before=None):
+    given = [Received(n, frame) for n, frame in enumerate(frames)]
+    return P.decode(given, tick, Readings() if before is None else before)
+
+
+def damaged(frame, bit):
+    data = bytearray(frame.data)
+    data[bit // 8] ^= 1 << bit % 8
+    return frame._replace(data=bytes(data))
+
+
+@every_kind
+def test_a_sample_arrives_with_the_tick_of_its_sync(kind):
+    readings = decode(1000, sample(kind, 995, 3))
+    (got,) = getattr(readings, kind)
+    assert got.tick == 995
+    assert got.ticks(1e-3) == pytest.approx(995.4, abs=1e-9)
+    assert np.abs(np.subtract(got.values, VALUES)).max() <= max(STEP[kind]) / 2
+    assert all(not getattr(readings, other) for other in KINDS if other != kind)
+    assert (readings.rejected, readings.lost) == (0, 0)
+
+
+@every_kind
+@given(
+    data=st.data(), tick=st.integers(300, 1 << 40), behind=st.integers(0, OLDEST), counter=st.integers(0, 99)
+)
+def test_round_trip(kind, data, tick, behind, counter):
+    ends = {"tracker": (214.0, 1.8), "imu": (6.5, 65.5), "wrench": (2e6, 2e6)}[kind]
+    values = tuple(data.draw(st.floats(-end, end)) for end in np.repeat(ends, 3))
+    offset = data.draw(st.floats(0, 0.0655))
+    (got,) = getattr(decode(tick, P.encode(kind, values, tick - behind, offset, counter)), kind)
+    assert got.tick == tick - behind
+    assert abs(got.offset_s - offset) <= 0.5e-6 * (1 + 1e-6)
+    for back, value, step in zip(got.values, values, STEP[kind], strict=True):
+        assert abs(back - value) <= step / 2 * (1 + 1e-6)
+
+
+@every_kind
+def test_any_single_flipped_bit_and_any_other_length_is_refused(kind):
+    frame = sample(kind, 5, 1)
+    for bit in range(8 * len(frame.data)):
+        assert decode(5, damaged(frame, bit)) == Readings(rejected=1)
+    for data in (frame.data[:-1], frame.data + b"\0", b""):
+        assert decode(5, frame._replace(data=data)) == Readings(rejected=1)
+
+
+@every_kind
+@pytest.mark.parametrize("flag", [EXTENDED, REMOTE])
+def test_frames_of_other_kinds_and_identifiers_are_foreign(kind, flag):
+    frame = sample(kind, 5, 1)
+    assert (
+        decode(5, frame._replace(flags=frame.flags | flag), Frame(frame.id + 1, frame.data, FD)) == Readings()
+    )
+
+
+def test_a_stamp_from_the_future_before_the_start_or_too_far_back_is_refused():
+    for tick, stamp, fine in [
+        (300, 301, 0),
+        (300, 300, 1),
+        (300, 173, 1),
+        (300, 172, 0),
+        (3, 255, 0),
+        (3, 0, 1),
+    ]:
+        readings = decode(tick, sample("tracker", stamp, 1))
+        assert (len(readings.tracker), readings.rejected) == (fine, 1 - fine), (tick, stamp)
+
+
+def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_passed_over():
+    first = decode(10, sample("tracker", 9, 14))
+    assert first.lost == 0
+    second = decode(15, sample("tracker", 14, 1), before=first)
+    assert (second.lost, len(second.tracker)) == (2, 1)
+    again = decode(16, sample("tracker", 14, 1), before=second)
+    assert (again.lost, again.tracker, again.rejected) == (0, (), 0)
+
+
+def test_several_samples_of_a_tick_come_in_the_order_of_their_instants():
+    readings = decode(20, sample("tracker", 18, 2), sample("tracker", 15, 1))
+    assert [s.tick for s in readings.tracker] == [15, 18]
+
+
+@every_kind
+def test_what_exceeds_its_field_is_sent_as_invalid_and_is_no_sample(kind):
+    readings = decode(5, P.encode(kind, (1e9, *VALUES[1:]), 5, 0.0, 3))
+    assert (getattr(readings, kind), readings.rejected) == ((), 0)
+    assert readings.counters[KINDS.index(kind)] == 3, "its node was heard"
+
+
+def test_a_rotation_vector_longer_than_half_a_turn_is_refused():
+    fine, long = np.array([2.0, 2.0, 1.36]), np.array([2.0, 2.0, 1.4])
+    assert np.linalg.norm(fine) < np.pi < np.linalg.norm(long)
+    for r, rejected in ((fine, 0), (long, 1)):
+        assert decode(5, P.encode("tracker", (0, 0, 0, *r), 5, 0.0, 1)).rejected == rejected
+
+
+def test_what_is_no_number_or_has_no_stamp_is_not_sent():
+    with pytest.raises(ProtocolError, match="not a number"):
+        P.encode("imu", (float("nan"), *VALUES[1:]), 5, 0.0, 3)
+    for offset in (-1e-3, 0.0656, float("nan"), float("inf")):
+        with pytest.raises(ProtocolError, match=r"0 to 0\.065535"):
+            P.encode("imu", VALUES, 5, offset, 3)
+
+
+def test_node_numbers_move_the_identifiers():
+    moved = SensorProtocol(BusSettings(), SensorSettings(tracker=TrackerSettings(node_id=120)))
+    assert moved.kinds == ("tracker",)
+    assert moved.encode("tracker", VALUES, 0, 0.0, 0).id == 0x400 + 120
+
+
+def test_layout_classic_has_no_room():
+    with pytest.raises(ConfigurationError, match=r"classic carries 8 bytes .* sensors\.tracker, .*layout fd"):
+        SensorProtocol(BusSettings(layout="classic"), ALL)
+    assert SensorProtocol(BusSettings(layout="classic"), SensorSettings()).kinds == ()
+
+
+def test_a_tick_holds_as_many_frames_as_can_fall_into_it():
+    assert [len(f.data) for f in P.cyclic_frames(1000.0)] == [32, 20, 32]
+    assert len(P.cyclic_frames(500.0)) == 1 + 1 + 2
+    assert len(P.cyclic_frames(200.0)) == 1 + 3 + 5
+
+
+def test_a_sensor_reads_the_cycle_of_a_sync():
+    assert P.cycle_of(Frame(0x080, b"\xa7")) == 0xA7
+    assert P.cycle_of(Frame(0x080, b"")) is None
+    assert P.cycle_of(Frame(0x110, b"\xa7")) is None
+
+
+def test_a_sample_is_a_value():
+    assert Sample(5, 2e-4, VALUES).ticks(2e-3) == pytest.approx(5.1)

@@ -1,0 +1,46 @@
+"""Inverse dynamics without H and load: the engines' M, G and J, and nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from hil.config import PartialLinearisationSettings
+from hil.control import LawContext, build_law
+from hil.geometry import Platform
+from hil.reference import complete
+from hil.signals import State
+from hil.trajectory import PoseSample, hold
+
+TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
+NONE = np.zeros(6)
+SETTINGS = PartialLinearisationSettings(law="partial_linearisation", wn_rad_s=20.0, damping_ratio=0.5)
+
+
+@pytest.mark.parametrize("case", TRUTH["cases"], ids=lambda c: c["id"])
+def test_it_asks_for_the_engines_inertia_and_weight_and_leaves_H_and_load_out(case):
+    """ddq_d - (dJ/dt) twist = J dtwist on the reference; an error E adds J^-T M J^-1 (K_P E + K_D dE)."""
+    platform = Platform.from_dict(TRUTH["geometries"][case["geometry"]])
+    s, e = case["state"], case["expected"]
+    p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
+    dtwist = np.array(s["a"] + s["alpha"])
+    J, M, G, q, dq = (np.array(e[key]) for key in ("jacobian", "M", "G", "lengths", "rates"))
+    law = build_law(SETTINGS, LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    reference = complete(platform, PoseSample(p, R, twist, dtwist))
+    E, dE = np.array([1e-3, 0, -2e-3, 0, 3e-3, 0]), np.array([0, 1e-2, 0, 0, -2e-2, 0])
+    state = State(q - E, dq - dE, p, R, twist, J, 0, 0.0, np.array(s["wrench"]))
+    tau = law.effort(state, reference, NONE).tau
+    correction = np.linalg.solve(J, 400.0 * E + 20.0 * dE)
+    expected = np.linalg.solve(J.T, M @ (dtwist + correction) + G)
+    np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_its_model_has_no_variant_to_choose():
+    with pytest.raises(ValidationError, match="variant"):
+        PartialLinearisationSettings.model_validate(
+            {"law": "partial_linearisation", "wn_rad_s": 20, "model": {"variant": "full"}}
+        )

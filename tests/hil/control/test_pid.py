@@ -1,0 +1,117 @@
+"""The integral of the PID: what it adds, what limits do to it, and what is left of an error at rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.app.configuration import load, loads
+from hil.app.sim import simulate
+from hil.control.pd import JointPD
+from hil.control.pid import JointPID
+from hil.log import Log
+from hil.signals import Mode, Reference, State
+
+NONE = np.zeros(6)
+PERIOD = 1e-3
+K_P, K_V, K_I = 2e6, 5e4, 1e7
+T_T = np.sqrt(K_V / K_I)
+NOWHERE = State(NONE, NONE, np.zeros(3), np.eye(3), NONE, np.eye(6), 0, 0.0)
+
+
+def pid(limit=1e9, **options):
+    pd = JointPD(np.full(6, K_P), np.full(6, K_V), NONE)
+    return JointPID(pd, np.full(6, K_I), np.full(6, limit), PERIOD, **options)
+
+
+def error(e):
+    """Reference and state at rest with q_d - q = e."""
+    q = np.broadcast_to(e, 6).astype(float)
+    return NOWHERE, Reference(np.zeros(3), np.eye(3), NONE, NONE, q, NONE, NONE)
+
+
+def test_the_integral_is_the_sum_of_the_errors_times_the_period():
+    law = pid()
+    errors = np.random.default_rng(3).normal(0.0, 1e-3, (50, 6))
+    for e in errors:
+        tau = law.effort(*error(e), NONE).tau
+    np.testing.assert_allclose(tau, K_P * errors[-1] + K_I * PERIOD * errors.sum(axis=0), rtol=1e-12)
+
+
+def test_the_integral_stays_within_its_limit_on_either_side():
+    law = pid(limit=300.0)
+    for sign in (1.0, -1.0):
+        for _ in range(1000):
+            tau = law.effort(*error(sign * 1e-3), NONE).tau
+        assert (tau == sign * (K_P * 1e-3 + 300.0)).all()
+
+
+def held_at(law, e, limit, calls):
+    """Ask for an error's effort again and again while only `limit` N is given; return the last one asked."""
+    shortfall = NONE
+    for _ in range(calls):
+        tau = law.effort(*error(e), shortfall).tau
+        shortfall = np.clip(tau, -limit, limit) - tau
+    return tau
+
+
+@pytest.mark.parametrize("e", [2e-3, -2e-3])
+def test_under_a_limit_it_settles_where_growth_and_back_calculation_meet(e):
+    """K_i e + (limit - tau) / T_t = 0, so it asks for T_t K_i e beyond the limit, however long that lasts."""
+    law = pid()
+    expected = np.sign(e) * 1000.0 + T_T * K_I * e
+    for calls in (2_000, 20_000):
+        law.reset()
+        np.testing.assert_allclose(held_at(law, e, 1000.0, calls), expected, rtol=1e-9)
+
+
+def test_it_leaves_the_limit_as_soon_as_the_error_turns():
+    """After 20 s at the limit: with back-calculation at once, without it the stored force takes 20 s more."""
+    law = pid()
+    held_at(law, 2e-3, 1000.0, 20_000)
+    assert law.effort(*error(-1e-4), NONE).tau.max() < 1000.0
+    blind = pid()
+    for _ in range(20_000):
+        blind.effort(*error(2e-3), NONE)
+    assert blind.effort(*error(-1e-4), NONE).tau.min() > 100_000.0
+
+
+def test_a_tracking_time_is_taken_as_given_and_never_overshoots():
+    for T_t, share in ((0.25, 0.004), (1e-9, 1.0)):
+        law = pid(T_t=T_t)
+        law.effort(*error(0.0), np.full(6, -100.0))
+        np.testing.assert_allclose(law.xi, -100.0 * share, rtol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    """2.5 s at home under PID on the virtual bus, from brakes shut to brakes shut."""
+    text = load("virtual").text
+    law = "law: pid\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n  ki_N_m_s: 2.0e+7\n  integral_limit_N: 8000\n\n"
+    for first, last, new in (
+        ("controller:", "engage:", f"controller:\n  {law}"),
+        ("reference:", "limits:", "reference:\n  type: hold\n  duration_s: 1.5\n\n"),
+    ):
+        a, b = text.index("\n" + first) + 1, text.index("\n" + last) + 1
+        text = text[:a] + new + text[b:]
+    path = tmp_path_factory.mktemp("pid") / "hold.mcap"
+    summary = simulate(loads(text, "pid.yaml", Path()), log=path)
+    assert summary["success"], summary
+    return Log.open(path).rows()
+
+
+def test_at_rest_under_gravity_no_error_is_left(held):
+    """The static force of the book is 3618.6 N in each leg: the PD alone sags by 1.81 mm."""
+    tracking = held[held["mode"] == Mode.TRACKING]
+    assert np.abs(tracking["tau"][-1] - 3618.6).max() < 5.0
+    assert np.abs(tracking["q_d"] - tracking["q"])[-1].max() < 5e-6
+
+
+def test_the_integral_takes_over_the_holding_force_without_a_bump(held):
+    """The offset F fades by a quintic within 0.5 s: the error stays below max|dF/dt| / K_i."""
+    moving = held[(held["mode"] >= Mode.RELEASING) & (held["mode"] <= Mode.TRACKING)]
+    assert np.abs(np.diff(moving["tau"], axis=0)).max() < 20.0
+    bound = 1.875 * 3618.6 / 0.5 / 2e7
+    assert 0.7 * bound < np.abs(moving["q_d"] - moving["q"]).max() < bound

@@ -1,0 +1,120 @@
+"""Inverse dynamics in pose space: the engines' forces without error, and linear error dynamics with one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from hil.config import PoseInverseDynamicsSettings
+from hil.control import LawContext, build_law
+from hil.control.pose_inverse_dynamics import _dtwist
+from hil.geometry import Platform
+from hil.reference import complete
+from hil.signals import State
+from hil.trajectory import PoseSample, hold
+
+TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
+NONE = np.zeros(6)
+W_N = np.array([3.0, 4.0, 5.0, 3.0, 4.0, 5.0])
+ZETA = 0.7
+K_P, K_D = W_N**2, 2 * ZETA * W_N
+STEP, RATE = np.array([1e-2, -2e-2, 3e-2]), np.array([0.1, 0.0, -0.2])
+
+
+def law_of(platform):
+    settings = PoseInverseDynamicsSettings(
+        law="pose_inverse_dynamics", wn_rad_s=W_N.tolist(), damping_ratio=ZETA
+    )
+    return build_law(settings, LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+
+
+def at(case):
+    s, e = case["state"], case["expected"]
+    p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
+    J, q, dq = (np.array(e[key]) for key in ("jacobian", "lengths", "rates"))
+    platform = Platform.from_dict(TRUTH["geometries"][case["geometry"]])
+    sample = PoseSample(p, R, twist, np.array(s["a"] + s["alpha"]))
+    return platform, State(q, dq, p, R, twist, J, 0, 0.0, np.array(s["wrench"])), complete(platform, sample)
+
+
+@pytest.mark.parametrize("case", TRUTH["cases"], ids=lambda c: c["id"])
+def test_without_error_it_asks_for_the_engines_forces(case):
+    platform, state, reference = at(case)
+    tau = law_of(platform).effort(state, reference, NONE).tau
+    np.testing.assert_allclose(tau, case["expected"]["leg_forces"], rtol=0, atol=1e-9 * np.abs(tau).max())
+
+
+@pytest.mark.parametrize("case", TRUTH["cases"][::6], ids=lambda c: c["id"])
+def test_an_error_is_answered_through_the_engines_mass_matrix(case):
+    platform, state, reference = at(case)
+    ahead = reference._replace(
+        p=reference.p + STEP, twist=reference.twist + np.concatenate([RATE, np.zeros(3)])
+    )
+    law = law_of(platform)
+    more = law.effort(state, ahead, NONE).tau - law.effort(state, reference, NONE).tau
+    dtwist = np.zeros(6)
+    dtwist[:3] = K_P[:3] * STEP + K_D[:3] * RATE
+    expected = np.linalg.solve(state.J.T, np.array(case["expected"]["M"]) @ dtwist)
+    np.testing.assert_allclose(
+        more, expected, rtol=0, atol=1e-8 * np.abs(law.effort(state, ahead, NONE).tau).max()
+    )
+
+
+SPIN, TUMBLE = np.array([0.9, -1.4, 0.6]), np.array([0.5, 0.8, -0.7])
+
+
+def moving_reference(t):
+    """R_d = exp(t a) exp(sin(t) b): turns, and accelerates, about changing axes; p_d on a parabola."""
+    outer = Rotation.from_rotvec(t * SPIN)
+    R = (outer * Rotation.from_rotvec(np.sin(t) * TUMBLE)).as_matrix()
+    w = SPIN + outer.apply(np.cos(t) * TUMBLE)
+    dw = np.cross(SPIN, outer.apply(np.cos(t) * TUMBLE)) + outer.apply(-np.sin(t) * TUMBLE)
+    p, v, a = (np.array(x) for x in ([t**2, -t, 1 + 0 * t], [2 * t, -1.0, 0.0], [2.0, 0.0, 0.0]))
+    return p, np.ascontiguousarray(R), np.concatenate([v, w]), np.concatenate([a, dw])
+
+
+def error_of(t, p, R):
+    p_d, R_d, _, _ = moving_reference(t)
+    return np.concatenate([p_d - p, Rotation.from_matrix(R_d @ R.T).as_rotvec()])
+
+
+def turned(R, w):
+    return Rotation.from_rotvec(w).as_matrix() @ R
+
+
+def test_a_large_error_of_position_and_rotation_dies_out_linearly_while_everything_turns():
+    """The closed form of e'' + 2 zeta wn e' + wn^2 e = 0 from 103 degrees on, six components with their own wn.
+
+    The motion is integrated by scipy from dtwist* alone.
+    """
+    p_d, R_d, twist_d, _ = moving_reference(0.0)
+    p, R = p_d - [0.3, -0.2, 0.1], turned(R_d, -np.array([1.2, -0.8, 1.1]))
+    twist = twist_d + np.array([0.5, 0.2, -0.3, 1.0, -2.0, 0.7])
+    h = 1e-6
+    e = error_of(0.0, p, R)
+    assert 1.7 < np.linalg.norm(e[3:]) < 2.0
+    ahead, behind = (error_of(t, p + t * twist[:3], turned(R, t * twist[3:])) for t in (h, -h))
+    de = (ahead - behind) / (2 * h)
+
+    def slope(t, x):
+        R = np.ascontiguousarray(x[3:12].reshape(3, 3))
+        w = x[15:]
+        dR = np.cross(w, R.T).T
+        return np.concatenate(
+            [x[12:15], dR.ravel(), _dtwist(K_P, K_D, x[:3].copy(), R, x[12:].copy(), *moving_reference(t))]
+        )
+
+    times = np.linspace(0.0, 2.0, 21)
+    run = solve_ivp(
+        slope, (0.0, 2.0), np.concatenate([p, R.ravel(), twist]), "DOP853", times, rtol=1e-11, atol=1e-12
+    )
+    damped = W_N * np.sqrt(1 - ZETA**2)
+    for t, x in zip(times, run.y.T, strict=True):
+        decay = np.exp(-ZETA * W_N * t)
+        expected = decay * (e * np.cos(damped * t) + (de + ZETA * W_N * e) / damped * np.sin(damped * t))
+        np.testing.assert_allclose(error_of(t, x[:3], x[3:12].reshape(3, 3)), expected, rtol=0, atol=1e-7)

@@ -1,0 +1,94 @@
+"""Admission: against the book's platform, its static forces and its start."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hil.admission import Admission
+from hil.app.compose import build_cycle
+from hil.app.configuration import load
+from hil.dynamics import Model
+from hil.signals import Refusal
+
+BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())
+HOME = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def off(*words):
+    """Home, moved by six words."""
+    return HOME + np.array(words)
+
+
+VIRTUAL = load("virtual")
+PLATFORM = build_cycle(VIRTUAL, 1000.0, 0.01).parts.platform
+STATIC = float(np.abs(BOOK["home_static"]["force"]).max())
+
+
+def admission(ddchi=(0, 0, 0, 0, 0, 0), low=0.75, high=2.2, rated=30_000.0, **limits):
+    settings = VIRTUAL.limits.model_copy(update=limits)
+    return Admission(PLATFORM, Model(PLATFORM), settings, low, high, rated, np.array(ddchi, float))
+
+
+def lengths(chi):
+    a, b = (np.array(BOOK["geometry"][k]) for k in ("base_joints", "platform_joints"))
+    return np.linalg.norm(chi[:3] + Rotation.from_rotvec(chi[3:]).apply(b) - a, axis=1)
+
+
+def test_home_is_a_good_place():
+    assert admission()(HOME) == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_pose_is_refused_exactly_a_millimetre_before_a_soft_end(seed):
+    rng = np.random.default_rng(seed)
+    chi = HOME + rng.uniform(-0.15, 0.15, 6)
+    q = lengths(chi)
+    roomy = {"force_N": 1e9, "condition": 1e9, "stroke_margin_m": 0.02}
+    for low, high, expected in (
+        (q.min() - 0.021 - 1e-9, q.max() + 0.021 + 1e-9, 0),
+        (q.min() - 0.021 + 1e-9, q.max() + 0.1, Refusal.STROKE),
+        (q.min() - 0.1, q.max() + 0.021 - 1e-9, Refusal.STROKE),
+    ):
+        assert admission(low=low, high=high, rated=1e12, **roomy)(chi) == expected
+
+
+def test_the_force_at_rest_is_the_books():
+    assert admission(force_N=STATIC * (1 + 1e-6))(HOME) == 0
+    assert admission(force_N=STATIC * (1 - 1e-6))(HOME) == Refusal.FORCE
+
+
+def test_the_drives_rated_force_counts_as_well():
+    assert admission(rated=STATIC * 0.99)(HOME) == Refusal.FORCE
+
+
+def test_the_force_leaves_room_for_the_largest_accelerations():
+    """At its start the book's path stands at home and accelerates: its forces must fit."""
+    start = BOOK["states"][0]
+    ddchi = np.abs([*start["a"], *start["alpha"]])
+    needed = float(np.abs(start["force"]).max())
+    assert needed > 1.2 * STATIC
+    assert admission(ddchi, force_N=needed * (1 - 1e-6))(HOME) == Refusal.FORCE
+    # Each axis accelerates either way: at most the sum over the axes.
+    assert admission(ddchi, force_N=STATIC + 6 * (needed - STATIC))(HOME) == 0
+
+
+def test_a_pose_near_the_turn_of_a_right_angle_about_z_is_singular():
+    turned = off(0, 0, 0, 0, 0, np.deg2rad(89))
+    roomy = {"force_N": 1e9, "low": 0.1, "high": 5.0}
+    assert admission(**roomy)(turned) & Refusal.CONDITION
+    assert admission(**roomy)(off(0, 0, 0, 0, 0, np.deg2rad(30))) == 0
+
+
+@pytest.mark.parametrize("word", range(6))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_no_pose(word, value):
+    chi = HOME.copy()
+    chi[word] = value
+    assert admission()(chi) == Refusal.NOT_A_POSE
+
+
+def test_more_than_half_a_turn_is_no_pose():
+    assert admission()(off(0, 0, 0, 0, 3.2, 0)) == Refusal.NOT_A_POSE

@@ -1,0 +1,72 @@
+"""The present trajectory, and the look ahead across its end."""
+
+import numpy as np
+import pytest
+
+from hil.motion import Motion
+from hil.trajectory import PiecewisePolynomial, hold, quintic_move
+
+T = 1e-3
+HERE, THERE = np.zeros(3), np.array([0.1, 0.0, 0.0])
+EYE = np.eye(3)
+AHEAD = 1.8e-3
+
+
+def next_path():
+    """x = 0.1 + 2 t^2 for 1 s: it begins with an acceleration of 4 m/s^2."""
+    coefficients = np.zeros((1, 6, 6))
+    coefficients[0, 0, 0], coefficients[0, 2, 0] = 0.1, 2.0
+    return PiecewisePolynomial(np.array([0.0, 1.0]), coefficients)
+
+
+@pytest.mark.parametrize("duration", [0.5, 0.4996, 0.50000000001, 0.3 * T / T])
+def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
+    motion = Motion(T, HERE, EYE)
+    motion.start(quintic_move(HERE, EYE, THERE, EYE, duration), 100, then=next_path())
+    begins = next(tick for tick in range(100, 1000) if motion.finished(tick))
+    seen = {tick: motion.ahead(tick, AHEAD) for tick in range(begins - 4, begins)}
+    for tick, (sample, along) in seen.items():
+        t = (tick - begins) * T + AHEAD
+        if t < 0:
+            assert along is None
+            assert sample.p[0] == pytest.approx(0.1, abs=1e-6)
+        else:
+            assert along == pytest.approx(t, abs=1e-12)
+            assert sample.p[0] == pytest.approx(0.1 + 2 * t * t, abs=1e-12)
+            assert sample.dtwist[0] == pytest.approx(4.0)
+    motion.start(next_path(), begins)
+    first, along = motion.ahead(begins, AHEAD)
+    assert along is None
+    assert first.p[0] - seen[begins - 1][0].p[0] == pytest.approx(2 * (AHEAD**2 - (AHEAD - T) ** 2))
+
+
+def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
+    motion = Motion(T, HERE, EYE)
+    motion.start(quintic_move(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
+    for tick in range(500, 520):
+        sample, along = motion.ahead(tick, AHEAD)
+        assert along is None
+        np.testing.assert_allclose(sample.p, THERE)
+        assert not sample.dtwist.any()
+
+
+def test_the_look_ahead_of_a_stop_is_the_stop():
+    motion = Motion(T, HERE, EYE)
+    motion.start(quintic_move(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
+    before = motion.ahead(250, AHEAD)[0]
+    motion.stop(250, 0.5)
+    after = motion.ahead(250, AHEAD)[0]
+    np.testing.assert_allclose(after.p, before.p, atol=1e-7)
+    np.testing.assert_allclose(after.twist, before.twist, atol=1e-4)
+    assert motion.ahead(499, AHEAD)[0].p[0] < 0.1, "the next trajectory is off"
+
+
+def test_the_look_ahead_past_the_last_end_is_rest():
+    motion = Motion(T, HERE, EYE)
+    motion.start(next_path(), 0)
+    sample, along = motion.ahead(999, AHEAD)
+    assert along is None
+    assert sample.p[0] == pytest.approx(2.1)
+    assert not sample.twist.any()
+    motion.start(hold(THERE, EYE), 10)
+    np.testing.assert_allclose(motion.ahead(10, AHEAD)[0].p, THERE)

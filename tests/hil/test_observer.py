@@ -1,0 +1,131 @@
+"""The wrench observer on motions that scipy has integrated: it must answer as a first-order filter does."""
+
+import json
+from math import exp, pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from drivers.signals import DriveState
+from hil.dynamics import Model
+from hil.force_path import ForcePath
+from hil.geometry import Platform
+from hil.kinematics import jacobian, leg_lengths
+from hil.observer import WrenchObserver
+from hil.signals import State
+
+BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())
+PLATFORM = Platform.from_dict(BOOK["geometry"])
+HOME = np.array([0.0, 0.0, 1.0])
+T, BANDWIDTH = 1e-3, 20.0
+WRENCH = np.array([800.0, -500.0, 300.0, 100.0, -80.0, 60.0])
+RUN, READY, OFF = [DriveState.RUN] * 6, [DriveState.READY] * 6, [DriveState.OFF] * 6
+HOLDING = np.full(6, 3618.625746)
+"""N, static leg force at home, confirmed by independent engines."""
+PUSH = np.array([300.0, -200.0, 500.0, 100.0, -400.0, 250.0])
+
+
+def moved(model, wrench, count=60):
+    """Return the states every T under forces that change every T, and those forces."""
+    forces = [HOLDING + PUSH * np.sin(0.05 * k) for k in range(count)]
+    x = np.concatenate([HOME, np.eye(3).ravel(), np.zeros(6)])
+    states = [x]
+    for force in forces:
+
+        def derivative(_, x, force=force):
+            R, twist = x[3:12].reshape(3, 3), x[12:]
+            dtwist = model.forward_dynamics(x[:3], R, twist, force, wrench)
+            return np.concatenate([twist[:3], np.cross(twist[3:], R.T).T.ravel(), dtwist])
+
+        x = solve_ivp(derivative, (0.0, T), x, rtol=1e-11, atol=1e-13).y[:, -1]
+        states.append(x)
+    return [state_of(x) for x in states], forces
+
+
+def state_of(x):
+    p, R, twist = x[:3], x[3:12].reshape(3, 3).copy(), x[12:]
+    J = jacobian(PLATFORM, p, R)
+    return State(leg_lengths(PLATFORM, p, R), J @ twist, p, R, twist, J, 0, 0.0)
+
+
+def observer(model=None):
+    return WrenchObserver(model or Model(PLATFORM), ForcePath(T, 0.0, 0.0), BANDWIDTH)
+
+
+def follow(observer, states, forces, drive_state=RUN):
+    found = []
+    for k, state in enumerate(states):
+        found.append(observer.observe(k, state, drive_state))
+        if k < len(forces):
+            observer.sent(forces[k])
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    return moved(Model(PLATFORM), WRENCH)
+
+
+def test_a_constant_wrench_is_seen_through_a_first_order_filter(pushed):
+    found = follow(observer(), *pushed)
+    assert not found[0].any(), "it begins at the momentum it finds"
+    for k in (1, 5, 20, 60):
+        np.testing.assert_allclose(found[k], WRENCH * (1 - exp(-2 * pi * BANDWIDTH * k * T)), atol=0.05)
+
+
+def test_no_wrench_no_estimate_however_it_moves():
+    states, forces = moved(Model(PLATFORM), np.zeros(6))
+    assert np.abs(states[-1].twist).max() > 0.005, "it moves"
+    assert np.abs(follow(observer(), states, forces)).max() < 0.05
+
+
+def test_friction_of_the_model_is_not_external_and_that_beyond_it_is():
+    states, forces = moved(Model(PLATFORM, viscous=5000.0), np.zeros(6))
+    assert np.abs(follow(observer(Model(PLATFORM, viscous=5000.0)), states, forces)).max() < 0.1
+    assert np.abs(follow(observer(), states, forces)).max() > 10.0
+
+
+def test_a_skipped_tick_is_bridged():
+    """The drives went on with the last force: here it does not change."""
+    model = Model(PLATFORM)
+    still = state_of(np.concatenate([HOME, np.eye(3).ravel(), np.zeros(6)]))
+    one, other = observer(model), observer(model)
+    for k in range(10):
+        for each in (one, other):
+            each.observe(k, still, RUN)
+            each.sent(HOLDING + 100.0)
+    for k in range(10, 15):
+        one.observe(k, still, RUN)
+        one.sent(HOLDING + 100.0)
+    np.testing.assert_allclose(other.observe(15, still, RUN), one.observe(15, still, RUN), rtol=1e-9)
+
+
+def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed):
+    states, forces = pushed
+    each = observer()
+    seen = follow(each, states, forces)[-1]
+    one_shut = [*RUN[:5], DriveState.READY]
+    for n, drive_state in enumerate([one_shut, READY, READY]):
+        np.testing.assert_array_equal(each.observe(100 + n, states[0], drive_state), seen)
+    assert not each.observe(103, states[0], OFF).any()
+    assert not each.observe(104, states[0], READY).any()
+    assert not each.observe(105, states[0], RUN).any(), "the first open tick has nothing to compare with"
+    assert each.observe(106, states[1], RUN).any()
+
+
+def test_reset_repeats_to_the_bit(pushed):
+    each = observer()
+    first = follow(each, *pushed)
+    each.reset()
+    assert follow(each, *pushed).tobytes() == first.tobytes()
+
+
+def test_the_estimate_depends_on_when_the_forces_act():
+    """The same motion under forces that come half a period late: known, nothing; unknown, something."""
+    late = ForcePath(T, 0.5e-3, 0.0)
+    states, _ = moved(Model(PLATFORM), np.zeros(6))
+    forces = [HOLDING + PUSH * np.sin(0.05 * k) for k in range(60)]
+    told = WrenchObserver(Model(PLATFORM), late, BANDWIDTH)
+    assert np.abs(follow(told, states, forces)[2:]).max() > 1.0, "these forces act at once"

@@ -1,0 +1,94 @@
+"""Steering: what is taken, what is refused, what is counted and said."""
+
+import numpy as np
+import pytest
+
+from hil.signals import Refusal, SetPoint
+from hil.steering import Counts, Steering, explain
+from hil.trajectory import LiveTrajectory
+
+START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
+
+
+def admission(chi):
+    """A world that ends at x = 0.2 and has a wall between y = 0.05 and 0.06."""
+    return (Refusal.STROKE if abs(chi[0]) > 0.2 else 0) | (Refusal.FORCE if 0.05 < chi[1] < 0.06 else 0)
+
+
+@pytest.fixture
+def steering():
+    return Steering(LiveTrajectory(START, LIMITS, 1e-3), admission)
+
+
+def at(x=0.0, y=0.0):
+    return SetPoint(x, y, 1.0, 0.0, 0.0, 0.0)
+
+
+def go(steering, first, last):
+    for tick in range(first, last):
+        steering.step((), tick, tracking=True)
+    return steering.trajectory.sample(0.0).p
+
+
+def test_a_good_set_point_is_taken_and_reached(steering):
+    steering.step((at(0.1),), 1, tracking=True)
+    assert steering.counts == Counts(1, 0, 0)
+    assert steering.answers == [0]
+    np.testing.assert_allclose(go(steering, 2, 2000), [0.1, 0, 1], rtol=0, atol=1e-14)
+    assert steering.answers == []
+
+
+def test_a_bad_one_is_refused_and_the_good_one_before_it_stays(steering):
+    steering.step((at(0.1),), 1, tracking=True)
+    steering.step((at(0.3),), 2, tracking=True)
+    assert steering.counts == Counts(1, 1, Refusal.STROKE)
+    assert steering.answers == [Refusal.STROKE]
+    assert go(steering, 3, 2000)[0] == pytest.approx(0.1, abs=1e-14)
+    assert steering.counts == Counts(1, 1, 0), "said once, counted for good"
+
+
+def test_of_several_in_one_tick_the_last_good_one_is_followed(steering):
+    steering.step((at(0.1), at(-0.1), at(9.0)), 1, tracking=True)
+    assert steering.answers == [0, 0, Refusal.STROKE]
+    assert steering.counts == Counts(2, 1, Refusal.STROKE)
+    assert go(steering, 2, 2000)[0] == pytest.approx(-0.1, abs=1e-14)
+
+
+def test_what_comes_before_or_after_the_tracking_is_refused(steering):
+    steering.step((at(0.1),), None, tracking=False)
+    assert steering.answers == [Refusal.NOT_TRACKING]
+    steering.restart()
+    assert go(steering, 1, 500)[0] == 0.0
+    assert steering.counts == Counts(0, 1, 0), "a restart forgets the place, not the count"
+
+
+def test_a_wall_on_the_way_stops_before_it_is_counted_and_said_once(steering):
+    steering.step((at(0.0, 0.1),), 1, tracking=True)
+    refusals = []
+    for tick in range(2, 2000):
+        steering.step((), tick, tracking=True)
+        refusals.append(steering.counts.refusal)
+        assert steering.trajectory.sample(0.0).p[1] <= 0.05
+    assert steering.counts == Counts(1, 1, 0)
+    assert [r for r in refusals if r] == [Refusal.FORCE | Refusal.ON_THE_WAY]
+    assert steering.trajectory.sample(0.0).p[1] > 0.049
+
+
+def test_reset_forgets_all(steering):
+    steering.step((at(0.1), at(9)), 1, tracking=True)
+    go(steering, 2, 300)
+    steering.reset()
+    assert steering.counts == Counts(0, 0, 0)
+    assert steering.answers == []
+    np.testing.assert_array_equal(steering.trajectory.sample(0.0).p, START[:3])
+
+
+@pytest.mark.parametrize("refusal", [r for r in Refusal if r is not Refusal.ON_THE_WAY])
+def test_every_refusal_has_its_words(refusal):
+    assert len(explain(refusal)) > 20
+    assert explain(refusal | Refusal.ON_THE_WAY) == f"stopped on the way: beyond, {explain(refusal)}"
+
+
+def test_nothing_is_said_of_what_was_taken():
+    assert explain(0) == ""

@@ -1,0 +1,248 @@
+"""Live set-points: limits on every axis whatever is asked for, exact landing, a way that stays good."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.errors import ConfigurationError
+from hil.config import LiveReference, Pose
+from hil.trajectory import LiveTrajectory, build_trajectory
+
+PERIOD = 1e-3
+V, A, J = 0.3, 1.0, 10.0
+LIMITS = np.array([[V] * 6, [A] * 6, [J] * 6])
+START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def off(*words):
+    """Start, moved by six words."""
+    return START + np.array(words)
+
+
+def anywhere(chi):
+    return 0
+
+
+def live(limits=LIMITS, period=PERIOD, start=START):
+    return LiveTrajectory(start, limits, period)
+
+
+def run(trajectory, script, ticks, admit=anywhere):
+    """Aim at script[tick]; return the six words (n, 6) at each tick, the first at time zero, and what was found."""
+    samples, found = [], []
+    for k in range(ticks):
+        if k in script:
+            trajectory.aim(np.array(script[k], float))
+        if k:
+            found.append(trajectory.advance(k, admit))
+        samples.append(trajectory.sample(0.0))
+    return six_words(samples), found
+
+
+def six_words(samples):
+    turns = Rotation.from_matrix([s.R for s in samples]).as_rotvec()
+    return np.column_stack([[s.p for s in samples], turns])
+
+
+def seeded_script(seed, every=150, count=30):
+    rng = np.random.default_rng(seed)
+    poses = START + rng.uniform(-0.3, 0.3, (count, 6)) * rng.choice([1e-4, 0.05, 1], (count, 6))
+    return {int(k): pose for k, pose in zip(np.cumsum(rng.integers(1, 2 * every, count)), poses, strict=True)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_set_points_lead_beyond_the_limits_of_an_axis(seed):
+    limits = np.array([[0.3, 0.2, 0.1, 0.3, 0.5, 0.2], [1, 2, 0.5, 1, 3, 0.7], [10, 30, 4, 20, 25, 9]])
+    script = seeded_script(seed)
+    words, _ = run(live(limits), script, max(script) + 6500)
+    v = np.diff(words, axis=0) / PERIOD  # means over a tick: never above the largest value within
+    a = np.diff(v, axis=0) / PERIOD
+    j = np.diff(a, axis=0) / PERIOD
+    for found, limit, rounding in ((v, limits[0], 1e-9), (a, limits[1], 1e-6), (j, limits[2], 1e-3)):
+        assert (np.abs(found) <= limit * (1 + rounding)).all()
+        assert (np.abs(found).max(axis=0) > 0.8 * limit).sum() >= 3, "the limits are used"
+    last = script[max(script)]
+    np.testing.assert_allclose(words[-1], last, rtol=0, atol=1e-14)
+
+
+def test_twist_and_its_rate_are_the_derivatives_of_the_pose():
+    trajectory = live()
+    samples = []
+    for k in range(2500):
+        if k in {0, 400, 900}:
+            trajectory.aim(START + {0: 0.2, 400: -0.1, 900: 0.05}[k])
+        trajectory.advance(k, anywhere)
+        samples.append(trajectory.sample(0.0))
+    p = np.array([s.p for s in samples])
+    twist = np.array([s.twist for s in samples])
+    dtwist = np.array([s.dtwist for s in samples])
+    # a quarter of the jerk's step, J h / 4, is what a difference over two ticks can be off
+    assert np.abs((p[2:] - p[:-2]) / (2 * PERIOD) - twist[1:-1, :3]).max() < J * PERIOD**2
+    assert np.abs((twist[2:] - twist[:-2]) / (2 * PERIOD) - dtwist[1:-1]).max() < 2 * J * PERIOD
+    back = [
+        Rotation.from_matrix(b.R) * Rotation.from_matrix(a.R).inv()
+        for a, b in zip(samples, samples[2:], strict=False)
+    ]
+    omega = np.array([turn.as_rotvec() for turn in back]) / (2 * PERIOD)
+    assert np.abs(omega - twist[1:-1, 3:]).max() < 4 * J * PERIOD**2
+    assert np.abs(twist).max() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("distance", "seconds"),
+    [
+        (0.2, 0.2 / V + V / A + 2 * A / J),  # trapezoid of speed, then the window
+        (0.04, 2 * np.sqrt(0.04 / A) + 2 * A / J),  # triangle
+        (1e-6, 2 * np.sqrt(1e-6 / A) + 2 * A / J),
+    ],
+)
+def test_a_move_takes_the_time_of_the_closed_form_and_lands_exactly(distance, seconds):
+    words, _ = run(live(), {0: off(distance, 0, 0, 0, 0, 0)}, 3000)
+    arrived = int(np.argmax(np.abs(words[:, 0] - distance) < 1e-15)) * PERIOD
+    assert seconds - PERIOD <= arrived <= seconds + 3 * PERIOD
+    assert np.ptp(words[int(arrived / PERIOD) :, 0]) < 1e-15
+    assert words[:, 0].max() <= distance + 1e-15, "no overshoot"
+
+
+def test_it_holds_at_the_last_set_point_to_the_bit():
+    trajectory = live()
+    run(trajectory, {0: off(0.1, 0, 0, 0.1, 0, 0)}, 2000)
+    here = trajectory.sample(0.0)
+    for k in range(2000, 2200):
+        trajectory.advance(k, anywhere)
+        for a, b in zip(trajectory.sample(0.0), here, strict=True):
+            assert a.tobytes() == b.tobytes()
+    assert not here.twist.any()
+    assert not here.dtwist.any()
+
+
+@pytest.mark.parametrize("moment", [1, 80, 300, 600, 900])
+def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment):
+    trajectory = live()
+    goal = off(0.25, 0, 0, 0.2, 0, 0)
+    before, _ = run(trajectory, {0: goal}, moment + 1)
+    assert trajectory.duration_s is None
+    trajectory.brake()
+    assert trajectory.duration_s is not None
+    end = round(trajectory.duration_s / PERIOD)
+    assert end - moment <= (V / A + 2 * A / J) / PERIOD + 2
+    samples = []
+    for k in range(moment + 1, end + 50):
+        trajectory.advance(k, anywhere)
+        samples.append(trajectory.sample(0.0))
+    after = np.vstack([before, six_words(samples)])
+    assert np.ptp(after[end:], axis=0).max() == 0.0
+    v = np.diff(after, axis=0) / PERIOD
+    a = np.diff(v, axis=0) / PERIOD
+    assert np.abs(a).max() <= A * (1 + 1e-6)
+    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
+
+
+def test_it_brakes_before_a_place_that_is_not_good_and_stays_there():
+    trajectory = live()
+    words, found = run(trajectory, {0: off(0.25, 0, 0, 0, 0, 0)}, 2500, admit=lambda chi: 7 * (chi[0] > 0.1))
+    assert words[:, 0].max() <= 0.1
+    assert words[-1, 0] > 0.1 - 1.1 * V * PERIOD, "as near as one tick of speed"
+    assert [x for x in found if x] == [7], "found once"
+    v = np.diff(words, axis=0) / PERIOD
+    assert np.abs(np.diff(v, axis=0) / PERIOD).max() <= A * (1 + 1e-6)
+    assert np.ptp(words[-500:, 0]) < 1e-15
+
+
+UNLIKE = np.array([[0.3, 0.2, 0.1, 0.3, 0.5, 0.2], [1, 2, 0.5, 1, 3, 0.7], [10, 30, 1, 20, 6, 9]])
+
+
+@pytest.mark.parametrize("moment", [3, 150, 420, 600, 1100])
+def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
+    trajectory = live(UNLIKE)
+    script = {0: off(0.2, -0.1, 0.1, 0.1, 0, 0.2), 400: off(-0.2, 0.1, 0.1, 0, -0.2, 0.1), 900: START}
+    before, _ = run(trajectory, script, moment)
+    judged: list[np.ndarray] = []
+
+    def look(chi):
+        judged.append(chi)
+        return 0
+
+    trajectory.advance(moment, look)
+    trajectory.brake()
+    assert trajectory.duration_s is not None
+    end = round(trajectory.duration_s / PERIOD)
+    samples = []
+    for k in range(moment + 1, end):
+        trajectory.advance(k, anywhere)
+        samples.append(trajectory.sample(0.0))
+    taken = six_words(samples)
+    assert 5 < len(judged) <= 16
+    for chi in judged:
+        assert np.abs(taken - chi).max(axis=1).min() < 1e-12
+    np.testing.assert_allclose(judged[0], taken[-1], rtol=0, atol=1e-12)
+    assert not np.allclose(before[-1], taken[-1], atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_axes_that_come_to_rest_one_after_the_other_do_not_lead_out_of_the_good_places(seed):
+    """A place with an inner corner: x and z may each be large, but not both.
+
+    Judging the ends of braking alone lets it 20 mm into the corner; between the instants that are judged, some
+    80 ms apart here, it may still graze it.
+    """
+
+    def depth(chi):
+        return min(chi[0] - START[0], chi[2] - START[2]) - 0.05
+
+    limits = LIMITS.copy()
+    limits[2, 0] = 2.0  # the mean is over 1 s in x, over 0.2 s in z
+    rng = np.random.default_rng(seed)
+    goals = [off(x, 0, z, 0, 0, 0) for x, z in rng.uniform(-0.1, 0.2, (40, 2)) if min(x, z) < 0.05]
+    script = {500 * n: goal for n, goal in enumerate(goals)}
+    words, found = run(live(limits), script, 500 * len(goals), admit=lambda chi: int(depth(chi) > 0))
+    assert any(found), "the corner was in the way"
+    assert max(map(depth, words)) < 2e-3
+    assert (np.ptp(words[:, [0, 2]], axis=0) > 0.15).all()
+
+
+def test_ticks_that_were_skipped_are_made_up_for():
+    steady, skipping = live(), live()
+    for trajectory in (steady, skipping):
+        trajectory.aim(START + 0.1)
+    for k in range(1, 201):
+        steady.advance(k, anywhere)
+    for k in (1, 5, 120, 200):
+        skipping.advance(k, anywhere)
+    for a, b in zip(steady.sample(0.0), skipping.sample(0.0), strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_after_a_reset_the_same_set_points_give_the_same_bits():
+    trajectory = live()
+    script = seeded_script(9)
+    one, _ = run(trajectory, script, 2000)
+    trajectory.brake()
+    trajectory.reset()
+    assert trajectory.duration_s is None
+    two, _ = run(trajectory, script, 2000)
+    assert one.tobytes() == two.tobytes()
+
+
+def test_settings_become_limits_of_each_word():
+    limits = {
+        "velocity_m_s": [0.1, 0.2, 0.3],
+        "velocity_deg_s": 10,
+        "acceleration_m_s2": 1,
+        "acceleration_deg_s2": 60,
+        "jerk_m_s3": 10,
+        "jerk_deg_s3": 600,
+    }
+    settings = LiveReference.model_validate({"type": "live", "limits": limits})
+    home = Pose(position_m=(0, 0, 1))
+    trajectory = build_trajectory(settings, home, None, PERIOD)
+    assert isinstance(trajectory, LiveTrajectory)
+    np.testing.assert_array_equal(trajectory.sample(0.0).p, [0, 0, 1])
+    words, _ = run(trajectory, {0: off(1, 1, 1, 0.5, 0, 0)}, 1500)
+    fastest = np.abs(np.diff(words, axis=0)).max(axis=0) / PERIOD
+    np.testing.assert_allclose(fastest, [0.1, 0.2, 0.3, np.deg2rad(10), 0, 0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_jerk_too_small_for_its_acceleration_is_refused():
+    with pytest.raises(ConfigurationError, match=r"acceleration over jerk is 2.5 s .* at most 2 s"):
+        live(np.array([[V] * 6, [5.0] * 6, [2.0] * 6]))

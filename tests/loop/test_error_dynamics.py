@@ -1,0 +1,176 @@
+"""What becomes of an initial error: each law's own linear equation, solved here in closed form or by scipy.
+
+The plant starts 20 mm and 5 degrees (feed-forward with PD: 1 mm and 0.25 degrees) away from where the reference
+does, on the ideal path; without a force ramp the law acts at once, so no approach hides the error. What is left
+over is the zero-order hold's: it halves with the period.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from hil.app.configuration import load, loads, platform_dict
+from hil.app.sim import simulate
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.kinematics import jacobian, leg_lengths
+from hil.log import Log
+from hil.rotations import rotation_from_vector
+from hil.signals import Mode
+
+HOME_m = np.array([0.0, 0.0, 1.0])
+W_N = 20.0
+DIRECTIONS = {
+    "along x, about z": ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+    "askew": ([0.6, -0.48, 0.64], [-0.48, 0.64, 0.6]),
+}
+directions = pytest.mark.parametrize("direction", DIRECTIONS)
+PLATFORM = Platform.from_dict(platform_dict(load("ideal").platform))
+
+
+def track(law, direction, folder, *, metres=0.02, degrees=5.0, rate_Hz=1000, hold=False):
+    """Return the rows of the tracking and the pose p (3,), R (3, 3) at which the plant started."""
+    along, about = (np.array(v) for v in DIRECTIONS[direction])
+    text = load("ideal").text
+    a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
+    text = f"{text[:a]}controller:\n{law}\n{text[b:]}"
+    if hold:
+        a, b = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+        pose = f"{{position_m: {HOME_m.tolist()}}}"
+        text = f"{text[:a]}reference:\n  type: hold\n  pose: {pose}\n  duration_s: 0.6\n\n{text[b:]}"
+    assert text.count("rate_Hz: 1000\n") == 1
+    text = text.replace("rate_Hz: 1000\n", f"rate_Hz: {rate_Hz}\n")
+    p, vector_deg = HOME_m + metres * along, degrees * about
+    text += f"  initial_position_m: {p.tolist()}\n  initial_rotation_vector_deg: {vector_deg.tolist()}\n"
+    path = folder / f"{rate_Hz}.mcap"
+    summary = simulate(loads(text, "astray.yaml", Path()), log=path, duration_s=0.8, check_replay=False)
+    assert summary["success"], summary
+    assert not any(summary["limited_ticks"].values())
+    assert summary["tracking"]["ticks"] > 0.5 * rate_Hz, "1 / 2000 of the error is left by then"
+    rows = Log.open(path).rows()
+    return rows[rows["mode"] == Mode.TRACKING], p, rotation_from_vector(np.deg2rad(vector_deg))
+
+
+def leg_errors(p, R):
+    return leg_lengths(PLATFORM, HOME_m, np.eye(3)) - leg_lengths(PLATFORM, p, R)
+
+
+def critically_damped(e0, t):
+    """e'' + 2 wn e' + wn^2 e = 0 from e0 at rest: e0 (1 + wn t) exp(-wn t)."""
+    return e0 * ((1.0 + W_N * t) * np.exp(-W_N * t))[:, np.newaxis]
+
+
+def deviation(found, expected):
+    """Largest difference over the largest initial error."""
+    return float(np.abs(found - expected).max() / np.abs(expected[0]).max())
+
+
+INVERSE_DYNAMICS = f"  law: inverse_dynamics\n  wn_rad_s: {W_N}\n"
+
+
+@directions
+def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direction, tmp_path):
+    rows, p, R = track(INVERSE_DYNAMICS, direction, tmp_path)
+    expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
+    assert 0.04 < np.abs(expected[0]).max() < 0.11
+    assert deviation(rows["q_d"] - rows["q"], expected) < 0.005
+
+
+def test_what_is_left_over_halves_with_the_period(tmp_path):
+    found = []
+    for rate_Hz in (1000, 2000):
+        rows, p, R = track(INVERSE_DYNAMICS, "askew", tmp_path, rate_Hz=rate_Hz)
+        expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
+        found.append(deviation(rows["q_d"] - rows["q"], expected))
+    assert found[0] / found[1] == pytest.approx(2.0, rel=0.1)
+
+
+@directions
+def test_under_inverse_dynamics_in_pose_space_the_position_does(direction, tmp_path):
+    rows, p, _ = track(f"  law: pose_inverse_dynamics\n  wn_rad_s: {W_N}\n", direction, tmp_path)
+    expected = critically_damped(HOME_m - p, rows["reference_time_s"])
+    assert deviation(rows["p_d"] - rows["p"], expected) < 0.005
+
+
+def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides(tmp_path):
+    """e'' + lambda e' + k sat(s / phi) = 0, s = e' + lambda e, integrated by scipy."""
+    slope, k, phi = 20.0, 18.0, 0.1
+    law = (
+        f"  law: sliding_mode\n  lambda_rad_s: {slope}\n  reaching_m_s2: 2\n  boundary_layer_m_s: {phi}\n"
+        "  uncertainty: {disturbance_m_s2: 16}\n"
+    )
+    rows, p, R = track(law, "askew", tmp_path)
+
+    def acceleration(e, de):
+        return -slope * de - k * np.clip((de + slope * e) / phi, -1.0, 1.0)
+
+    e0, t = leg_errors(p, R), rows["reference_time_s"]
+    e, de = rows["q_d"] - rows["q"], rows["dq_d"] - rows["dq"]
+    assert deviation(e, integrated(acceleration, e0, t)) < 0.005
+    s = np.abs(de + slope * e)
+    assert 10 * phi < s[0].max()
+    arrived = t > s[0].max() / k
+    assert s[arrived].max() < phi
+    assert s[t < 0.9 * s[0].max() / k].max(axis=1).min() > phi
+
+
+def test_under_the_lyapunov_redesign_the_legs_share_one_bounded_correction(tmp_path):
+    """e'' + K_D e' + K_P e + rho y / max(|y|, epsilon) = 0, y = e' + K_D e / 2, integrated by scipy."""
+    K_P, K_D, epsilon = 400.0, 40.0, 0.2
+    rho = 6.0**0.5 * 8.0
+    law = (
+        f"  law: robust_inverse_dynamics\n  wn_rad_s: 20\n  boundary_layer_m_s: {epsilon}\n"
+        "  uncertainty: {disturbance_m_s2: 8}\n"
+    )
+    rows, p, R = track(law, "askew", tmp_path)
+
+    def acceleration(e, de):
+        y = de + K_D / 2 * e
+        return -K_D * de - K_P * e - rho * y / max(np.linalg.norm(y), epsilon)
+
+    e0 = leg_errors(p, R)
+    assert np.linalg.norm(K_D / 2 * e0) > 10 * epsilon
+    assert deviation(rows["q_d"] - rows["q"], integrated(acceleration, e0, rows["reference_time_s"])) < 0.005
+
+
+def integrated(acceleration, e0, t):
+    """e'' = acceleration(e, e') from e0 at rest, at the instants t."""
+    solution = solve_ivp(
+        lambda _, x: np.concatenate([x[6:], acceleration(x[:6], x[6:])]),
+        (0.0, t[-1]),
+        np.concatenate([e0, np.zeros(6)]),
+        t_eval=t,
+        rtol=1e-8,
+        atol=1e-10,
+        max_step=1e-3,
+    )
+    return solution.y[:6].T
+
+
+@directions
+def test_under_feed_forward_with_pd_the_legs_couple_through_the_inertia(direction, tmp_path):
+    """M e'' + Kv e' + Kp e = 0 with the leg-space inertia M at home, by the matrix exponential."""
+    kp, kv = 2.0e6, 5.0e4
+    law = f"  law: feedforward_pd\n  kp_N_m: {kp}\n  kv_N_s_m: {kv}\n"
+    rows, p, R = track(law, direction, tmp_path, metres=1e-3, degrees=0.25, hold=True)
+    inverse = np.linalg.inv(jacobian(PLATFORM, HOME_m, np.eye(3)))
+    M = inverse.T @ Model(PLATFORM).mass_matrix(HOME_m, np.eye(3)) @ inverse
+    e, e0 = rows["q_d"] - rows["q"], leg_errors(p, R)
+    assert deviation(e, answer(M, kp, kv, e0, len(e))) < 0.02
+    assert deviation(e, answer(np.diag(np.diag(M)), kp, kv, e0, len(e))) > 0.05, "the coupling is seen"
+
+
+def answer(M, kp, kv, e0, ticks):
+    """M e'' + kv e' + kp e = 0 from e0 at rest, at every millisecond."""
+    inverse = np.linalg.inv(M)
+    A = np.block([[np.zeros((6, 6)), np.eye(6)], [-kp * inverse, -kv * inverse]])
+    step, x, found = expm(1e-3 * A), np.concatenate([e0, np.zeros(6)]), []
+    for _ in range(ticks):
+        found.append(x[:6])
+        x = step @ x
+    return np.array(found)

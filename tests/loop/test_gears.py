@@ -1,0 +1,129 @@
+"""What a high gear does to the legs: the platform's changing inertia drowns in the motors' own.
+
+The gear: 0.019 kg m^2 of motor and screw at 5 mm lead, 30 t along each leg. Law: PD with the acceleration of each
+leg fed forward, tau = Kp e + Kv de + m ddq_d, critically damped at wn = 20 rad/s for m = reflected mass + 1 t,
+which is about a leg's mean share of the platform on the book's path.
+"""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.app.compose import build_nodes
+from hil.app.configuration import load, loads, platform_dict
+from hil.app.sim import simulate
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.kinematics import jacobian
+from hil.reference import complete
+from hil.trajectory import build_trajectory
+
+W_N = 20.0
+SHARE_kg = 1000.0
+GEAR_kg = 0.019 * (2 * pi / 0.005) ** 2
+PERIOD_S = 1e-3
+
+
+def geared(reflected_kg):
+    """The ideal bench with geared legs, its force limits ten times as wide: 148 kN accelerate 30 t."""
+    m = reflected_kg + SHARE_kg
+    text = load("ideal").text
+    a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
+    text = (
+        f"{text[:a]}controller:\n  law: pd\n  kp_N_m: {W_N**2 * m!r}\n  kv_N_s_m: {2 * W_N * m!r}\n"
+        f"  feedforward_mass_kg: {m!r}\n\n{text[b:]}"
+    )
+    plant = "    type: stewart\n"
+    assert text.count(plant) == 1
+    text = text.replace(plant, f"{plant}    reflected_mass_kg: {reflected_kg!r}\n")
+    for key in ("force_N", "force_step_N", "force_window_N", "force_limit_N"):
+        assert text.count(f"  {key}: 100000") == 1
+        text = text.replace(f"  {key}: 100000", f"  {key}: 1000000")
+    return loads(text, "geared.yaml", Path())
+
+
+def path():
+    c = load("ideal")
+    return Platform.from_dict(platform_dict(c.platform)), build_trajectory(c.reference, c.platform.home, None)
+
+
+def slowest_and_fastest(reflected_kg):
+    """Extremes along the book's path of sqrt(Kp / m), m the eigenvalues of the leg-space inertia, Kp fixed."""
+    platform, trajectory = path()
+    model = Model(platform, reflected_mass=reflected_kg)
+    found = []
+    for t in np.linspace(0.0, 2.0, 201):
+        s = trajectory.sample(float(t))
+        inverse = np.linalg.inv(jacobian(platform, s.p, s.R))
+        found.append(np.linalg.eigvalsh(inverse.T @ model.mass_matrix(s.p, s.R) @ inverse))
+    Kp = W_N**2 * (reflected_kg + SHARE_kg)
+    return sqrt(Kp / np.max(found)), sqrt(Kp / np.min(found))
+
+
+def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
+    assert pytest.approx(30e3, rel=1e-3) == GEAR_kg
+    slowest, fastest = slowest_and_fastest(0.0)
+    assert fastest / slowest == pytest.approx(5.5, rel=0.02)
+    slowest, fastest = slowest_and_fastest(GEAR_kg)
+    assert fastest / slowest < 1.10
+    assert slowest < W_N < fastest
+
+
+@pytest.fixture(scope="module")
+def peaks_mm(tmp_path_factory):
+    """Peak leg error in lockstep by reflected mass."""
+    folder = tmp_path_factory.mktemp("gears")
+    found: dict[float, float] = {}
+    for n, factor in enumerate((0.5, 1.0, 2.0)):
+        summary = simulate(geared(factor * GEAR_kg), log=folder / f"{n}.mcap", check_replay=False)
+        assert summary["success"], summary
+        assert not any(summary["limited_ticks"].values())
+        found[factor] = summary["tracking"]["peak_leg_error_mm"]
+    return found
+
+
+def test_a_decentralised_law_with_a_gear_is_forty_times_better_than_without(peaks_mm, capsys):
+    without = pushed_on_mm(geared(0.0))
+    with capsys.disabled():
+        print("\nPD with acceleration feed-forward, wn 20 rad/s, the book's path: peak leg error")
+        print(f"  no gear        {without:7.2f} mm")
+        for factor, peak in peaks_mm.items():
+            print(f"  {factor * GEAR_kg * 1e-3:5.0f} t a leg  {peak:7.2f} mm")
+    assert without == pytest.approx(50.9, rel=0.10)
+    assert peaks_mm[1.0] == pytest.approx(1.32, rel=0.10)
+
+
+def test_the_error_falls_as_the_inertia_of_the_motors_rises(peaks_mm):
+    products = np.array([factor * peak for factor, peak in peaks_mm.items()])
+    assert products == pytest.approx(products.mean(), rel=0.03)
+
+
+def test_without_a_gear_safety_stops_before_the_platform_falls_through_a_singularity(tmp_path):
+    """Legs 37 mm short of the far point have no pose on this side of it."""
+    summary = simulate(geared(0.0), log=tmp_path / "a.mcap", check_replay=False)
+    assert summary["faults"] == ["CONDITION"]
+    assert 0.03 < 1e-3 * summary["tracking"]["peak_leg_error_mm"] < 0.0509
+
+
+def pushed_on_mm(configuration):
+    """Peak leg error of the same law on the plant itself, with nobody to stop it: PD needs no pose."""
+    law = configuration.controller
+    platform, trajectory = path()
+    nodes, plant = build_nodes(configuration)
+    del nodes
+    try:
+        q, dq = plant.reset()
+        peak = 0.0
+        for k in range(2000):
+            r = complete(platform, trajectory.sample(k * PERIOD_S))
+            e, de = r.q - q, r.dq - dq
+            peak = max(peak, float(np.abs(e).max()))
+            tau = law.kp_N_m * e + law.kv_N_s_m * de + law.feedforward_mass_kg * r.ddq
+            q, dq = plant.step(tau, np.zeros(6), np.zeros(6), PERIOD_S)
+    finally:
+        plant.close()
+    return 1e3 * peak

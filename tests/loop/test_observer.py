@@ -1,0 +1,156 @@
+"""The wrench observer in the closed loop, on the bus of configs/virtual.yaml.
+
+The error that a load leaves without it is its share of the error dynamics: M J^-1 wn^2 e = J^T-transformed
+load, so e = J M^-1 wrench / wn^2.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.app.configuration import load, loads
+from hil.app.platform import platform_dict
+from hil.app.sim import simulate
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.kinematics import jacobian
+from hil.log import Log
+from hil.signals import Mode
+from plant_fmu.faults import FaultPlan, WrenchStep
+
+HOLD = "reference: {type: hold, duration_s: 2}\n"
+LOAD = (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+START_S = 2.0
+STEP = FaultPlan([WrenchStep(start_s=START_S, wrench=LOAD)])
+
+
+def bench(*, reference=None, bandwidth_Hz=15.0, bus_ms=0.5, drive_lag_ms=0.796, source="observer", scale=1.0):
+    text = load("virtual").text
+    if reference is not None:
+        first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+        text = text[:first] + reference + "\n" + text[last:]
+    text = text.replace("periods: 10", "periods: 1")
+    model = f"{{inertia_scale: {scale}}}"
+    text += (
+        f"\nestimation: {{wrench: {{source: {source}, bandwidth_Hz: {bandwidth_Hz}, bus_ms: {bus_ms}, "
+        f"drive_lag_ms: {drive_lag_ms}, model: {model}}}}}\n"
+    )
+    variant = "    variant: full\n"
+    assert text.count(variant) == 1
+    text = text.replace(variant, f"{variant}    inertia_scale: {scale}\n")
+    if source == "sensor":
+        text += "sensors: {wrench: {rate_Hz: 1000}}\n"
+    return loads(text, "virtual.yaml", Path())
+
+
+def run(configuration, path, faults=None):
+    summary = simulate(configuration, log=path, faults=faults)
+    assert summary["success"], summary
+    assert summary["replay"]["exact"]
+    assert not any(summary["limited_ticks"].values())
+    return Log.open(path).rows()
+
+
+def final_error(rows):
+    """Leg errors (6,) m, mean of the last 0.2 s of the hold."""
+    last = rows[rows["mode"] == Mode.TRACKING][-200:]
+    return (last["q_d"] - last["q"]).mean(axis=0)
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("held")
+    return {
+        source: run(bench(reference=HOLD, source=source), folder / f"{source}.mcap", STEP)
+        for source in ("observer", "sensor", "none")
+    }
+
+
+def test_a_step_of_1_kN_is_seen_within_5_percent_after_50_ms(held):
+    rows = held["observer"]
+    t = rows["t_ns"] * 1e-9
+    wrench = rows["wrench"]
+    assert np.abs(wrench[t < START_S]).max() < 2.0
+    after = (t >= START_S + 0.05) & (rows["mode"] == Mode.TRACKING)
+    assert after.sum() > 300
+    assert np.abs(wrench[after, 0] - 1000.0).max() < 50.0
+    assert np.abs(wrench[after, 1:]).max() < 50.0
+
+
+def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_they_do(tmp_path):
+    """1 kN from the beginning: the force is built up to what holds platform and load, by statics."""
+    always = FaultPlan([WrenchStep(start_s=0.0, wrench=LOAD)])
+    rows = run(bench(reference=HOLD, source="sensor"), tmp_path / "a.mcap", always)
+    loaded = rows[rows["mode"] == Mode.LOADING][-1]
+    platform = Platform.from_dict(platform_dict(load("virtual").platform))
+    on_platform = jacobian(platform, loaded["p"], loaded["R"].reshape(3, 3)).T @ loaded["tau"]
+    assert on_platform[0] == pytest.approx(-1000.0, abs=5.0)
+    free = rows[np.isin(rows["mode"], [Mode.RELEASING, Mode.APPROACH, Mode.TRACKING])]
+    assert np.abs(free["q_d"] - free["q"]).max() < 5e-6
+
+
+@pytest.mark.parametrize("source", ["observer", "sensor"])
+def test_fed_back_it_removes_the_static_error(held, source, capsys):
+    without, fed_back = final_error(held["none"]), final_error(held[source])
+    with capsys.disabled():
+        print(
+            f"\n1 kN on the held platform: leg error {1e6 * np.abs(without).max():.0f} um without, "
+            f"{1e6 * np.abs(fed_back).max():.2f} um with the {source}"
+        )
+    c = load("virtual")
+    platform = Platform.from_dict(platform_dict(c.platform))
+    home, level = np.array(c.platform.home.position_m), np.eye(3)
+    M = Model(platform).mass_matrix(home, level)
+    expected = -jacobian(platform, home, level) @ np.linalg.solve(M, np.array(LOAD)) / 20.0**2
+    np.testing.assert_allclose(without, expected, rtol=0.01, atol=2e-6)
+    assert np.abs(fed_back).max() < 0.1 * np.abs(without).max()
+
+
+def test_without_a_load_it_sees_less_than_1_N_on_the_whole_path(tmp_path, capsys):
+    rows = run(bench(), tmp_path / "a.mcap")
+    moving = rows[np.isin(rows["mode"], [Mode.APPROACH, Mode.TRACKING])]
+    assert np.abs(np.diff(moving["tau"], axis=0)).max() > 2000.0, "the acceleration jumps"
+    largest = np.abs(rows["wrench"]).max()
+    with capsys.disabled():
+        print(f"\nno load on the book's path: the observer sees at most {largest:.2f} N or N m")
+    assert largest < 1.0
+
+
+def test_a_delay_that_it_is_not_told_is_seen_as_a_load(tmp_path):
+    rows = run(bench(bus_ms=0.0, drive_lag_ms=0.0), tmp_path / "a.mcap")
+    assert np.abs(rows["wrench"]).max() > 50.0
+
+
+@pytest.mark.parametrize(
+    ("bandwidth_Hz", "scale", "known"), [(15.0, 0.6, True), (100.0, 1.6, True), (100.0, 1.0, False)]
+)
+def test_fed_back_it_is_stable_with_wrong_masses_and_unknown_delays(tmp_path, bandwidth_Hz, scale, known):
+    """Masses of 0.6 to 1.6 times the true ones in law and observer, or no delay told, up to 100 Hz."""
+    delays = {} if known else {"bus_ms": 0.0, "drive_lag_ms": 0.0}
+    configuration = bench(reference=HOLD, bandwidth_Hz=bandwidth_Hz, scale=scale, **delays)
+    rows = run(configuration, tmp_path / "a.mcap", STEP)
+    last = rows[rows["mode"] == Mode.TRACKING][-200:]
+    assert np.ptp(last["tau"], axis=0).max() < 5.0, "the forces are at rest"
+    assert np.abs(last["q_d"] - last["q"]).max() < 3e-6
+    entry = rows[np.isin(rows["mode"], [Mode.RELEASING, Mode.APPROACH])]
+    assert np.abs(entry["q_d"] - entry["q"]).max() < 20e-6, "wrong masses make no bump at the entry"
+
+
+def test_the_load_is_carried_until_the_brakes_are_shut_and_then_forgotten(held):
+    rows = held["observer"]
+    parking, powered = rows["mode"] == Mode.PARKING, np.isin(rows["mode"], [Mode.PARKING, Mode.UNLOADING])
+    assert np.abs(np.diff(rows["tau"][parking], axis=0)).max() < 10.0
+    assert np.abs(rows["wrench"][powered, 0] - 1000.0).max() < 5.0
+    assert not rows["wrench"][-1].any()
+    loading = np.isin(rows["mode"], [Mode.WAITING, Mode.IDLE, Mode.LOADING])
+    assert not rows["wrench"][loading].any()
+
+
+def test_a_load_that_the_sensor_sees_before_the_brakes_open_is_carried_without_a_bump(tmp_path):
+    """1 kN from the first tick on; each leg gives its share of it before the brakes open."""
+    load = FaultPlan([WrenchStep(start_s=0.0, wrench=LOAD)])
+    rows = run(bench(reference=HOLD, source="sensor"), tmp_path / "a.mcap", load)
+    moving = rows[(rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.TRACKING)]
+    assert np.abs(np.diff(moving["tau"], axis=0)).max() < 50.0
+    assert np.abs(moving["q_d"] - moving["q"]).max() < 20e-6

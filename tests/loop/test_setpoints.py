@@ -1,0 +1,202 @@
+"""Live set-points in the closed loop: followed, refused, recorded, replayed; and the stop on the way."""
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.check import inspect
+from hil.app.compose import build_cycle
+from hil.app.configuration import load, loads
+from hil.app.replay import replay_log
+from hil.app.sim import simulate
+from hil.log import Log
+from hil.replay import replay
+from hil.signals import Mode, Refusal, SetPoint, Warn
+
+LIVE = """reference:
+  type: live
+  limits:
+    velocity_m_s: 0.3
+    velocity_deg_s: 20
+    acceleration_m_s2: 1
+    acceleration_deg_s2: 60
+    jerk_m_s3: 10
+    jerk_deg_s3: 600
+
+"""
+VIRTUAL = load("virtual").text
+
+
+def configuration(*changes):
+    first, last = VIRTUAL.index("\nreference:") + 1, VIRTUAL.index("\nlimits:") + 1
+    text = VIRTUAL[:first] + LIVE + VIRTUAL[last:]
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return loads(text, "my.yaml")
+
+
+POSES = """t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg
+0.0, 0.1, 0, 1.05, 0, 0, 0
+0.4, 0.1, 0.1, 1, 5, 0, -5
+0.5, 0, 0, 3, 0, 0, 0
+2.5, -0.05, 0.05, 0.95, 0, 10, 0
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("live")
+    (folder / "poses.csv").write_text(POSES)
+    summary = simulate(configuration(), log=folder / "a.mcap", duration_s=6, setpoints=folder / "poses.csv")
+    return summary, Log.open(folder / "a.mcap")
+
+
+def test_the_platform_goes_where_it_is_sent_and_parks(run):
+    summary, log = run
+    assert summary["success"], summary
+    assert summary["faults"] == []
+    assert set(summary["limited_ticks"].values()) == {0}
+    rows = log.rows()
+    tracking = rows[rows["mode"] == Mode.TRACKING]
+    t = tracking["reference_time_s"]
+    for instant, p in ((2.4, [0.1, 0.1, 1.0]), (4.4, [-0.05, 0.05, 0.95])):
+        here = tracking[int(np.argmin(np.abs(t - instant)))]
+        assert np.abs(here["p"] - p).max() < 1e-4
+        assert np.abs(here["p_d"] - p).max() < 1e-12
+    assert summary["tracking"]["peak_leg_error_mm"] < 0.5
+
+
+def test_the_reference_stays_within_its_limits_through_every_change(run):
+    _, log = run
+    rows = log.rows()
+    moving = rows[(rows["mode"] == Mode.TRACKING) | (rows["mode"] == Mode.STOPPING)]
+    v, a = moving["twist_d"], moving["dtwist_d"]
+    assert 0.2 < np.abs(v[:, :3]).max() <= 0.3 * (1 + 1e-9)
+    assert 0.9 < np.abs(a[:, :3]).max() <= 1.0 * (1 + 1e-9)
+    assert np.abs(np.diff(a[:, :3], axis=0)).max() <= 10 * 1e-3 * (1 + 1e-9)
+
+
+def test_a_set_point_out_of_reach_is_refused_counted_and_said(run):
+    summary, log = run
+    assert summary["setpoints"] == {
+        "taken": 3,
+        "refused": 1,
+        "why": "a leg would be outside the soft ends of its stroke",
+    }
+    rows = log.rows()
+    (tick,) = np.flatnonzero(rows["setpoint_refusal"])
+    assert rows["setpoint_refusal"][tick] == Refusal.STROKE
+    assert rows["warnings"][tick] & Warn.SETPOINT
+    assert rows["reference_time_s"][tick] == pytest.approx(0.5, abs=2e-3)
+
+
+def test_the_log_has_the_set_points_and_replays_them_to_the_bit(run):
+    _, log = run
+    given = [setpoint for tick in log.ticks() for setpoint in tick.setpoints]
+    assert [s.z for s in given] == [1.05, 1.0, 3.0, 0.95]
+    assert given[1] == SetPoint(0.1, 0.1, 1.0, np.deg2rad(5.0), 0.0, np.deg2rad(-5.0))
+    verdict, _ = replay_log(log.path)
+    assert verdict.exact
+
+
+class Changed:
+    """A log in which one set-point is another, or comes later."""
+
+    def __init__(self, log, change):
+        self.log, self.change = log, change
+
+    def ticks(self):
+        yield from map(self.change, self.log.ticks())
+
+
+@pytest.mark.parametrize("word", [1, 5])
+def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
+    _, log = run
+    first: list[int] = []
+
+    def change(tick):
+        if not tick.setpoints or first:
+            return tick
+        first.append(int(tick.row["tick"]))
+        words = list(tick.setpoints[0])
+        words[word] += 1e-9
+        return tick._replace(setpoints=(SetPoint(*words),))
+
+    verdict = replay(Changed(log, change), build_cycle(configuration(), 1000.0, 0.01))
+    assert not verdict.exact
+    assert first[0] <= verdict.first[0].tick <= first[0] + 1000
+
+
+def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
+    (tmp_path / "poses.csv").write_text(POSES.splitlines()[0] + "\n0,0.3,0,1.1,0,0,8\n9,0,0,1,0,0,0\n")
+    summary = simulate(
+        configuration(),
+        log=tmp_path / "a.mcap",
+        duration_s=1.7,
+        setpoints=tmp_path / "poses.csv",
+        check_replay=False,
+    )
+    assert summary["success"], summary
+    rows = Log.open(tmp_path / "a.mcap").rows()
+    tracking, stopping = (rows[rows["mode"] == m] for m in (Mode.TRACKING, Mode.STOPPING))
+    assert np.abs(tracking["twist_d"][-1]).max() > 0.1, "it was under way"
+    assert 0.01 < tracking["p"][-1, 0] < 0.29
+    assert np.abs(stopping["dtwist_d"][:, :3]).max() <= 1 + 1e-9
+    assert not stopping["twist_d"][-1].any()
+    assert summary["setpoints"] == {"taken": 1, "refused": 0, "why": None, "not_reached": 1}
+    assert len(stopping) * 1e-3 < 0.3 / 1 + 2 * 1 / 10 + 0.05
+    assert stopping["p_d"][-1, 0] < 0.3
+
+
+def test_without_set_points_it_holds_at_its_start(tmp_path):
+    summary = simulate(configuration(), log=tmp_path / "a.mcap", duration_s=1.5, check_replay=False)
+    assert summary["success"]
+    rows = Log.open(tmp_path / "a.mcap").rows()
+    tracking = rows[rows["mode"] == Mode.TRACKING]
+    assert (tracking["p_d"] == [0, 0, 1]).all()
+    assert "setpoints" not in summary
+
+
+def test_a_live_reference_has_no_end_of_its_own(tmp_path):
+    with pytest.raises(ConfigurationError, match="--duration"):
+        simulate(configuration(), log=tmp_path / "a.mcap")
+
+
+def test_set_points_for_another_reference_are_refused(tmp_path):
+    (tmp_path / "poses.csv").write_text(POSES)
+    with pytest.raises(ConfigurationError, match=r"waypoints takes no set-points, allowed: live"):
+        simulate(load("virtual"), log=tmp_path / "a.mcap", setpoints=tmp_path / "poses.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("t,x\n", "the header must be t_s,x_m,y_m"),
+        (POSES.splitlines()[0] + "\n", r"0 row\(s\) of poses; at least 1"),
+        (POSES + "2.0,0,0,1,0,0,0\n", "times must increase"),
+    ],
+)
+def test_a_file_that_holds_no_set_points_is_refused(tmp_path, text, complaint):
+    (tmp_path / "poses.csv").write_text(text)
+    with pytest.raises(ConfigurationError, match=complaint):
+        simulate(configuration(), log=tmp_path / "a.mcap", duration_s=1, setpoints=tmp_path / "poses.csv")
+
+
+def test_a_start_where_every_set_point_would_be_refused_is_refused():
+    with pytest.raises(
+        ConfigurationError,
+        match=r"my.yaml:\d+:1: reference: at its start, set-points are refused: a leg could",
+    ):
+        inspect(configuration(("acceleration_m_s2: 1\n", "acceleration_m_s2: 19\n")))
+
+
+def test_leg_rates_that_all_axes_together_could_ask_for_are_warned_of():
+    warnings = inspect(configuration(("velocity_m_s: 0.3", "velocity_m_s: 2"))).warnings
+    assert any("set-points on all axes at once may ask for" in w for w in warnings)
+    assert not any("set-points" in w for w in inspect(configuration()).warnings)
+
+
+def test_leg_decelerations_that_would_be_a_fault_before_a_soft_end_are_warned_of():
+    c = configuration(("deceleration_m_s2: 10 ", "deceleration_m_s2: 1 "))
+    assert any("limits.deceleration_m_s2 is 1: before a soft end" in w for w in inspect(c).warnings)

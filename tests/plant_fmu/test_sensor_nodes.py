@@ -1,0 +1,199 @@
+"""Emulated sensors in front of a platform whose motion is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.config import (
+    BusSettings,
+    DriveSettings,
+    ImuSettings,
+    SensorSettings,
+    TrackerSettings,
+    WrenchSensorSettings,
+)
+from drivers.dbc import LegsProtocol
+from drivers.errors import PlantError
+from drivers.protocol import Received
+from drivers.sensors import Readings, SensorProtocol
+from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
+from plant_fmu.faults import FaultPlan, FrameCorruption, FrameLoss, WrenchStep
+from plant_fmu.plant import Truth
+from plant_fmu.sensor_nodes import SensedNodes
+
+MS, US = 1_000_000, 1_000
+G = (0.0, 0.0, -9.81)
+AXIS = np.array([0.0, 0.6, 0.8])
+WRENCH = (100.0, -50.0, 20.0, 5.0, 0.0, -3.0)
+EXACT = SensorEmulation(
+    tracker=TrackerEmulation(latency_ms=5.0, position_noise_m=0.0, orientation_noise_deg=0.0),
+    imu=ImuEmulation(angular_rate_noise_rad_s=0.0, specific_force_noise_m_s2=0.0),
+)
+ALL = SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings())
+DRIVES = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+
+
+def position(t):
+    return np.array([0.3 * t + 2.0 * t * t, 0.1 * np.sin(5 * t), 1.0])
+
+
+def velocity(t):
+    return np.array([0.3 + 4.0 * t, 0.5 * np.cos(5 * t), 0.0])
+
+
+def acceleration(t):
+    return np.array([4.0, -2.5 * np.sin(5 * t), 0.0])
+
+
+def rotation(t):
+    return Rotation.from_rotvec(AXIS * (0.2 + 0.7 * t)).as_matrix()
+
+
+class Mover:
+    """A platform that moves as told, whatever the legs do."""
+
+    internal_step_s = 1e-4
+    blind = False
+
+    def reset(self):
+        self.n = 0
+        return np.ones(6), np.zeros(6)
+
+    def step(self, force, brake, wrench, dt_s):
+        self.n += round(dt_s / self.internal_step_s)
+        return np.ones(6), np.zeros(6)
+
+    def truth(self):
+        t = self.n * 1e-4
+        twist = np.concatenate((velocity(t), 0.7 * AXIS))
+        return None if self.blind else Truth(position(t), rotation(t), twist, np.zeros(6))
+
+    def applied_force(self):
+        return np.zeros(6)
+
+    def close(self):
+        pass
+
+
+def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=None):
+    """Return per kind the valid samples (receive time s, sample time s, values), and what was rejected."""
+    protocol = SensorProtocol(BusSettings(), settings)
+    args = (plant or Mover(), DRIVES, DriveEmulation(), DriveSettings(), faults)
+    nodes = SensedNodes(*args, protocol, settings, noise, G)
+    nodes.start(7 * MS)
+    found: dict[str, list[tuple[float, float, np.ndarray]]] = {"tracker": [], "imu": [], "wrench": []}
+    readings = Readings()
+    rejected = 0
+    for tick in range(ticks):
+        synced = 7 * MS + tick * MS + sync_after_us * US
+        out = nodes.step(synced, [Received(synced, DRIVES.sync(tick)[0])])
+        assert [t for t, _ in out] == sorted(t for t, _ in out)
+        readings = protocol.decode([Received(t, frame) for t, frame in out], tick, readings)
+        rejected += readings.rejected
+        for kind, samples in found.items():
+            for sample in getattr(readings, kind):
+                at = sample.tick * 1e-3 + sync_after_us * 1e-6 + sample.offset_s
+                samples.append((tick * 1e-3, at, np.array(sample.values)))
+    return found, rejected
+
+
+def test_a_tracker_without_noise_gives_the_true_pose_of_the_stamped_instant_some_time_later():
+    found, rejected = run(EXACT)
+    assert rejected == 0
+    assert len(found["tracker"]) == pytest.approx(200 / 5, abs=2)
+    for heard, at, values in found["tracker"]:
+        assert heard - at == pytest.approx(5e-3, abs=1.1e-3)
+        assert values[:3] == pytest.approx(position(at), abs=1.1e-6), "the stamp has 1 us, the platform 1 m/s"
+        assert values[3:] == pytest.approx(AXIS * (0.2 + 0.7 * at), abs=1e-6)
+
+
+def test_an_imu_gives_rate_and_specific_force_in_the_platform_frame():
+    found, _ = run(EXACT)
+    assert len(found["imu"]) == pytest.approx(100, abs=2)
+    for _, at, values in found["imu"][5:]:
+        R = rotation(at)
+        assert values[:3] == pytest.approx(0.7 * R.T @ AXIS, abs=1.1e-4)
+        assert values[3:] == pytest.approx(R.T @ np.subtract(acceleration(at), G), abs=2.5e-3)
+
+
+def test_a_wrench_sensor_gives_the_load_in_the_platform_frame():
+    found, _ = run(EXACT, faults=FaultPlan([WrenchStep(start_s=0.05, wrench=WRENCH)]))
+    before = [values for _, at, values in found["wrench"] if at < 0.0495]
+    after = [(at, values) for _, at, values in found["wrench"] if at > 0.0505]
+    assert len(before) > 40
+    assert len(after) > 140
+    assert np.abs(before).max() == 0.0
+    for at, values in after:
+        R = rotation(at)
+        assert values[:3] == pytest.approx(R.T @ WRENCH[:3], abs=2e-2)
+        assert values[3:] == pytest.approx(R.T @ WRENCH[3:], abs=2e-3)
+
+
+def test_noise_and_bias_have_the_configured_size():
+    bias = SensorEmulation(
+        tracker=TrackerEmulation(position_bias_m=(0.01, 0.0, 0.0), rotation_bias_deg=(0.0, 0.0, 2.0)),
+        imu=ImuEmulation(angular_rate_bias_rad_s=(0.1, 0, 0), specific_force_bias_m_s2=(0, 0, -0.2)),
+        wrench=WrenchEmulation(force_noise_N=10.0, moment_noise_N_m=1.0, moment_bias_N_m=(0, 30.0, 0)),
+    )
+    fast = SensorSettings(
+        tracker=TrackerSettings(rate_Hz=1000), imu=ImuSettings(rate_Hz=1000), wrench=WrenchSensorSettings()
+    )
+    found, _ = run(bias, fast, ticks=2000)
+    tracker = [
+        np.concatenate((v[:3] - position(at), (Rotation.from_rotvec(v[3:]) * Rotation.from_matrix(rotation(at)).inv()).as_rotvec()))
+        for _, at, v in found["tracker"]
+    ]  # fmt: skip
+    imu = [
+        v - np.concatenate((0.7 * rotation(at).T @ AXIS, rotation(at).T @ np.subtract(acceleration(at), G)))
+        for _, at, v in found["imu"][5:]
+    ]
+    wrench = [v for _, _, v in found["wrench"]]
+    degree = np.deg2rad(1)
+    for samples, mean, std in (
+        (tracker, [0.01, 0, 0, 0, 0, 2 * degree], [1e-3] * 3 + [0.1 * degree] * 3),
+        (imu, [0.1, 0, 0, 0, 0, -0.2], [2e-3] * 3 + [0.05] * 3),
+        (wrench, [0, 0, 0, 0, 30.0, 0], [10.0] * 3 + [1.0] * 3),
+    ):
+        assert np.abs((np.mean(samples, axis=0) - mean) / std).max() < 5 / np.sqrt(2000)
+        assert np.std(samples, axis=0) == pytest.approx(std, rel=0.1)
+
+
+def test_lost_samples_leave_gaps_in_the_counter_and_the_same_seed_gives_the_same_run():
+    lossy = EXACT.model_copy(update={"tracker": TrackerEmulation(lost_percent=20.0)})
+    found, rejected = run(lossy, ticks=500)
+    assert rejected == 0
+    assert 0.1 < 1 - len(found["tracker"]) / 100 < 0.3
+    again, _ = run(lossy, ticks=500)
+    other, _ = run(lossy.model_copy(update={"seed": 2}), ticks=50)
+    same = [np.array_equal(a[2], b[2]) for a, b in zip(found["tracker"], again["tracker"], strict=True)]
+    assert all(same)
+    assert not np.array_equal(found["tracker"][0][2], other["tracker"][0][2])
+
+
+def test_faults_of_the_bus_strike_sensors_as_well():
+    lost, _ = run(EXACT, faults=FaultPlan([FrameLoss(identifier=0x407)]))
+    assert lost["tracker"] == []
+    assert lost["imu"]
+    corrupted, rejected = run(EXACT, faults=FaultPlan([FrameCorruption(identifier=0x407)]))
+    assert corrupted["tracker"] == []
+    assert rejected > 35
+
+
+def test_without_sync_there_is_no_stamp_and_no_sample():
+    protocol = SensorProtocol(BusSettings(), ALL)
+    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, EXACT, G)
+    out = nodes.step(200 * MS, [])
+    assert {frame.id for _, frame in out} <= set(range(0x701, 0x707))
+    out = nodes.step(201 * MS, [Received(201 * MS, DRIVES.sync(1)[0])])
+    out = nodes.step(500 * MS, [])
+    stamped = [t for t, frame in out if frame.id == 0x407]
+    assert 200 * MS < max(stamped) < (201 + 66 + 6) * MS, "after that no stamp reaches back"
+
+
+def test_a_plant_without_a_pose_is_refused():
+    plant = Mover()
+    plant.blind = True
+    with pytest.raises(PlantError, match="does not know its pose"):
+        run(EXACT, plant=plant)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.vcan.listen import candump
 
-START_LIMIT_S = 30.0
+START_LIMIT_S = 60.0
 STOP_LIMIT_S = 15.0
 
 
@@ -30,7 +30,7 @@ def main() -> int:
     folder = Path(sys.argv[1])
     heard = folder / "candump.log"
     hil = [sys.executable, "-m", "hil.cli"]
-    plant_command = [*hil, "plant", "vcan50", "--duration", "60", "--log", str(folder / "plant.mcap")]
+    plant_command = [*hil, "plant", "vcan50", "--duration", "200", "--log", str(folder / "plant.mcap")]
     run_command = [*hil, "run", "vcan50", "--duration", "10", "--log", str(folder / "run.mcap")]
     with candump("vcan0", heard):
         plant = subprocess.Popen(plant_command, stdin=subprocess.DEVNULL)

@@ -1,0 +1,68 @@
+"""The file that `hil identify` writes and `hil design` reads: one axis of the linearised loop."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from drivers.config import Section
+from hil.config.delay import Delay
+from hil.config.values import NonNegative, Positive, SixPositive
+
+AxisSpace = Literal["joint", "pose"]
+"""Legs, or x, y, z and the rotations about them."""
+
+
+class NominalAxis(Section):
+    """From demanded to measured: gain exp(-transport s) / (lag s + 1) / s^2, behind a hold of one period."""
+
+    gain: SixPositive
+    """Of each axis; 1 where model and robot agree."""
+    transport_ms: Delay
+    """Pure delay: feedback, computing, command."""
+    lag_ms: Delay
+    """Time constant of the drives' force loop, first order."""
+
+
+class UncertaintyProfile(Section):
+    """What the measured axes differ from the nominal one by, at most: |P / P0 - 1| <= bound."""
+
+    frequency_Hz: Annotated[list[Positive], Field(min_length=2)]
+    """Rising."""
+    bound: Annotated[list[NonNegative], Field(min_length=2)]
+
+    @model_validator(mode="after")
+    def _a_function(self) -> Self:
+        if len(self.frequency_Hz) != len(self.bound):
+            raise ValueError(
+                f"{len(self.frequency_Hz)} frequencies and {len(self.bound)} bounds, allowed: as many of each"
+            )
+        if any(b <= a for a, b in zip(self.frequency_Hz, self.frequency_Hz[1:], strict=False)):
+            raise ValueError("frequency_Hz does not rise, allowed: each above the one before")
+        return self
+
+
+class AxisResponse(Section):
+    """The measured frequency response of one axis, at the frequencies that excited it."""
+
+    frequency_Hz: list[Positive]
+    magnitude: list[NonNegative]
+    """Of position over demanded acceleration, s^2."""
+    phase_deg: list[float]
+    coherence: list[Annotated[float, Field(ge=0, le=1)]]
+    magnitude_std: list[NonNegative]
+    phase_std_deg: list[NonNegative]
+
+
+class AxisModel(Section):
+    """An identified axis: nominal model, bound of its error, and what it was found from."""
+
+    kind: Literal["axis-model"]
+    source: str
+    """Log it was found from."""
+    axes: AxisSpace
+    rate_Hz: Positive
+    nominal: NominalAxis
+    uncertainty: UncertaintyProfile
+    measured: Annotated[list[AxisResponse], Field(min_length=6, max_length=6)]

@@ -1,0 +1,48 @@
+"""The file that `hil design` writes and the law `state_space` runs: one controller for each of six axes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from drivers.config import Section
+from hil.config.axis_model import AxisSpace
+from hil.config.values import Positive
+
+Row = list[float]
+ControllerInput = Literal["error", "rate_error"]
+
+
+class LinearController(Section):
+    """x[k+1] = A x[k] + B y[k], u[k] = C x[k] + D y[k] for each axis; u joins the demanded acceleration.
+
+    y holds e = demanded - measured, m or rad, and, where `inputs` names it, de. With anti-windup the state
+    also moves by `anti_windup` (n,) times what the limits took from u.
+    """
+
+    kind: Literal["linear-controller"]
+    method: Literal["hinf", "mu"]
+    axes: AxisSpace
+    rate_Hz: Positive
+    inputs: Annotated[list[ControllerInput], Field(min_length=1, max_length=2)]
+    A: list[Row]
+    B: list[Row]
+    C: Annotated[list[Row], Field(min_length=1, max_length=1)]
+    D: Annotated[list[Row], Field(min_length=1, max_length=1)]
+    anti_windup: Row
+    """(n,) state per m/s^2 or rad/s^2."""
+    design: dict[str, Any]
+    """How it was made: weights, gamma, bounds of mu, margins, closed-loop poles."""
+
+    @model_validator(mode="after")
+    def _shapes(self) -> Self:
+        n, m = len(self.A), len(self.inputs)
+        expected = {"A": (n, n), "B": (n, m), "C": (1, n), "D": (1, m)}
+        for name, (rows, columns) in expected.items():
+            given = getattr(self, name)
+            if len(given) != rows or any(len(row) != columns for row in given):
+                raise ValueError(f"{name} is not {rows} x {columns}, with {n} rows of A and {m} inputs")
+        if len(self.anti_windup) != n:
+            raise ValueError(f"anti_windup has {len(self.anti_windup)} numbers, allowed: {n}, one a state")
+        return self

@@ -27,14 +27,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple
 
-if __package__:
-    from tests.vcan import packages
-else:  # run as a script
+if not __package__:  # run as a script
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-    from tests.vcan import packages
+from drivers.errors import PlantError
+from plant_fmu.stewart.build import TARGETS, find_compiler, this_machine
+from tests.vcan import packages
 
 UnavailableError = packages.UnavailableError
 GUEST = Path(__file__).resolve().with_name("guest.py")
+WHOLE_STATE = Path(__file__).resolve().with_name("xstate.c")
 MEMORY_BYTES = 2 << 30
 BOOT_LIMIT_S = 40.0
 HALT_LIMIT_S = 10.0
@@ -173,9 +174,28 @@ exec $bb chroot /mnt/root {python}
         ),
         *("rootfstype=hostfs", "rootflags=/", "ro", f"init={init}", "quiet", "random.trust_cpu=on"),
     ]
-    environment = {"PATH": os.environ.get("PATH", os.defpath), "TMPDIR": _memory_folder()}
+    environment = {
+        "PATH": os.environ.get("PATH", os.defpath),
+        "TMPDIR": _memory_folder(),
+        "LD_PRELOAD": str(_whole_state(folder)),
+    }
     with _session(command, folder / "log", environment) as process:
         yield process
+
+
+def _whole_state(folder: Path) -> Path:
+    """Compile what lets a kernel from before AMX run on a processor that has it; see xstate.c."""
+    try:
+        compiler = find_compiler()
+    except PlantError as error:
+        raise UnavailableError(str(error)) from error
+    library = folder / "xstate.so"
+    options = ["-O2", "-shared", "-fPIC", *(["-target", TARGETS[this_machine()].zig] if compiler.zig else [])]
+    command = [*compiler.command, *options, "-o", str(library), str(WHOLE_STATE), "-ldl"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise UnavailableError(f"{WHOLE_STATE.name} does not compile: {done.stderr.strip()[-500:]}")
+    return library
 
 
 @contextlib.contextmanager

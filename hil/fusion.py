@@ -33,7 +33,9 @@ from drivers.signals import LEGS, DriveState, Measurement
 from hil.config import FusionSettings
 from hil.dynamics import Model
 from hil.geometry import Platform
-from hil.kernels import fusion as k
+from hil.kernels import fusion_layout as k
+from hil.kernels.fusion import observed_kernel, rerun_kernel
+from hil.kernels.fusion_predict import accelerate_kernel
 from hil.rotations import rotation_from_vector
 from hil.signals import Array
 
@@ -172,7 +174,7 @@ class FusedEstimator:
         first, tracked = self._place(readings)
         size = len(self._states)
         count = (self._newest - first) % size + 1
-        k.rerun_kernel(
+        rerun_kernel(
             self._a, self._b, self._noise, self._intervals, self._states, self._covariances, first, count
         )
         return self._close(measurement, tracked)
@@ -205,7 +207,7 @@ class FusedEstimator:
         if free:
             mean = tau if self._tau is None else 0.5 * (tau + self._tau)
             model = self._model
-            k.accelerate_kernel(model.constants, model.code, self._states[before], mean, wrench, u)
+            accelerate_kernel(model.constants, model.code, self._states[before], mean, wrench, u)
             self._tau = tau
         else:
             self._tau = None
@@ -271,7 +273,7 @@ class FusedEstimator:
         tick = self._ticks[now]
         x, u, P = self._states[now], self._intervals[now], self._covariances[now]
         q, dq, J = np.empty(6), np.empty(6), np.empty((6, 6))
-        residual, condition = k.observed_kernel(self._a, self._b, self._radius, x, u, q, dq, J)
+        residual, condition = observed_kernel(self._a, self._b, self._radius, x, u, q, dq, J)
         innovation = u[k.INNOVATION : k.INNOVATION + 6].copy()
         used = tuple(share != 0.0 for share in u[k.USED : k.USED + 6].tolist())
         ages = measurement.age.tolist()

@@ -224,7 +224,9 @@ def _run(
             parked_tick = parked_tick if parked_tick >= 0 else tick
             if drives_off(cycle) or tick - parked_tick >= fault_ticks:
                 cause = (
-                    "the loop missed too many ticks in a row" if recording.alive else "the recorder was lost"
+                    "the loop missed limits.missed_stop_ticks periods in a row"
+                    if recording.alive
+                    else "the recorder was lost"
                 )
                 reason = f"safety asked for a controlled stop: {cause}" if cycle.stop_requested else ""
                 return Ending(mode, cycle.faults, reason, tick, requested=stopped or panel.interrupts > 0)

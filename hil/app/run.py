@@ -23,7 +23,6 @@ from hil.daemon import NO_DRIVES_S, Ending, OperatorPanel, run
 from hil.log import Log
 from hil.record import LogSummary, Recording
 from hil.report import Rows, figures, picture
-from hil.safety.timing import MISSED_AT
 from hil.setpoints import SetPointSocket
 from hil.signals import Mode
 
@@ -138,7 +137,7 @@ def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
     lack = "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
     if c.loop.without_realtime == "refuse":
         raise RunError(f"{lack}, and loop.without_realtime is `refuse`: nothing was started")
-    slow, worst_s = holdable_rate(rate, MISSED_AT)
+    slow, worst_s = holdable_rate(rate, c.limits.missed_stop_ticks)
     if with_plant:
         watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
     elif 3.0 / slow > watchdog_s:
@@ -151,7 +150,7 @@ def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
         + (f", emulated drives' watchdog {watchdog_s * 1e3:g} ms" if with_plant else "")
         + (
             f"; stalls of {worst_s * 1e3:.0f} ms now: expect a controlled stop, or take load off this machine"
-            if worst_s * slow > MISSED_AT
+            if worst_s * slow > c.limits.missed_stop_ticks
             else ""
         ),
         style="bold yellow",

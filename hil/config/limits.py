@@ -37,6 +37,8 @@ class LimitSettings(Section):
     """Condition number of J (lengths made comparable) that faults."""
     stale_warn_ticks: Annotated[int, Field(ge=1)] = 2
     stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
+    missed_stop_ticks: Annotated[int, Field(ge=1)] = 5
+    """Periods missed in a row that ask for a controlled stop."""
 
     @model_validator(mode="after")
     def _warn_before_fault(self) -> Self:

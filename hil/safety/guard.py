@@ -65,6 +65,7 @@ class Safety:
                 min(limits.force_N, drive_force_limit),
                 limits.force_step_N,
                 limits.force_window_N,
+                limits.missed_stop_ticks,
             ],
             float,
         )

@@ -184,5 +184,5 @@ def judge_tick(
     law, more, memory[NEWEST] = limit_effort(
         tau, history, lows, highs, memory[NEWEST], skipped, limits[11], limits[12], limits[13], limited
     )
-    stop = too_many_missed(memory[MISSED]) or (losing and stop_on_loss != 0)
+    stop = too_many_missed(memory[MISSED], limits[14]) or (losing and stop_on_loss != 0)
     return faults | law, warnings | more, bool(stop)

@@ -10,8 +10,6 @@ from hil.safety.history import HISTORY, ones
 
 DEGRADED_AT = 8
 """Late ones among them that make a degraded loop."""
-MISSED_AT = 5
-"""Periods missed in a row that ask for a controlled stop."""
 
 
 @helper
@@ -44,6 +42,6 @@ def missed_run(run: int, skipped: int) -> int:
 
 
 @helper
-def too_many_missed(run: int) -> bool:
-    """Tell whether the run of missed periods asks for a controlled stop."""
-    return run >= MISSED_AT
+def too_many_missed(run: int, limit: int) -> bool:
+    """Tell whether `limit` periods or more were missed in a row: a controlled stop is asked for."""
+    return run >= limit

@@ -231,6 +231,13 @@ def test_guard_takes_eight_refusing_ticks_of_32_for_a_bus_that_cannot_be_relied_
     assert faults == [Fault.NONE] * 15 + [Fault.BUS]
 
 
+def test_guard_waits_for_as_many_missed_periods_as_configured():
+    bench = Bench()
+    limits = LIMITS.model_copy(update={"missed_stop_ticks": 7})
+    bench.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
+    assert [bench.tick(inp__skipped=n).stop for n in (6, 0, 5, 2)] == [False, False, False, True]
+
+
 def test_guard_warns_of_a_noisy_bus():
     bench = Bench()
     for cause in ("bus_errors", "bus_overflow", "sends_failed"):

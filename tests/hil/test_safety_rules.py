@@ -237,9 +237,10 @@ def test_timing_adds_skipped_periods_until_a_tick_skips_none():
     assert run == 3
     run = timing.missed_run(run, 1)
     assert run == 4
-    assert not timing.too_many_missed(run)
-    assert timing.too_many_missed(timing.missed_run(run, 1))
-    assert timing.too_many_missed(6)
+    assert not timing.too_many_missed(run, 5)
+    assert timing.too_many_missed(timing.missed_run(run, 1), 5)
+    assert timing.too_many_missed(6, 5)
+    assert not timing.too_many_missed(6, 7)
     assert timing.missed_run(run, 0) == 0
 
 

@@ -40,7 +40,7 @@ SHORT = """\
 PATIENT = {
     "rate_Hz: 1000": "rate_Hz: 500",
     "watchdog_ms: 10 ": "watchdog_ms: 150 ",
-    "stale_fault_ticks: 5": "stale_fault_ticks: 60",
+    "stale_fault_ticks: 5": "stale_fault_ticks: 60\n  missed_stop_ticks: 60",
 }
 FIFO = fifo_allowed(80)
 
@@ -51,7 +51,7 @@ def configuration(
     """Write configs/virtual.yaml with a channel and a log folder of the test's own, and `changes` of its text.
 
     patient: a stall of a tenth of a second, as a loaded or a virtual machine has them, faults nothing: half
-    the rate, longer watchdog and stale limit. Without it the timing is the shipped one.
+    the rate, longer watchdog, higher limits of stale ticks and missed periods. Without it the timing is the shipped one.
     """
     text = (ROOT / "configs" / "virtual.yaml").read_text()
     if short:

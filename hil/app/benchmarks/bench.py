@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from hil.app.benchmarks.patience import make_patient
 from hil.app.configuration import Configuration, load
 from hil.app.sim import simulate
 from hil.app.yaml_positions import parse
@@ -53,10 +54,11 @@ class Bench:
 
     @cached_property
     def endless(self) -> Configuration:
-        """The same on a bus of our own, on a path without end; a file, since the plant reads it, too."""
+        """The same, patient, on a bus of our own and a path without end; a file: the plant reads it, too."""
         values: dict[str, Any] = dict(parse(self.configuration.text).value or {})
         values["bus"]["channel"] = CHANNEL
         values["reference"]["periods"] = None
+        make_patient(values, self.configuration.loop.rate_Hz)
         file = self.folder / "bench.yaml"
         file.write_text(json.dumps(values, indent=1))
         return load(file)

@@ -13,7 +13,9 @@ from typing import IO
 from drivers.errors import RunError
 from hil.app.benchmarks.bench import Bench
 from hil.app.benchmarks.figures import Figure, Mark
+from hil.app.benchmarks.patience import patience_figures
 from hil.app.benchmarks.process import resident_kB
+from hil.log import Log
 
 SETTLE_S = 10.0
 """Engaging, and the first periods of the path."""
@@ -46,7 +48,8 @@ def memory(bench: Bench) -> list[Figure]:
                 process.wait()
         if process.returncode:
             raise RunError(_ended(process, said))
-    return memory_figures(samples, minutes)
+    rows = Log.open(log).rows()
+    return memory_figures(samples, minutes) + patience_figures(rows, c, bench.configuration)
 
 
 def memory_figures(samples_kB: list[int], minutes: float) -> list[Figure]:

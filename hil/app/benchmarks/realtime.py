@@ -21,6 +21,7 @@ from drivers.runtime import RoleLock
 from hil.app.benchmarks.bench import Bench
 from hil.app.benchmarks.cyclictest import cyclictest
 from hil.app.benchmarks.figures import EARLY, Figure, Mark, spread
+from hil.app.benchmarks.patience import patience_figures
 from hil.app.benchmarks.process import cpu_s
 from hil.app.benchmarks.stages import StagedCycle, stage_figures
 from hil.app.compose import attachments, build_cycle, build_scene, feedback_window_s
@@ -32,7 +33,6 @@ from hil.daemon import Ending, OperatorPanel, run
 from hil.log import Log
 from hil.record import LogSummary, Recording
 from hil.report import figures as run_figures
-from hil.safety.timing import MISSED_AT
 from hil.signals import Mode
 
 CYCLICTEST_S = 10.0
@@ -95,7 +95,8 @@ def measure(c: Configuration, bench: Bench) -> Measured:
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
     if not fifo_allowed(c.loop.priority):  # as `hil run` does
-        rate, watchdog_s = holdable_rate(rate, MISSED_AT)[0], max(watchdog_s, RELAXED_WATCHDOG_S)
+        rate = holdable_rate(rate, c.limits.missed_stop_ticks)[0]
+        watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
     cycle = StagedCycle(build_cycle(c, rate, watchdog_s).parts)
     panel = OperatorPanel()
     with contextlib.ExitStack() as stack:
@@ -162,6 +163,7 @@ def realtime(bench: Bench) -> list[Figure]:
             Mark(0.1),
             f"{skipped} of {len(rows) + skipped}",
         ),
+        *patience_figures(rows, c, bench.configuration),
         Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
         Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
         *stage_figures(m.cycle),

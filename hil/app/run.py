@@ -145,16 +145,16 @@ def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
             f"{lack}: this machine holds {slow:g} Hz now, drives.watchdog_ms {watchdog_s * 1e3:g} needs at "
             f"least {3.0 / watchdog_s:.0f} Hz; grant SCHED_FIFO or lengthen the watchdog"
         )
-    console.print(
-        f"{lack}: the loop runs at {slow:g} Hz instead of {rate:g} Hz"
-        + (f", emulated drives' watchdog {watchdog_s * 1e3:g} ms" if with_plant else "")
-        + (
-            f"; stalls of {worst_s * 1e3:.0f} ms now: expect a controlled stop, or take load off this machine"
-            if worst_s * slow > c.limits.missed_stop_ticks
-            else ""
-        ),
-        style="bold yellow",
-    )
+    consequences = []
+    if slow < rate:
+        consequences.append(f"the loop runs at {slow:g} Hz instead of {rate:g} Hz")
+    if with_plant:
+        consequences.append(f"emulated drives' watchdog {watchdog_s * 1e3:g} ms")
+    said = lack + (f": {', '.join(consequences)}" if consequences else "")
+    if worst_s * slow > c.limits.missed_stop_ticks:
+        stall_ms = worst_s * 1e3
+        said += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
+    console.print(said, style="bold yellow")
     return slow, watchdog_s
 
 

@@ -2,21 +2,21 @@
 
 Rule of the room: the only importer of Numba. Numba's own cache notices edits of the file that holds a
 function, but not of the files whose functions and constants it uses; so each source file has a folder of
-its own, keyed by the hash of that file and of all that it imports from this project.
+its own, keyed by the hash of that file and of all that it imports from this project. Where the file lies
+does not count: a second clone or an installed wheel with the same sources finds what is compiled.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import inspect
 import os
 import re
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Self, TypeVar, cast
 
 import numba
 from llvmlite import ir
@@ -103,7 +103,36 @@ def _has_to_compile() -> bool:
     """
     marked = re.compile(rb"^@kernel\(", re.MULTILINE)
     kernels = (path for path in sources_of(_EVERY_RUN) if marked.search(path.read_bytes()))
-    return any(next(folder_of(path).glob("*/*.nbi"), None) is None for path in kernels)
+    return any(next(folder_of(path).glob("*.nbi"), None) is None for path in kernels)
+
+
+class Locator:
+    """Tells Numba where a function is kept and when it is out of date: the folder's name says both."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._folder = folder_of(Path(file).resolve())
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> Self:
+        """Return the locator of a function of a file."""
+        return cls(function, file)
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return what differs where the sources do."""
+        return self._folder.name
+
+    def get_disambiguator(self) -> str:
+        """Return what differs between functions of one name in one file."""
+        return str(self._line)
+
+    def ensure_cache_path(self) -> None:
+        """Create the folder."""
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
 
 
 CACHE_FOLDER = cache_folder()
@@ -142,12 +171,12 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         settings = vars(numba.config)
-        elsewhere = settings["CACHE_DIR"]
-        settings["CACHE_DIR"] = str(folder_of(Path(inspect.getfile(function)).resolve()))
+        elsewhere = settings["CACHE_LOCATOR_CLASSES"]
+        settings["CACHE_LOCATOR_CLASSES"] = f"{__name__}.{Locator.__name__}"
         try:
             return cast("F", numba.njit(arguments, nogil=unlocked, **_OPTIONS)(function))
         finally:
-            settings["CACHE_DIR"] = elsewhere
+            settings["CACHE_LOCATOR_CLASSES"] = elsewhere
 
     return decorate
 

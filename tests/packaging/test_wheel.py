@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -38,14 +40,12 @@ def installed(wheel, tmp_path_factory):
 
 
 def outside(installed, tmp_path, *arguments):
-    """Run Python in a folder outside the repository, the wheel's content before everything else."""
+    """Run Python in a folder outside the repository, the wheel's content before everything else.
+
+    What is compiled comes from the cache of this suite where the wheel's sources are the same to the byte.
+    """
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    environment |= {
-        "PYTHONPATH": str(installed),
-        "PYTHONSAFEPATH": "1",
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-    }
-    environment.pop("NUMBA_CACHE_DIR", None)
+    environment |= {"PYTHONPATH": str(installed), "PYTHONSAFEPATH": "1"}
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=tmp_path,
@@ -59,14 +59,15 @@ def outside(installed, tmp_path, *arguments):
 
 def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
     with zipfile.ZipFile(wheel) as archive:
-        inside = set(archive.namelist())
+        inside = {name: archive.read(name) for name in archive.namelist()}
     kept = {
-        path.relative_to(ROOT).as_posix()
+        path.relative_to(ROOT).as_posix(): path.read_bytes()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
         if path.suffix in {".py", ".dbc", ".c", ".h", ".yaml", ".csv", ".json", ".xml"}
     }
-    assert kept <= inside, sorted(kept - inside)
+    assert not kept.keys() - inside.keys()
+    assert [name for name, content in kept.items() if inside[name] != content] == []
 
 
 @pytest.mark.parametrize("pattern", ["drivers/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"])
@@ -86,6 +87,17 @@ def test_the_packages_come_from_the_wheel_and_not_from_the_repository(installed,
     done = outside(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stderr
     assert [Path(name).parent.parent for name in json.loads(done.stdout)] == [installed] * len(PACKAGES)
+
+
+def test_what_is_compiled_is_found_by_the_same_sources_elsewhere_and_by_no_others(installed, tmp_path):
+    importlib.import_module("hil.app.compose")  # compiles, in the repository, what is not compiled yet
+    other = tmp_path / "other"
+    shutil.copytree(installed, other)
+    source = other / "hil/kernels/kinematics.py"
+    source.write_bytes(source.read_bytes() + b"# as if edited\n")
+    script = "from drivers.compile_cache import FIRST_COMPILATION; print(FIRST_COMPILATION)"
+    said = [outside(place, tmp_path, "-c", script).stdout for place in (installed, other)]
+    assert said == ["False\n", "True\n"]
 
 
 def test_hil_sim_runs_from_the_wheel(installed, tmp_path):

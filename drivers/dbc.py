@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from importlib import resources
 from itertools import chain
 from typing import NamedTuple
@@ -65,6 +65,14 @@ def legs_dbc() -> str:
     return resources.files("drivers").joinpath("legs.dbc").read_text(encoding="ascii")
 
 
+@cache
+def parsed(dbc: str) -> Database:
+    """Return the messages of a DBC text; parsed once, for all who read them, and for reading only."""
+    database = Database()
+    database.add_dbc_string(dbc)
+    return database
+
+
 class _CommandFrame(NamedTuple):
     """One command frame of the layout."""
 
@@ -91,9 +99,7 @@ class LegsProtocol:
             )
         self.layout = layout
         self.node_ids = nodes
-        database = Database()
-        database.add_dbc_string(legs_dbc())
-        get = database.get_message_by_name
+        get = parsed(legs_dbc()).get_message_by_name
         self._estop = compile_message(get("ESTOP"), "Source")
         self._sync = compile_message(get("SYNC"), "Cycle")
         self._config = compile_message(get("CONFIG_1"), "Watchdog", "Reaction", "Leg", "CRC")

@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from math import ceil, isfinite, pi
 from typing import NamedTuple
 
-from cantools.database.can import Database
-
 from drivers.codec import Codec, compile_message, in_range
 from drivers.config import BusSettings, SensorSettings
 from drivers.crc import crc8, identifier_state
-from drivers.dbc import legs_dbc
+from drivers.dbc import legs_dbc, parsed
 from drivers.device_kernels import intact
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
@@ -82,8 +80,7 @@ class SensorProtocol:
                 f"bus.layout: classic carries 8 bytes a frame and a sample takes up to 32, given: {given}; "
                 "use layout fd, or leave the sensors out"
             )
-        database = Database()
-        database.add_dbc_string(legs_dbc())
+        database = parsed(legs_dbc())
         self.sync_id: int = database.get_message_by_name("SYNC").frame_id
         self._codecs: dict[str, tuple[int, int, Codec]] = {}
         """Kind -> identifier, CRC register after it, codec."""

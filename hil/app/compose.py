@@ -48,7 +48,6 @@ from plant_fmu.faults import FaultPlan
 from plant_fmu.fmu import open_plant
 from plant_fmu.nodes import Nodes
 from plant_fmu.plant import Plant
-from plant_fmu.sensor_nodes import SensedNodes
 
 if TYPE_CHECKING:
     from hil.fused_pose import PoseFusion
@@ -248,6 +247,8 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         sensors = build_sensors(c)
         if sensors is None:
             return Nodes(*drives), plant
+        from plant_fmu.sensor_nodes import SensedNodes  # noqa: PLC0415 - SciPy's rotations
+
         gravity = c.platform.gravity_m_s2
         return SensedNodes(*drives, sensors, c.sensors, c.plant.sensors, gravity), plant
     except BaseException:

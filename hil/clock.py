@@ -75,14 +75,11 @@ class RealTime:
 @contextlib.contextmanager
 def collector_paused() -> Iterator[None]:
     """Keep the garbage collector out of a loop that makes no cycles: a full collection takes milliseconds."""
-    gc.collect()
-    gc.freeze()
     gc.disable()
     try:
         yield
     finally:
         gc.enable()
-        gc.unfreeze()
 
 
 @contextlib.contextmanager
@@ -105,10 +102,13 @@ def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
         report.granted.append("cpu_dma_latency 0")
     except OSError as error:
         report.missing.append(f"cpu_dma_latency ({error.strerror})")
+    gc.collect()
+    gc.freeze()
     try:
         with collector_paused():
             yield report
     finally:
+        gc.unfreeze()
         if latency is not None:
             os.close(latency)
         if report.fifo:

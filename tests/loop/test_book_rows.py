@@ -108,7 +108,7 @@ def track(configuration, seconds, faults=None, prepare=None):
             assert lockstep.tick < 10 * rate, cycle.mode
     finally:
         plant.close()
-    return np.array(rows)
+    return np.array(rows, rows[0].dtype)
 
 
 def figures_of(p, R, p_d, R_d, q, q_d, tau):

@@ -94,14 +94,19 @@ def run(configuration, *faults, seed=1):
 
     mode = lockstep.run(None, observe)
     plant.close()
-    errors = []
-    for row, (t_ns, snapshot) in zip(rows, truths, strict=True):
-        dt, truth = (t_ns - snapshot.t_ns) * 1e-9, snapshot.truth
-        assert truth is not None
-        R = Rotation.from_rotvec(truth.twist[3:] * dt) * Rotation.from_matrix(truth.R)
-        turned = Rotation.from_matrix(row["R"].reshape(3, 3)) * R.inv()
-        errors.append((*(row["p"] - truth.p - truth.twist[:3] * dt), *turned.as_rotvec()))
-    return Run(mode, cycle.faults, fault_text(cycle), np.array(rows), np.array(errors), warned)
+    found = np.array(rows, rows[0].dtype)
+    return Run(mode, cycle.faults, fault_text(cycle), found, error_of(found, truths), warned)
+
+
+def error_of(rows, truths):
+    """Return rows less truths, (n, 6) m, rad; a truth is the instant asked for (ns) and what was known then."""
+    dt = np.array([[(t_ns - snapshot.t_ns) * 1e-9] for t_ns, snapshot in truths])
+    p, R, twist = (
+        np.array([getattr(snapshot.truth, name) for _, snapshot in truths]) for name in ("p", "R", "twist")
+    )
+    there = Rotation.from_rotvec(twist[:, 3:] * dt) * Rotation.from_matrix(R)
+    turned = Rotation.from_matrix(rows["R"].reshape(-1, 3, 3)) * there.inv()
+    return np.hstack((rows["p"] - p - twist[:, :3] * dt, turned.as_rotvec()))
 
 
 def tracked_true_mm(found):

@@ -1,7 +1,8 @@
 """Rules of the whole suite: a test marked `realtime` has the machine to itself, and comes late.
 
 The suite runs in several processes (pytest-xdist). Every test holds a shared lock, a real-time test the
-exclusive one; whoever waits for it stands in the door, so that no further test slips in before.
+exclusive one; whoever waits for it stands in the door, so that no further test slips in before. A patient
+real-time test, whose limits outlast a busy neighbour, is alone among real-time tests only.
 """
 
 from __future__ import annotations
@@ -15,9 +16,6 @@ from typing import IO
 
 import pytest
 
-LONGEST = ("packaging", "vcan")
-"""Folders whose tests take a minute each."""
-
 
 @contextlib.contextmanager
 def held(file: IO[str], kind: int) -> Iterator[None]:
@@ -30,10 +28,16 @@ def held(file: IO[str], kind: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def place(folder: Path, alone: bool) -> Iterator[None]:
-    """Have a place beside the other test processes, or, `alone`, wait until they pause and be the only one."""
+def place(folder: Path, *, alone: bool, realtime: bool) -> Iterator[None]:
+    """Have a place beside the other test processes, or, `alone`, wait until they pause and be the only one.
+
+    At any time one `realtime` test runs; whoever waits for that does not stand in the others' way.
+    """
     folder.mkdir(exist_ok=True)
     with contextlib.ExitStack() as stay:
+        if realtime:
+            stage = stay.enter_context((folder / "stage.lock").open("w"))
+            stay.enter_context(held(stage, fcntl.LOCK_EX))
         door = stay.enter_context((folder / "door.lock").open("w"))
         room = stay.enter_context((folder / "room.lock").open("w"))
         with held(door, fcntl.LOCK_EX):
@@ -44,16 +48,17 @@ def place(folder: Path, alone: bool) -> Iterator[None]:
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Let each test run in its place."""
-    alone = item.get_closest_marker("realtime") is not None
-    with place(item.config.rootpath / ".pytest_cache", alone):
+    realtime = _is_realtime(item)
+    alone = realtime and not _is_patient(item)
+    with place(item.config.rootpath / ".pytest_cache", alone=alone, realtime=realtime):
         return (yield)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the real-time tests last, since a mistake elsewhere shows sooner, and the longest tests first.
+    """Put the real-time tests last, since a mistake elsewhere shows sooner, but the patient ones first.
 
-    Those start programs that compile all kernels anew: at the end, one process would wait for the other.
+    While these run, the other processes still have something to do.
     """
     items.sort(key=_when)
 
@@ -65,6 +70,15 @@ def pytest_collection_finish() -> None:
 
 
 def _when(item: pytest.Item) -> int:
-    if item.get_closest_marker("realtime") is not None:
-        return 2
-    return 0 if item.path.parent.name in LONGEST else 1
+    if _is_patient(item):
+        return 0
+    return 2 if _is_realtime(item) else 1
+
+
+def _is_realtime(item: pytest.Item) -> bool:
+    return item.get_closest_marker("realtime") is not None
+
+
+def _is_patient(item: pytest.Item) -> bool:
+    mark = item.get_closest_marker("realtime")
+    return mark is not None and bool(mark.kwargs.get("patient"))

@@ -12,7 +12,7 @@ from drivers.signals import LEGS, DriveFault
 from hil.log import Log
 from tests.realtime.bench import Process, configuration
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(patient=True)
 
 
 def test_a_law_that_raises_switches_the_drives_off_and_closes_the_log(

@@ -93,6 +93,7 @@ def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
     assert replay_log(daemon_log)[0].exact
 
 
+@pytest.mark.realtime(patient=True)
 @pytest.mark.parametrize("on_loss", ["continue", "stop"])
 def test_a_killed_recorder_does_not_move_the_platform(
     tmp_path: Path, start: Start, listen: Listen, on_loss: str

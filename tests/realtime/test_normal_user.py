@@ -98,6 +98,7 @@ def test_beside_a_busy_process_it_goes_on_at_the_rate_it_can_hold(
     assert "Traceback" not in run.errors
 
 
+@pytest.mark.realtime(patient=True)
 def test_refuse_refuses_before_anything_starts(folder: Path, start: Start, ordinary: dict[str, Any]) -> None:
     file = configuration(folder, {"without_realtime: slow": "without_realtime: refuse"}, short=True)
     run = start("run", str(file), "--plant", folder=folder, **ordinary)

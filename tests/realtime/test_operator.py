@@ -13,7 +13,7 @@ from hil.log import Log
 from hil.signals import Fault, Mode
 from tests.realtime.bench import FIFO, Listener, Process, configuration
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(patient=True)
 
 Start = Callable[..., Process]
 Listen = Callable[[Path], Listener]

@@ -11,7 +11,7 @@ from hil.log import Log
 from hil.signals import Mode
 from tests.realtime.bench import CHANNEL, Listener, Process, configuration
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(patient=True)
 
 Start = Callable[..., Process]
 Listen = Callable[[Path], Listener]

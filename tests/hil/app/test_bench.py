@@ -283,7 +283,7 @@ def test_hosting_costs_more_than_the_c_call_and_a_process_more_than_none(bench):
     assert 0.0 < alone < hosted < figures["hosted, child process"]["median"]
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(patient=True)
 def test_the_loop_in_real_time_cannot_be_faster_than_the_bus(bench):
     c = bench.endless
     assert c.bus.channel == CHANNEL != load("virtual").bus.channel

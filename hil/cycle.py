@@ -325,6 +325,7 @@ class Cycle:
                 at_rest = complete(parts.platform, self.motion.sample(tick))
                 unloaded = state._replace(wrench=NO_WRENCH)  # as `_ahead` tells the law at entry
                 self.offset = self.holding - parts.law.effort(unloaded, at_rest, _ZERO6).tau
+                parts.law.reset()  # it begins with this very tick, and the offset fits
             case Mode.APPROACH:
                 if parts.steering is not None:
                     parts.steering.restart()

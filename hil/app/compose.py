@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from drivers.signals import Reaction
 from hil.admission import Admission
 from hil.app import consistency
 from hil.app.configuration import Configuration, platform_dict
+from hil.app.controller_file import controller_of, controller_path
 from hil.config import (
     ControllerSettings,
     ForceDelay,
@@ -25,6 +27,7 @@ from hil.config import (
     ModelBasedSettings,
     Pose,
     SampledReference,
+    StateSpaceSettings,
     TimeOptimalReference,
     WrenchSettings,
 )
@@ -56,6 +59,8 @@ LENGTH_TOLERANCE_M = 1e-3
 """How far the plant's initial lengths may be from those of the section `platform`."""
 REFERENCE_CSV = "reference.csv"
 """Attachment of a log: the samples of its reference."""
+CONTROLLER_FILE = "controller.yaml"
+"""Attachment of a log: the controller of law `state_space`."""
 REFERENCE_PLAN = "reference.npy"
 """Attachment of a log: the polynomials of a planned reference."""
 
@@ -127,6 +132,7 @@ def build_cycle(
         1.0 / rate_Hz,
         trajectory,
         preview_s=0.0 if predictor is None else predictor.horizon_s,
+        controller=controller_of(c.controller, c.folder),
     )
     safety = Safety(
         limits,
@@ -289,13 +295,26 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     files = [("legs.dbc", legs_dbc().encode())]
     if isinstance(configuration.reference, SampledReference):
         files.append((REFERENCE_CSV, configuration.path(configuration.reference.path).read_bytes()))
+    if isinstance(configuration.controller, StateSpaceSettings):
+        path = controller_path(configuration.controller, configuration.folder)
+        files.append((CONTROLLER_FILE, path.read_bytes()))
     if isinstance(configuration.reference, TimeOptimalReference):
         files.append((REFERENCE_PLAN, plan(configuration.reference)))
     return files
 
 
-def with_attached_reference(configuration: Configuration, path: Path) -> Configuration:
-    """Return the configuration with the samples of its reference in the file `path`."""
-    assert isinstance(configuration.reference, SampledReference)
-    reference = configuration.reference.model_copy(update={"path": str(path.absolute())})
-    return configuration.model_copy(update={"reference": reference})
+def with_attachments(configuration: Configuration, files: Mapping[str, bytes], folder: Path) -> Configuration:
+    """Return the configuration with the files of a log in the place of those that it names.
+
+    They are written to `folder`; a plan is none of them, `build_cycle` takes it as it is.
+    """
+    changes: dict[str, Any] = {}
+    for name, section, key in (
+        (REFERENCE_CSV, "reference", "path"),
+        (CONTROLLER_FILE, "controller", "controller_file"),
+    ):
+        if name in files:
+            path = folder.absolute() / name
+            path.write_bytes(files[name])
+            changes[section] = getattr(configuration, section).model_copy(update={key: str(path)})
+    return configuration.model_copy(update=changes)

@@ -19,6 +19,7 @@ from drivers.errors import ConfigurationError
 from hil.app import problems as translate
 from hil.app.consistency import RULES
 from hil.app.platform import platform_dict
+from hil.app.section_file import read_text
 from hil.app.yaml_positions import Document, Position, Problem, parse
 from hil.config import (
     CompareSettings,
@@ -134,18 +135,10 @@ def load(path: str | Path) -> Configuration:
     if not file.exists() and str(path) in shipped():
         file = Path(str(importlib.resources.files("configs") / f"{path}.yaml"))
     try:
-        raw = file.read_bytes()
+        text = read_text(file)
     except FileNotFoundError:
         names = ", ".join(shipped())
         raise ConfigurationError(f"{path}: no such file; shipped configurations are: {names}") from None
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        text = raw.decode("utf-8")
-    except UnicodeDecodeError as error:
-        before = raw[: error.start]
-        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
-        raise ConfigurationError(f"{path}:{line}:{column}: not UTF-8 text") from None
     return loads(text, str(file), file.parent)
 
 

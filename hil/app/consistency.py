@@ -19,9 +19,11 @@ from drivers.bustime import BitTiming
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, HilError
 from drivers.sensors import KINDS, OLDEST, SensorProtocol
+from hil.app.controller_file import controller_of
 from hil.app.platform import platform_dict
 from hil.app.yaml_positions import Path
 from hil.config import (
+    CompareSettings,
     ControllerSettings,
     EstimationSettings,
     FeedforwardPDSettings,
@@ -36,10 +38,12 @@ from hil.config import (
     ReferenceSettings,
     SampledReference,
     SinusoidReference,
+    StateSpaceSettings,
     TimeOptimalReference,
     WaypointReference,
 )
 from hil.control.feedforward_pd import ENDLESS
+from hil.control.state_space import require_rate
 from hil.geometry import GeometryError, Platform
 from hil.kinematics import leg_lengths
 from hil.trajectory import build_trajectory
@@ -301,6 +305,28 @@ def feedforward_table(
             yield ("controller", "evaluation"), ENDLESS
 
 
+def controller_file(controller: ControllerSettings, loop: LoopSettings, folder: Folder) -> Iterator[Finding]:
+    """Refuse a controller that is not there, is none, or was made for another rate."""
+    yield from _controller(controller, loop, folder, ("controller",))
+
+
+def compared_controllers(compare: CompareSettings, loop: LoopSettings, folder: Folder) -> Iterator[Finding]:
+    """Refuse the same of the laws to compare."""
+    for name, law in compare.laws.items():
+        yield from _controller(law, loop, folder, ("compare", "laws", name))
+
+
+def _controller(law: ControllerSettings, loop: LoopSettings, folder: Folder, path: Path) -> Iterator[Finding]:
+    if not isinstance(law, StateSpaceSettings) or folder is None:
+        return
+    try:
+        controller = controller_of(law, folder)
+        assert controller is not None
+        require_rate(controller, loop.rate_Hz)
+    except ConfigurationError as error:
+        yield (*path, "controller_file"), str(error).removeprefix("controller.controller_file: ")
+
+
 def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
     """Refuse a period that is no whole number of the plant's steps."""
     if plant is None:
@@ -376,6 +402,8 @@ RULES: tuple[Rule, ...] = (
     Rule(("reference", "platform", "limits"), reference_poses),
     Rule(("reference", "platform"), reference_path),
     Rule(("controller", "reference", "platform"), feedforward_table),
+    Rule(("controller", "loop"), controller_file),
+    Rule(("compare", "loop"), compared_controllers),
     Rule(("plant", "loop"), plant_steps),
     Rule(("plant", "sensors"), emulated_sensors),
     Rule(("plant",), plant_lag),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.compose import REFERENCE_CSV, REFERENCE_PLAN, build_cycle, with_attached_reference
+from hil.app.compose import REFERENCE_PLAN, build_cycle, with_attachments
 from hil.app.configuration import loads
 from hil.clock import collector_paused
 from hil.log import Log
@@ -32,10 +32,7 @@ def replay_log(path: Path, progress: Callable[[int], None] | None = None) -> tup
         )
     configuration = loads(log.configuration, f"{path}:config.yaml")
     with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
-        if REFERENCE_CSV in log.attachments:
-            samples = Path(folder) / REFERENCE_CSV
-            samples.write_bytes(log.attachments[REFERENCE_CSV])
-            configuration = with_attached_reference(configuration, samples)
+        configuration = with_attachments(configuration, log.attachments, Path(folder))
         plan = log.attachments.get(REFERENCE_PLAN)
         cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]), plan)
     begun = time.perf_counter()

@@ -52,6 +52,7 @@ from hil.config.reference import (
 )
 from hil.config.robust import RobustInverseDynamicsSettings, SlidingModeSettings, UncertaintySettings
 from hil.config.running import EngageSettings, RecordingSettings
+from hil.config.state_space import StateSpaceSettings
 from hil.config.values import (
     JointAngle,
     LegSpin,
@@ -128,6 +129,7 @@ __all__ = [
     "SixVectors",
     "SlidingModeSettings",
     "SphereShape",
+    "StateSpaceSettings",
     "StepSettings",
     "ThreePositive",
     "TimeOptimalReference",

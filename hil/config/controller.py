@@ -10,6 +10,7 @@ from drivers.config import Section
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.model_based import ModelBasedSettings
 from hil.config.robust import RobustInverseDynamicsSettings, SlidingModeSettings
+from hil.config.state_space import StateSpaceSettings
 from hil.config.values import (
     NonNegative,
     Positive,
@@ -131,6 +132,7 @@ ControllerSettings = Annotated[
     | PartialLinearisationSettings
     | InverseDynamicsSettings
     | SlidingModeSettings
-    | RobustInverseDynamicsSettings,
+    | RobustInverseDynamicsSettings
+    | StateSpaceSettings,
     Field(discriminator="law"),
 ]

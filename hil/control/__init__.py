@@ -17,6 +17,7 @@ from hil.control.pid import JointPID
 from hil.control.pose_inverse_dynamics import PoseInverseDynamics
 from hil.control.robust_inverse_dynamics import RobustInverseDynamics
 from hil.control.sliding_mode import SlidingMode
+from hil.control.state_space import StateSpace
 
 LAWS: dict[str, Callable[[Any, LawContext], Law]] = {
     "pd": JointPD.build,
@@ -29,6 +30,7 @@ LAWS: dict[str, Callable[[Any, LawContext], Law]] = {
     "inverse_dynamics": JointInverseDynamics.build,
     "sliding_mode": SlidingMode.build,
     "robust_inverse_dynamics": RobustInverseDynamics.build,
+    "state_space": StateSpace.build,
 }
 """`controller.law` of the configuration -> builder(settings, context)."""
 

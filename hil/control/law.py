@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from hil.config import LegSpin
+from hil.config.linear_controller import LinearController
 from hil.geometry import Platform
 from hil.signals import Array, Effort, Reference, State
 from hil.trajectory import Trajectory
@@ -27,6 +28,8 @@ class LawContext(NamedTuple):
     """What will be tracked, for a law that computes ahead."""
     preview_s: float = 0.0
     """How far ahead of its tick the Reference is: its times are k period_s + preview_s."""
+    controller: LinearController | None = None
+    """For the law that runs one from a file."""
 
 
 class Law(Protocol):

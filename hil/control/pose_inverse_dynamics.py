@@ -60,28 +60,52 @@ class PoseInverseDynamics:
         )
 
 
+@kernel(VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR)
+def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array) -> Array:
+    """Return [e; de] (2, 6) of the class: e = [p_d - p; r] m, rad, de its derivative."""
+    r = relative_rotation(R, R_d)
+    still = np.zeros(3)
+    E, _, _ = rotation_motion_kernel(r, still, still)
+    turning = sub(at(twist_d, 3), rotate(E, at(twist, 3)))
+    Omega = np.empty(3)
+    for i in range(3):
+        Omega[i] = turning[i]
+    dr = rotation_vector_rate(r, Omega)
+    errors = np.empty((2, 6))
+    for i in range(3):
+        errors[0, i] = p_d[i] - p[i]
+        errors[1, i] = twist_d[i] - twist[i]
+        errors[0, 3 + i] = r[i]
+        errors[1, 3 + i] = dr[i]
+    return errors
+
+
+@kernel(MATRIX, VECTOR, VECTOR, VECTOR, VECTOR)
+def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwist_d: Array) -> Array:
+    """Return dtwist* (6,) m/s^2, rad/s^2 of the class under which the errors obey e'' = -u."""
+    r, dr = errors[0, 3:].copy(), errors[1, 3:].copy()
+    ddr = np.empty(3)
+    for i in range(3):
+        ddr[i] = -u[3 + i]
+    E, _, dOmega = rotation_motion_kernel(r, dr, ddr)
+    E_omega = rotate(E, at(twist, 3))
+    turning = sub(at(twist_d, 3), E_omega)
+    domega = rotate_back(E, sub(at(dtwist_d, 3), add(cross(turning, E_omega), at(dOmega, 0))))
+    dtwist = np.empty(6)
+    for i in range(3):
+        dtwist[i] = dtwist_d[i] + u[i]
+        dtwist[3 + i] = domega[i]
+    return dtwist
+
+
 @kernel(VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR)
 def _dtwist(
     K_P: Array, K_D: Array,
     p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array,
 ) -> Array:  # fmt: skip
     """Return dtwist* (6,) m/s^2, rad/s^2 of the class."""
-    r = relative_rotation(R, R_d)
-    still = np.zeros(3)
-    E, _, _ = rotation_motion_kernel(r, still, still)
-    E_omega = rotate(E, at(twist, 3))
-    turning = sub(at(twist_d, 3), E_omega)
-    Omega = np.empty(3)
-    for i in range(3):
-        Omega[i] = turning[i]
-    dr = rotation_vector_rate(r, Omega)
-    ddr = np.empty(3)
-    for i in range(3):
-        ddr[i] = -K_D[3 + i] * dr[i] - K_P[3 + i] * r[i]
-    _, _, dOmega = rotation_motion_kernel(r, dr, ddr)
-    domega = rotate_back(E, sub(at(dtwist_d, 3), add(cross(turning, E_omega), at(dOmega, 0))))
-    dtwist = np.empty(6)
-    for i in range(3):
-        dtwist[i] = dtwist_d[i] + K_D[i] * (twist_d[i] - twist[i]) + K_P[i] * (p_d[i] - p[i])
-        dtwist[3 + i] = domega[i]
-    return dtwist
+    errors = pose_errors(p, R, twist, p_d, R_d, twist_d)
+    u = np.empty(6)
+    for i in range(6):
+        u[i] = K_D[i] * errors[1, i] + K_P[i] * errors[0, i]
+    return demanded_dtwist(errors, u, twist, twist_d, dtwist_d)

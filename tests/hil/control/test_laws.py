@@ -24,8 +24,11 @@ from hil.config import (
     PoseInverseDynamicsSettings,
     RobustInverseDynamicsSettings,
     SlidingModeSettings,
+    StateSpaceSettings,
     UncertaintySettings,
 )
+from hil.config.axis_model import AxisSpace
+from hil.config.linear_controller import LinearController
 from hil.control import LAWS, LawContext, build_law
 from hil.geometry import Platform
 from hil.kinematics import jacobian, leg_lengths
@@ -73,7 +76,30 @@ SETTINGS: dict[str, ControllerSettings] = {
     "robust_inverse_dynamics, switching": RobustInverseDynamicsSettings(
         law="robust_inverse_dynamics", wn_rad_s=40.0, uncertainty=UNCERTAINTY, boundary_layer_m_s=0.0
     ),
+    "state_space": StateSpaceSettings(law="state_space", controller_file="pd_lag_integral.yaml"),
+    "state_space, pose": StateSpaceSettings(law="state_space", controller_file="pd_lag_integral.yaml"),
 }
+
+
+def pd_lag_integral(axes: AxisSpace) -> LinearController:
+    """400 e + 40 de through a lag of 5 ms, and 2000 times the integral of e, of which limits take 0.2 a tick."""
+    a = float(np.exp(-0.2))
+    return LinearController(
+        kind="linear-controller",
+        method="hinf",
+        axes=axes,
+        rate_Hz=1e3,
+        inputs=["error", "rate_error"],
+        A=[[a, 0.0], [0.0, 1.0]],
+        B=[[400.0 * (1 - a), 40.0 * (1 - a)], [2.0, 0.0]],
+        C=[[1.0, 1.0]],
+        D=[[0.0, 0.0]],
+        anti_windup=[0.0, 0.2],
+        design={},
+    )
+
+
+CONTROLLERS = {"state_space": pd_lag_integral("joint"), "state_space, pose": pd_lag_integral("pose")}
 EXACT = (
     "feedforward_pd",
     "pose_inverse_dynamics",
@@ -82,6 +108,8 @@ EXACT = (
     "sliding_mode, switching",
     "robust_inverse_dynamics",
     "robust_inverse_dynamics, switching",
+    "state_space",
+    "state_space, pose",
 )
 """Laws whose effort without error is the inverse dynamics of an exact model."""
 CONTEXT = LawContext(PLATFORM, "none", 1e-3, hold(np.array([0.0, 0.0, 1.0]), np.eye(3)))
@@ -90,7 +118,7 @@ laws = pytest.mark.parametrize("name", SETTINGS)
 
 
 def make(name):
-    return build_law(SETTINGS[name], CONTEXT)
+    return build_law(SETTINGS[name], CONTEXT._replace(controller=CONTROLLERS.get(name)))
 
 
 def sample(case):

@@ -1,0 +1,160 @@
+"""The axes that inverse dynamics leaves: error, force for a demanded acceleration, and what a force does.
+
+Rule of the room: no gains and no memory; a law puts its own between error and demand.
+
+An axis obeys ddy = ddy* where the model is exact: y the leg lengths, or position and rotation of the platform
+with the error of `hil.control.pose_inverse_dynamics`, e = [p_d - p; log(R_d R^T)]. A law asks for
+ddy* = ddy_d + u, so that the error obeys e'' = -u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from drivers.compile_cache import INTEGER, MATRIX, VECTOR, kernel
+from hil.config.axis_model import AxisSpace
+from hil.control.inverse_dynamics import linearising_tau
+from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
+from hil.dynamics import Model
+from hil.kernels.dynamics import (
+    CONSTANT,
+    CONSTANT_MG,
+    FROZEN_M,
+    fill_jacobian,
+    fill_mass_matrix,
+    inverse_dynamics_kernel,
+)
+from hil.linalg import lu_factor, lu_solve
+from hil.rotations import rotation_motion_kernel, rotation_vector_rate
+from hil.signals import Array, Reference, State
+from hil.vectors import at, rotate
+
+
+class Axes(Protocol):
+    """Six axes, each a double integrator as far as the model is exact."""
+
+    def errors(self, state: State, reference: Reference) -> Array:
+        """Return [e; de] (2, 6) m, rad and their rates."""
+
+    def tau(self, state: State, reference: Reference, errors: Array, u: Array) -> Array:
+        """Return tau (6,) N for the reference's acceleration and u (6,) m/s^2, rad/s^2 on top."""
+
+    def acceleration(self, state: State, errors: Array, tau: Array) -> Array:
+        """Return the u (6,) that brings tau (6,) N about: inverse of the linear part of `tau`."""
+
+
+class JointAxes:
+    """The legs: ddq* = ddq_d + u, tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction.
+
+    A force tau by itself accelerates the legs by J M^-1 J^T tau: one leg's force moves them all.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    def errors(self, state: State, reference: Reference) -> Array:
+        """Return [q_d - q; dq_d - dq] (2, 6) m, m/s."""
+        return _leg_errors(state.q, state.dq, reference.q, reference.dq)
+
+    def tau(self, state: State, reference: Reference, errors: Array, u: Array) -> Array:
+        """Return tau (6,) N; NaN where J is singular."""
+        del errors
+        return linearising_tau(self.model, state, reference.ddq + u, state.wrench)
+
+    def acceleration(self, state: State, errors: Array, tau: Array) -> Array:
+        """Return J M^-1 J^T tau (6,) m/s^2."""
+        del errors
+        answer: Array = _answer(self.model.constants, self.model.code, state.p, state.R, tau)[1]
+        return answer
+
+
+class PoseAxes:
+    """Position and rotation: tau = J^-T (M dtwist* + H + G - wrench) + friction, dtwist* for e'' = -u.
+
+    A force tau by itself accelerates the platform by dtwist = M^-1 J^T tau, [dv; domega]; of the rotation
+    vector r = log(R_d R^T) the second derivative is then -L(r)^-1 E domega, E = R_d R^T.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    def errors(self, state: State, reference: Reference) -> Array:
+        """Return [p_d - p, r; v_d - v, dr] (2, 6) m, rad and 1/s of them."""
+        return pose_errors(
+            state.p, state.R, state.twist, reference.p, reference.R, reference.twist
+        )  # fmt: skip
+
+    def tau(self, state: State, reference: Reference, errors: Array, u: Array) -> Array:
+        """Return tau (6,) N; NaN where J is singular."""
+        p, R, twist = state.p, state.R, state.twist
+        dtwist = demanded_dtwist(errors, u, twist, reference.twist, reference.dtwist)
+        return inverse_dynamics_kernel(
+            self.model.constants, self.model.code, p, R, twist, dtwist, state.wrench
+        )
+
+    def acceleration(self, state: State, errors: Array, tau: Array) -> Array:
+        """Return [dv; L(r)^-1 E domega] (6,) m/s^2, rad/s^2."""
+        dtwist = _answer(self.model.constants, self.model.code, state.p, state.R, tau)[0]
+        return _pose_axes(errors, dtwist)
+
+
+AXES: dict[AxisSpace, Callable[[Model], Axes]] = {"joint": JointAxes, "pose": PoseAxes}
+"""`axes` of a controller's file -> what linearises them."""
+
+
+@kernel(VECTOR, VECTOR, VECTOR, VECTOR)
+def _leg_errors(q: Array, dq: Array, q_d: Array, dq_d: Array) -> Array:
+    errors = np.empty((2, 6))
+    for i in range(6):
+        errors[0, i] = q_d[i] - q[i]
+        errors[1, i] = dq_d[i] - dq[i]
+    return errors
+
+
+@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR)
+def _answer(c: Array, code: int, p: Array, R: Array, tau: Array) -> Array:
+    """Return [M^-1 J^T tau; J M^-1 J^T tau] (2, 6) with the M and J of the variant; nan: M is singular."""
+    M = np.empty((6, 6))
+    if code in (CONSTANT, CONSTANT_MG):
+        for i in range(6):
+            for j in range(6):
+                M[i, j] = c[FROZEN_M + 6 * i + j]
+    else:
+        fill_mass_matrix(c, p, R, M)
+    J = np.empty((6, 6))
+    fill_jacobian(c, code, p, R, J)
+    f = np.zeros(6)
+    for i in range(6):
+        for j in range(6):
+            f[j] += J[i, j] * tau[i]
+    answer = np.zeros((2, 6))
+    LU = np.empty((6, 6))
+    order = np.empty(6, np.int64)
+    if lu_factor(M, LU, order):
+        lu_solve(LU, order, f, answer[0])
+        for i in range(6):
+            for j in range(6):
+                answer[1, i] += J[i, j] * answer[0, j]
+    else:
+        answer[:] = np.nan
+    return answer
+
+
+@kernel(MATRIX, VECTOR)
+def _pose_axes(errors: Array, dtwist: Array) -> Array:
+    r = errors[0, 3:].copy()
+    still = np.zeros(3)
+    E, _, _ = rotation_motion_kernel(r, still, still)
+    turned = rotate(E, at(dtwist, 3))
+    Omega = np.empty(3)
+    for i in range(3):
+        Omega[i] = turned[i]
+    ddr = rotation_vector_rate(r, Omega)
+    acceleration = np.empty(6)
+    for i in range(3):
+        acceleration[i] = dtwist[i]
+        acceleration[3 + i] = ddr[i]
+    return acceleration

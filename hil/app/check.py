@@ -17,6 +17,7 @@ from drivers.errors import ConfigurationError, HilError
 from hil.app.compose import build_admission
 from hil.app.configuration import Configuration, load, platform_dict
 from hil.app.consistency import bus_budget
+from hil.app.controller_file import controller_of
 from hil.app.reach import Walk, span_s, violations, walk, window_swing
 from hil.app.yaml_positions import Problem, parse
 from hil.clock import real_time
@@ -27,6 +28,7 @@ from hil.config import (
     ModelSettings,
     RobustInverseDynamicsSettings,
     SlidingModeSettings,
+    StateSpaceSettings,
 )
 from hil.control.margin import cross_over, phase_margin_deg
 from hil.dynamics import Model
@@ -149,13 +151,16 @@ def _drives(report: Report, c: Configuration) -> None:
 def _controller(report: Report, c: Configuration) -> None:
     law = c.controller
     report.sections["controller"] = lines = [f"law {law.law}"]
-    if isinstance(law, LINEARISING):
+    if isinstance(law, LINEARISING | StateSpaceSettings):
         model = getattr(law, "model", None)
         variant = model.variant if isinstance(model, ModelSettings) else "no_H"
         lines.append(f"model {variant}")
         if variant in MODEL_WARNINGS:
             report.warnings.append(f"controller.model.variant {variant}: {MODEL_WARNINGS[variant]}")
+    if isinstance(law, LINEARISING):
         lines += _margin(report, c, *law.linear_gains)
+    if isinstance(law, StateSpaceSettings):
+        lines += _designed(report, c, law)
     if isinstance(law, SlidingModeSettings):
         phi = law.boundary_layer
         lines.append(
@@ -168,12 +173,8 @@ def _controller(report: Report, c: Configuration) -> None:
 
 def _margin(report: Report, c: Configuration, K_P: float, K_D: float) -> list[str]:
     """Return what the loop's delay costs a law with these gains, and warn where too little is left."""
-    lag = 0.0
-    if c.plant is not None and c.plant.model.type == "stewart" and c.plant.model.force_bandwidth_Hz > 0:
-        lag = 1 / (2 * np.pi * c.plant.model.force_bandwidth_Hz)
-    # SYNC to force at most one period, the zero-order hold half of one, the drives' force loop.
-    transport = 0.0 if c.bus.layout == "ideal" else 1.0
-    delay = (transport + 0.5) / c.loop.rate_Hz + lag
+    transport, lag = _path_s(c)
+    delay = transport + 0.5 / c.loop.rate_Hz + lag  # the zero-order hold is half a period
     if np.isinf(K_D):
         report.warnings.append(
             "controller.boundary_layer_m_s 0 switches between two forces at every tick: with "
@@ -195,6 +196,26 @@ def _margin(report: Report, c: Configuration, K_P: float, K_D: float) -> list[st
         )
     line = f"crosses over at {w_c:.0f} rad/s; {1e3 * delay:.1f} ms of delay cost about {whole - left:.0f} of "
     return [line + f"{whole:.0f} degrees of phase margin"]
+
+
+def _path_s(c: Configuration) -> tuple[float, float]:
+    """Return the time from SYNC to force, at most one period, and the lag of the drives' force loop."""
+    lag = 0.0
+    if c.plant is not None and c.plant.model.type == "stewart" and c.plant.model.force_bandwidth_Hz > 0:
+        lag = 1 / (2 * np.pi * c.plant.model.force_bandwidth_Hz)
+    return 0.0 if c.bus.layout == "ideal" else 1.0 / c.loop.rate_Hz, lag
+
+
+def _designed(report: Report, c: Configuration, law: StateSpaceSettings) -> list[str]:
+    """Return what the designed controller is and what its loop leaves, and warn where that is too little."""
+    from hil.app.designed_loop import judge  # noqa: PLC0415 - scipy, for the few who design
+
+    controller = controller_of(law, c.folder)
+    assert controller is not None
+    lines, figures, warnings = judge(law.controller_file, controller, *_path_s(c), LEAST_MARGIN_DEG)
+    report.figures["controller"] = figures
+    report.warnings += warnings
+    return lines
 
 
 LINEARISING = ErrorDynamics | SlidingModeSettings | RobustInverseDynamicsSettings

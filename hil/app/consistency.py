@@ -19,7 +19,7 @@ from drivers.bustime import BitTiming
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, HilError
 from drivers.sensors import KINDS, OLDEST, SensorProtocol
-from hil.app.controller_file import controller_of
+from hil.app.controller_file import unusable
 from hil.app.platform import platform_dict
 from hil.app.yaml_positions import Path
 from hil.config import (
@@ -38,12 +38,10 @@ from hil.config import (
     ReferenceSettings,
     SampledReference,
     SinusoidReference,
-    StateSpaceSettings,
     TimeOptimalReference,
     WaypointReference,
 )
 from hil.control.feedforward_pd import ENDLESS
-from hil.control.state_space import require_rate
 from hil.geometry import GeometryError, Platform
 from hil.kinematics import leg_lengths
 from hil.trajectory import build_trajectory
@@ -305,26 +303,15 @@ def feedforward_table(
             yield ("controller", "evaluation"), ENDLESS
 
 
-def controller_file(controller: ControllerSettings, loop: LoopSettings, folder: Folder) -> Iterator[Finding]:
-    """Refuse a controller that is not there, is none, or was made for another rate."""
-    yield from _controller(controller, loop, folder, ("controller",))
-
-
-def compared_controllers(compare: CompareSettings, loop: LoopSettings, folder: Folder) -> Iterator[Finding]:
-    """Refuse the same of the laws to compare."""
-    for name, law in compare.laws.items():
-        yield from _controller(law, loop, folder, ("compare", "laws", name))
-
-
-def _controller(law: ControllerSettings, loop: LoopSettings, folder: Folder, path: Path) -> Iterator[Finding]:
-    if not isinstance(law, StateSpaceSettings) or folder is None:
-        return
-    try:
-        controller = controller_of(law, folder)
-        assert controller is not None
-        require_rate(controller, loop.rate_Hz)
-    except ConfigurationError as error:
-        yield (*path, "controller_file"), str(error).removeprefix("controller.controller_file: ")
+def designed_controllers(
+    controller: ControllerSettings, compare: CompareSettings, loop: LoopSettings, folder: Folder
+) -> Iterator[Finding]:
+    """Refuse a controller from a file that the loop cannot run, also among the laws to compare."""
+    laws = {("controller",): controller} | {("compare", "laws", k): law for k, law in compare.laws.items()}
+    for path, law in laws.items():
+        trouble = None if folder is None else unusable(law, loop.rate_Hz, folder)
+        if trouble is not None:
+            yield (*path, "controller_file"), trouble
 
 
 def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
@@ -402,8 +389,7 @@ RULES: tuple[Rule, ...] = (
     Rule(("reference", "platform", "limits"), reference_poses),
     Rule(("reference", "platform"), reference_path),
     Rule(("controller", "reference", "platform"), feedforward_table),
-    Rule(("controller", "loop"), controller_file),
-    Rule(("compare", "loop"), compared_controllers),
+    Rule(("controller", "compare", "loop"), designed_controllers),
     Rule(("plant", "loop"), plant_steps),
     Rule(("plant", "sensors"), emulated_sensors),
     Rule(("plant",), plant_lag),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from hil.app.section_file import read_section
 from hil.app.yaml_positions import Problem
 from hil.config import ControllerSettings, StateSpaceSettings
 from hil.config.linear_controller import LinearController
+from hil.control import Law
+from hil.control.state_space import StateSpace, require_rate
 
 ROUNDING = 1e-9
 """An integrator's pole is at 1, give or take this much."""
@@ -76,3 +79,20 @@ def controller_of(settings: ControllerSettings, folder: Path) -> LinearControlle
             f"given: {settings.controller_file} (looked for {path})"
         )
     return read_controller(path)
+
+
+def unusable(settings: ControllerSettings, rate_Hz: float, folder: Path) -> str | None:
+    """Say why a loop at `rate_Hz` cannot run the controller that a law's settings name; None where it can."""
+    try:
+        controller = controller_of(settings, folder)
+        if controller is not None:
+            require_rate(controller, rate_Hz)
+    except ConfigurationError as error:
+        return str(error).removeprefix("controller.controller_file: ")
+    return None
+
+
+def law_figures(settings: ControllerSettings, law: Law) -> dict[str, Any]:
+    """Return what the summary of a run says of its law."""
+    order = law.order if isinstance(law, StateSpace) else None
+    return {"law": settings.law, "controller_order": order}

@@ -15,6 +15,7 @@ from drivers.bustime import BusBudget
 from drivers.errors import LogError, RunError
 from hil.app.compose import attachments, build_cycle, build_scene, bus_budget, feedback_window_s
 from hil.app.configuration import Configuration
+from hil.app.controller_file import law_figures
 from hil.app.output import console, log_path
 from hil.app.replay import replay_log
 from hil.app.supervise import SupervisedPlant
@@ -107,7 +108,8 @@ def run_daemon(
         )
         if plant is not None:
             plant_summary = plant.finish()
-    result = _summary(c, ending, trouble, granted, rate, budget, closed)
+    law = law_figures(c.controller, cycle.parts.law)
+    result = _summary(c, law, ending, trouble, granted, rate, budget, closed)
     if "recorder" in result:
         console.print(f"hil: {result['recorder']}", style="bold yellow", soft_wrap=True)
     if plant_summary is not None:
@@ -176,6 +178,7 @@ def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) 
 
 def _summary(
     c: Configuration,
+    law: dict[str, Any],
     ending: Ending,
     trouble: str,
     granted: RealTime,
@@ -190,6 +193,7 @@ def _summary(
         "configuration": c.source,
         "log": str(closed.path),
         "rate_Hz": rate,
+        **law,
         "trouble": trouble or None,
         "real_time": {"granted": granted.granted, "missing": granted.missing},
         "bus_load_percent": None if budget is None else budget.load_percent,

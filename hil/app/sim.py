@@ -18,6 +18,7 @@ from hil.app.compose import (
     feedback_window_s,
 )
 from hil.app.configuration import Configuration
+from hil.app.controller_file import law_figures
 from hil.app.lockstep import Lockstep
 from hil.app.output import log_path
 from hil.app.replay import replay_log
@@ -135,6 +136,7 @@ def simulate(
         "configuration": c.source,
         "log": str(path),
         "rate_Hz": rate,
+        **law_figures(c.controller, cycle.parts.law),
         "bus_load_percent": None if budget is None else budget.load_percent,
         "wall_s": wall,
         "real_time_factor": (len(rows) - 1) / rate / wall,

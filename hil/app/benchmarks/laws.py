@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from hil.app.benchmarks.bench import Bench
 from hil.app.benchmarks.figures import Figure, Mark, spread
 from hil.app.compare.laws import chosen
 from hil.app.compose import build_cycle, build_observer, build_predictor
-from hil.config import DelayCompensation, InverseDynamicsSettings, WrenchSettings
+from hil.app.controller_file import controller_of, shipped_controllers
+from hil.config import DelayCompensation, InverseDynamicsSettings, StateSpaceSettings, WrenchSettings
+from hil.config.linear_controller import LinearController
 from hil.control import Law, LawContext, build_law
 from hil.cycle import Parts
 from hil.estimate import Estimator
@@ -21,6 +24,9 @@ from hil.signals import Array, Reference, State
 
 TICK = Mark(40.0, of=("median",))
 """us, one tick of mathematics with any law."""
+FULL_ORDER = Mark(20.0, of=("median",))
+"""us, the same with a controller of mu synthesis that nobody has reduced."""
+STATES = 24
 TICKS = 2000
 """One period of the path at 1 kHz."""
 OFF = np.full(LEGS, 1e-4)
@@ -40,10 +46,14 @@ def laws(bench: Bench) -> list[Figure]:
     path = [complete(parts.platform, parts.trajectory.sample(k * period), k * period) for k in range(TICKS)]
     context = LawContext(parts.platform, parts.leg_spin, period, parts.trajectory)
     figures = []
-    for name, settings in chosen(c).items():
+    own = {name: settings for name, settings in chosen(c).items() if settings.law != "state_space"}
+    for name, settings in own.items():
         figures.append(
             Figure(name, spread(_follow(parts, path, _effort(build_law(settings, context)))), "us", TICK)
         )
+    designed = StateSpaceSettings(law="state_space", controller_file="mu")
+    law = build_law(designed, context._replace(controller=_full_order(designed, c.loop.rate_Hz)))
+    figures.append(Figure("state_space", spread(_follow(parts, path, _effort(law))), "us", FULL_ORDER))
 
     delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
     compensated = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0, delay_compensation=delay)
@@ -71,6 +81,28 @@ def laws(bench: Bench) -> list[Figure]:
     }.items():
         figures.append(Figure(name, spread(_follow(parts, path, work)), "us"))
     return figures
+
+
+def _full_order(settings: StateSpaceSettings, rate_Hz: float) -> LinearController:
+    """Return the shipped controller of mu synthesis as if made for `rate_Hz`, or a full one of its size."""
+    if settings.controller_file in shipped_controllers():
+        controller = controller_of(settings, Path())
+        assert controller is not None
+        return controller.model_copy(update={"rate_Hz": rate_Hz})
+    n = STATES
+    return LinearController(
+        kind="linear-controller",
+        method="mu",
+        axes="joint",
+        rate_Hz=rate_Hz,
+        inputs=["error", "rate_error"],
+        A=[[0.9 / n] * n] * n,
+        B=[[1.0, 0.1]] * n,
+        C=[[1.0] * n],
+        D=[[400.0, 40.0]],
+        anti_windup=[0.0] * n,
+        design={},
+    )
 
 
 def _effort(law: Law) -> Work:

@@ -15,7 +15,8 @@ from drivers.config import Section
 from drivers.errors import ConfigurationError
 from hil.app.compose import pose_arrays
 from hil.app.configuration import Configuration, platform_dict
-from hil.config import ControllerSettings, ModelSettings, Pose
+from hil.app.controller_file import unusable
+from hil.config import ControllerSettings, ModelSettings, Pose, StateSpaceSettings
 from hil.control import LAWS
 from hil.dynamics import Model
 from hil.geometry import Platform
@@ -50,6 +51,8 @@ POSE_GAINS = ("kp_position_N_m", "kv_position_N_s_m")
 GRAVITY_SHARE = 0.1
 """Of gravity: the disturbance that robust laws are made for by default."""
 GRAVITY = 9.81
+DESIGNED = "hinf"
+"""The shipped controller that law `state_space` runs by default, at the rate that it was made for."""
 
 GAINS: dict[str, Callable[[Figures], Any]] = {
     "wn_rad_s": lambda f: f.wn,
@@ -69,6 +72,7 @@ GAINS: dict[str, Callable[[Figures], Any]] = {
     "lambda_rad_s": lambda f: f.zeta * f.wn,
     "reaching_m_s2": lambda _: GRAVITY_SHARE * GRAVITY,
     "uncertainty": lambda _: {"disturbance_m_s2": GRAVITY_SHARE * GRAVITY},
+    "controller_file": lambda _: DESIGNED,
 }
 """Key of a law's settings -> its value; others are those of the configuration's law, else their default."""
 NEEDED: dict[str, Callable[[Figures], Any]] = {
@@ -144,12 +148,14 @@ def _fit(settings: Section | None, kind: type[Kind]) -> Kind:
 def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, ControllerSettings]:
     """Return the laws to compare, by name: the given ones, else those of section `compare`, else all.
 
-    The law of section `controller` has the settings that it has there. Raises ConfigurationError for a name
-    that is none, and for a law whose settings need more than the configuration says.
+    All are those that have settings: there may be no shipped controller for the loop's rate. The law of
+    section `controller` has the settings that it has there. Raises ConfigurationError for a name that is
+    none, and for a law whose settings need more than the configuration says.
     """
     own = dict(c.compare.laws)
     known = dict.fromkeys((*own, *LAWS, *VARIANTS))
-    wanted = list(names if names is not None else own or known)
+    unsettled = set() if _unusable(c) is None else {"state_space"}
+    wanted = list(names if names is not None else own or [name for name in known if name not in unsettled])
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise ConfigurationError(f"--laws: no law {', '.join(unknown)}; there are {', '.join(known)}")
@@ -157,10 +163,21 @@ def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, Co
     return {name: own[name] if name in own else _default(name, c, f) for name in wanted}
 
 
+def _unusable(c: Configuration) -> str | None:
+    """Say why law `state_space` has no default settings; None where it has some."""
+    if c.controller.law == "state_space":
+        return None
+    designed = StateSpaceSettings(law="state_space", controller_file=DESIGNED)
+    return unusable(designed, c.loop.rate_Hz, c.folder)
+
+
 def _default(name: str, c: Configuration, f: Figures) -> ControllerSettings:
     law, differs = VARIANTS.get(name, (name, lambda _: {}))
     if name == c.controller.law:
         return c.controller
+    trouble = _unusable(c) if law == "state_space" else None
+    if trouble is not None:
+        raise ConfigurationError(f"law {name}: {trouble}; give it in section compare.laws")
     fields = SETTINGS[law].model_fields
     if law == c.controller.law:
         base = {key: getattr(c.controller, key) for key in fields}
@@ -168,6 +185,8 @@ def _default(name: str, c: Configuration, f: Figures) -> ControllerSettings:
         own = type(c.controller).model_fields.keys() & fields.keys() - {"law"}
         base = {"law": law} | {key: getattr(c.controller, key) for key in own}
         base |= {key: make(f) for key, make in GAINS.items() if key in fields}
+        if law == "state_space":
+            base["delay_compensation"] = None  # its controller was designed for the delay
         base |= {key: make(f) for key, make in NEEDED.items() if key in fields and fields[key].is_required()}
         if "model" in fields:
             base["model"] = _fit(f.model, _section(fields["model"].annotation))

@@ -1,0 +1,197 @@
+"""The law that runs a designed controller: known answers, the peer's recursion, and what limits take from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.signal import dlsim
+
+from drivers.errors import ConfigurationError
+from hil.config import (
+    DelayCompensation,
+    InverseDynamicsSettings,
+    ModelSettings,
+    Pose,
+    PoseInverseDynamicsSettings,
+    StateSpaceSettings,
+)
+from hil.config.linear_controller import LinearController
+from hil.control import build_law
+from hil.control.linearised_axes import JointAxes, PoseAxes
+from hil.control.model import build_model
+from hil.dynamics import Model
+from hil.kinematics import jacobian
+from hil.reference import complete
+from hil.rotations import rotation_from_vector, rotation_vector
+from hil.signals import State
+from hil.trajectory import PoseSample
+from tests.hil.control.legs import BOOK, CONTEXT, NONE, PLATFORM, at_rest
+
+CASE = BOOK["states"][7]
+PUSH = np.array([1e3, -2e3, 500.0, 0.0, 3e3, -700.0])
+
+
+def controller(A, B, C, D, anti_windup=None, *, axes="joint", inputs=("error", "rate_error"), rate_Hz=1e3):
+    return LinearController(
+        kind="linear-controller",
+        method="mu",
+        axes=axes,
+        rate_Hz=rate_Hz,
+        inputs=list(inputs),
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        anti_windup=[0.0] * len(A) if anti_windup is None else anti_windup,
+        design={},
+    )
+
+
+def law(given, model=None):
+    settings = StateSpaceSettings(law="state_space", controller_file="x.yaml", model=model or ModelSettings())
+    return build_law(settings, CONTEXT._replace(controller=given))
+
+
+def astray():
+    """The platform on the book's path, and 1 cm, 6 degrees and some speed away from its reference."""
+    R = rotation_from_vector(np.array(CASE["rotvec"]))
+    twist, dtwist = np.array(CASE["v"] + CASE["omega"]), np.array(CASE["a"] + CASE["alpha"])
+    reference = complete(PLATFORM, PoseSample(np.array(CASE["p"]), R, twist, dtwist))
+    p, R = reference.p + 0.01, R @ rotation_from_vector(np.array([0.1, 0.02, -0.03]))
+    there = complete(PLATFORM, PoseSample(p, R, twist + 0.1, NONE))
+    return State(there.q, there.dq, p, R, twist + 0.1, jacobian(PLATFORM, p, R), 0, 0.0), reference
+
+
+STILL = controller([], [], [[]], [[0.0, 0.0]])
+
+MODELS = {
+    "full": ModelSettings(),
+    "x 0.9": ModelSettings(inertia_scale=0.9, reflected_mass_kg=30.0),
+    "constant": ModelSettings(variant="constant", frozen_at=Pose(position_m=(0, 0, 1))),
+    "constant_MG": ModelSettings(variant="constant_MG", frozen_at=Pose(position_m=(0, 0, 1))),
+}
+models = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+
+
+@models
+@pytest.mark.parametrize(
+    ("axes", "settings"),
+    [
+        ("joint", InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0)),
+        ("pose", PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)),
+    ],
+)
+def test_a_gain_on_error_and_rate_is_inverse_dynamics_with_these_gains(axes, settings, model):
+    """u = wn^2 e + 2 wn de without a state."""
+    given = controller([], [], [[]], [[400.0, 40.0]], axes=axes)
+    state, reference = astray()
+    expected = build_law(settings.model_copy(update={"model": model}), CONTEXT).effort(state, reference, NONE)
+    tau = law(given, model).effort(state, reference, NONE).tau
+    np.testing.assert_allclose(tau, expected.tau, rtol=1e-12)
+
+
+def test_the_state_moves_as_the_peers_recursion_says():
+    """scipy's dlsim; each leg an error of its own, and the same controller."""
+    random = np.random.default_rng(5)
+    A = random.normal(size=(5, 5))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    B, C, D = random.normal(size=(5, 2)), random.normal(size=(1, 5)), np.array([[30.0, 4.0]])
+    mine = law(controller(A.tolist(), B.tolist(), C.tolist(), D.tolist()))
+    E, dE = random.normal(0, 1e-3, (12, 6)), random.normal(0, 1e-2, (12, 6))
+    asked = np.array([demanded(mine, e, de) for e, de in zip(E, dE, strict=True)])
+    for leg in range(6):
+        _, u, _ = dlsim((A, B, C, D, 1e-3), np.column_stack([E[:, leg], dE[:, leg]]))
+        np.testing.assert_allclose(asked[:, leg], u[:, 0], rtol=0, atol=1e-8 * np.abs(u).max())
+    mine.reset()
+    np.testing.assert_allclose(demanded(mine, E[0], dE[0]), asked[0], rtol=1e-12)
+
+
+def demanded(mine, e, de):
+    """u (6,) of one call, read back from the forces."""
+    state, reference, inertia = at_rest(e, de)
+    weight = law(STILL).effort(state, reference, NONE).tau
+    return np.linalg.solve(inertia, mine.effort(state, reference, NONE).tau - weight)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "expected"),
+    [(["error"], [3.0, 0.0]), (["rate_error"], [0.0, 3.0]), (["rate_error", "error"], [5.0, 3.0])],
+)
+def test_the_inputs_are_what_the_file_names_in_its_order(inputs, expected):
+    """u = 3 times the first and 5 times the second of them."""
+    mine = law(controller([], [], [[]], [[3.0, 5.0][: len(inputs)]], inputs=inputs))
+    e, de = np.full(6, 2e-3), np.full(6, -7e-3)
+    u = expected[0] * e + expected[1] * de
+    np.testing.assert_allclose(demanded(mine, e, de), u, rtol=1e-9)
+
+
+# -- what limits take ----------------------------------------------------------------------------------------
+
+
+def test_a_force_moves_all_legs_by_j_inverse_m_j_transposed():
+    """M by the model, the rest here."""
+    state, reference = astray()
+    M = Model(PLATFORM).mass_matrix(state.p, state.R)
+    axes = JointAxes(Model(PLATFORM))
+    found = axes.acceleration(state, axes.errors(state, reference), PUSH)
+    np.testing.assert_allclose(found, state.J @ np.linalg.solve(M, state.J.T @ PUSH), rtol=1e-10)
+    one = axes.acceleration(state, axes.errors(state, reference), np.array([1e3, 0, 0, 0, 0, 0]))
+    assert np.abs(one[1:]).max() > 0.1 * one[0] > 0, "a leg's force moves its neighbours"
+
+
+def test_in_pose_axes_it_turns_the_error_back():
+    """Forward dynamics with and without the force, and log(R_d R^T) differentiated twice, numerically."""
+    state, reference = astray()
+    model, axes = Model(PLATFORM), PoseAxes(Model(PLATFORM))
+    still = [model.forward_dynamics(state.p, state.R, state.twist, tau) for tau in (NONE, PUSH)]
+    dtwist = still[1] - still[0]
+    h = 1e-4
+
+    def r(t):  # turned by the force alone, from rest; R_d stands still
+        turn = rotation_from_vector(0.5 * t * t * dtwist[3:])
+        return rotation_vector(reference.R @ (turn @ state.R).T)
+
+    ddr = 2.0 * (r(h) - r(0.0)) / (h * h)
+    found = axes.acceleration(state, axes.errors(state, reference), PUSH)
+    np.testing.assert_allclose(found[:3], dtwist[:3], rtol=1e-9)
+    np.testing.assert_allclose(found[3:], -ddr, rtol=1e-5, atol=1e-5 * np.abs(ddr).max())
+
+
+@models
+@pytest.mark.parametrize("axes", [JointAxes, PoseAxes])
+def test_it_is_the_inverse_of_what_the_law_makes_of_a_demand(axes, model):
+    state, reference = astray()
+    linear = axes(build_model(model, PLATFORM, "none"))
+    y, u = linear.errors(state, reference), np.array([1.0, -2.0, 3.0, 0.5, 0.0, -1.0])
+    tau = linear.tau(state, reference, y, u) - linear.tau(state, reference, y, NONE)
+    np.testing.assert_allclose(linear.acceleration(state, y, tau), u, rtol=0, atol=1e-9)
+
+
+def test_the_state_moves_by_its_share_of_what_was_taken():
+    """x' = 0.5 x + 2 a and u = x: forces of 1 m/s^2 too little on every leg take 2 m/s^2 from u."""
+    mine = law(controller([[0.5]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], [2.0]))
+    state, reference, inertia = at_rest(NONE, NONE)
+    weight = law(STILL).effort(state, reference, NONE).tau
+    shortfall = inertia @ np.full(6, -1.0)
+    tau = mine.effort(state, reference, shortfall).tau
+    np.testing.assert_allclose(np.linalg.solve(inertia, tau - weight), np.full(6, -2.0), rtol=1e-9)
+    tau = mine.effort(state, reference, NONE).tau
+    np.testing.assert_allclose(np.linalg.solve(inertia, tau - weight), np.full(6, -1.0), rtol=1e-9)
+
+
+# -- what is refused -----------------------------------------------------------------------------------------
+
+
+def test_another_rate_than_that_it_was_made_for_is_refused():
+    with pytest.raises(
+        ConfigurationError, match=r"made for 500 Hz, and the loop runs at 1000 Hz.*design again"
+    ):
+        law(controller([], [], [[]], [[1.0, 1.0]], rate_Hz=500.0))
+
+
+def test_looking_ahead_is_refused():
+    with pytest.raises(ValidationError, match="designed for an axis with the delay in it"):
+        StateSpaceSettings(
+            law="state_space", controller_file="x.yaml", delay_compensation=DelayCompensation(bus_ms=1.0)
+        )

@@ -27,6 +27,7 @@ LAWS = {
     "inverse dynamics": "controller:\n  law: inverse_dynamics\n  wn_rad_s: 20\n\n",
     "pd": "controller:\n  law: pd\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n\n",
 }
+DESIGNED = Path(__file__).parents[1] / "data" / "controller.yaml"
 GAINS = "kp_N_m: 2.0e+6, kv_N_s_m: 5.0e+4"
 OTHER_LAWS = {
     "pid": f"controller: {{law: pid, {GAINS}, ki_N_m_s: 2.0e+7, integral_limit_N: 8000}}\n\n",
@@ -37,6 +38,7 @@ OTHER_LAWS = {
     "feedforward_pd offline": f"controller: {{law: feedforward_pd, {GAINS}, evaluation: offline}}\n\n",
     "pose_inverse_dynamics": "controller: {law: pose_inverse_dynamics, wn_rad_s: 20}\n\n",
     "partial_linearisation": "controller: {law: partial_linearisation, wn_rad_s: 20}\n\n",
+    "state_space": f"controller: {{law: state_space, controller_file: {DESIGNED}}}\n\n",
 }
 """From one pose only; what a law does at entry depends little on the pose."""
 POSES = {

@@ -1,0 +1,133 @@
+"""The file of law `state_space`: read with the place of every problem, and refused where the loop cannot run it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from drivers.errors import ConfigurationError
+from hil.app.check import inspect
+from hil.app.configuration import load, loads
+from hil.app.controller_file import controller_of, read_controller, spectral_radius
+
+GOOD = Path(__file__).parents[2] / "data" / "controller.yaml"
+
+
+def changed(folder, old, new):
+    text = GOOD.read_text()
+    assert text.count(old) == 1
+    path = folder / "mine.yaml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def bench(controller_file, folder, *, rate_Hz=1000, more=""):
+    text = load("virtual").text
+    a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
+    law = f"controller:\n  law: state_space\n  controller_file: {controller_file}\n{more}\n"
+    text = f"{text[:a]}{law}{text[b:]}".replace("  periods: 10\n", "").replace(
+        "rate_Hz: 1000 ", f"rate_Hz: {rate_Hz} "
+    )
+    return loads(text.replace("rate_Hz: 1000\n", f"rate_Hz: {rate_Hz}\n"), "bench.yaml", folder)
+
+
+def refusal(*arguments, **options):
+    with pytest.raises(ConfigurationError) as caught:
+        bench(*arguments, **options)
+    (problem,) = caught.value.problems
+    return problem
+
+
+def test_the_file_is_found_beside_the_configuration():
+    c = bench("controller.yaml", GOOD.parent)
+    controller = controller_of(c.controller, c.folder)
+    assert controller is not None
+    assert controller.C == [[1.0, 1.0]]
+    assert spectral_radius(controller) == 1.0, "an integrator"
+    assert controller_of(load("virtual").controller, Path()) is None
+
+
+WRONG = {
+    "rate_Hz: 1000": ("rate_Hz: fast", r"mine.yaml:6:\d+: rate_Hz: wrong type, allowed: a number"),
+    "[[1, 1]]": ("[[1, .nan]]", r"mine.yaml:10:\d+: C\[0\]\[1\]: not a finite number"),
+    "anti_windup: [0, 0.2]": ("anti_windup: [0]", r"mine.yaml:.*anti_windup has 1 numbers, allowed: 2"),
+    "design: {gamma: 1.0}": ("desing: {}", r"mine.yaml:13:\d+: desing: unknown key, did you mean design"),
+    "[0, 1]]": ("[0, 1.01]]", r"mine.yaml:8:4: A: the sampled controller is unstable by itself.* 1.01;"),
+}
+
+
+@pytest.mark.parametrize("old", WRONG)
+def test_what_is_wrong_in_the_file_is_named_by_line_and_column(old, tmp_path):
+    new, message = WRONG[old]
+    path = changed(tmp_path, old, new)
+    with pytest.raises(ConfigurationError, match=message):
+        read_controller(path)
+    assert "controller.controller_file: " in refusal(path.name, tmp_path)
+
+
+def test_a_file_may_state_that_only_its_closed_loop_is_stable(tmp_path):
+    path = changed(tmp_path, "[0, 1]]", "[0, 1.01]]")
+    path.write_text(path.read_text().replace("gamma: 1.0", "unstable_controller: true"))
+    assert spectral_radius(read_controller(path)) == pytest.approx(1.01)
+
+
+def test_a_file_that_is_none_is_refused(tmp_path):
+    message = refusal("none.yaml", tmp_path)
+    assert message.startswith("bench.yaml:")
+    assert "controller.controller_file: no such file" in message
+    assert "given: none.yaml" in message
+    (tmp_path / "none.yaml").write_bytes(b"\xff")
+    assert "none.yaml:1:1: not UTF-8 text" in refusal("none.yaml", tmp_path)
+    (tmp_path / "none.yaml").unlink()
+    (tmp_path / "none.yaml").mkdir()
+    assert "cannot be read" in refusal("none.yaml", tmp_path)
+
+
+def test_a_controller_for_another_rate_is_refused_where_it_is_named():
+    message = refusal(GOOD, Path(), rate_Hz=500)
+    assert "controller.controller_file: made for 1000 Hz, and the loop runs at 500 Hz" in message
+    assert "design again for that rate" in message
+
+
+def test_a_law_to_compare_is_read_too():
+    text = load("virtual").text + "\ncompare:\n  laws:\n    mine: {law: state_space, controller_file: none}\n"
+    with pytest.raises(ConfigurationError, match=r"compare.laws.mine.controller_file: no such file"):
+        loads(text, "bench.yaml", Path())
+
+
+def test_looking_ahead_is_refused_with_the_reason():
+    message = refusal(GOOD, Path(), more="  delay_compensation: {bus_ms: 1}\n")
+    assert "designed for an axis with the delay in it" in message
+
+
+def test_the_check_shows_order_and_margins():
+    """Against the continuous loop, in which hold and a controller without a D cost half a period each."""
+    report = inspect(bench(GOOD, Path()))
+    found = report.figures["controller"]
+    assert found["order"] == 2
+    assert any("order 2 on each joint axis" in line for line in report.lines)
+    w_c, margin = crossing(delay_s=2e-3, lag_s=1 / (2 * np.pi * 200.0))
+    assert found["cross_over_rad_s"] == pytest.approx(w_c, rel=1e-3)
+    assert found["phase_margin_deg"] == pytest.approx(margin, abs=0.3)
+
+
+def crossing(delay_s, lag_s):
+    """Of ((40 s + 400) / (0.005 s + 1) + 2000 / s) / (lag s + 1) / s^2 e^(-delay s), by its polynomials."""
+
+    def loop(w):
+        s = 1j * w
+        K = (40 * s + 400) / (0.005 * s + 1) + 2000 / s
+        return K / (lag_s * s + 1) / s**2 * np.exp(-delay_s * s)
+
+    w_c = brentq(lambda w: abs(loop(w)) - 1.0, 20.0, 100.0)
+    return w_c, float(np.angle(-loop(w_c), deg=True))
+
+
+def test_the_check_warns_of_a_delay_that_the_controller_was_not_made_for(tmp_path):
+    """Ten times the gains: over at 400 rad/s, where the lag of 5 ms alone takes 63 deg."""
+    path = changed(tmp_path, "C: [[1, 1]]", "C: [[10, 10]]")
+    report = inspect(bench(path.name, tmp_path))
+    assert any("controller.controller_file: " in w for w in report.warnings)

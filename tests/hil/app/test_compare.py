@@ -16,11 +16,13 @@ from hil.app.compare.laws import SETTINGS, VARIANTS, chosen, figures, with_scale
 from hil.app.compare.measure import Job, measure
 from hil.app.compare.table import result, show, unrest
 from hil.app.configuration import load, loads
+from hil.app.controller_file import shipped_controllers
 from hil.cli import main
 from hil.config import (
     DelayCompensation,
     DisturbanceSettings,
     PDSettings,
+    StateSpaceSettings,
     StepSettings,
 )
 from hil.config.controller import CartesianPDSettings
@@ -31,6 +33,8 @@ from plant_fmu.config import StewartPlant
 DATA = Path(__file__).parents[2] / "data"
 BOOK = json.loads((DATA / "book_closed_loop.json").read_text())["rows"]
 WN = 20.0
+SHIPPED_RATE_HZ = 1000.0
+DESIGNED = f"{{law: state_space, controller_file: {DATA / 'controller.yaml'}}}"
 HOLD_S = 0.5e-3
 """A force held for a period of 1 ms is late by half of it."""
 BUS_S = (65.0 + 6 * 64.6 + 60.0 + 105.6) * 1e-6
@@ -77,9 +81,15 @@ def with_section(text):
 # -- which laws ----------------------------------------------------------------------------------------------
 
 
+def every_law(c):
+    """All of the table, where a controller made for the loop's rate is shipped."""
+    designed = "hinf" in shipped_controllers() and c.loop.rate_Hz == SHIPPED_RATE_HZ
+    return (set(LAWS) | set(VARIANTS)) - (set() if designed else {"state_space"})
+
+
 def test_every_law_has_a_row_by_default(virtual):
     found = chosen(virtual)
-    assert set(found) == set(LAWS) | set(VARIANTS)
+    assert set(found) == every_law(virtual)
     assert set(SETTINGS) == set(LAWS)
     assert found["inverse_dynamics"] == virtual.controller, "the configuration's own law is as configured"
 
@@ -112,7 +122,25 @@ def test_a_configuration_with_pd_on_the_pose_does_so_too(virtual):
 @pytest.mark.parametrize("name", ["bench", "ideal", "lab", "vcan50", "virtual"])
 def test_every_shipped_bench_has_settings_for_every_law(name):
     c = load(name)
-    assert set(chosen(c)) == set(LAWS) | set(VARIANTS)
+    assert set(chosen(c)) == every_law(c)
+
+
+def test_a_designed_controller_is_compared_under_its_own_name(virtual):
+    c = loads(with_section(f"\ncompare:\n  laws:\n    mine: {DESIGNED}\n"), "my.yaml", Path())
+    assert list(chosen(c)) == ["mine"]
+    scaled = with_scale(chosen(c)["mine"], 0.9)
+    assert isinstance(scaled, StateSpaceSettings)
+    assert scaled.model.inertia_scale == 0.9
+    own = with_law(virtual, chosen(c)["mine"])
+    assert chosen(own)["state_space"] == own.controller, "the configuration's own law is as configured"
+
+
+def test_without_a_controller_for_the_rate_there_is_no_designed_law_by_default(virtual):
+    loop = virtual.loop.model_copy(update={"rate_Hz": 777.0})
+    slow = virtual.model_copy(update={"loop": loop})
+    assert "state_space" not in chosen(slow)
+    with pytest.raises(ConfigurationError, match=r"law state_space: .*; give it in section compare.laws"):
+        chosen(slow, ["state_space"])
 
 
 def test_a_law_that_is_none_is_refused_with_those_that_are(virtual):

@@ -49,5 +49,8 @@ def judge(
             f"controller.controller_file: about {left.phase_deg:.0f} degrees of phase margin with {delays}, "
             f"advised: at least {least_deg:g}; design for this delay"
         )
-    loop = f"crosses over at {left.cross_over_rad_s:.0f} rad/s; {delays} leave {left.phase_deg:.0f} degrees"
-    return Verdict([what, f"{loop}, sensitivity at most {left.sensitivity:.2f}"], figures, warnings)
+    loop = (
+        f"crosses over at {left.cross_over_rad_s:.0f} rad/s; {delays} leave {left.phase_deg:.0f} degrees of "
+        f"phase margin, sensitivity at most {left.sensitivity:.2f}"
+    )
+    return Verdict([what, loop], figures, warnings)

@@ -12,6 +12,7 @@ from hil.app.replay import replay_log
 from hil.app.sim import simulate
 from hil.log import Log
 from hil.signals import Mode
+from tests.loop.test_engage import both_ends, until
 
 DATA = Path(__file__).parents[1] / "data"
 ORDER = 2
@@ -90,6 +91,29 @@ def test_the_law_takes_over_at_the_very_force_that_holds(recorded):
     assert np.abs(step).max() < 1e-6 * np.abs(holding).max()
     entry = rows[(rows["mode"] == Mode.RELEASING) | (rows["mode"] == Mode.APPROACH)]
     assert np.abs(np.diff(entry["tau"], axis=0)).max() < 1.5 * ramp
+
+
+def test_the_controller_has_made_one_step_after_the_first_tick(tmp_path, monkeypatch):
+    """What the cycle asked to learn the force of the entry is forgotten."""
+    lockstep, close = both_ends(bench(tmp_path, CONTROLLER))
+    law, calls = lockstep.cycle.parts.law, []
+
+    def noting(name):
+        method = getattr(law, name)
+
+        def call(*arguments):
+            calls.append(name)
+            return method(*arguments)
+
+        monkeypatch.setattr(law, name, call)
+
+    noting("effort")
+    noting("reset")
+    try:
+        until(lockstep, Mode.RELEASING)
+    finally:
+        close()
+    assert calls[-2:] == ["reset", "effort"]
 
 
 # -- limits --------------------------------------------------------------------------------------------------

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from drivers.config import BusSettings, DriveSettings
-from drivers.protocol import DriveProtocol
+if TYPE_CHECKING:  # the processes that only log need no sections
+    from collections.abc import Callable
+
+    from drivers.config import BusSettings, DriveSettings
+    from drivers.protocol import DriveProtocol
 
 
 def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:

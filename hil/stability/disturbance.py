@@ -1,0 +1,174 @@
+"""What a linearising law does not know of its robot, as accelerations of the axes whose error it controls.
+
+Rule of the room: two models in, the robot and what the law believes of it; pure, no law and no limit.
+
+A law of this family asks its axes (the legs, or the pose) for an acceleration a* = a_d + u. At one state of
+the robot its forces are affine in a*, and the axes accelerate by Gamma u + a_d + d. So the error obeys
+
+::
+
+    e'' + Gamma u = -d,   u = K_D de + K_P e
+    legs:  Gamma = J M^-1 J^T d tau / d a*,    d = ddq(tau at u = 0) - ddq_d + J M^-1 w
+    pose:  Gamma = M^-1 J^T d tau / d a*,      d = dtwist(tau at u = 0) - dtwist_d + M^-1 w
+
+With an exact model Gamma = I and d = J M^-1 w. Masses believed to be s times what they are give Gamma = s I
+and d = J M^-1 w - (1 - s) J M^-1 J^T tau, tau the force that the motion takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.dynamics import Model
+from hil.kernels.dynamics import (
+    FULL,
+    forward_dynamics_kernel,
+    inverse_dynamics_kernel,
+    joint_idc_kernel,
+    mass_matrix_kernel,
+)
+from hil.kernels.kinematics import jacobian_kernel, jacobian_rate_kernel
+from hil.linalg import condition_kernel
+from hil.rotations import rotation_from_vector
+from hil.signals import NO_WRENCH, Array
+from hil.trajectory import PoseSample
+
+
+class Load(NamedTuple):
+    """Stated bound of a wrench that the law does not know; its direction may be any, and change."""
+
+    force_N: float = 0.0
+    torque_N_m: float = 0.0
+    """About the platform's origin."""
+
+
+class Friction(NamedTuple):
+    """Stated bound of what the law's model of the friction is wrong by, per leg."""
+
+    viscous_N_s_m: Array
+    """(6,)."""
+    coulomb_N: Array
+    """(6,)."""
+
+
+class Local(NamedTuple):
+    """The loop of a linearising law at one state."""
+
+    Gamma: Array
+    """(6, 6)."""
+    d: Array
+    """(6,) m/s^2 or rad/s^2, the largest |d| of each axis."""
+    extremes: Array
+    """(12, 6), the disturbances at which each axis has its largest and its smallest, friction left out."""
+    condition: float
+    """Of J, lengths made comparable; inf where it is singular."""
+
+
+class Survey(NamedTuple):
+    """The same over many states."""
+
+    d: Array
+    """(6,), largest."""
+    gamma: float
+    """Middle of the smallest and largest diagonal element of Gamma."""
+    spread: Array
+    """(6, 6), largest |Gamma - gamma I|."""
+    condition: float
+    """Largest."""
+
+
+class Linearised:
+    """A robot under a law that linearises it with what it believes. No mutable state."""
+
+    def __init__(
+        self, robot: Model, believed: Model, axes: Literal["joint", "pose"], load: Load, friction: Friction
+    ) -> None:
+        """Both models without friction: what is wrong with it is stated by itself."""
+        self.robot = robot
+        self.believed = believed
+        self.axes = axes
+        self.load = load
+        self.friction = friction
+
+    def at(self, s: PoseSample, e: Array, de: Array) -> Local:
+        """Return the loop where the reference is `s` and the axes are behind it by e (6,) and de (6,).
+
+        The pose that belongs to an error of the legs is taken to first order, J^-1 e.
+        """
+        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
+        J = jacobian_kernel(a, b, s.p, s.R)
+        demanded = s.dtwist
+        x, dx = e, de
+        if self.axes == "joint":
+            demanded = J @ s.dtwist + jacobian_rate_kernel(a, b, s.p, s.R, s.twist) @ s.twist
+            x, dx = np.linalg.solve(J, np.column_stack([e, de])).T
+        p, R, twist = s.p - x[:3], rotation_from_vector(-x[3:]) @ s.R, s.twist - dx
+        J = jacobian_kernel(a, b, p, R)
+        condition = condition_kernel(J, self.robot.platform.radius)
+        if not np.isfinite(condition):
+            return Local(np.full((6, 6), np.nan), np.full(6, np.inf), np.zeros((12, 6)), np.inf)
+        bias = jacobian_rate_kernel(a, b, p, R, twist) @ twist
+        mobility = np.linalg.inv(mass_matrix_kernel(self.robot.constants, p, R))
+        if self.axes == "joint":
+            mobility = J @ mobility
+        tau = self._tau(p, R, twist, J, demanded)
+        dtwist = forward_dynamics_kernel(self.robot.constants, FULL, p, R, twist, tau, NO_WRENCH)
+        error = (J @ dtwist + bias if self.axes == "joint" else dtwist) - demanded
+        per_force = mobility @ J.T
+        columns = [self._tau(p, R, twist, J, demanded + axis) - tau for axis in np.eye(6)]
+        worst = np.hstack(
+            [
+                self.load.force_N * _directions(mobility[:, :3]),
+                self.load.torque_N_m * _directions(mobility[:, 3:]),
+            ]
+        )
+        loads = worst @ mobility.T
+        lost = self.friction.viscous_N_s_m * np.abs(J @ twist) + self.friction.coulomb_N
+        d = np.abs(error) + np.diagonal(loads) + np.abs(per_force) @ lost
+        extremes = np.vstack([error + loads, error - loads])
+        return Local(per_force @ np.column_stack(columns), d, extremes, condition)
+
+    def _tau(self, p: Array, R: Array, twist: Array, J: Array, demanded: Array) -> Array:
+        c, code = self.believed.constants, self.believed.code
+        if self.axes == "joint":
+            return joint_idc_kernel(c, code, p, R, twist, J, demanded, NO_WRENCH)
+        return inverse_dynamics_kernel(c, code, p, R, twist, demanded, NO_WRENCH)
+
+
+def along(linearised: Linearised, path: Iterable[PoseSample]) -> list[Local]:
+    """Return the loop at each sample of a path, without error."""
+    still = np.zeros(6)
+    return [linearised.at(s, still, still) for s in path]
+
+
+def around(linearised: Linearised, path: Iterable[PoseSample], errors: Array, rates: Array) -> list[Local]:
+    """Return the loop at each sample of a path under each of the errors (n, 6), with its rate (n, 6) +- 1."""
+    return [
+        linearised.at(s, e, sign * de)
+        for s in path
+        for e, de in zip(errors, rates, strict=True)
+        for sign in (-1, 1)
+    ]
+
+
+def summary(found: list[Local]) -> Survey:
+    """Return what covers all of them."""
+    Gamma = np.array([local.Gamma for local in found])
+    diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
+    gamma = float(diagonal.min() + diagonal.max()) / 2.0
+    return Survey(
+        np.max([local.d for local in found], axis=0),
+        gamma,
+        np.abs(Gamma - gamma * np.eye(6)).max(axis=0),
+        max(local.condition for local in found),
+    )
+
+
+def _directions(rows: NDArray[np.floating]) -> Array:
+    """Return the unit vector of each row; zero for none."""
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(np.divide(rows, size, out=np.zeros_like(rows), where=size > 0), float)

@@ -1,0 +1,204 @@
+"""The loop as it runs: sampled, held, late. Eigenvalues, gain, phase and delay margin of one axis.
+
+Rule of the room: pure; an axis and a controller in, figures out; offline (LAPACK is used).
+
+The axis is gain exp(-transport s) / (lag s + 1) / s^2 behind a hold of one period, from demanded
+acceleration to position and rate at the instants of measurement: what a linearised robot looks like through
+bus, drives and sampling. The controller gives u from y = [e, de] and the loop is closed by e = -position:
+its eigenvalues tell whether the sampled loop is stable, exactly and with all delays.
+"""
+
+from __future__ import annotations
+
+from math import floor, inf, pi
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from drivers.errors import ModelError
+from hil.linear_system import ComplexArray, LinearSystem, static
+from hil.signals import Array
+
+
+class Axis(NamedTuple):
+    """One axis of a linearised loop."""
+
+    period_s: float
+    transport_s: float = 0.0
+    """From the instant of measurement to the force that answers it; pure."""
+    lag_s: float = 0.0
+    """Time constant of the force, first order; 0: none."""
+    gain: float = 1.0
+    """1 where model and robot agree."""
+
+
+class Margins(NamedTuple):
+    """How much the loop can bear of one thing at a time; inf where it bears any amount."""
+
+    gain_up: float
+    """Times which the gain may grow."""
+    gain_down: float
+    """Times which it may become; 0 where it may become as small as it likes."""
+    phase_deg: float
+    delay_s: float
+    """Further pure delay."""
+    crossover_rad_s: float
+    """The highest frequency at which the loop's gain is 1; 0 for none."""
+
+
+class Sampled(NamedTuple):
+    """A sampled loop."""
+
+    poles: ComplexArray
+    """(n,), of z."""
+    margins: Margins | None
+    """None where the loop is not stable."""
+    decay_rate: float
+    """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
+    peak_gain: float
+    """s^2, from a disturbing acceleration, held over each period, to |e|; inf where not stable."""
+
+    @property
+    def stable(self) -> bool:
+        """Tell whether all modes decay."""
+        return bool((np.abs(self.poles) < 1.0).all())
+
+
+def sampled_axis(axis: Axis) -> LinearSystem:
+    """Return the axis from u[k] and a disturbing acceleration d[k] to position and rate at k, exact.
+
+    States: position, rate, the force's acceleration where it lags, and the commands under way: of transport
+    delay m T + r, 0 <= r < T, u[k-m-1] acts for r of a period and u[k-m] for the rest (K. J. Astrom and
+    B. Wittenmark, Computer-Controlled Systems, 3rd ed., 1997, 2.3).
+    """
+    T = axis.period_s
+    m = floor(axis.transport_s / T + 1e-9)
+    r = max(axis.transport_s - m * T, 0.0)
+    drive = np.zeros((3, 3)) if axis.lag_s > 0.0 else np.zeros((2, 2))
+    n = len(drive)
+    drive[0, 1] = 1.0
+    push, load = np.zeros((n, 1)), np.zeros((n, 1))
+    load[1, 0] = 1.0
+    if axis.lag_s > 0.0:
+        drive[1, 2], drive[2, 2], push[2, 0] = 1.0, -1.0 / axis.lag_s, axis.gain / axis.lag_s
+    else:
+        push[1, 0] = axis.gain
+    Phi, late = held(drive, push, r)
+    rest, soon = held(drive, push, T - r)
+    _, disturbed = held(drive, load, T)
+    under_way = m + (1 if r > 1e-12 * T else 0)
+    A, B = np.zeros((n + under_way, n + under_way)), np.zeros((n + under_way, 2))
+    A[:n, :n] = rest @ Phi
+    B[:n, 1] = disturbed[:, 0]
+    # The oldest command under way stands last: u[k-1], u[k-2], ... u[k-under_way].
+    if r > 1e-12 * T:
+        A[:n, n + under_way - 1] = (rest @ late)[:, 0]
+    if m == 0:
+        B[:n, 0] = soon[:, 0]
+    else:
+        A[:n, n + m - 1] += soon[:, 0]
+    for k in range(1, under_way):
+        A[n + k, n + k - 1] = 1.0
+    if under_way:
+        B[n, 0] = 1.0
+    C = np.zeros((2, n + under_way))
+    C[0, 0] = C[1, 1] = 1.0
+    return LinearSystem(A, B, C, np.zeros((2, 2)), T)
+
+
+def held(A: Array, B: Array, time: float) -> tuple[Array, Array]:
+    """Return exp(A t) and its integral times B: what a held input does within `time` s."""
+    n, m = B.shape
+    both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * time)
+    return both[:n, :n], both[:n, n:]
+
+
+def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
+    """Return u = K_P e + K_D de as a controller."""
+    return static(np.array([[K_P, K_D]]), period_s)
+
+
+def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
+    """Return what the loop of axis and controller is like; the controller takes [e, de] and gives u.
+
+    Raises ModelError where the controller is none for [e, de] or of another period.
+    """
+    if controller.D.shape != (1, 2):
+        raise ModelError(
+            f"a controller of {controller.D.shape[1]} inputs and {controller.D.shape[0]} outputs,"
+            " allowed: from [e, de] to u"
+        )
+    plant = sampled_axis(axis)
+    loop = _closed(plant, controller)
+    poles = loop.poles()
+    radius = float(np.abs(poles).max())
+    if radius >= 1.0:
+        return Sampled(poles, None, -np.log(radius) / axis.period_s, inf)
+    return Sampled(
+        poles, _margins(plant, controller), -np.log(max(radius, 1e-300)) / axis.period_s, _peak_gain(loop)
+    )
+
+
+def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
+    """Return the loop from d to e: y = [e, de] = -[position, rate]."""
+    A, B, C, D, T = plant
+    zero = np.zeros((1, 1))
+    # Inputs d, u; outputs e, and [e, de] for the controller.
+    swapped = B[:, [1, 0]]
+    return LinearSystem(
+        A, swapped, np.vstack([-C[:1], -C]), np.vstack([np.hstack([zero, zero]), D]), T
+    ).closed_with(controller)
+
+
+def _peak_gain(loop: LinearSystem) -> float:
+    """Return the sum of |h[k]| of a stable loop from d to e, to a ten thousandth."""
+    x, total, quiet = loop.B[:, :1], 0.0, 0.0
+    slowest = -np.log(np.abs(loop.poles()).max())
+    steps = min(200_000, int(np.ceil(12.0 / slowest)) + len(x))
+    A, C = loop.A, loop.C[:1]
+    for _ in range(steps):
+        quiet = abs((C @ x).item())
+        total += quiet
+        x = A @ x
+    return total
+
+
+def _margins(plant: LinearSystem, controller: LinearSystem) -> Margins:
+    """Return the margins of a stable loop, opened at u: 1 + L(z) = 0 is its edge."""
+    T = plant.period_s
+    assert T is not None
+
+    def L(omega: Array) -> Array:
+        P = plant.response(omega)[:, :, :1]
+        return np.asarray((controller.response(omega) @ P)[:, 0, 0])
+
+    def one(omega: float) -> complex:
+        return complex(L(np.array([omega]))[0])
+
+    top = pi / T
+    omega = np.unique(
+        np.concatenate([np.geomspace(1e-5 * top, top, 2500), np.linspace(1e-3 * top, top, 1500)])
+    )
+    value = L(omega)
+    up, down = inf, 0.0
+    for k in np.flatnonzero(np.diff(np.sign(value.imag)) != 0):
+        w = brentq(lambda w: one(w).imag, omega[k], omega[k + 1]) if omega[k + 1] < top else omega[k + 1]
+        real = one(float(w)).real
+        if real < 0.0:
+            factor = -1.0 / real
+            up, down = (min(up, factor), down) if factor > 1.0 else (up, max(down, factor))
+    if value[-1].real < 0.0:  # at half the rate the response is real
+        factor = -1.0 / value[-1].real
+        up, down = (min(up, factor), down) if factor > 1.0 else (up, max(down, factor))
+    phase, delay, crossover = inf, inf, 0.0
+    size = np.abs(value)
+    for k in np.flatnonzero(np.diff(np.sign(size - 1.0)) != 0):
+        w = float(brentq(lambda w: abs(one(w)) - 1.0, omega[k], omega[k + 1]))
+        angle = float(np.angle(one(w)))
+        lag = angle + pi  # in 0 .. 2 pi: what may still be lost until -1
+        phase = min(phase, lag, 2.0 * pi - lag)
+        delay = min(delay, lag / w)
+        crossover = max(crossover, w)
+    return Margins(up, down, float(np.degrees(phase)), delay, crossover)

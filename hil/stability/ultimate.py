@@ -12,10 +12,11 @@ Rule of the room: pure; the loop along a reference in, bounds out.
   the peak gain from d_i to u_i, |d + (Gamma - gamma I) u| <= (I - S diag(g))^-1 |d|, if all eigenvalues of
   the non-negative S diag(g) are below 1 (small gain; C. A. Desoer and M. Vidyasagar, Feedback Systems, 1975).
 - d and Gamma are those of where the robot is, not of where it should be. So they are taken in a tube around
-  the reference, too, which is enlarged until the bound that follows is no larger than the tube: what begins without error can then not leave it. The errors that occur are convolutions of the
-  disturbances that occur. Where all axes have the same gains, they are in error_gain times the convex hull of
-  these, and its extremes along the reference are the tube; else it is the box |e_i| <= bound_i. Both are
-  looked at in their corners at the worst instants, to first order: a survey, no enclosure.
+  the reference, too, which is enlarged until the bound that follows is no larger than the tube: what begins
+  without error can then not leave it. The errors that occur are convolutions of the disturbances that
+  occur. Where all axes have the same gains, they are in error_gain times the convex hull of these, and its
+  extremes along the reference are the tube; else it is the box |e_i| <= bound_i. Both are looked at in
+  their corners at the worst instants, to first order: a survey, no enclosure.
 """
 
 from __future__ import annotations

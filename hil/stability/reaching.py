@@ -1,0 +1,67 @@
+"""Reaching and boundary layers: what sliding mode and the Lyapunov redesign promise, with the figures stated.
+
+Rule of the room: pure functions of gains and bounds.
+
+Under what the model does not know (hil.stability.disturbance: gamma, |d|) the sliding variable
+s = de + lambda e of a leg obeys
+
+::
+
+    ds/dt = (1 - gamma) lambda de - gamma k sat(s / phi) - d
+
+- Outside the layer |s| falls by gamma k - |d| at least, and by |1 - gamma| lambda |de| less: the layer is
+  reached.
+- Inside, the law is linear, K_P = lambda k / phi and K_D = lambda + k / phi, and so is the loop. |s| stays
+  below its peak gain from d times |d|: where that is no more than phi the layer is never left, and the ultimate
+  bound of the linear loop holds. With gamma = 1 both conditions are one, k >= |d|.
+
+The Lyapunov redesign is the same with y = de + K_D / 2 e, over all legs at once, rho for k and epsilon for phi.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import NamedTuple
+
+from hil.stability.reachable import peak_gain
+
+
+class Reaching(NamedTuple):
+    """What a law with a boundary layer promises."""
+
+    surplus: float
+    """m/s^2, by which s approaches the layer while the leg is slow; not above 0: it need not."""
+    fastest: float
+    """m/s, the |de| up to which it does."""
+    inside: float
+    """m/s, the largest |s| once inside; inf without a layer."""
+    layer: float
+    """m/s."""
+
+    @property
+    def covered(self) -> bool:
+        """Tell whether the layer is reached, and never left."""
+        return self.surplus > 0.0 and (self.layer == 0.0 or self.inside <= self.layer)
+
+    def time_s(self, s: float) -> float:
+        """Return how long it takes at most from |s| in m/s to the layer, while the leg is slow; inf for ever."""
+        way = max(abs(s) - self.layer, 0.0)
+        return way / self.surplus if self.surplus > 0.0 else inf
+
+
+def reaching(
+    slope: float, k: float, layer: float, *, gamma: float, d: float, linear: tuple[float, float]
+) -> Reaching:
+    """Return what s = de + slope e does under a correction of up to k m/s^2 that is linear for |s| < layer.
+
+    gamma: share of what is asked for that the robot does; d: m/s^2, largest disturbance; linear: K_P and
+    K_D inside the layer.
+
+    Raises ModelError where the linear loop is not stable.
+    """
+    surplus = gamma * k - d
+    fastest = inf if gamma == 1.0 else surplus / (abs(1.0 - gamma) * slope)
+    if layer == 0.0:
+        return Reaching(surplus, fastest, inf, 0.0)
+    K_P, K_D = linear
+    return Reaching(surplus, fastest, peak_gain(gamma * K_P, gamma * K_D, slope, 1.0) * d, layer)

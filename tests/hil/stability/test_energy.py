@@ -1,0 +1,125 @@
+"""The energy function on the book's platform, and wells whose depth is known by hand."""
+
+import numpy as np
+import pytest
+
+from hil.app.configuration import load, platform_dict
+from hil.dynamics import Model
+from hil.geometry import Platform
+from hil.kinematics import condition, jacobian, leg_lengths
+from hil.rotations import rotation_from_vector
+from hil.stability.energy import basin, displaced, leg_springs, stiffness_matrix, total, weight, well
+
+PLATFORM = Platform.from_dict(platform_dict(load("virtual").platform))
+MODEL = Model(PLATFORM)
+HOME = np.array([0.0, 0.0, 1.0]), np.eye(3)
+K_P, K_V = np.full(6, 4e5), np.full(6, 4e4)
+NOTHING = np.zeros(6)
+
+
+def test_the_energy_falls_by_what_the_dampers_take():
+    """Forces of the law, acceleration of the model, V by its definition a step later and earlier."""
+    p_d, R_d = HOME
+    q_d = leg_lengths(PLATFORM, p_d, R_d)
+    S = total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL, MODEL))
+    p, R = displaced(p_d, R_d, np.array([0.05, -0.03, 0.02, 0.06, -0.04, 0.05]))
+    twist = np.array([0.3, -0.2, 0.1, 0.2, 0.3, -0.25])
+    J = jacobian(PLATFORM, p, R)
+    dq = J @ twist
+    tau = K_P * (q_d - leg_lengths(PLATFORM, p, R)) - K_V * dq + np.linalg.solve(J.T, MODEL.gravity(p, R))
+    dtwist = MODEL.forward_dynamics(p, R, twist, tau)
+
+    def V(t):
+        at = displaced(p, R, twist * t)
+        return MODEL.kinetic_energy(*at, twist + dtwist * t) + S(*at)
+
+    h = 1e-6
+    assert (V(h) - V(-h)) / (2 * h) == pytest.approx(-dq @ (K_V * dq), rel=1e-4)
+
+
+def test_exact_compensation_comes_to_rest_at_the_set_point():
+    q_d = leg_lengths(PLATFORM, *HOME)
+    S = total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL, MODEL))
+    start = displaced(*HOME, np.array([0.05, -0.03, 0.02, 0.06, -0.04, 0.05]))
+    found = well(S, *start, 1.0)
+    np.testing.assert_allclose(found.p, HOME[0], atol=1e-7)
+    np.testing.assert_allclose(found.R, HOME[1], atol=1e-7)
+    assert found.stable
+
+
+def test_the_stiffness_at_the_set_point_is_that_of_the_legs():
+    q_d = leg_lengths(PLATFORM, *HOME)
+    J = jacobian(PLATFORM, *HOME)
+    found = stiffness_matrix(leg_springs(PLATFORM, q_d, K_P, NOTHING), *HOME)
+    np.testing.assert_allclose(found, J.T @ np.diag(K_P) @ J, rtol=1e-4, atol=1.0)
+
+
+def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
+    q_d = leg_lengths(PLATFORM, *HOME)
+    found = well(total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL)), *HOME, 1.0)
+    assert found.p[2] < 0.99
+    tau = K_P * (q_d - leg_lengths(PLATFORM, found.p, found.R))
+    np.testing.assert_allclose(
+        jacobian(PLATFORM, found.p, found.R).T @ tau, MODEL.gravity(found.p, found.R), atol=0.05
+    )
+
+
+def test_forces_of_the_set_point_hold_it_as_far_as_the_springs_are_stiffer_than_the_weight():
+    """A constant force lets the platform fall over for weak springs: the well becomes a saddle."""
+    q_d = leg_lengths(PLATFORM, *HOME)
+    J = jacobian(PLATFORM, *HOME)
+    tau = np.asarray(np.linalg.solve(J.T, MODEL.gravity(*HOME)), float)
+    for stiffness, stable in ((4e5, True), (1e2, False)):
+        S = total(leg_springs(PLATFORM, q_d, np.full(6, stiffness), tau), weight(MODEL))
+        assert well(S, *HOME, 1.0).stable is stable
+
+
+def test_the_basin_of_a_bowl_is_known():
+    """S = k |x|^2 / 2 + k_r |r|^2 / 2, the region a ball of 0.3 m of the position: the edge is anywhere on it."""
+
+    def S(p, R):
+        turn = np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1))
+        return 0.5 * 1000.0 * p @ p + 0.5 * 500.0 * turn**2
+
+    def outside(p, R):
+        return None if np.linalg.norm(p) < 0.3 and np.trace(R) > -0.5 else "far"
+
+    bottom = well(S, np.array([0.01, 0.0, 0.0]), rotation_from_vector(np.array([0.02, 0.0, 0.0])), 1.0)
+    found = basin(S, bottom, 1.0, outside)
+    assert found.level_J == pytest.approx(0.5 * 1000 * 0.3**2, rel=0.02)
+    assert found.level_J >= 0.5 * 1000 * 0.3**2 * (1 - 1e-6)
+    assert found.reason == "far"
+
+
+@pytest.fixture(scope="module")
+def shallow():
+    """The book's platform within 0.75 to 2.2 m and a condition of 50."""
+    q_d = leg_lengths(PLATFORM, *HOME)
+    S = leg_springs(PLATFORM, q_d, K_P, NOTHING)
+
+    def outside(p, R):
+        q = leg_lengths(PLATFORM, p, R)
+        if q.min() < 0.77 or q.max() > 2.18:
+            return "stroke"
+        return None if condition(PLATFORM, p, R) < 50 else "singularity"
+
+    return S, outside, basin(S, well(S, *HOME, 1.0), 1.0, outside, rays=60)
+
+
+def test_the_basin_of_the_book_is_no_larger_than_what_one_leg_at_its_end_stores(shallow):
+    """A leg alone from q_d to its nearer end: K_p way^2 / 2, an edge of the region like any, if J is regular."""
+    _, _, found = shallow
+    q = leg_lengths(PLATFORM, *HOME)
+    way = min((q - 0.77).min(), (2.18 - q).min())
+    assert 0.0 < found.level_J <= 0.5 * K_P[0] * way**2 * 6
+    assert found.reason in {"stroke", "singularity"}
+
+
+def test_below_its_level_no_ray_of_another_seed_leaves_the_basin(shallow):
+    S, outside, found = shallow
+    for x in np.random.default_rng(7).standard_normal((60, 6)):
+        for t in np.linspace(0, 1, 40):
+            pose = displaced(*HOME, t * x / np.linalg.norm(x))
+            if S(*pose) > found.level_J:
+                break
+            assert outside(*pose) is None

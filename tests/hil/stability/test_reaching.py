@@ -1,0 +1,66 @@
+"""Reaching conditions against integrated worst cases."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from hil.stability.reaching import reaching
+
+SLOPE, K = 30.0, 8.0
+PHI = K / SLOPE
+LINEAR = (SLOPE * K / PHI, SLOPE + K / PHI)
+
+
+def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance_and_nothing_else():
+    for d in (7.9, 8.1):
+        found = reaching(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
+        assert found.covered is (d < K)
+        assert found.inside == pytest.approx(PHI * d / K, rel=1e-9)
+        assert found.fastest == np.inf
+
+
+def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
+    d, s0 = 6.0, 2.0
+    found = reaching(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
+
+    def rate(t, x):
+        s = x[1] + SLOPE * x[0]
+        return [x[1], -SLOPE * x[1] - K * np.clip(s / PHI, -1, 1) + d]
+
+    def inside(t, x):
+        return x[1] + SLOPE * x[0] - PHI
+
+    inside.terminal = True
+    solution = solve_ivp(rate, (0, 5), [0.0, s0], events=inside, max_step=1e-2, rtol=1e-8)
+    assert solution.t[-1] == pytest.approx(found.time_s(s0), rel=1e-4)
+    assert found.time_s(0.5 * PHI) == 0.0
+
+
+def test_a_model_that_is_too_light_needs_more_gain():
+    """gamma = 0.8: the linear part of the law is short, too; a disturbance below gamma k may leave the layer."""
+    assert reaching(SLOPE, K, PHI, gamma=0.8, d=5.0, linear=LINEAR).covered
+    close = reaching(SLOPE, K, PHI, gamma=0.8, d=0.8 * K - 1e-3, linear=LINEAR)
+    assert close.surplus > 0.0
+    assert not close.covered
+
+
+def test_inside_is_what_the_worst_disturbance_does():
+    """Bang-bang by the sign of the impulse response, by brute integration of gamma = 0.8."""
+    gamma, d, n, end = 0.8, 5.0, 20_000, 1.0
+    K_P, K_D = (gamma * gain for gain in LINEAR)
+    h = end / n
+    x, response = np.array([0.0, 1.0]), np.empty(n)
+    step = np.array([[0.0, 1.0], [-K_P, -K_D]])
+    for i in range(n):
+        middle = x + h / 2 * step @ x
+        response[i] = SLOPE * middle[0] + middle[1]
+        x = x + h * step @ middle
+    found = reaching(SLOPE, K, PHI, gamma=gamma, d=d, linear=LINEAR)
+    assert found.inside == pytest.approx(d * h * np.abs(response).sum(), rel=1e-3)
+
+
+def test_without_a_layer_there_is_nothing_to_leave():
+    found = reaching(SLOPE, K, 0.0, gamma=1.0, d=5.0, linear=(np.inf, np.inf))
+    assert found.covered
+    assert not reaching(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).covered
+    assert reaching(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).time_s(1.0) == np.inf

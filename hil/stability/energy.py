@@ -116,7 +116,7 @@ def well(S: Potential, p: Array, R: Array, radius: float) -> Well:
             break
         p, R = displaced(p, R, scale * step)
         if np.linalg.norm(step) < 1e-9:
-            return Well(p, R, np.linalg.eigvalsh(stiffness))
+            return Well(p, R, np.asarray(np.linalg.eigvalsh(stiffness), float))
     raise ModelError("the springs of the law carry what is left of the weight nowhere near: stiffen them")
 
 
@@ -147,8 +147,8 @@ def basin(
     """Return the largest sublevel set around a well within a region, searched for along rays.
 
     outside(p, R) says what is wrong with a pose, or None. Each ray goes from the well to the edge of the
-    region, where S is read; the lowest is sought on from the five lowest rays by the simplex of Nelder and Mead. The
-    directions are those of equal S near the well. A search, no enclosure.
+    region, where S is read; the lowest is sought on from the five lowest rays by the simplex of Nelder and
+    Mead. The directions are those of equal S near the well. A search, no enclosure.
     """
     scale = np.array([1.0] * 3 + [1.0 / radius] * 3)
     _, stiffness = _derivatives(S, start.p, start.R, scale)
@@ -161,7 +161,7 @@ def basin(
         """Return S above the well at the edge in direction u (6,), and the way there."""
         way = shape @ (u / np.linalg.norm(u))
         near, far = 0.0, 0.0
-        step = 0.02 / np.linalg.norm(way / scale)
+        step = 0.02 / float(np.linalg.norm(way / scale))
         while outside(*displaced(start.p, start.R, far * way)) is None:
             near, far = far, far + step
             if far > 100.0 * longest:
@@ -176,7 +176,8 @@ def basin(
     directions = np.vstack([directions, np.eye(6), -np.eye(6)])
     heights = np.array([edge(u)[0] for u in directions])
     lowest = directions[np.argsort(heights)[:5]]
-    found = [minimize(lambda u: edge(u)[0], u, method="Nelder-Mead", options={"maxfev": 150}) for u in lowest]
+    options = {"maxfev": 150}
+    found = [minimize(lambda u: edge(u)[0], u, method="Nelder-Mead", options=options) for u in lowest]
     level, way = edge(min(found, key=lambda result: result.fun).x)
     p, R = displaced(start.p, start.R, way)
     return Basin(level, p, R, outside(p, R) or "the edge of the region")

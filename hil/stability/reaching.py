@@ -12,10 +12,10 @@ s = de + lambda e of a leg obeys
 - Outside the layer |s| falls by gamma k - |d| at least, and by |1 - gamma| lambda |de| less: the layer is
   reached.
 - Inside, the law is linear, K_P = lambda k / phi and K_D = lambda + k / phi, and so is the loop. |s| stays
-  below its peak gain from d times |d|: where that is no more than phi the layer is never left, and the ultimate
-  bound of the linear loop holds. With gamma = 1 both conditions are one, k >= |d|.
+  below its peak gain from d times |d|: where that is no more than phi the layer is never left, and the
+  ultimate bound of the linear loop holds. With gamma = 1 both conditions are one, k >= |d|.
 
-The Lyapunov redesign is the same with y = de + K_D / 2 e, over all legs at once, rho for k and epsilon for phi.
+The Lyapunov redesign is the same with y = de + K_D / 2 e, over all legs at once, rho for k, epsilon for phi.
 """
 
 from __future__ import annotations

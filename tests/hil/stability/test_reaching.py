@@ -30,7 +30,7 @@ def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
     def inside(t, x):
         return x[1] + SLOPE * x[0] - PHI
 
-    inside.terminal = True
+    inside.terminal = True  # type: ignore[attr-defined]
     solution = solve_ivp(rate, (0, 5), [0.0, s0], events=inside, max_step=1e-2, rtol=1e-8)
     assert solution.t[-1] == pytest.approx(found.time_s(s0), rel=1e-4)
     assert found.time_s(0.5 * PHI) == 0.0

@@ -81,6 +81,7 @@ def inspect(c: Configuration) -> Report:
     _bus(report, c)
     _drives(report, c)
     _controller(report, c)
+    _stability(report, c)
     _reference(report, c, platform, model)
     _permissions(report, c)
     return report
@@ -169,6 +170,21 @@ def _controller(report: Report, c: Configuration) -> None:
         )
     if isinstance(law, RobustInverseDynamicsSettings):
         lines.append(f"bound rho {law.bound:.3g} m/s^2, boundary layer {law.boundary_layer_m_s:.3g} m/s")
+
+
+def _stability(report: Report, c: Configuration) -> None:
+    """Say in one line what is proven of the law."""
+    from hil.app.stability import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
+
+    verdict = judge(c, quick=True)
+    report.sections["controller"].append(f"stability {verdict.line}")
+    report.figures["stability"] = {
+        "verdict": verdict.status,
+        "claim": verdict.claim,
+        "conditions": verdict.conditions,
+    }
+    if verdict.status == "unstable":
+        report.warnings.append(f"controller: {verdict.claim}")
 
 
 def _margin(report: Report, c: Configuration, K_P: float, K_D: float) -> list[str]:

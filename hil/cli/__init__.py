@@ -16,6 +16,7 @@ from hil.cli.replay import replay_command
 from hil.cli.run import run_command
 from hil.cli.setpoint import setpoint_command
 from hil.cli.sim import sim_command
+from hil.cli.stability import stability_command
 from hil.cli.workspace import workspace_command
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
@@ -38,6 +39,7 @@ def main() -> None:
     \b
     First steps, nothing but this machine needed:
       hil check              figures and problems of a configuration, nothing moves
+      hil stability          what is proven of the law, with bounds of the error
       hil workspace          map of the reachable poses, with a picture
       hil compare            all control laws on this platform, path, bus and drives
       hil sim                controller, bus, drives and platform in simulated time
@@ -63,6 +65,7 @@ for command in (
     sim_command,
     replay_command,
     check_command,
+    stability_command,
     setpoint_command,
     workspace_command,
     compare_command,

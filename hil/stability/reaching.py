@@ -44,7 +44,7 @@ class Reaching(NamedTuple):
         return self.surplus > 0.0 and (self.layer == 0.0 or self.inside <= self.layer)
 
     def time_s(self, s: float) -> float:
-        """Return how long it takes at most from |s| in m/s to the layer, while the leg is slow; inf for ever."""
+        """Return how long it takes at most from |s| m/s to the layer, while the leg is slow; inf for ever."""
         way = max(abs(s) - self.layer, 0.0)
         return way / self.surplus if self.surplus > 0.0 else inf
 

@@ -34,6 +34,8 @@ from hil.trajectory import PoseSample
 
 ROUNDS = 12
 """Most enlargements of the tube."""
+EXACT = 1e-9
+"""What Gamma may differ from gamma I by and count as rounding."""
 INSTANTS = 5
 """Of the reference, at which the disturbances are taken that make the tube."""
 _SIGNS = np.array([[1.0 if k >> i & 1 else -1.0 for i in range(6)] for k in range(64)])
@@ -45,6 +47,8 @@ class Ultimate(NamedTuple):
     certificate: Certificate
     """Of the gains that the robot really has, gamma K_P and gamma K_D."""
     gamma: float
+    exact: bool
+    """Whether Gamma = gamma I, so that the certificate's decay is the robot's."""
     d: Array
     """(6,) m/s^2 or rad/s^2, all that disturbs the axis."""
     error: Array
@@ -102,8 +106,8 @@ def _bound(s: Survey, K_P: Array, K_D: Array) -> Ultimate | str:
     if s.gamma <= 0.0:
         return "the believed inertia is so wrong that forces push the wrong way"
     proved = certificate(s.gamma * K_P, s.gamma * K_D)
-    d = s.d
-    if s.spread.max() > 1e-9:
+    d, exact = s.d, bool(s.spread.max() <= EXACT)
+    if not exact:
         pairs = list(zip(proved.K_P, proved.K_D, K_P, K_D, strict=True))
         g = np.array([peak_gain(*(float(v) for v in pair)) for pair in pairs])
         loop = s.spread * g
@@ -115,7 +119,7 @@ def _bound(s: Survey, K_P: Array, K_D: Array) -> Ultimate | str:
         d = np.linalg.solve(np.eye(6) - loop, d)
     error, rate = proved.error_gain() * d, proved.rate_gain() * d
     least = np.array([peak_gain(float(p), float(v)) for p, v in zip(proved.K_P, proved.K_D, strict=True)])
-    return Ultimate(proved, s.gamma, d, error, rate, least * d, s.condition)
+    return Ultimate(proved, s.gamma, exact, d, error, rate, least * d, s.condition)
 
 
 def _both(a: Survey, b: Survey) -> Survey:

@@ -1,0 +1,35 @@
+"""Six coupled axes against one: modes of equal gains are axes of their own."""
+
+import numpy as np
+import pytest
+
+from hil.stability.coupled import delay_margin_s, growth, integrating, proportional
+from hil.stability.sampled import Axis, analyse, gains
+
+T = 1e-3
+AXIS = Axis(T, 0.5e-3, 0.8e-3)
+MASSES = np.array([100.0, 150.0, 200.0, 300.0, 400.0, 800.0])
+Q = np.linalg.qr(np.random.default_rng(3).standard_normal((6, 6)))[0]
+MOBILITY = Q @ np.diag(1 / MASSES) @ Q.T
+
+
+def test_equal_gains_fall_into_the_modes_of_the_inertia():
+    controller = proportional(np.full(6, 1e6), np.full(6, 2e4), T)
+    modes = [np.abs(analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).poles).max() for m in MASSES]
+    assert growth(AXIS, controller, MOBILITY) == pytest.approx(max(modes), abs=1e-9)
+
+
+def test_the_delay_margin_is_the_least_of_the_modes():
+    controller = proportional(np.full(6, 1e6), np.full(6, 2e4), T)
+    found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
+    least = min(m.delay_s for m in found if m is not None)
+    assert delay_margin_s(AXIS, controller, MOBILITY) == pytest.approx(least, rel=0.01)
+
+
+def test_an_integral_has_routhhurwitz_limit():
+    """m s^3 + K_v s^2 + K_p s + K_i: stable for K_i < K_p K_v / m; a period of 0.1 ms is nearly continuous."""
+    m, K_p, K_v, fine = 200.0, 1e5, 1e4, Axis(1e-4)
+    limit = K_p * K_v / m
+    for share, stable in ((0.97, True), (1.03, False)):
+        controller = integrating(*(np.full(6, g) for g in (K_p, K_v, share * limit)), 1e-4)
+        assert (growth(fine, controller, np.eye(6) / m) < 1.0) is stable

@@ -142,7 +142,7 @@ def _derivatives(S: Potential, p: Array, R: Array, scale: Array) -> tuple[Array,
 
 
 def basin(
-    S: Potential, start: Well, radius: float, outside: Callable[[Array, Array], str | None], rays: int = 200
+    S: Potential, start: Well, radius: float, outside: Callable[[Array, Array], str | None], rays: int = 100
 ) -> Basin:
     """Return the largest sublevel set around a well within a region, searched for along rays.
 
@@ -166,7 +166,7 @@ def basin(
             near, far = far, far + step
             if far > 100.0 * longest:
                 return np.inf, far * way
-        for _ in range(30):
+        for _ in range(20):
             middle = (near + far) / 2.0
             inside = outside(*displaced(start.p, start.R, middle * way)) is None
             near, far = (middle, far) if inside else (near, middle)
@@ -176,7 +176,7 @@ def basin(
     directions = np.vstack([directions, np.eye(6), -np.eye(6)])
     heights = np.array([edge(u)[0] for u in directions])
     lowest = directions[np.argsort(heights)[:5]]
-    options = {"maxfev": 150}
+    options = {"maxfev": 80}
     found = [minimize(lambda u: edge(u)[0], u, method="Nelder-Mead", options=options) for u in lowest]
     level, way = edge(min(found, key=lambda result: result.fun).x)
     p, R = displaced(start.p, start.R, way)

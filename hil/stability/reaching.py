@@ -15,7 +15,12 @@ s = de + lambda e of a leg obeys
   below its peak gain from d times |d|: where that is no more than phi the layer is never left, and the
   ultimate bound of the linear loop holds. With gamma = 1 both conditions are one, k >= |d|.
 
-The Lyapunov redesign is the same with y = de + K_D / 2 e, over all legs at once, rho for k, epsilon for phi.
+The Lyapunov redesign has y = de + K_D / 2 e over all legs at once, rho for k, epsilon for phi, and a linear
+part of its own that helps:
+
+::
+
+    dy/dt = -(gamma - 1/2) K_D y + ((gamma - 1/2) K_D^2 / 2 - gamma K_P) e - gamma rho y / |y| - d
 """
 
 from __future__ import annotations
@@ -30,9 +35,9 @@ class Reaching(NamedTuple):
     """What a law with a boundary layer promises."""
 
     surplus: float
-    """m/s^2, by which s approaches the layer while the leg is slow; not above 0: it need not."""
-    fastest: float
-    """m/s, the |de| up to which it does."""
+    """m/s^2, by which s approaches the edge of the layer at least; not above 0: it need not."""
+    room: float
+    """How much the legs may be off for that: |de| in m/s (sliding mode), |e| in m (redesign)."""
     inside: float
     """m/s, the largest |s| once inside; inf without a layer."""
     layer: float
@@ -44,15 +49,15 @@ class Reaching(NamedTuple):
         return self.surplus > 0.0 and (self.layer == 0.0 or self.inside <= self.layer)
 
     def time_s(self, s: float) -> float:
-        """Return how long it takes at most from |s| m/s to the layer, while the leg is slow; inf for ever."""
+        """Return how long it takes at most from |s| m/s to the layer, within that room; inf for ever."""
         way = max(abs(s) - self.layer, 0.0)
         return way / self.surplus if self.surplus > 0.0 else inf
 
 
-def reaching(
+def sliding(
     slope: float, k: float, layer: float, *, gamma: float, d: float, linear: tuple[float, float]
 ) -> Reaching:
-    """Return what s = de + slope e does under a correction of up to k m/s^2 that is linear for |s| < layer.
+    """Return what s = de + slope e of a leg does under a correction of up to k m/s^2, linear in its layer.
 
     gamma: share of what is asked for that the robot does; d: m/s^2, largest disturbance; linear: K_P and
     K_D inside the layer.
@@ -60,8 +65,25 @@ def reaching(
     Raises ModelError where the linear loop is not stable.
     """
     surplus = gamma * k - d
-    fastest = inf if gamma == 1.0 else surplus / (abs(1.0 - gamma) * slope)
-    if layer == 0.0:
-        return Reaching(surplus, fastest, inf, 0.0)
+    room = inf if gamma == 1.0 else surplus / (abs(1.0 - gamma) * slope)
+    return Reaching(surplus, room, _inside(slope, layer, gamma, d, linear), layer)
+
+
+def redesign(
+    K_P: float, K_D: float, rho: float, layer: float, *, gamma: float, d: float, linear: tuple[float, float]
+) -> Reaching:
+    """Return what y = de + K_D / 2 e of all legs does under a correction of up to rho m/s^2.
+
+    K_P, K_D: of the law outside its layer; the rest as for `sliding`, d over all legs.
+
+    Raises ModelError where the linear loop is not stable.
+    """
+    surplus = gamma * rho - d + (gamma - 0.5) * K_D * layer
+    coupling = abs((gamma - 0.5) * K_D**2 / 2.0 - gamma * K_P)
+    room = inf if coupling <= 1e-9 * K_P else surplus / coupling
+    return Reaching(surplus, room, _inside(K_D / 2.0, layer, gamma, d, linear), layer)
+
+
+def _inside(slope: float, layer: float, gamma: float, d: float, linear: tuple[float, float]) -> float:
     K_P, K_D = linear
-    return Reaching(surplus, fastest, peak_gain(gamma * K_P, gamma * K_D, slope, 1.0) * d, layer)
+    return inf if layer == 0.0 else peak_gain(gamma * K_P, gamma * K_D, slope, 1.0) * d

@@ -18,6 +18,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from drivers.errors import ModelError
+from hil.config.linear_controller import LinearController
 from hil.linear_system import ComplexArray, LinearSystem, static
 from hil.signals import Array
 
@@ -120,6 +121,17 @@ def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
     return static(np.array([[K_P, K_D]]), period_s)
 
 
+def controller_system(controller: LinearController) -> LinearSystem:
+    """Return a designed controller as a system from [e, de] to u."""
+    n, columns = len(controller.A), {"error": 0, "rate_error": 1}
+    B, D = np.zeros((n, 2)), np.zeros((1, 2))
+    for k, name in enumerate(controller.inputs):
+        B[:, columns[name]] += [row[k] for row in controller.B]
+        D[0, columns[name]] += controller.D[0][k]
+    A, C = np.array(controller.A, float).reshape(n, n), np.array(controller.C, float).reshape(1, n)
+    return LinearSystem(A, B, C, D, 1.0 / controller.rate_Hz)
+
+
 def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
     """Return what the loop of axis and controller is like; the controller takes [e, de] and gives u.
 
@@ -154,13 +166,12 @@ def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
 
 def _peak_gain(loop: LinearSystem) -> float:
     """Return the sum of |h[k]| of a stable loop from d to e, to a ten thousandth."""
-    x, total, quiet = loop.B[:, :1], 0.0, 0.0
-    slowest = -np.log(np.abs(loop.poles()).max())
+    x, total = loop.B[:, :1], 0.0
+    slowest = -np.log(max(np.abs(loop.poles()).max(), 1e-300))
     steps = min(200_000, int(np.ceil(12.0 / slowest)) + len(x))
     A, C = loop.A, loop.C[:1]
     for _ in range(steps):
-        quiet = abs((C @ x).item())
-        total += quiet
+        total += abs((C @ x).item())
         x = A @ x
     return total
 

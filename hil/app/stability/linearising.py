@@ -25,7 +25,7 @@ from hil.signals import Array
 from hil.stability.disturbance import Linearised
 from hil.stability.error_dynamics import decay_rate
 from hil.stability.prediction import predicting
-from hil.stability.reaching import Reaching, reaching
+from hil.stability.reaching import Reaching, redesign, sliding
 from hil.stability.sampled import Sampled, analyse, gains
 from hil.stability.ultimate import Ultimate, ultimate
 from hil.stability.verdict import Verdict, unless
@@ -47,14 +47,14 @@ def linear(subject: Subject, law: LinearSettings) -> Verdict:
         return Verdict("unstable", unstable(subject, loop), [], lines, figures)
     conditions = assumed(subject, law)
     if isinstance(bound, str):
-        claim = f"with an exact model errors die out as exp(-{slowest:.3g} t); with what is stated: {bound}"
+        claim = f"{bound}; with an exact model and no load errors die out as exp(-{slowest:.3g} t)"
         return Verdict("not proven", claim, conditions, lines, figures)
     more, numbers = bound_lines(bound, loop, axes)
     claims = []
     if bound.exact:
         claims.append(f"die out as exp(-{min(decay(bound), loop.decay_rate):.3g} t)")
     if bound.d.max() > 1e-6:
-        claims.append(f"stay below {worst(bound, loop, axes)} along the reference")
+        claims.append(f"stay below {worst(bound, loop, axes)} along the reference{beside(subject)}")
     claim = f"errors {' and '.join(claims) or 'stay bounded'}"
     return Verdict(unless(conditions), claim, conditions, more + lines, {**numbers, **figures})
 
@@ -62,10 +62,10 @@ def linear(subject: Subject, law: LinearSettings) -> Verdict:
 def robust(subject: Subject, law: RobustSettings) -> Verdict:
     """Judge sliding mode and the Lyapunov redesign by reaching condition, layer, and the loop inside it."""
     uncertainty = law.uncertainty
-    sliding = isinstance(law, SlidingModeSettings)
     if isinstance(law, SlidingModeSettings):
         slope, k, layer = law.lambda_rad_s, law.switching_gain, law.boundary_layer
         linear_P, linear_D = (np.full(6, gain) for gain in law.linear_gains)
+        nominal_P = nominal_D = np.zeros(6)
     else:
         nominal_P, nominal_D = error_gains(law.wn_rad_s, law.damping_ratio)
         slope, k, layer = float(nominal_D.max()) / 2.0, law.bound, law.boundary_layer_m_s
@@ -84,11 +84,15 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
             if isinstance(bound, str):
                 return Verdict("not proven", f"with what is stated: {bound}", conditions, [], {})
             gamma, d = bound.gamma, bound.d
-    size = float(d.max()) if sliding else float(np.linalg.norm(d))
-    found = reaching(
-        slope, k, layer, gamma=gamma, d=size, linear=(float(linear_P.max()), float(linear_D.max()))
-    )
-    lines, figures = _reaching_lines(found, k, size, gamma, source, sliding=sliding)
+    inside = (float(linear_P.max()), float(linear_D.max()))
+    if isinstance(law, SlidingModeSettings):
+        name, size, room_unit = "s", float(d.max()), "m/s off their rates"
+        found = sliding(slope, k, layer, gamma=gamma, d=size, linear=inside)
+    else:
+        name, size, room_unit = "y", float(np.linalg.norm(d)), "m off"
+        stiffest = float(nominal_P.max()), float(nominal_D.max())
+        found = redesign(*stiffest, k, layer, gamma=gamma, d=size, linear=inside)
+    lines, figures = _reaching_lines(found, k, size, gamma, source, name)
     if layer == 0.0:
         conditions.append("a loop without delay: it switches at every tick, and chatters")
         loop = None
@@ -98,14 +102,11 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
         lines, figures = lines + more, {**figures, **numbers}
         if not loop.stable:
             return Verdict("unstable", unstable(subject, loop), [], lines, figures)
-    name = "s" if sliding else "y"
     if found.surplus <= 0.0:
         claim = f"{k:.3g} m/s^2 do not cover {size:.3g} m/s^2 of {source}: {name} need not reach its layer"
         return Verdict("not proven", claim, conditions, lines, figures)
-    if isfinite(found.fastest):
-        conditions.append(
-            f"from outside its layer: legs no more than {found.fastest:.3g} m/s off their rates"
-        )
+    if isfinite(found.room):
+        conditions.append(f"from outside its layer: legs no more than {found.room:.3g} {room_unit}")
     if not found.covered:
         conditions.append(
             f"{name} may leave its layer of {layer:.3g} m/s up to {found.inside:.3g} m/s, by what the error "
@@ -115,7 +116,7 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
     if isinstance(bound, Ultimate) and loop is not None and not subject.stated.nothing:
         more, numbers = bound_lines(bound, loop, "joint")
         lines, figures = more + lines, {**numbers, **figures}
-        claim += f", errors stay below {worst(bound, loop, 'joint')} along the reference"
+        claim += f", errors stay below {worst(bound, loop, 'joint')} along the reference{beside(subject)}"
     elif layer > 0.0:
         claim += f", errors stay below {1e3 * layer / slope:.3g} mm"
     return Verdict(unless(conditions), claim, conditions, lines, figures)
@@ -172,6 +173,11 @@ def assumed(subject: Subject, law: LinearSettings | ModelBasedSettings) -> list[
     if subject.c.plant is None:
         conditions.append("the robot is as section platform says, its drives have neither friction nor lag")
     return conditions
+
+
+def beside(subject: Subject) -> str:
+    """Return what the bound of a moving reference does not hold: it is that of a law without sampling."""
+    return "" if subject.rest else ", beside what its sampling costs"
 
 
 def describe(loop: Sampled) -> tuple[list[str], dict[str, Any]]:
@@ -271,9 +277,9 @@ def bound_lines(bound: Ultimate, loop: Sampled, axes: Axes) -> tuple[list[str], 
 
 
 def _reaching_lines(
-    found: Reaching, k: float, d: float, gamma: float, source: str, *, sliding: bool
+    found: Reaching, k: float, d: float, gamma: float, source: str, name: str
 ) -> tuple[list[str], dict[str, Any]]:
-    name, legs = ("s", "a leg") if sliding else ("y", "all legs")
+    legs = "a leg" if name == "s" else "all legs"
     figures = {
         "reaching": {
             "gain_m_s2": k,

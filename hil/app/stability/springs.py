@@ -177,7 +177,8 @@ def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
         )
     if not quick:
         _basin(subject, held, rest, lines, figures)
-    where = "the set-point" if held.exact else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
+    near = held.exact or sag_mm < 1e-3
+    where = "the set-point" if near else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
     claim = f"V = t^T M t / 2 + S falls by dq^T K_v dq: {where} is asymptotically stable (LaSalle)"
     if not held.exact:
         conditions.append("no other equilibrium lies in the sublevel set: not searched for")
@@ -188,7 +189,7 @@ def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: 
     found = basin(held.S, rest, subject.platform.radius, subject.outside)
     start_mm = 1e3 * float(np.sqrt(2.0 * found.level_J / held.stiffness))
     lines.append(
-        f"sublevel set   V < {found.level_J:.4g} J stays within stroke and regular J (by search; at its edge: "
+        f"sublevel set   V < {found.level_J:.4g} J stays within stroke and regular J (by search; its edge: "
         f"{found.reason}): every start at rest with all axes up to {start_mm:.3g} mm off"
     )
     figures["energy"] |= {

@@ -17,7 +17,8 @@ from hil.control.law import per_leg
 from hil.control.model import build_model
 from hil.dynamics import Model
 from hil.geometry import Platform
-from hil.kinematics import condition, leg_lengths
+from hil.kernels.kinematics import jacobian_kernel, leg_lengths_kernel
+from hil.linalg import condition_kernel
 from hil.signals import Array
 from hil.stability.disturbance import Friction, Load
 from hil.stability.sampled import Axis
@@ -94,12 +95,13 @@ class Subject:
     def outside(self, p: Array, R: Array) -> str | None:
         """Say which limit a pose breaks: the soft ends of a leg, or the condition of J."""
         s, limits = self.c.platform, self.c.limits
-        q = leg_lengths(self.platform, p, R)
+        a, b = self.platform.base_joints, self.platform.platform_joints
+        q = leg_lengths_kernel(a, b, p, R)
         if q.min() < s.length_min_m + limits.stroke_margin_m:
             return f"leg {int(np.argmin(q))} at its lower soft end"
         if q.max() > s.length_max_m - limits.stroke_margin_m:
             return f"leg {int(np.argmax(q))} at its upper soft end"
-        number = condition(self.platform, p, R)
+        number = condition_kernel(jacobian_kernel(a, b, p, R), self.platform.radius)
         return None if number <= limits.condition else f"condition of J {limits.condition:g}"
 
     def _path(self) -> list[PoseSample]:

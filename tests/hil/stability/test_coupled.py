@@ -26,10 +26,10 @@ def test_the_delay_margin_is_the_least_of_the_modes():
     assert delay_margin_s(AXIS, controller, MOBILITY) == pytest.approx(least, rel=0.01)
 
 
-def test_an_integral_has_routhhurwitz_limit():
+def test_an_integral_has_the_limit_of_routh_and_hurwitz():
     """m s^3 + K_v s^2 + K_p s + K_i: stable for K_i < K_p K_v / m; a period of 0.1 ms is nearly continuous."""
     m, K_p, K_v, fine = 200.0, 1e5, 1e4, Axis(1e-4)
     limit = K_p * K_v / m
     for share, stable in ((0.97, True), (1.03, False)):
-        controller = integrating(*(np.full(6, g) for g in (K_p, K_v, share * limit)), 1e-4)
+        controller = integrating(np.full(6, K_p), np.full(6, K_v), np.full(6, share * limit), 1e-4)
         assert (growth(fine, controller, np.eye(6) / m) < 1.0) is stable

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hil.stability.reaching import reaching
+from hil.stability.reaching import redesign, sliding
 
 SLOPE, K = 30.0, 8.0
 PHI = K / SLOPE
@@ -13,15 +13,15 @@ LINEAR = (SLOPE * K / PHI, SLOPE + K / PHI)
 
 def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance_and_nothing_else():
     for d in (7.9, 8.1):
-        found = reaching(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
+        found = sliding(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
         assert found.covered is (d < K)
         assert found.inside == pytest.approx(PHI * d / K, rel=1e-9)
-        assert found.fastest == np.inf
+        assert found.room == np.inf
 
 
 def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
     d, s0 = 6.0, 2.0
-    found = reaching(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
+    found = sliding(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
 
     def rate(t, x):
         s = x[1] + SLOPE * x[0]
@@ -38,8 +38,8 @@ def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
 
 def test_a_model_that_is_too_light_needs_more_gain():
     """gamma = 0.8: the linear part of the law is short, too; a disturbance below gamma k may leave the layer."""
-    assert reaching(SLOPE, K, PHI, gamma=0.8, d=5.0, linear=LINEAR).covered
-    close = reaching(SLOPE, K, PHI, gamma=0.8, d=0.8 * K - 1e-3, linear=LINEAR)
+    assert sliding(SLOPE, K, PHI, gamma=0.8, d=5.0, linear=LINEAR).covered
+    close = sliding(SLOPE, K, PHI, gamma=0.8, d=0.8 * K - 1e-3, linear=LINEAR)
     assert close.surplus > 0.0
     assert not close.covered
 
@@ -55,12 +55,33 @@ def test_inside_is_what_the_worst_disturbance_does():
         middle = x + h / 2 * step @ x
         response[i] = SLOPE * middle[0] + middle[1]
         x = x + h * step @ middle
-    found = reaching(SLOPE, K, PHI, gamma=gamma, d=d, linear=LINEAR)
+    found = sliding(SLOPE, K, PHI, gamma=gamma, d=d, linear=LINEAR)
     assert found.inside == pytest.approx(d * h * np.abs(response).sum(), rel=1e-3)
 
 
 def test_without_a_layer_there_is_nothing_to_leave():
-    found = reaching(SLOPE, K, 0.0, gamma=1.0, d=5.0, linear=(np.inf, np.inf))
+    found = sliding(SLOPE, K, 0.0, gamma=1.0, d=5.0, linear=(np.inf, np.inf))
     assert found.covered
-    assert not reaching(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).covered
-    assert reaching(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).time_s(1.0) == np.inf
+    assert not sliding(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).covered
+    assert sliding(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).time_s(1.0) == np.inf
+
+
+def test_the_redesign_reaches_its_layer_with_a_correction_no_larger_than_the_disturbance():
+    """Its linear part is what is left: dy/dt = -wn y at the edge, at damping ratio 1."""
+    w_n, rho, epsilon = 20.0, 5.0, 0.2
+    linear = (w_n**2 + rho / epsilon * w_n, 2 * w_n + rho / epsilon)
+    found = redesign(w_n**2, 2 * w_n, rho, epsilon, gamma=1.0, d=rho, linear=linear)
+    assert found.surplus == pytest.approx(w_n * epsilon)
+    assert found.room == np.inf
+    assert found.covered
+
+
+def test_the_redesign_bears_less_error_the_worse_its_model_is():
+    """dy/dt of gamma = 0.8 by hand from e'' = -gamma (K_D de + K_P e + w) - d, at y = epsilon."""
+    w_n, rho, epsilon, gamma, d = 20.0, 5.0, 0.2, 0.8, 3.0
+    linear = (w_n**2 + rho / epsilon * w_n, 2 * w_n + rho / epsilon)
+    found = redesign(w_n**2, 2 * w_n, rho, epsilon, gamma=gamma, d=d, linear=linear)
+    e = -found.room
+    de = epsilon - w_n * e
+    dy = -gamma * (2 * w_n * de + w_n**2 * e + rho) + d + w_n * de
+    assert dy == pytest.approx(0.0, abs=1e-9)

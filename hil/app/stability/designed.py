@@ -1,0 +1,52 @@
+"""Verdict on a designed linear controller around inverse dynamics: eigenvalues, margins, peak gain.
+
+Rule of the room: as in `hil.app.stability.linearising`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.app.stability.linearising import beside, describe, unstable
+from hil.app.stability.subject import Subject
+from hil.config import ModelSettings
+from hil.config.linear_controller import LinearController
+from hil.stability.disturbance import Linearised, along, summary
+from hil.stability.sampled import analyse, controller_system
+from hil.stability.ultimate import EXACT
+from hil.stability.verdict import Verdict, unless
+
+
+def designed(subject: Subject, controller: LinearController, model: ModelSettings) -> Verdict:
+    """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors."""
+    alpha = subject.stated.model_error
+    conditions, worst, d, gamma = [], None, np.zeros(6), 1.0
+    for scale in (1.0,) if alpha == 0.0 else (1.0 - alpha, 1.0 + alpha):
+        friction = subject.friction(model)
+        believed = subject.believed(model, scale)
+        linearised = Linearised(subject.robot, believed, controller.axes, subject.stated.load, friction)
+        found = summary(along(linearised, subject.path))
+        loop = analyse(subject.axis._replace(gain=found.gamma), controller_system(controller))
+        off = float(found.spread.max())
+        if off > EXACT:
+            conditions.append(f"the believed inertia, {100 * off:.2g} % off beyond its scale, changes little")
+        if worst is None or not loop.peak_gain * found.d.max() < worst.peak_gain * d.max():
+            worst, d, gamma = loop, found.d, found.gamma
+    assert worst is not None
+    lines, figures = describe(worst)
+    figures |= {"axes": controller.axes, "gamma": gamma, "order": len(controller.A)}
+    if not worst.stable:
+        return Verdict("unstable", unstable(subject, worst), [], lines, figures)
+    claim = f"errors die out as exp(-{worst.decay_rate:.3g} t)"
+    if d.max() > 1e-6:
+        error = worst.peak_gain * d
+        figures |= {"disturbance": d.tolist(), "ultimate_bound": error.tolist()}
+        conditions.append("what disturbs within the bound is what disturbs on the reference")
+        size = f"{1e3 * error.max():.3g} mm of leg length"
+        if controller.axes == "pose":
+            size = f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
+        claim += f" and stay below {size} along the reference{beside(subject)}"
+        lines.append(f"disturbance    {d.max():.3g} m/s^2 times the peak gain of the sampled loop")
+    if subject.c.plant is None:
+        conditions.append("the robot is as section platform says, its drives have neither friction nor lag")
+    return Verdict(unless(conditions), claim, conditions, lines, figures)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.app.stability.linearising import beside, describe, unstable
 from hil.app.stability.subject import Subject
+from hil.app.stability.words import beside, describe, unstable
 from hil.config import ModelSettings
 from hil.config.linear_controller import LinearController
 from hil.stability.disturbance import Linearised, along, summary

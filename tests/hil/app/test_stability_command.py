@@ -1,0 +1,179 @@
+"""`hil stability` and the line in `hil check`: a verdict for every law, with reasons."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hil.app.check import inspect
+from hil.app.configuration import load, loads
+from hil.app.stability import JUDGES, assess, judge
+from hil.app.stability.designed import designed
+from hil.app.stability.subject import Stated, Subject
+from hil.cli import main
+from hil.config import ModelSettings
+from hil.config.linear_controller import LinearController
+from hil.control import LAWS
+from hil.stability.disturbance import Load
+
+CONSTANT = "  model: {variant: constant, frozen_at: {position_m: [0, 0, 1]}}\n"
+DELAY = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
+VIRTUAL = load("virtual").text
+LEGS = "  kp_N_m: 4e5\n  kv_N_s_m: 4e4\n"
+POSE = (
+    "  kp_position_N_m: 4e5\n  kv_position_N_s_m: 4e4\n  kp_rotation_N_m_rad: 2e5\n  kv_rotation_N_m_s_rad: 2e4\n"
+    "  model: {variant: full}\n"
+)
+UNCERTAIN = "  uncertainty: {disturbance_m_s2: 13, model_error: 0.1, acceleration_m_s2: 12}\n"
+SLIDING = f"  law: sliding_mode\n  lambda_rad_s: 92\n  reaching_m_s2: 1\n{UNCERTAIN}"
+
+
+def bench(law, *, rest=False, rate=1000):
+    a, b = VIRTUAL.index("\ncontroller:") + 1, VIRTUAL.index("\nengage:") + 1
+    text = f"{VIRTUAL[:a]}controller:\n{law}\n{VIRTUAL[b:]}"
+    if rest:
+        a, b = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+        hold = "reference:\n  type: hold\n  pose: {position_m: [0, 0, 1]}\n  duration_s: 1\n"
+        text = f"{text[:a]}{hold}\n{text[b:]}"
+    return loads(text.replace("rate_Hz: 1000\n", f"rate_Hz: {rate}\n"), "my.yaml", Path())
+
+
+def test_every_law_of_the_table_has_its_judge():
+    assert set(JUDGES) == set(LAWS)
+
+
+@pytest.mark.parametrize(
+    ("law", "rest", "status", "because"),
+    [
+        (f"  law: pd\n{LEGS}", True, "conditional", "a pose 9.14 mm of leg length off"),
+        (f"  law: pd_gravity\n{LEGS}", True, "proven", "the set-point is asymptotically stable"),
+        (f"  law: pd_gravity\n{LEGS}", False, "conditional", "the set-point is asymptotically stable"),
+        (f"  law: pd_gravity\n{LEGS}  model: {{inertia_scale: 0.9}}\n", True, "conditional", "0.906 mm"),
+        (f"  law: feedforward_pd\n{LEGS}", True, "conditional", "the set-point is asymptotically stable"),
+        (f"  law: cartesian_pd\n{POSE}", True, "proven", "the set-point is asymptotically stable"),
+        (f"  law: cartesian_pd\n{POSE}  rotation_error: vector_difference\n", True, "conditional", "not symmetric"),
+        (f"  law: pid\n{LEGS}  ki_N_m_s: 4e5\n  integral_limit_N: 1e4\n", True, "conditional", "die out as exp"),
+        (f"  law: pid\n{LEGS}  ki_N_m_s: 4e5\n  integral_limit_N: 100\n", True, "not proven", "cannot carry the weight"),
+        (f"  law: pid\n{LEGS}  ki_N_m_s: 4e8\n  integral_limit_N: 1e4\n", True, "unstable", "eigenvalue"),
+        ("  law: pd\n  kp_N_m: 100\n  kv_N_s_m: 4e4\n", True, "not proven", "stiffen them"),
+        ("  law: inverse_dynamics\n  wn_rad_s: 20\n", False, "proven", "die out as exp(-16.7 t)"),
+        ("  law: inverse_dynamics\n  wn_rad_s: 500\n", False, "unstable", "1 ms from measurement to force"),
+        (f"  law: inverse_dynamics\n  wn_rad_s: 20\n{CONSTANT}", False, "not proven", "differs too much"),
+        (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", False, "conditional", "die out as exp"),
+        ("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n", False, "proven", "die out as exp"),
+        ("  law: partial_linearisation\n  wn_rad_s: 20\n", False, "proven", "stay below 0.228 mm"),
+        (SLIDING, False, "conditional", "stay below 2 mm"),
+        (f"{SLIDING}  boundary_layer_m_s: 0\n", False, "conditional", "s reaches its layer"),
+        (
+            f"  law: robust_inverse_dynamics\n  wn_rad_s: 60\n  boundary_layer_m_s: 0.43\n{UNCERTAIN}",
+            False, "conditional", "stay below 7.17 mm",
+        ),
+    ],
+)  # fmt: skip
+def test_the_verdict_on_a_law(law, rest, status, because):
+    verdict = judge(bench(law, rest=rest), quick=True)
+    assert verdict.status == status, verdict
+    assert because in verdict.line
+    if not rest and "pd" in law:
+        assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
+
+
+def test_what_a_pd_sags_is_what_its_springs_carry():
+    """To first order tau / K_p, the book's 3.66 kN a leg at home."""
+    found = judge(bench(f"  law: pd\n{LEGS}", rest=True), quick=True).figures["energy"]["sag_mm"]
+    assert found == pytest.approx(1e3 * 3660 / 4e5, rel=0.02)
+
+
+def test_a_sliding_gain_that_is_too_small_for_the_load_given_is_not_proven():
+    config = bench(SLIDING)
+    assert judge(config, Stated(Load(17_320.0), 0.1)).status == "conditional"
+    verdict = judge(config, Stated(Load(30_000.0), 0.1))
+    assert verdict.status == "not proven"
+    assert "do not cover" in verdict.claim
+
+
+def test_the_bound_of_partial_linearisation_is_that_of_what_it_leaves_out():
+    """H alone: 0.0839 m/s^2 over wn^2, and 8.9 % on top for the ellipsoid."""
+    figures = judge(bench("  law: partial_linearisation\n  wn_rad_s: 20\n")).figures
+    least, bound = (max(figures[name]) for name in ("least_bound", "ultimate_bound"))
+    assert least == pytest.approx(max(figures["disturbance"]) / 400.0, rel=1e-9)
+    assert bound == pytest.approx(np.sqrt(32 / 27) * least, rel=1e-9)
+
+
+def test_a_load_in_pose_space_is_bounded_in_millimetres_and_degrees():
+    """10 kN on 1150 kg and a share of the legs: less than 10 / 1150 of m/s^2 over wn^2, 21.7 mm."""
+    law = "  law: pose_inverse_dynamics\n  wn_rad_s: 20\n"
+    summary = assess(bench(law, rest=True), force_N=10_000.0)
+    least = max(summary["figures"]["least_bound"][:3])
+    assert 0.7 * 10_000 / 1150 / 400 < least < 10_000 / 1150 / 400
+    assert "mm and" in summary["claim"]
+
+
+def test_a_designed_controller_is_judged_by_its_loop():
+    """The PD of wn 20 as a controller file gives what inverse dynamics of wn 20 gives."""
+    controller = LinearController(
+        kind="linear-controller", method="hinf", axes="joint", rate_Hz=1000, inputs=["error", "rate_error"],
+        A=[], B=[], C=[[]], D=[[400.0, 40.0]], anti_windup=[], design={},
+    )  # fmt: skip
+    plain = bench("  law: inverse_dynamics\n  wn_rad_s: 20\n")
+    verdict = designed(Subject(plain, Stated(Load(17_320.0))), controller, ModelSettings())
+    reference = judge(plain, Stated(Load(17_320.0)))
+    assert verdict.figures["sampled"] == pytest.approx(reference.figures["sampled"], rel=1e-9)
+    assert verdict.status == "conditional"
+    least = max(reference.figures["least_bound"])
+    assert max(verdict.figures["ultimate_bound"]) == pytest.approx(least, rel=0.02)
+    wild = controller.model_copy(update={"D": [[250_000.0, 1000.0]]})
+    assert designed(Subject(plain, Stated()), wild, ModelSettings()).status == "unstable"
+
+
+def test_friction_that_the_law_does_not_know_counts_as_a_disturbance():
+    """The lab's drives lose 250 N of Coulomb and 600 N s/m of viscous friction, and its law knows nothing of it."""
+    verdict = judge(load("lab"))
+    assert max(verdict.figures["disturbance"]) > 1.0
+    assert "stay below" in verdict.claim
+
+
+def test_the_check_has_a_line_for_it():
+    report = inspect(load("virtual"))
+    assert "stability proven: errors die out as exp(-16.7 t)" in report.sections["controller"]
+    assert report.figures["stability"]["verdict"] == "proven"
+    bad = inspect(bench("  law: inverse_dynamics\n  wn_rad_s: 500\n"))
+    assert any("eigenvalue of magnitude" in w for w in bad.warnings)
+
+
+def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
+    file = tmp_path / "proof.json"
+    options = ["stability", "virtual", "--disturbance-force", "17320", "--json", str(file)]
+    result = CliRunner().invoke(main, options)
+    assert result.exit_code == 0, result.output
+    text = " ".join(result.output.split())
+    for words in ("verdict proven", "mm of leg length", "margins phase 71 deg", "dV/dt <= -10 (V - d^2)"):
+        assert words in text
+    summary = json.loads(file.read_text())
+    assert summary["kind"] == "stability"
+    assert summary["stated"]["force_N"] == 17320
+    assert len(summary["figures"]["ultimate_bound"]) == 6
+
+
+def test_the_command_searches_the_sublevel_set_of_an_energy(tmp_path):
+    config = tmp_path / "my.yaml"
+    config.write_text(bench(f"  law: pd_gravity\n{LEGS}", rest=True).text)
+    result = CliRunner().invoke(main, ["stability", str(config)])
+    assert result.exit_code == 0, result.output
+    assert "sublevel set" in result.output
+
+
+def test_a_refuted_law_ends_with_one_and_a_wrong_option_with_two(tmp_path):
+    config = tmp_path / "my.yaml"
+    config.write_text(bench("  law: inverse_dynamics\n  wn_rad_s: 500\n").text)
+    assert CliRunner().invoke(main, ["stability", str(config)]).exit_code == 1
+    assert CliRunner().invoke(main, ["stability", "virtual", "--model-error", "1"]).exit_code == 2
+    assert CliRunner().invoke(main, ["stability", "virtual", "--disturbance-force", "-1"]).exit_code == 2
+
+
+def test_its_help_teaches_the_verdicts():
+    text = CliRunner().invoke(main, ["stability", "--help"]).output
+    for word in ("proven", "conditional", "LaSalle", "reaching condition", "J M^-1 w", "Exit code"):
+        assert word in text

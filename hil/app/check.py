@@ -5,7 +5,6 @@ Rule of the room: reads a configuration, starts nothing, opens no bus.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +13,18 @@ import numpy as np
 from drivers import PROTOCOLS
 from drivers.bustime import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
+from hil.app.check_controller import report_controller
+from hil.app.check_report import Report
 from hil.app.compose import build_admission
 from hil.app.configuration import Configuration, load, platform_dict
 from hil.app.consistency import bus_budget
-from hil.app.controller_file import controller_of
 from hil.app.reach import Walk, span_s, violations, walk, window_swing
 from hil.app.yaml_positions import Problem, parse
 from hil.clock import real_time
 from hil.config import (
-    ErrorDynamics,
     HoldReference,
     LiveReference,
-    ModelSettings,
-    RobustInverseDynamicsSettings,
-    SlidingModeSettings,
-    StateSpaceSettings,
 )
-from hil.control.margin import cross_over, phase_margin_deg
 from hil.dynamics import Model
 from hil.geometry import Platform
 from hil.kinematics import condition, jacobian, leg_lengths
@@ -38,29 +32,6 @@ from hil.rotations import rotation_from_vector
 from hil.safety.guard import WINDOW_S
 from hil.steering import explain
 from hil.trajectory import axis_limits, build_trajectory, six_words
-
-
-@dataclass
-class Report:
-    """Figures of a configuration, in sections, and what is worth a warning."""
-
-    name: str
-    sections: dict[str, list[str]] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    figures: dict[str, Any] = field(default_factory=dict)
-    """The same as plain values, for `--json`."""
-
-    @property
-    def lines(self) -> list[str]:
-        """All as text."""
-        text = [f"configuration {self.name}"]
-        for title, lines in self.sections.items():
-            text += [title, *(f"  {line}" for line in lines)]
-        return text + [f"warning: {w}" for w in self.warnings]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
-        return {"configuration": self.name, "figures": self.figures, "warnings": self.warnings}
 
 
 def check(path: str | Path) -> Report:
@@ -80,8 +51,7 @@ def inspect(c: Configuration) -> Report:
     _robot(report, c, platform, model)
     _bus(report, c)
     _drives(report, c)
-    _controller(report, c)
-    _stability(report, c)
+    report_controller(report, c)
     _reference(report, c, platform, model)
     _permissions(report, c)
     return report
@@ -147,113 +117,6 @@ def _drives(report: Report, c: Configuration) -> None:
         f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {c.drives.reaction}",
     ]
     report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.drives.reaction}
-
-
-def _controller(report: Report, c: Configuration) -> None:
-    law = c.controller
-    report.sections["controller"] = lines = [f"law {law.law}"]
-    if isinstance(law, LINEARISING | StateSpaceSettings):
-        model = getattr(law, "model", None)
-        variant = model.variant if isinstance(model, ModelSettings) else "no_H"
-        lines.append(f"model {variant}")
-        if variant in MODEL_WARNINGS:
-            report.warnings.append(f"controller.model.variant {variant}: {MODEL_WARNINGS[variant]}")
-    if isinstance(law, LINEARISING):
-        lines += _margin(report, c, *law.linear_gains)
-    if isinstance(law, StateSpaceSettings):
-        lines += _designed(report, c, law)
-    if isinstance(law, SlidingModeSettings):
-        phi = law.boundary_layer
-        lines.append(
-            f"switching gain {law.switching_gain:.3g} m/s^2, boundary layer {phi:.3g} m/s: "
-            f"|e| <= {1e3 * phi / law.lambda_rad_s:.3g} mm"
-        )
-    if isinstance(law, RobustInverseDynamicsSettings):
-        lines.append(f"bound rho {law.bound:.3g} m/s^2, boundary layer {law.boundary_layer_m_s:.3g} m/s")
-
-
-def _stability(report: Report, c: Configuration) -> None:
-    """Say in one line what is proven of the law."""
-    from hil.app.stability import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
-
-    verdict = judge(c, quick=True)
-    report.sections["controller"].append(f"stability {verdict.line}")
-    report.figures["stability"] = {
-        "verdict": verdict.status,
-        "claim": verdict.claim,
-        "conditions": verdict.conditions,
-    }
-    if verdict.status == "unstable":
-        report.warnings.append(f"controller: {verdict.claim}")
-
-
-def _margin(report: Report, c: Configuration, K_P: float, K_D: float) -> list[str]:
-    """Return what the loop's delay costs a law with these gains, and warn where too little is left."""
-    transport, lag = _path_s(c)
-    delay = transport + 0.5 / c.loop.rate_Hz + lag  # the zero-order hold is half a period
-    if np.isinf(K_D):
-        report.warnings.append(
-            "controller.boundary_layer_m_s 0 switches between two forces at every tick: with "
-            f"{1e3 * delay:.1f} ms of delay it chatters; make it thicker"
-        )
-        return ["no boundary layer: the law switches"]
-    w_c, whole, left = cross_over(K_P, K_D), phase_margin_deg(K_P, K_D), phase_margin_deg(K_P, K_D, delay)
-    report.figures["controller"] = {
-        "cross_over_rad_s": w_c,
-        "delay_ms": 1e3 * delay,
-        "phase_loss_deg": whole - left,
-        "phase_margin_deg": left,
-    }
-    if left < LEAST_MARGIN_DEG:
-        keys, remedy = TUNING.get(c.controller.law, ("wn_rad_s", "lower it"))
-        report.warnings.append(
-            f"controller.{keys}: about {left:.0f} degrees of phase margin at loop.rate_Hz "
-            f"{c.loop.rate_Hz:g}, advised: at least {LEAST_MARGIN_DEG:g}; {remedy} or raise the rate"
-        )
-    line = f"crosses over at {w_c:.0f} rad/s; {1e3 * delay:.1f} ms of delay cost about {whole - left:.0f} of "
-    return [line + f"{whole:.0f} degrees of phase margin"]
-
-
-def _path_s(c: Configuration) -> tuple[float, float]:
-    """Return the time from SYNC to force, at most one period, and the lag of the drives' force loop."""
-    lag = 0.0
-    if c.plant is not None and c.plant.model.type == "stewart" and c.plant.model.force_bandwidth_Hz > 0:
-        lag = 1 / (2 * np.pi * c.plant.model.force_bandwidth_Hz)
-    return 0.0 if c.bus.layout == "ideal" else 1.0 / c.loop.rate_Hz, lag
-
-
-def _designed(report: Report, c: Configuration, law: StateSpaceSettings) -> list[str]:
-    """Return what the designed controller is and what its loop leaves, and warn where that is too little."""
-    from hil.app.designed_loop import judge  # noqa: PLC0415 - scipy, for the few who design
-
-    controller = controller_of(law, c.folder)
-    assert controller is not None
-    lines, figures, warnings = judge(law.controller_file, controller, *_path_s(c), LEAST_MARGIN_DEG)
-    report.figures["controller"] = figures
-    report.warnings += warnings
-    return lines
-
-
-LINEARISING = ErrorDynamics | SlidingModeSettings | RobustInverseDynamicsSettings
-"""Laws that leave e'' + K_D e' + K_P e = d of an error, at least while it is small."""
-LEAST_MARGIN_DEG = 30.0
-TUNING = {
-    "sliding_mode": ("lambda_rad_s and boundary_layer_m_s", "make lambda smaller, the layer thicker,"),
-    "robust_inverse_dynamics": ("wn_rad_s and boundary_layer_m_s", "make wn smaller, the layer thicker,"),
-}
-"""By law: what sets its gains beside wn alone, and how to lower them."""
-MODEL_WARNINGS = {
-    "constant": (
-        "M, G and J frozen at one pose: good for small motion only. On the book's path (0.6 m, 19 deg) it "
-        "ends 395 mm off, through a singularity at 1.011 s into another assembly; constant_MG ends at 2.2 mm"
-    ),
-    "constant_MG": "M and G frozen at one pose: 2.2 mm on the book's path, full 0.03 mm",
-    "printed": (
-        "without H and without J_dot twist: the latter is up to 15.7 % of the force on the book's path "
-        "(2.6 mm of leg error there)"
-    ),
-}
-"""Figures: book platform, book path, wn 20 rad/s, 1 kHz."""
 
 
 def refuse_unreachable(c: Configuration) -> None:

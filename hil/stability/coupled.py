@@ -12,8 +12,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from hil.linear_system import ComplexArray, LinearSystem, static
+from hil.sampled_loop import sampled_axis
 from hil.signals import Array
-from hil.stability.sampled import Axis, sampled_axis
+from hil.stability.sampled import Axis
 
 
 def proportional(K_p: Array, K_v: Array, period_s: float) -> LinearSystem:
@@ -33,9 +34,8 @@ def growth(axis: Axis, controller: LinearSystem, mobility: Array) -> float:
 
     mobility (6, 6): acceleration of the axes per force of each, J M^-1 J^T for legs, M^-1 for a pose.
     """
-    one = sampled_axis(axis)
-    undisturbed = one._replace(B=one.B[:, :1], D=one.D[:, :1])
-    plant = reduce(lambda left, right: left.beside(right), [undisturbed] * 6)
+    one = sampled_axis(axis.transport_s, axis.lag_s, axis.period_s, axis.gain)
+    plant = reduce(lambda left, right: left.beside(right), [one] * 6)
     order = [*range(0, 12, 2), *range(1, 12, 2)]  # positions, then rates
     y = -plant.C[order]
     forces = LinearSystem(
@@ -51,11 +51,11 @@ def delay_margin_s(axis: Axis, controller: LinearSystem, mobility: Array) -> flo
     A common delay turns all eigenvalues of the loop's frequency response by the same angle: the least margin
     of these characteristic loci is the loop's (A. G. J. MacFarlane and I. Postlethwaite, 1977).
     """
-    plant = sampled_axis(axis)
+    plant = sampled_axis(axis.transport_s, axis.lag_s, axis.period_s, axis.gain)
 
     def loci(omega: Array) -> ComplexArray:
         """Return the eigenvalues (n, 6), the largest first."""
-        axes = np.kron(plant.response(omega)[:, :, :1], np.eye(6))
+        axes = np.kron(plant.response(omega), np.eye(6))
         values = np.asarray(np.linalg.eigvals(mobility @ controller.response(omega) @ axes), np.complex128)
         return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1), axis=1)
 

@@ -10,16 +10,15 @@ its eigenvalues tell whether the sampled loop is stable, exactly and with all de
 
 from __future__ import annotations
 
-from math import floor, inf, pi
+from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from drivers.errors import ModelError
-from hil.config.linear_controller import LinearController
 from hil.linear_system import ComplexArray, LinearSystem, static
+from hil.sampled_loop import sampled_axis
 from hil.signals import Array
 
 
@@ -67,69 +66,18 @@ class Sampled(NamedTuple):
         return bool((np.abs(self.poles) < 1.0).all())
 
 
-def sampled_axis(axis: Axis) -> LinearSystem:
-    """Return the axis from u[k] and a disturbing acceleration d[k] to position and rate at k, exact.
-
-    States: position, rate, the force's acceleration where it lags, and the commands under way: of transport
-    delay m T + r, 0 <= r < T, u[k-m-1] acts for r of a period and u[k-m] for the rest (K. J. Astrom and
-    B. Wittenmark, Computer-Controlled Systems, 3rd ed., 1997, 2.3).
-    """
+def disturbed_axis(axis: Axis) -> LinearSystem:
+    """Return the axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
     T = axis.period_s
-    m = floor(axis.transport_s / T + 1e-9)
-    r = max(axis.transport_s - m * T, 0.0)
-    drive = np.zeros((3, 3)) if axis.lag_s > 0.0 else np.zeros((2, 2))
-    n = len(drive)
-    drive[0, 1] = 1.0
-    push, load = np.zeros((n, 1)), np.zeros((n, 1))
-    load[1, 0] = 1.0
-    if axis.lag_s > 0.0:
-        drive[1, 2], drive[2, 2], push[2, 0] = 1.0, -1.0 / axis.lag_s, axis.gain / axis.lag_s
-    else:
-        push[1, 0] = axis.gain
-    Phi, late = held(drive, push, r)
-    rest, soon = held(drive, push, T - r)
-    _, disturbed = held(drive, load, T)
-    under_way = m + (1 if r > 1e-12 * T else 0)
-    A, B = np.zeros((n + under_way, n + under_way)), np.zeros((n + under_way, 2))
-    A[:n, :n] = rest @ Phi
-    B[:n, 1] = disturbed[:, 0]
-    # The oldest command under way stands last: u[k-1], u[k-2], ... u[k-under_way].
-    if r > 1e-12 * T:
-        A[:n, n + under_way - 1] = (rest @ late)[:, 0]
-    if m == 0:
-        B[:n, 0] = soon[:, 0]
-    else:
-        A[:n, n + m - 1] += soon[:, 0]
-    for k in range(1, under_way):
-        A[n + k, n + k - 1] = 1.0
-    if under_way:
-        B[n, 0] = 1.0
-    C = np.zeros((2, n + under_way))
-    C[0, 0] = C[1, 1] = 1.0
-    return LinearSystem(A, B, C, np.zeros((2, 2)), T)
-
-
-def held(A: Array, B: Array, time: float) -> tuple[Array, Array]:
-    """Return exp(A t) and its integral times B: what a held input does within `time` s."""
-    n, m = B.shape
-    both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * time)
-    return both[:n, :n], both[:n, n:]
+    driven = sampled_axis(axis.transport_s, axis.lag_s, T, axis.gain)
+    push = np.zeros((driven.order, 1))
+    push[:2, 0] = T * T / 2.0, T
+    return driven._replace(B=np.hstack([driven.B, push]), D=np.zeros((2, 2)))
 
 
 def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
     """Return u = K_P e + K_D de as a controller."""
     return static(np.array([[K_P, K_D]]), period_s)
-
-
-def controller_system(controller: LinearController) -> LinearSystem:
-    """Return a designed controller as a system from [e, de] to u."""
-    n, columns = len(controller.A), {"error": 0, "rate_error": 1}
-    B, D = np.zeros((n, 2)), np.zeros((1, 2))
-    for k, name in enumerate(controller.inputs):
-        B[:, columns[name]] += [row[k] for row in controller.B]
-        D[0, columns[name]] += controller.D[0][k]
-    A, C = np.array(controller.A, float).reshape(n, n), np.array(controller.C, float).reshape(1, n)
-    return LinearSystem(A, B, C, D, 1.0 / controller.rate_Hz)
 
 
 def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
@@ -142,7 +90,7 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
             f"a controller of {controller.D.shape[1]} inputs and {controller.D.shape[0]} outputs,"
             " allowed: from [e, de] to u"
         )
-    plant = sampled_axis(axis)
+    plant = disturbed_axis(axis)
     loop = _closed(plant, controller)
     poles = loop.poles()
     radius = float(np.abs(poles).max())

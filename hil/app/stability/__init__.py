@@ -11,7 +11,7 @@ from typing import Any
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration import Configuration
-from hil.app.stability import linearising, springs
+from hil.app.stability import designed, linearising, springs
 from hil.app.stability.subject import Stated, Subject
 from hil.stability.disturbance import Load
 from hil.stability.verdict import Verdict
@@ -30,6 +30,7 @@ JUDGES: dict[str, Judge] = {
     "partial_linearisation": lambda subject, law, _: linearising.linear(subject, law),
     "sliding_mode": lambda subject, law, _: linearising.robust(subject, law),
     "robust_inverse_dynamics": lambda subject, law, _: linearising.robust(subject, law),
+    "state_space": lambda subject, law, _: designed.configured(subject, law),
 }
 """`controller.law` -> what judges it."""
 

@@ -7,14 +7,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.app.controller_file import controller_of
 from hil.app.stability.subject import Subject
 from hil.app.stability.words import beside, describe, unstable
-from hil.config import ModelSettings
+from hil.config import ModelSettings, StateSpaceSettings
 from hil.config.linear_controller import LinearController
+from hil.sampled_loop import sampled_controller
 from hil.stability.disturbance import Linearised, along, summary
-from hil.stability.sampled import analyse, controller_system
+from hil.stability.sampled import analyse
 from hil.stability.ultimate import EXACT
 from hil.stability.verdict import Verdict, unless
+
+
+def configured(subject: Subject, law: StateSpaceSettings) -> Verdict:
+    """Judge the controller that the law names. Raises ConfigurationError where its file is no good."""
+    controller = controller_of(law, subject.c.folder)
+    assert controller is not None
+    return designed(subject, controller, law.model)
 
 
 def designed(subject: Subject, controller: LinearController, model: ModelSettings) -> Verdict:
@@ -26,7 +35,7 @@ def designed(subject: Subject, controller: LinearController, model: ModelSetting
         believed = subject.believed(model, scale)
         linearised = Linearised(subject.robot, believed, controller.axes, subject.stated.load, friction)
         found = summary(along(linearised, subject.path))
-        loop = analyse(subject.axis._replace(gain=found.gamma), controller_system(controller))
+        loop = analyse(subject.axis._replace(gain=found.gamma), sampled_controller(controller))
         off = float(found.spread.max())
         if off > EXACT:
             conditions.append(f"the believed inertia, {100 * off:.2g} % off beyond its scale, changes little")

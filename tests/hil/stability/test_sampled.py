@@ -6,9 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from drivers.errors import ModelError
-from hil.config.linear_controller import LinearController
 from hil.linear_system import LinearSystem, static
-from hil.stability.sampled import Axis, _closed, analyse, controller_system, gains, sampled_axis
+from hil.stability.sampled import Axis, _closed, analyse, disturbed_axis, gains
 
 T = 1e-3
 
@@ -57,7 +56,7 @@ def test_the_delay_margin_is_where_the_eigenvalues_leave_the_circle(transport, l
     margin = margins_of(Axis(T, transport, lag), controller).delay_s
 
     def radius(further):
-        loop = _closed(sampled_axis(Axis(T, transport + further, lag)), controller)
+        loop = _closed(disturbed_axis(Axis(T, transport + further, lag)), controller)
         return np.abs(loop.poles()).max() - 1.0
 
     limit = brentq(radius, 0.0, 2.0 * margin, xtol=1e-3 * margin)
@@ -67,7 +66,7 @@ def test_the_delay_margin_is_where_the_eigenvalues_leave_the_circle(transport, l
 def test_a_delay_within_a_period_is_exact():
     """One step of u from rest: the position of a lagging, late double integrator, integrated by scipy."""
     axis = Axis(T, 1.3e-3, 0.8e-3, 0.9)
-    system = sampled_axis(axis)
+    system = disturbed_axis(axis)
     x, found = np.zeros((system.order, 1)), []
     for k in range(5):
         found.append((system.C @ x)[:, 0])
@@ -115,20 +114,3 @@ def test_too_much_gain_is_unstable_and_has_no_margins():
 def test_what_is_no_controller_of_an_error_and_its_rate_is_refused():
     with pytest.raises(ModelError, match=r"allowed: from \[e, de\] to u"):
         analyse(Axis(T), static(np.array([[1.0]]), T))
-
-
-def test_a_designed_controller_is_the_system_of_its_file():
-    """PD written as a file, inputs the other way round, with a state that only delays: u has e of a tick ago, too."""
-    file = LinearController(
-        kind="linear-controller", method="hinf", axes="joint", rate_Hz=1000, inputs=["rate_error", "error"],
-        A=[[0.0]], B=[[0.0, 1.0]], C=[[-30.0]], D=[[40.0, 430.0]], anti_windup=[0.0], design={},
-    )  # fmt: skip
-    system = controller_system(file)
-    np.testing.assert_array_equal(system.D, [[430.0, 40.0]])
-    np.testing.assert_array_equal(system.B, [[1.0, 0.0]])
-    found = analyse(Axis(T), system)
-    polynomial = np.polyadd(
-        np.polymul([1, 0], [1, -2, 1]),
-        np.polyadd(np.polymul([430.0, -30.0], [T**2 / 2, T**2 / 2]), np.polymul([40.0, 0], [T, -T])),
-    )
-    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(np.roots(polynomial)), atol=1e-9)

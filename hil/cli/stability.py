@@ -63,7 +63,7 @@ def stability_command(
       time to it; from section uncertainty, or from the load given here.
     PD, PD with gravity, feed-forward, Cartesian PD: the energy as V, LaSalle, and the largest
       sublevel set within stroke and away from singularities. For a reference at rest.
-    PID: eigenvalues at the reference's start.
+    PID: eigenvalues at the reference's start. Designed controllers: those of the sampled loop.
     All: eigenvalues and margins of the loop as it is sampled, held and late.
 
     \b

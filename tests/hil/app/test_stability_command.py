@@ -128,6 +128,16 @@ def test_a_designed_controller_is_judged_by_its_loop():
     assert designed(Subject(plain, Stated()), wild, ModelSettings()).status == "unstable"
 
 
+def test_the_law_that_runs_a_designed_controller_is_judged_by_its_file(tmp_path):
+    file = tmp_path / "pd.yaml"
+    file.write_text(
+        "kind: linear-controller\nmethod: hinf\naxes: joint\nrate_Hz: 1000\ninputs: [error, rate_error]\n"
+        "A: []\nB: []\nC: [[]]\nD: [[400, 40]]\nanti_windup: []\ndesign: {}\n"
+    )
+    verdict = judge(bench(f"  law: state_space\n  controller_file: {file}\n"))
+    assert verdict.line == "proven: errors die out as exp(-16.7 t)"
+
+
 def test_friction_that_the_law_does_not_know_counts_as_a_disturbance():
     """The lab's drives lose 250 N of Coulomb and 600 N s/m of viscous friction, and its law knows nothing of it."""
     verdict = judge(load("lab"))

@@ -147,8 +147,8 @@ def basin(
     """Return the largest sublevel set around a well within a region, searched for along rays.
 
     outside(p, R) says what is wrong with a pose, or None. Each ray goes from the well to the edge of the
-    region, where S is read; the lowest is sought on from the five lowest rays by the simplex of Nelder and
-    Mead. The directions are those of equal S near the well. A search, no enclosure.
+    region, where S is read; the lowest is sought on from the five lowest rays by Powell's method. The
+    directions are those of equal S near the well. A search, no enclosure.
     """
     scale = np.array([1.0] * 3 + [1.0 / radius] * 3)
     _, stiffness = _derivatives(S, start.p, start.R, scale)
@@ -176,8 +176,8 @@ def basin(
     directions = np.vstack([directions, np.eye(6), -np.eye(6)])
     heights = np.array([edge(u)[0] for u in directions])
     lowest = directions[np.argsort(heights)[:5]]
-    options = {"maxfev": 80}
-    found = [minimize(lambda u: edge(u)[0], u, method="Nelder-Mead", options=options) for u in lowest]
+    options = {"maxfev": 300}
+    found = [minimize(lambda u: edge(u)[0], u, method="Powell", options=options) for u in lowest]
     level, way = edge(min(found, key=lambda result: result.fun).x)
     p, R = displaced(start.p, start.R, way)
-    return Basin(level, p, R, outside(p, R) or "the edge of the region")
+    return Basin(float(level), p, R, outside(p, R) or "the edge of the region")

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from hil.app.configuration import load, platform_dict
 from hil.dynamics import Model
 from hil.geometry import Platform
-from hil.kinematics import condition, jacobian, leg_lengths
+from hil.kernels.kinematics import jacobian_kernel, leg_lengths_kernel
+from hil.kinematics import jacobian, leg_lengths
+from hil.linalg import condition_kernel
 from hil.rotations import rotation_from_vector
 from hil.stability.energy import basin, displaced, leg_springs, stiffness_matrix, total, weight, well
 
@@ -91,6 +94,11 @@ def test_the_basin_of_a_bowl_is_known():
     assert found.reason == "far"
 
 
+def condition_of(p, R):
+    J = jacobian_kernel(PLATFORM.base_joints, PLATFORM.platform_joints, p, R)
+    return condition_kernel(J, PLATFORM.radius)
+
+
 @pytest.fixture(scope="module")
 def shallow():
     """The book's platform within 0.75 to 2.2 m and a condition of 50."""
@@ -98,10 +106,10 @@ def shallow():
     S = leg_springs(PLATFORM, q_d, K_P, NOTHING)
 
     def outside(p, R):
-        q = leg_lengths(PLATFORM, p, R)
+        q = leg_lengths_kernel(PLATFORM.base_joints, PLATFORM.platform_joints, p, R)
         if q.min() < 0.77 or q.max() > 2.18:
             return "stroke"
-        return None if condition(PLATFORM, p, R) < 50 else "singularity"
+        return None if condition_of(p, R) < 50 else "singularity"
 
     return S, outside, basin(S, well(S, *HOME, 1.0), 1.0, outside, rays=60)
 
@@ -123,3 +131,27 @@ def test_below_its_level_no_ray_of_another_seed_leaves_the_basin(shallow):
             if S(*pose) > found.level_J:
                 break
             assert outside(*pose) is None
+
+
+def test_a_search_along_the_edge_itself_finds_no_lower_level(shallow):
+    """Sequential quadratic programming on condition = 50, from poses of its own: S there, at its lowest."""
+    S, _, found = shallow
+
+    def excess(x):
+        return np.log(condition_of(*displaced(*HOME, x)) / 50.0)
+
+    lowest = []
+    for direction in np.random.default_rng(5).standard_normal((12, 6)):
+        start = 0.4 * direction / np.linalg.norm(direction)
+        result = minimize(
+            lambda x: S(*displaced(*HOME, x)) / 1e4,
+            start,
+            method="SLSQP",
+            bounds=[(-1.0, 1.0)] * 6,
+            constraints=[{"type": "ineq", "fun": excess}],
+            options={"maxiter": 80},
+        )
+        if result.success and excess(result.x) > -1e-3:
+            lowest.append(1e4 * result.fun)
+    assert len(lowest) > 2
+    assert min(lowest) == pytest.approx(found.level_J, rel=0.01)

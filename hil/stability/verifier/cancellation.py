@@ -1,0 +1,139 @@
+"""Exact algebra before any interval: what cancels in the derivative of V cancels here.
+
+Rule of the room: every step is an identity of real functions wherever f and V are defined. Decimal
+numbers mean what is written (0.1 is 1/10). Enclosures cannot show that b v - v b is zero; this can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+
+from drivers.errors import ModelError
+
+
+def exact(expression: sp.Expr) -> sp.Expr:
+    """Return the expression with each decimal number as the fraction that is written."""
+    e = sp.sympify(expression)
+    return e.xreplace({x: sp.Rational(str(x)) for x in e.atoms(sp.Float)})
+
+
+def cancelled(expression: sp.Expr) -> sp.Expr:
+    """Return an equal expression in which common factors and opposite terms are gone."""
+    e = sp.expand(expression)
+    try:
+        e = sp.cancel(sp.together(e)) if not e.is_polynomial(*e.free_symbols) else e
+    except sp.PolynomialError:
+        return e
+    top, bottom = sp.fraction(sp.together(e))
+    top = sp.expand(_pythagoras(sp.expand(top)))
+    return sp.expand(top / bottom) if bottom.is_number else top / bottom
+
+
+def _pythagoras(e: sp.Expr) -> sp.Expr:
+    """cos^2 = 1 - sin^2, wherever both stand."""
+    both = {c.args[0] for c in e.atoms(sp.cos)} & {s.args[0] for s in e.atoms(sp.sin)}
+    for u in both:
+        s, c = sp.sin(u), sp.cos(u)
+        e = e.replace(
+            lambda p, c=c: isinstance(p, sp.Pow) and p.base == c and p.exp.is_Integer and p.exp > 1,
+            lambda p, s=s, c=c: (1 - s**2) ** (p.exp // 2) * c ** (p.exp % 2),
+        )
+    return e
+
+
+def continuous(expression: sp.Expr) -> sp.Expr:
+    """Return the expression without sign(): u sign(u) = |u|, |u| sign(u) = u.
+
+    What differentiation makes of |u| stands away from u = 0. Where the result is continuous, it holds
+    there too, and what was differentiated is continuously differentiable.
+
+    Raises ModelError where a jump stays.
+    """
+    e = expression
+    for _ in range(8):
+        signs = sorted(e.atoms(sp.sign), key=sp.default_sort_key)
+        if not signs:
+            return e
+        e = _without(signs[0], e)
+    raise ModelError(f"{expression} is not shown to be continuous")
+
+
+def _without(sign: sp.Expr, expression: sp.Expr) -> sp.Expr:
+    u, s = sign.args[0], sp.Dummy("s", real=True)
+    e = expression.xreplace({sign: s})
+    inner = {p for p in e.atoms(sp.Pow) if not p.exp.is_Integer and p.has(sp.Abs(u))}
+    if not inner:
+        e = e.xreplace({sp.Abs(u): u * s})
+    try:
+        terms = sp.Poly(sp.expand(e), s)
+    except sp.PolynomialError:
+        raise ModelError(f"{expression} is not shown to be continuous at {u} = 0") from None
+    odd = even = sp.S.Zero
+    for (power,), coefficient in terms.terms():
+        odd, even = (odd + coefficient, even) if power % 2 else (odd, even + coefficient)
+    quotient = sp.cancel(sp.together(odd) / u)
+    if quotient != 0 and _divides_by(quotient, u):
+        raise ModelError(f"{expression} jumps at {u} = 0, or is not shown not to")
+    return even + quotient * sp.Abs(u)
+
+
+def _divides_by(quotient: sp.Expr, u: sp.Expr) -> bool:
+    bottom = sp.denom(sp.together(quotient))
+    return bool(bottom.free_symbols) and not bottom.free_symbols.isdisjoint(u.free_symbols)
+
+
+def lie_derivative(
+    h: sp.Expr, field: Mapping[sp.Symbol, sp.Expr], states: Sequence[sp.Symbol] | None = None
+) -> sp.Expr:
+    """Return dh/dt = grad h . f along the trajectories, cancelled (section 6.0.5).
+
+    Raises ModelError where h is not shown to be continuously differentiable.
+    """
+    states = tuple(field) if states is None else states
+    gradient = {x: continuous(sp.diff(h, x)) for x in states}
+    return cancelled(continuous(sp.expand(sum((gradient[x] * field[x] for x in states), sp.S.Zero))))
+
+
+def factors(expression: sp.Expr) -> list[tuple[sp.Expr, sp.Rational]]:
+    """Return the factors with their powers, denominators with negative ones."""
+    try:
+        e = sp.factor(sp.together(expression))
+    except sp.PolynomialError:
+        e = sp.together(expression)
+    return [part.as_base_exp() for part in sp.Mul.make_args(e)]
+
+
+def half_angles(expression: sp.Expr) -> list[sp.Expr]:
+    """Return the expression with cos u as 1 - 2 sin^2(u/2) and as 2 cos^2(u/2) - 1; none without cosines.
+
+    So 1 - cos u becomes a square, and 1 + cos u.
+    """
+    if not expression.has(sp.cos):
+        return []
+    down = sp.expand(expression.replace(sp.cos, lambda u: 1 - 2 * sp.sin(u / 2) ** 2))
+    up = sp.expand(expression.replace(sp.cos, lambda u: 2 * sp.cos(u / 2) ** 2 - 1))
+    return [down, up]
+
+
+def squares(expression: sp.Expr, states: Sequence[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr]] | None:
+    """Return (d_i, l_i) with expression = sum d_i l_i^2 for a quadratic form, else None.
+
+    Completing the square, exactly: L D L^T of a form whose coefficients are numbers.
+    """
+    try:
+        form = sp.Poly(expression, *states)
+    except sp.PolynomialError:
+        return None
+    if any(sum(m) != 2 for m in form.monoms()) or any(c.free_symbols for c in form.coeffs()):
+        return None
+    rest, result = form.as_expr(), []
+    for x in states:
+        d = rest.coeff(x, 2)
+        if d == 0:
+            continue
+        line = sp.expand(x + rest.coeff(x, 1) / (2 * d))
+        result.append((d, line))
+        rest = sp.expand(rest - d * line**2)
+    return result if rest == 0 else None

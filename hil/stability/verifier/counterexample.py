@@ -1,0 +1,129 @@
+"""Counterexamples: points where a claim is false, each checked by interval arithmetic or exactly.
+
+Rule of the room: where to look is a guess, what is found is a proof. That nothing is found proves nothing.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from itertools import count, product
+
+import sympy as sp
+
+from hil.stability.verifier.branch_and_bound import halves, middle
+from hil.stability.verifier.interval import Cell, Enclosure, ball, unsupported
+from hil.stability.verifier.signs import Signs
+from hil.stability.verifier.system import Point
+
+_SHARES = tuple(sp.Rational(*r) for r in ((1, 2), (9, 10), (1, 4), (1, 10), (1, 100), (1, 1000), (1, 1)))
+_LENGTHS = tuple(
+    sp.Rational(*r) for r in ((1, 1), (1, 10), (1, 2), (2, 1), (5, 1), (1, 100), (100, 1), (1000, 1))
+)
+_ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
+_PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
+_WINDOW = 4.0
+"""Where an unbounded domain is searched."""
+_SEARCH = 600
+"""Cells of the search."""
+
+
+def above_zero(g: sp.Expr, signs: Signs) -> Point | None:
+    """Return a point with g > 0, shown by an enclosure, or None if none is found."""
+    return _find(g, signs, exact_zero=False)
+
+
+def not_above_zero(g: sp.Expr, signs: Signs) -> Point | None:
+    """Return a point other than the equilibrium with g <= 0, or None if none is found."""
+    return _find(-g, signs, exact_zero=True)
+
+
+def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
+    if unsupported(g):
+        return None
+    names = (*signs.system.states, *signs.system.ranges, *signs.system.positive)
+    h = Enclosure(g, names)
+    for point in _points(g, signs):
+        value = h.at(point)
+        if value > 0:
+            return point
+        if exact_zero and value.contains(0) and value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0:
+            return point
+    return _searched(h, signs)
+
+
+def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
+    states = signs.system.states
+    n = len(states)
+    directions = [d for d in product((0, 1, -1), repeat=n) if any(d)] if n <= 4 else _sparse(n)
+    if n == 2:
+        directions += [d for d in product((1, -1, 2, -2, 3, -3), repeat=2) if abs(d[0]) != abs(d[1])]
+    angles = _ANGLES if g.has(sp.sin, sp.cos, sp.tan) and not signs.system.bounded else ()
+    for parameters in _parameters(signs):
+        for length, share in ((k, min(k, 6)) for k in range(len(_LENGTHS))):
+            for d in directions:
+                point = {x: _step(signs, x, k, length, share) for x, k in zip(states, d, strict=True)}
+                yield point | parameters
+        for angle in angles:
+            for d in directions:
+                yield {x: k * angle for x, k in zip(states, d, strict=True)} | parameters
+
+
+def _step(signs: Signs, x: sp.Symbol, k: int, length: int, share: int) -> sp.Expr:
+    if k == 0:
+        return sp.S.Zero
+    low, high = signs.system.domain[x]
+    end = high if k > 0 else low
+    if end.is_infinite:
+        return k * _LENGTHS[length]
+    return abs(sp.Rational(k, 3 if abs(k) > 1 else 1)) * end * _SHARES[share]
+
+
+def _sparse(n: int) -> list[tuple[int, ...]]:
+    ends = [tuple(s if i == j else 0 for j in range(n)) for i in range(n) for s in (1, -1)]
+    return [*ends, (1,) * n, (-1,) * n]
+
+
+def _parameters(signs: Signs) -> list[Point]:
+    fixed = {p: [(low + high) / 2, low, high] for p, (low, high) in signs.system.ranges.items()}
+    free = signs.system.positive
+    choices: list[Point] = []
+    for values in product(*fixed.values()) if len(fixed) <= 2 else zip(*fixed.values(), strict=True):
+        ranged = dict(zip(fixed, values, strict=True))
+        for some in (
+            product(_PARAMETERS, repeat=len(free))
+            if len(free) <= 2
+            else [(v,) * len(free) for v in _PARAMETERS]
+        ):
+            choices.append(ranged | dict(zip(free, some, strict=True)))
+    return choices
+
+
+def _searched(h: Enclosure, signs: Signs) -> Point | None:
+    """Best first: the cell with the highest upper bound is halved next."""
+    if signs.system.positive:
+        return None
+    sides: Cell = tuple(
+        (max(low, -_WINDOW), min(high, _WINDOW)) for low, high in (signs.sides[v] for v in h.variables)
+    )
+    order = count()
+    heap = [(0.0, next(order), sides)]
+    for _ in range(_SEARCH):
+        if not heap or not signs.budget.take():
+            return None
+        cell = heapq.heappop(heap)[2]
+        m = middle(cell)
+        if h([ball(v, v) for v in m]) > 0 and _inside(signs, m):
+            return {x: sp.Rational(v) for x, v in zip(h.variables, m, strict=True)}
+        widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0])
+        for half in halves(cell, widest):
+            value = h.on(half)
+            if not value <= 0:
+                upper = float(value.upper()) if value.is_finite() else float("inf")
+                heapq.heappush(heap, (-upper, next(order), half))
+    return None
+
+
+def _inside(signs: Signs, point: list[float]) -> bool:
+    inside = signs.system.domain | signs.system.ranges
+    return all(low <= v <= high for v, (low, high) in zip(point, inside.values(), strict=True))

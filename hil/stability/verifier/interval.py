@@ -1,0 +1,182 @@
+"""Interval arithmetic: an expression becomes a function from balls to a ball that holds all its values.
+
+Rule of the room: python-flint's arb rounds outward, so what an enclosure excludes is excluded. Where an
+expression is not defined on a ball (a pole, the logarithm of zero) the enclosure is not finite, and no
+comparison with it is true. arb's own power gives no enclosure for negative bases: powers are made here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import sympy as sp
+from flint import arb, fmpq
+
+from drivers.errors import ModelError
+
+Ball = Any
+"""flint.arb."""
+Cell = tuple[tuple[float, float], ...]
+"""One pair (lower, upper) for each variable: floats are exact."""
+
+_UNARY: dict[Any, Callable[[Ball], Ball]] = {
+    sp.sin: lambda x: x.sin(),
+    sp.cos: lambda x: x.cos(),
+    sp.tan: lambda x: x.tan(),
+    sp.exp: lambda x: x.exp(),
+    sp.log: lambda x: x.log(),
+    sp.sinh: lambda x: x.sinh(),
+    sp.cosh: lambda x: x.cosh(),
+    sp.tanh: lambda x: x.tanh(),
+    sp.atan: lambda x: x.atan(),
+    sp.Abs: lambda x: x.abs_lower().union(x.abs_upper()),
+}
+"""What may stand in f and V beside sums, products and powers."""
+FUNCTIONS = frozenset(_UNARY)
+_NODES = (sp.Symbol, sp.Rational, sp.NumberSymbol, sp.Add, sp.Mul)
+
+
+class Enclosure:
+    """The interval extension of an expression in the given variables."""
+
+    def __init__(self, expression: sp.Expr, variables: Sequence[sp.Symbol]) -> None:
+        self.expression = expression
+        self.variables = tuple(variables)
+        self._steps: list[tuple[Callable[..., Ball], tuple[int, ...]]] = []
+        self._known: dict[sp.Expr, int] = {v: k for k, v in enumerate(self.variables)}
+        self._result = self._place(expression)
+
+    def __call__(self, balls: Sequence[Ball]) -> Ball:
+        """Return a ball that holds every value on the balls of the variables."""
+        values = list(balls)
+        for action, places in self._steps:
+            values.append(action(*[values[p] for p in places]))
+        return values[self._result]
+
+    def on(self, cell: Cell) -> Ball:
+        """Return the enclosure on a cell."""
+        return self([ball(*side) for side in cell])
+
+    def at(self, point: Mapping[sp.Symbol, sp.Expr]) -> Ball:
+        """Return the enclosure at a point of exact numbers."""
+        return self([number(point[v]) for v in self.variables])
+
+    def _place(self, e: sp.Expr) -> int:
+        if e not in self._known:
+            action, parts = _action(e)
+            places = tuple(self._place(p) for p in parts)
+            self._steps.append((action, places))
+            self._known[e] = len(self.variables) + len(self._steps) - 1
+        return self._known[e]
+
+
+def ball(lower: float, upper: float) -> Ball:
+    """Return a ball that holds [lower, upper], all numbers where an end is infinite."""
+    if math.isinf(lower) or math.isinf(upper):
+        return arb(0, math.inf)
+    return arb(lower) if lower == upper else arb(lower).union(arb(upper))
+
+
+def number(value: sp.Expr) -> Ball:
+    """Return a ball that holds an exact number."""
+    if isinstance(value, sp.Rational):
+        return arb(fmpq(int(value.p), int(value.q)))
+    return Enclosure(sp.sympify(value), ())(())
+
+
+def outward(lower: sp.Expr, upper: sp.Expr) -> tuple[float, float]:
+    """Return floats that enclose [lower, upper]; a finite end stays a float that is not inside."""
+    low = -math.inf if lower == -sp.oo else math.nextafter(float(number(lower).lower()), -math.inf)
+    high = math.inf if upper == sp.oo else math.nextafter(float(number(upper).upper()), math.inf)
+    exact_low, exact_high = float(lower), float(upper)
+    if lower.is_Rational and sp.Rational(exact_low) == lower:
+        low = exact_low
+    if upper.is_Rational and sp.Rational(exact_high) == upper:
+        high = exact_high
+    return low, high
+
+
+def unsupported(e: sp.Expr) -> set[str]:
+    """Return the names of what in an expression has no enclosure."""
+    wrong: set[str] = set()
+    for node in sp.preorder_traversal(e):
+        if isinstance(node, sp.Pow):
+            if not (node.exp.is_Rational or node.base == sp.E):
+                wrong.add(str(node))
+        elif not isinstance(node, _NODES) and node.func not in FUNCTIONS:
+            wrong.add(str(node.func))
+    return wrong
+
+
+def _action(e: sp.Expr) -> tuple[Callable[..., Ball], tuple[sp.Expr, ...]]:
+    if isinstance(e, sp.Rational):
+        value = number(e)
+        return (lambda: value), ()
+    if e is sp.pi:
+        return arb.pi, ()
+    if e is sp.E:
+        return arb.const_e, ()
+    if isinstance(e, sp.Add):
+        return _sum, e.args
+    if isinstance(e, sp.Mul):
+        return _product, e.args
+    if isinstance(e, sp.Pow):
+        return _power(e)
+    if e.func in _UNARY:
+        return _UNARY[e.func], e.args
+    raise ModelError(f"no enclosure of {e}: sums, products, rational powers, {_names()} have one")
+
+
+def _names() -> str:
+    return ", ".join(sorted(f.__name__ for f in FUNCTIONS))
+
+
+def _sum(*terms: Ball) -> Ball:
+    return sum(terms[1:], terms[0])
+
+
+def _product(*factors: Ball) -> Ball:
+    return math.prod(factors[1:], start=factors[0])
+
+
+def _power(e: sp.Pow) -> tuple[Callable[..., Ball], tuple[sp.Expr, ...]]:
+    base, p = e.args
+    if p.is_Integer:
+        return (lambda x, n=int(p): _integer_power(x, n)), (base,)
+    if p.is_Rational:
+        inner = base.args[0] if isinstance(base, sp.Abs) else None
+        if inner is not None:
+            return (lambda x, q=p: _root_power(x.abs_lower(), x.abs_upper(), q)), (inner,)
+        return (lambda x, q=p: _root_power(x.lower(), x.upper(), q)), (base,)
+    raise ModelError(f"no enclosure of {e}: the exponent of a power must be a rational number")
+
+
+def _integer_power(x: Ball, n: int) -> Ball:
+    if n < 0:
+        return 1 / _integer_power(x, -n)
+    low, high = (x.abs_lower(), x.abs_upper()) if n % 2 == 0 else (x.lower(), x.upper())
+    return _times(low, n).union(_times(high, n))
+
+
+def _times(x: Ball, n: int) -> Ball:
+    result = arb(1)
+    for bit in f"{n:b}":
+        result = result * result
+        if bit == "1":
+            result = result * x
+    return result
+
+
+def _root_power(low: Ball, high: Ball, p: sp.Rational) -> Ball:
+    """x^p is monotone for x >= 0; the balls of the ends are points."""
+    if not (low > 0 or (low.is_zero() and p > 0)):
+        return arb.nan()
+    return _point_root(low, p).union(_point_root(high, p))
+
+
+def _point_root(x: Ball, p: sp.Rational) -> Ball:
+    if x.is_zero():
+        return arb(0)
+    return (x.log() * number(p)).exp()

@@ -1,0 +1,122 @@
+"""Positive near the origin: a lowest-order form, with a bound on all that follows it.
+
+Rule of the room: an enclosure of g is never positive on a cell that holds g's zero. So the zero is blown
+up: x_i = t^w_i u_i with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are
+exactly zero, Taylor's theorem has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is
+shown positive cell by cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from math import lcm
+
+import sympy as sp
+
+from hil.stability.verifier.branch_and_bound import Budget, faces, positive
+from hil.stability.verifier.interval import Cell, Enclosure, unsupported
+
+HIGHEST_ORDER = 12
+RADII = tuple(2.0**-k for k in range(0, 17, 2))
+T = sp.Symbol("t_", positive=True)
+"""Along a ray."""
+
+Weights = tuple[int, ...]
+
+
+class Ray:
+    """g along x_i = t^w_i u_i, as a function of t."""
+
+    def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
+        self.u = tuple(sp.Symbol(f"u_{x}", real=True) for x in states)
+        there = {x: T**w * u for x, u, w in zip(states, self.u, weights, strict=True)}
+        along = _without_t(sp.expand(g.xreplace(there)))
+        self.powers: dict[int, sp.Expr] = {}
+        self.rest = sp.S.Zero
+        for term in sp.Add.make_args(along):
+            coefficient, power = term.as_independent(T)
+            exponent = power.as_base_exp()[1] if power.as_base_exp()[0] == T else None
+            if power == 1:
+                exponent = sp.S.Zero
+            if exponent is not None and exponent.is_Integer and exponent >= 0:
+                self.powers[int(exponent)] = self.powers.get(int(exponent), sp.S.Zero) + coefficient
+            else:
+                self.rest += term
+        self.smooth = not any(
+            node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest)
+        )  # fmt: skip
+
+    def at_zero(self, j: int) -> sp.Expr:
+        """Return the coefficient of t^j at t = 0, a function of u."""
+        taylor = sp.diff(self.rest, T, j).subs(T, 0) / sp.factorial(j) if self.rest != 0 else sp.S.Zero
+        return sp.expand(self.powers.get(j, sp.S.Zero) + taylor)
+
+    def order(self) -> int | None:
+        """Return the lowest order of a coefficient that is not zero; None if there is none so low."""
+        if not self.smooth:
+            return None
+        return next((j for j in range(HIGHEST_ORDER + 1) if self.at_zero(j) != 0), None)
+
+    def remainder(self, k: int) -> sp.Expr:
+        """Return c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero."""
+        exact = sum((c * T ** (j - k) for j, c in self.powers.items() if j >= k), sp.S.Zero)
+        return exact + sp.diff(self.rest, T, k) / sp.factorial(k)
+
+
+def _without_t(e: sp.Expr) -> sp.Expr:
+    """|t^j h(u)| = t^j |h(u)|, t being positive."""
+
+    def out(node: sp.Expr) -> sp.Expr:
+        coefficient, power = sp.factor_terms(node.args[0]).as_independent(T, as_Add=False)
+        positive_power = power.as_base_exp()[0] == T or power == 1
+        return sp.Abs(coefficient) * power if positive_power else node
+
+    return sp.expand(e.replace(lambda n: isinstance(n, sp.Abs), out))
+
+
+def _rough(e: sp.Expr) -> set[sp.Expr]:
+    return {p for p in e.atoms(sp.Pow) if p.base.has(T) and not p.exp.is_Integer}
+
+
+def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
+    """Return weights for which the pure powers of the lowest orders weigh the same; or None."""
+    orders = []
+    for x in states:
+        alone = g.subs(dict.fromkeys([y for y in states if y != x], 0))
+        order = Ray(alone, (x,), (1,)).order()
+        if order is None or order == 0:
+            return None
+        orders.append(order)
+    D = reduce(lcm, orders)
+    return tuple(D // e for e in orders) if D <= HIGHEST_ORDER else None
+
+
+def definite_near(
+    g: sp.Expr, states: Sequence[sp.Symbol], parameters: Sequence[tuple[sp.Symbol, tuple[float, float]]],
+    budget: Budget, limit: int = 1500, side: int = 0,
+) -> tuple[Cell, Weights] | None:  # fmt: skip
+    """Return a cell about the origin in which g > 0 but at the origin, or None.
+
+    Parameters have ranges. `side` +1 or -1 asks for x > 0 or x < 0 only (of one state).
+    """
+    weights = weights_of(g, states)
+    if weights is None:
+        return None
+    ray = Ray(g, states, weights)
+    k = ray.order()
+    if k is None:
+        return None
+    if unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
+        return None
+    c = Enclosure(ray.remainder(k), (*ray.u, *(p for p, _ in parameters), T))
+    leading = Enclosure(ray.at_zero(k), (*ray.u, *(p for p, _ in parameters)))
+    ranges = tuple(r for _, r in parameters)
+    sides: Cell = ((-1.0, 1.0),) * len(states)
+    cells = faces(sides, range(len(states))) if side == 0 else [((float(side), float(side)),)]
+    if not positive([leading], [(*u, *ranges) for u in cells], budget, limit):
+        return None
+    for radius in RADII:
+        if positive([c], [(*u, *ranges, (0.0, radius)) for u in cells], budget, limit // 4):
+            return tuple((-(radius**w), radius**w) for w in weights), weights
+    return None

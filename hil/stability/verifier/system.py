@@ -1,0 +1,159 @@
+"""The question in exact form: dx/dt = f(x) about an equilibrium, V, where, and for which parameters.
+
+Rule of the room: nothing is decided here but what has no meaning. States become real symbols, parameters
+without a range positive ones, the equilibrium the origin (the change of variable of section 6.0.1, note
+1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import sympy as sp
+
+from drivers.errors import ModelError
+from hil.stability.verifier.cancellation import continuous, exact
+from hil.stability.verifier.interval import FUNCTIONS, number, unsupported
+
+Interval = tuple[sp.Expr, sp.Expr]
+Point = dict[sp.Symbol, sp.Expr]
+
+
+@dataclass(frozen=True)
+class System:
+    """dx/dt = f(x) with f(0) = 0: the equilibrium is the origin."""
+
+    states: tuple[sp.Symbol, ...]
+    f: dict[sp.Symbol, sp.Expr]
+    domain: dict[sp.Symbol, Interval]
+    """About the equilibrium; -oo and oo where the whole space is meant."""
+    ranges: dict[sp.Symbol, Interval]
+    """Parameters of which a range was named."""
+    positive: tuple[sp.Symbol, ...]
+    """Parameters of which all positive values are meant."""
+    equilibrium: Point
+    """In the user's coordinates."""
+    renamed: dict[sp.Symbol, sp.Expr]
+    """The user's symbols in these."""
+    own: dict[sp.Symbol, sp.Symbol]
+    """These symbols in the user's."""
+
+    @property
+    def bounded(self) -> bool:
+        """Tell whether every side of the domain has an end."""
+        return not any(end in {sp.oo, -sp.oo} for side in self.domain.values() for end in side)
+
+    def read(self, expression: Any) -> sp.Expr:
+        """Return an expression of the user in these symbols.
+
+        Raises ModelError where it holds something that has no enclosure, or an unknown symbol.
+        """
+        e = exact(expression)
+        wrong = sorted(str(s) for s in e.free_symbols - set(self.renamed))
+        if wrong:
+            raise ModelError(
+                f"{expression} speaks of {', '.join(wrong)}, which is neither state nor parameter"
+            )
+        return e.xreplace(self.renamed)
+
+    def told(self, point: Point) -> Point:
+        """Return a point in the user's symbols and coordinates."""
+        moved = {x: point[x] + self.equilibrium[self.own[x]] for x in self.states}
+        return {self.own[s]: value for s, value in (point | moved).items()}
+
+    def shown(self, expression: sp.Expr) -> sp.Expr:
+        """Return an expression in the user's symbols and coordinates."""
+        there = {x: self.own[x] - self.equilibrium[self.own[x]] for x in self.states}
+        return expression.subs(there, simultaneous=True).xreplace(self.own)
+
+    def within(self, domain: Mapping[sp.Symbol, Interval]) -> System:
+        """Return the same system on another domain."""
+        return replace(self, domain=dict(domain))
+
+
+def make_system(
+    f: Mapping[sp.Symbol, Any], V: Any, at: Mapping[sp.Symbol, Any] | None,
+    box: Mapping[sp.Symbol, tuple[Any, Any]] | None, parameters: Mapping[sp.Symbol, tuple[Any, Any]] | None,
+) -> System:  # fmt: skip
+    """Return the system in exact form.
+
+    Raises ModelError where `at` is no equilibrium or not inside the box, or where f jumps or holds what
+    cannot be enclosed.
+    """
+    if not f:
+        raise ModelError("f has no state: it maps each state to its time derivative")
+    at = dict(at or {})
+    ranges = {p: _interval(p, side) for p, side in (parameters or {}).items()}
+    if endless := [str(p) for p, side in ranges.items() if any(end.is_infinite for end in side)]:
+        raise ModelError(f"the range of {endless[0]} has no end: leave it out to mean all positive numbers")
+    f = {x: exact(e) for x, e in f.items()}
+    everything = set().union(
+        *(e.free_symbols for e in f.values()), sp.sympify(0 if V is None else V).free_symbols
+    )
+    if any(str(s) == "t" for s in everything - set(f)):
+        raise ModelError("f and V depend on t: only systems dx/dt = f(x) without time can be verified")
+    free = sorted(everything - set(f) - set(ranges), key=str)
+    renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in (*f, *ranges)}
+    renamed |= {p: sp.Symbol(str(p), positive=True) for p in free}
+    if len({str(s) for s in renamed}) != len(renamed):
+        raise ModelError("two symbols have one name: give each state and parameter its own")
+    own = {new: old for old, new in renamed.items()}
+    states = tuple(renamed[x] for x in f)
+    equilibrium = {x: exact(at.get(x, 0)).xreplace(renamed) for x in f}
+    shifted = renamed | {x: renamed[x] + equilibrium[x] for x in f}
+    field = {renamed[x]: _field(x, e, shifted) for x, e in f.items()}
+    for x, e in field.items():
+        _vanishes(x, e, dict.fromkeys(states, sp.S.Zero), equilibrium)
+    domain = {renamed[x]: _about(x, (box or {}).get(x), equilibrium[x]) for x in f}
+    ranged = {renamed[p]: side for p, side in ranges.items()}
+    return System(states, field, domain, ranged, tuple(renamed[p] for p in free), equilibrium, shifted, own)
+
+
+def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+    jumps = {str(a) for a in e.atoms(sp.Function) if a.func not in FUNCTIONS | {sp.sign}}
+    if jumps:
+        raise ModelError(f"d{x}/dt holds {', '.join(sorted(jumps))}: only {_allowed()} can be enclosed")
+    try:
+        smooth = continuous(sp.expand(e.xreplace(shifted)) if e.has(sp.sign) else e.xreplace(shifted))
+    except ModelError as error:
+        raise ModelError(f"d{x}/dt must be continuous: {error}") from None
+    if wrong := unsupported(smooth):
+        raise ModelError(f"d{x}/dt holds {', '.join(sorted(wrong))}: only {_allowed()} can be enclosed")
+    return smooth
+
+
+def _allowed() -> str:
+    names = ", ".join(sorted(f.__name__ for f in FUNCTIONS))
+    return f"sums, products, rational powers, {names}"
+
+
+def _vanishes(x: sp.Symbol, e: sp.Expr, origin: Point, equilibrium: Point) -> None:
+    value = sp.simplify(e.subs(origin))
+    if value != 0:
+        where = ", ".join(f"{s} = {v}" for s, v in equilibrium.items())
+        raise ModelError(
+            f"{where} is not shown to be an equilibrium: d{x}/dt = {value} there; name in `at` where f is 0"
+        )
+
+
+def _interval(x: sp.Symbol, side: tuple[Any, Any]) -> Interval:
+    low, high = (exact(end) for end in side)
+    ordered = all(end.is_number and end.is_extended_real for end in (low, high))
+    if not ordered or not (low < high):
+        raise ModelError(f"the range of {x} is [{low}, {high}]: two numbers, the lower first")
+    return low, high
+
+
+def _about(x: sp.Symbol, side: tuple[Any, Any] | None, centre: sp.Expr) -> Interval:
+    if side is None:
+        return -sp.oo, sp.oo
+    low, high = _interval(x, side)
+    around = tuple(end if end.is_infinite else sp.expand(end - centre) for end in (low, high))
+    inside = all(e.is_infinite or (number(e) < 0 if k == 0 else number(e) > 0) for k, e in enumerate(around))
+    if not inside:
+        raise ModelError(
+            f"the equilibrium {x} = {centre} is not inside its box [{low}, {high}]: name a wider one"
+        )
+    return around

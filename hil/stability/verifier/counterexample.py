@@ -24,7 +24,7 @@ _ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
 _PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
 _WINDOW = 4.0
 """Where an unbounded domain is searched."""
-_SEARCH = 600
+_SEARCH = 250
 """Cells of the search."""
 
 

@@ -13,7 +13,8 @@ import sympy as sp
 from hil.stability.verifier.interval import number
 from hil.stability.verifier.signs import Signs
 
-_SHARES = (sp.Integer(1), sp.Rational(999, 1000), sp.Rational(99, 100), sp.Rational(9, 10), sp.Rational(1, 2))
+_HALVINGS = 8
+"""Of the interval in which the largest level is sought."""
 
 
 def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
@@ -30,11 +31,17 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
     )
     if lowest is None or not number(lowest) > 0:
         return None
-    for share in _SHARES:
-        c = lowest if share == 1 else sp.Rational(float(number(lowest))).limit_denominator(1000) * share
-        if all(_at_least(sp.expand(V.subs(x, end) - c), signs) for x, end in faces):
-            return c
-    return None
+    if _holds(V, lowest, faces, signs):
+        return lowest
+    low, high = sp.S.Zero, sp.Rational(float(number(lowest))).limit_denominator(1000)
+    for _ in range(_HALVINGS):
+        c = (low + high) / 2
+        low, high = (c, high) if _holds(V, c, faces, signs) else (low, c)
+    return low if low > 0 else None
+
+
+def _holds(V: sp.Expr, c: sp.Expr, faces: list[tuple[sp.Symbol, sp.Expr]], signs: Signs) -> bool:
+    return all(_at_least(sp.expand(V.subs(x, end) - c), signs) for x, end in faces)
 
 
 def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, sp.Expr]]:

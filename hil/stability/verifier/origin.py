@@ -18,6 +18,8 @@ from hil.stability.verifier.branch_and_bound import Budget, faces, positive
 from hil.stability.verifier.interval import Cell, Enclosure, unsupported
 
 HIGHEST_ORDER = 12
+LONGEST = 400
+"""Operations in a derivative beyond which the next one is not formed."""
 RADII = tuple(2.0**-k for k in range(0, 17, 2))
 T = sp.Symbol("t_", positive=True)
 """Along a ray."""
@@ -26,7 +28,10 @@ Weights = tuple[int, ...]
 
 
 class Ray:
-    """g along x_i = t^w_i u_i, as a function of t."""
+    """g along x_i = t^w_i u_i, as a function of t: powers of t with coefficients in u, and a rest.
+
+    Mutable: remembers the derivatives that it has formed.
+    """
 
     def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
         self.u = tuple(sp.Symbol(f"u_{x}", real=True) for x in states)
@@ -43,13 +48,16 @@ class Ray:
                 self.powers[int(exponent)] = self.powers.get(int(exponent), sp.S.Zero) + coefficient
             else:
                 self.rest += term
+        self._derivatives = [self.rest]
         self.smooth = not any(
             node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest)
         )  # fmt: skip
 
     def at_zero(self, j: int) -> sp.Expr:
         """Return the coefficient of t^j at t = 0, a function of u."""
-        taylor = sp.diff(self.rest, T, j).subs(T, 0) / sp.factorial(j) if self.rest != 0 else sp.S.Zero
+        if self.rest == 0:
+            return sp.expand(self.powers.get(j, sp.S.Zero))
+        taylor = self._derivative(j).subs(T, 0) / sp.factorial(j)
         return sp.expand(self.powers.get(j, sp.S.Zero) + taylor)
 
     def order(self) -> int | None:
@@ -61,7 +69,14 @@ class Ray:
     def remainder(self, k: int) -> sp.Expr:
         """Return c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero."""
         exact = sum((c * T ** (j - k) for j, c in self.powers.items() if j >= k), sp.S.Zero)
-        return exact + sp.diff(self.rest, T, k) / sp.factorial(k)
+        return exact + self._derivative(k) / sp.factorial(k)
+
+    def _derivative(self, j: int) -> sp.Expr:
+        """Return the j-th derivative of the rest; nan, of which nothing is shown, if it is too long."""
+        while len(self._derivatives) <= j:
+            last = self._derivatives[-1]
+            self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))
+        return self._derivatives[j]
 
 
 def _without_t(e: sp.Expr) -> sp.Expr:

@@ -1,0 +1,187 @@
+"""Systems of the chapter and of textbooks, whose stability is known."""
+
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import sympy as sp
+
+from drivers.errors import ModelError
+from hil.stability import Budget, verify
+from hil.stability.verifier import Certificate, Decrease, Equilibrium, Truth
+from hil.stability.verifier.linearisation import Eigenvalues
+
+x, v, y, z, theta, omega = sp.symbols("x v y z theta omega")
+m, b, k0, k1 = sp.symbols("m b k0 k1")
+R = sp.Rational
+PENDULUM = 1 - sp.cos(theta) + omega**2 / 2
+TURN = {theta: (-sp.pi, sp.pi), omega: (-3, 3)}
+
+
+def test_spring_and_damper_is_asymptotically_stable_for_all_positive_parameters():
+    spring = {x: v, v: -(b * v * sp.Abs(v) + k0 * x + k1 * x**3) / m}
+    report = verify(spring, m * v**2 / 2 + k0 * x**2 / 2 + k1 * x**4 / 4)
+    assert report.certificate.verdict is Certificate.VALID
+    assert report.certificate.decrease is Decrease.WEAK  # the scan has < 0
+    assert sp.simplify(report.certificate.V_dot.subs(v, -3) + 27 * b) == 0  # -b |v|^3
+    assert report.equilibrium.verdict is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert "LaSalle" in report.equilibrium.by
+    assert report.linearisation is Eigenvalues.UNKNOWN  # two on the imaginary axis
+
+
+@pytest.mark.parametrize("rate", [-(x**3), sp.sin(x) ** 2 - x])
+def test_the_first_order_examples_are_globally_asymptotically_stable(rate):
+    report = verify({x: rate}, x**2)
+    assert report.certificate.decrease is Decrease.STRICT
+    assert report.equilibrium.verdict is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+
+
+def test_the_damped_pendulum_is_asymptotically_stable_below_the_upright_energy():
+    report = verify({theta: omega, omega: -omega - sp.sin(theta)}, PENDULUM, box=TURN)
+    assert report.certificate.verdict is Certificate.VALID
+    assert sp.expand(report.certificate.V_dot + omega**2) == 0
+    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.level == 2
+
+
+def test_the_damped_pendulum_is_not_globally_stable_and_its_energy_no_global_certificate():
+    report = verify({theta: omega, omega: -omega - sp.sin(theta)}, PENDULUM)
+    assert report.certificate.verdict is Certificate.NOT_POSITIVE_DEFINITE
+    assert abs(report.certificate.at[theta]) == 2 * sp.pi
+    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert 0 < report.equilibrium.level <= 2
+
+
+def test_the_undamped_pendulum_is_stable_and_not_asymptotically():
+    report = verify({theta: omega, omega: -sp.sin(theta)}, PENDULUM, box=TURN)
+    assert report.certificate.decrease is Decrease.CONSERVED
+    assert report.equilibrium.verdict is Equilibrium.STABLE
+    assert report.equilibrium.asymptotic is Truth.REFUTED
+    assert "asymptotic stability: refuted" in str(report)
+
+
+def test_negative_damping_is_unstable_by_an_eigenvalue():
+    report = verify({x: v, v: v - x}, x**2 + v**2)
+    assert report.equilibrium.verdict is Equilibrium.UNSTABLE
+    assert "eigenvalue" in report.equilibrium.by
+    assert report.certificate.verdict is Certificate.GROWS
+    assert report.certificate.value == 2 * report.certificate.at[v] ** 2 > 0
+
+
+def test_a_bad_V_says_nothing_of_the_system():
+    report = verify({x: -x, y: -y}, x**2 - y**2)
+    assert report.certificate.verdict is Certificate.NOT_POSITIVE_DEFINITE
+    at = report.certificate.at
+    assert at[x] ** 2 - at[y] ** 2 == report.certificate.value <= 0
+    assert report.equilibrium.verdict is Equilibrium.NO_CONCLUSION
+    assert report.linearisation is Eigenvalues.LEFT
+
+
+def test_it_is_undecided_where_the_budget_ends():
+    report = verify({x: sp.sin(x) ** 2 - x}, x**2, budget=Budget(3))
+    assert report.certificate.verdict is Certificate.UNDECIDED
+    assert report.certificate.truth is Truth.UNDECIDED
+    assert "budget" in report.certificate.reason
+    assert report.equilibrium.verdict is Equilibrium.NO_CONCLUSION
+    assert report.boxes == 3
+
+
+STABLE: dict[str, tuple[Any, ...]] = {
+    "Duffing, damped (Slotine and Li, chapter 3)": (
+        {x: v, v: -x - x**3 - v}, v**2 / 2 + x**2 / 2 + x**4 / 4, {}, Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE),
+    "Hopf at its bifurcation (Strogatz, 8.2)": (
+        {x: -y - x * (x**2 + y**2), y: x - y * (x**2 + y**2)}, x**2 + y**2, {},
+        Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE),
+    "Lorenz below r = 1 (Strogatz, 9.2)": (
+        {x: 10 * (y - x), y: x / 2 - y - x * z, z: x * y - R(8, 3) * z}, x**2 / 10 + y**2 + z**2, {},
+        Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE),
+    "Van der Pol in reversed time (Khalil, 8.2)": (
+        {x: -v, v: x + (x**2 - 1) * v}, x**2 + v**2, {x: (-R(9, 10), R(9, 10)), v: (-1, 1)},
+        Equilibrium.ASYMPTOTICALLY_STABLE),
+    "V not radially unbounded, not global (Hahn; Khalil, exercise 4.8)": (
+        {x: -6 * x / (1 + x**2) ** 2 + 2 * y, y: -2 * (x + y) / (1 + x**2) ** 2}, x**2 / (1 + x**2) + y**2, {},
+        Equilibrium.ASYMPTOTICALLY_STABLE),
+}  # fmt: skip
+UNSTABLE: dict[str, tuple[Any, ...]] = {
+    "Van der Pol (Khalil, 2.4)": ({x: v, v: (1 - x**2) * v - x}, x**2 + v**2, {}, "eigenvalue"),
+    "the linearisation is silent (Khalil, 4.3)": ({x: x**3}, x**2, {}, "Chetaev"),
+    "Chetaev (Khalil, exercises to 4.1)": (
+        {x: x**3 + x**2 * y, y: -y + y**2 + x * y - x**3}, x**2 / 2 - y**2 / 2, {}, "Chetaev"),
+    "unstable on its centre manifold y = x^2 + ... (Perko, 2.12)": (
+        {x: x**2 * y - x**5, y: -y + x**2}, x - (y - x**2) ** 2, {}, "Chetaev"),
+    "a body about its middle axis (Euler)": (
+        {x: y * z + z, y: -2 * z * x, z: x * (1 + y)}, x**2 + y**2 + z**2, {}, "eigenvalue"),
+    "growth on a set that is left (Krasovskii)": (
+        {x: v, v: -(x**3) + v**3}, x**4 / 4 + v**2 / 2, {}, "reversed time"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_a_textbook_system_is_stable(name):
+    f, V, box, verdict = STABLE[name]
+    report = verify(f, V, box=box)
+    assert report.certificate.verdict is Certificate.VALID
+    assert report.equilibrium.verdict is verdict
+
+
+@pytest.mark.parametrize("name", UNSTABLE)
+def test_a_textbook_system_is_unstable(name):
+    f, V, box, theorem = UNSTABLE[name]
+    report = verify(f, V, box=box)
+    assert report.certificate.verdict is not Certificate.VALID
+    assert report.equilibrium.verdict is Equilibrium.UNSTABLE
+    assert theorem in report.equilibrium.by
+    assert report.equilibrium.asymptotic is Truth.REFUTED
+
+
+def test_an_equilibrium_elsewhere_is_moved_to_the_origin():
+    upright = {theta: omega, omega: -omega - sp.sin(theta)}
+    moved = PENDULUM.subs(theta, theta - 2 * sp.pi)
+    report = verify(upright, moved, at={theta: 2 * sp.pi}, box={theta: (5, 7), omega: (-1, 1)})
+    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.box[theta] == (5, 7)
+    assert verify(upright, at={theta: sp.pi}).equilibrium.verdict is Equilibrium.UNSTABLE
+
+
+def test_parameters_may_have_ranges():
+    k = sp.Symbol("k")
+    assert verify({x: -k * x}, x**2, parameters={k: (R(1, 2), 2)}).certificate.verdict is Certificate.VALID
+    report = verify({x: -k * x}, x**2, parameters={k: (-1, 2)})
+    assert report.certificate.verdict is Certificate.GROWS
+    assert report.certificate.at[k] < 0
+
+
+def test_without_V_the_linearisation_speaks():
+    assert verify({x: v, v: -x - v}).equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert verify({x: v, v: -x}).equilibrium.verdict is Equilibrium.NO_CONCLUSION
+    third = {x: y, y: z, z: -k0 * x - y - z}  # Routh: stable where k0 < 1
+    assert verify(third).linearisation is Eigenvalues.UNKNOWN
+    for side, verdict in (((R(1, 10), R(9, 10)), Eigenvalues.LEFT), ((R(11, 10), 3), Eigenvalues.RIGHT)):
+        assert verify(third, parameters={k0: side}).linearisation is verdict
+
+
+@pytest.mark.parametrize(
+    ("f", "options", "words"),
+    [
+        ({x: 1 - x}, {}, "not shown to be an equilibrium"),
+        ({x: -1 / x}, {}, "not shown to be an equilibrium"),
+        ({x: -sp.sign(x)}, {}, "continuous"),
+        ({x: -sp.sqrt(sp.Abs(x)) * sp.sign(x)}, {}, "continuous"),
+        ({x: -sp.floor(x)}, {}, "floor"),
+        ({x: -sp.Piecewise((x, x > 0), (2 * x, True))}, {}, "Piecewise"),
+        ({x: -x * sp.Symbol("t")}, {}, "time"),
+        ({x: -x}, {"box": {x: (1, 2)}}, "not inside its box"),
+        ({x: -x}, {"box": {x: (2, 1)}}, "lower first"),
+        ({x: -m * x}, {"parameters": {m: (0, sp.oo)}}, "has no end"),
+        ({}, {}, "no state"),
+    ],
+)
+def test_a_question_without_meaning_is_refused(f, options, words):
+    with pytest.raises(ModelError, match=words):
+        verify(f, x**2, **options)
+
+
+def test_importing_the_package_loads_no_algebra():
+    program = "import sys, hil.stability; print({'sympy', 'flint'} & set(sys.modules))"
+    assert subprocess.check_output([sys.executable, "-c", program], text=True).strip() == "set()"

@@ -1,6 +1,7 @@
-"""Stability: proofs about equilibria, and what a law's error dynamics promise.
+"""What can be proven of a loop: error dynamics, ultimate bounds, energy, reaching, the sampled loop.
 
-Rule of the room: offline. Names are looked up when asked for, so that importing the package loads no algebra.
+Rule of the room: pure mathematics of values, offline; no file, no bus, no clock. This file imports nothing
+before it is asked for: each question is a module of its own, and some are heavy.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ shown positive cell by cell.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
+from functools import cache, reduce
 from math import lcm
 
 import sympy as sp
@@ -21,7 +21,7 @@ HIGHEST_ORDER = 12
 LONGEST = 400
 """Operations in a derivative beyond which the next one is not formed."""
 RADII = tuple(2.0**-k for k in range(0, 17, 2))
-T = sp.Symbol("t_", positive=True)
+T = sp.Dummy("t", positive=True)
 """Along a ray."""
 
 Weights = tuple[int, ...]
@@ -34,7 +34,7 @@ class Ray:
     """
 
     def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
-        self.u = tuple(sp.Symbol(f"u_{x}", real=True) for x in states)
+        self.u = _units(len(states))
         there = {x: T**w * u for x, u, w in zip(states, self.u, weights, strict=True)}
         along = _without_t(sp.expand(g.xreplace(there)))
         self.powers: dict[int, sp.Expr] = {}
@@ -77,6 +77,12 @@ class Ray:
             last = self._derivatives[-1]
             self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))
         return self._derivatives[j]
+
+
+@cache
+def _units(n: int) -> tuple[sp.Symbol, ...]:
+    """Return the same n symbols for all rays."""
+    return tuple(sp.Dummy(f"u{k}", real=True) for k in range(n))
 
 
 def _without_t(e: sp.Expr) -> sp.Expr:

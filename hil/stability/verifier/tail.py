@@ -34,9 +34,9 @@ def definite_far(
     masks: dict[sp.Expr, sp.Symbol] = {}
     for node in sorted(g.atoms(*_BOUNDED), key=sp.count_ops, reverse=True):
         if not node.free_symbols.isdisjoint(states):
-            masks[node] = sp.Symbol(f"z_{len(masks)}", real=True)
+            masks[node] = sp.Dummy(f"z{len(masks)}", real=True)
     masked = sp.expand(g.xreplace(masks))
-    signless = {sp.Abs(x): sp.Symbol(f"abs_{x}", positive=True) for x in states}
+    signless = {sp.Abs(x): sp.Dummy(f"abs_{x}", positive=True) for x in states}
     try:
         form = sp.Poly(masked.xreplace(signless), *states, *signless.values())
     except sp.PolynomialError:
@@ -54,8 +54,8 @@ def definite_far(
         sum(w * d for w, d in zip(weights, degree, strict=True)) > D for degree in degrees
     ):
         return None
-    s = sp.Symbol("s_", nonnegative=True)
-    u = tuple(sp.Symbol(f"u_{x}", real=True) for x in states)
+    s = sp.Dummy("s", nonnegative=True)
+    u = tuple(sp.Dummy(f"u_{x}", real=True) for x in states)
     scaled = sp.S.Zero
     for monomial, degree, c in zip(form.monoms(), degrees, form.coeffs(), strict=True):
         power = D - sum(w * d for w, d in zip(weights, degree, strict=True))

@@ -172,7 +172,7 @@ def _stable_in_reversed_time(V: sp.Expr, near: Signs) -> bool:
 def _stability(proof: _Proof) -> EquilibriumVerdict:
     """Lyapunov's and LaSalle's theorems on the domain of the proof."""
     signs, system = proof.signs, proof.signs.system
-    box = None if not system.bounded else _told_box(system)
+    box = None if _whole_space(system) else _told_box(system)
     level = largest_level(proof.V, signs)
     if proof.decrease is Decrease.CONSERVED:
         by = "by Lyapunov's theorem; V stays what it is, so nothing else tends to the equilibrium"

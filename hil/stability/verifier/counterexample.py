@@ -45,6 +45,8 @@ def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
     h = Enclosure(g, names)
     for point in _points(g, signs):
         value = h.at(point)
+        if not (value > 0 or (exact_zero and value.contains(0))) or not _inside(signs, point):
+            continue
         if value > 0:
             return point
         if exact_zero and value.contains(0) and value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0:
@@ -113,8 +115,10 @@ def _searched(h: Enclosure, signs: Signs) -> Point | None:
             return None
         cell = heapq.heappop(heap)[2]
         m = middle(cell)
-        if h([ball(v, v) for v in m]) > 0 and _inside(signs, m):
-            return {x: sp.Rational(v) for x, v in zip(h.variables, m, strict=True)}
+        if h([ball(v, v) for v in m]) > 0:
+            point = {x: sp.Rational(v) for x, v in zip(h.variables, m, strict=True)}
+            if _inside(signs, point):
+                return point
         widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0])
         for half in halves(cell, widest):
             value = h.on(half)
@@ -124,6 +128,6 @@ def _searched(h: Enclosure, signs: Signs) -> Point | None:
     return None
 
 
-def _inside(signs: Signs, point: list[float]) -> bool:
-    inside = signs.system.domain | signs.system.ranges
-    return all(low <= v <= high for v, (low, high) in zip(point, inside.values(), strict=True))
+def _inside(signs: Signs, point: Point) -> bool:
+    sides = signs.system.domain | signs.system.ranges
+    return all(bool(low <= point[v]) and bool(point[v] <= high) for v, (low, high) in sides.items())

@@ -97,7 +97,9 @@ def _without_t(e: sp.Expr) -> sp.Expr:
 
 
 def _rough(e: sp.Expr) -> set[sp.Expr]:
-    return {p for p in e.atoms(sp.Pow) if p.base.has(T) and not p.exp.is_Integer}
+    """Return the roots that are not shown to be smooth at t = 0."""
+    roots = {p for p in e.atoms(sp.Pow) if p.base.has(T) and not p.exp.is_Integer}
+    return {p for p in roots if not p.base.subs(T, 0).is_positive}
 
 
 def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:

@@ -21,6 +21,8 @@ Zeros = tuple[tuple[sp.Expr, ...], ...]
 """Where a function that is nowhere negative can be zero: on one of the branches, each of which is the set
 where all of its expressions are zero. No branch: nowhere. A branch without expressions: anywhere."""
 NOWHERE: Zeros = ()
+_ODD = (sp.tanh, sp.atan, sp.sinh)
+"""Functions with the sign and the zero of their argument."""
 BRANCHES = 12
 """More branches than these are not followed."""
 
@@ -176,7 +178,9 @@ class Signs:
         if isinstance(g, sp.Pow):
             return self._power(g)
         if isinstance(g, sp.Mul):
-            return _union([self._structure(e) for e in g.args])
+            zeros = _union([self._structure(e) for e in g.args])
+            signed = sp.Mul(*(e.args[0] if isinstance(e, _ODD) else e for e in g.args))
+            return self._structure(signed) if zeros is None and signed != g else zeros
         if isinstance(g, sp.Add):
             return _meet([self._structure(e) for e in g.args])
         return None

@@ -103,6 +103,25 @@ def _check_counterexample(f, V, certificate):
         assert V.subs(at).evalf(60) <= 0 or V.subs(dict.fromkeys(real.values(), 0)) != 0
 
 
+def test_a_counterexample_lies_in_the_box():
+    f, V = {x: v, v: -v - sin(x)}, 1 - cos(x) + v**2 / 2  # zero at 2 pi too
+    report = verify(f, V, box={x: (-3, 3)})
+    assert report.certificate.verdict is Certificate.VALID
+    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE  # and not globally: x has ends
+    for end, verdict in ((1, Certificate.NOT_POSITIVE_DEFINITE), (R(999, 1000), Certificate.VALID)):
+        edge = verify({x: sp.S.Zero}, x**2 * (1 - x), box={x: (-1, end)})
+        assert edge.certificate.verdict is verdict
+
+
+def test_a_dip_between_all_samples_is_not_overlooked():
+    dip = R(141421, 10**5)
+    V = x**2 * ((x - dip) ** 2 - R(1, 10**10))  # negative on a stretch of 2e-5
+    report = verify({x: -x}, V, box={x: (-2, 2)})
+    assert report.certificate.verdict is not Certificate.VALID
+    raised = x**2 * ((x - dip) ** 2 + R(1, 10**4))
+    assert verify({x: sp.S.Zero}, raised, box={x: (-2, 2)}).certificate.verdict is Certificate.VALID
+
+
 TERMS = [
     x,
     y,

@@ -106,6 +106,8 @@ def test_the_lowest_order_form_sees_a_minimum_that_an_enclosure_cannot():
     assert definite_near(x**3, (x,), [], Budget()) is None
     assert definite_near(x - sp.sin(x), (x,), [], Budget(), side=1)  # x^3 / 6
     assert definite_near(sp.Abs(x) ** 3 + y**2, (x, y), [], Budget())
+    assert definite_near(sp.sqrt(1 + x**2) - 1, (x,), [], Budget())
+    assert definite_near(sp.sqrt(sp.Abs(x)), (x,), [], Budget()) is None
 
 
 def test_the_tail_bound_is_a_radius_beyond_which_it_is_true():
@@ -123,6 +125,8 @@ def test_semidefinite_functions_name_their_zeros():
     assert s.nonnegative(x**2 * (2 + sp.sin(y))) == ((x,),)
     assert s.nonnegative(sp.expand((x + y) ** 2)) == ((x + y,),)
     assert s.nonnegative(1 + x**2) == NOWHERE
+    assert s.nonnegative(x * sp.tanh(x)) == ((x,),)
+    assert s.nonnegative(x * sp.tanh(y)) is None
     assert s.nonnegative(x * y) is None
     assert s.nonnegative(x**2 - y**4) is None
     assert not s.definite(x**2 - x**4)

@@ -46,6 +46,8 @@ def figures(rows: Rows) -> dict[str, Any]:
             "refused": int(rows["setpoints_refused"][-1]),
             "why": explain(int(np.bitwise_or.reduce(rows["setpoint_refusal"]))) or None,
         }
+    if np.isfinite(rows["lyapunov"]).any():
+        result["certificate"] = certificate(rows)
     if tracking.any() and len(rows) > 0:
         result["first_motion_s"] = float((rows["t_ns"][tracking][0] - rows["t_ns"][0]) * 1e-9)
     return result
@@ -59,6 +61,24 @@ def limited_ticks(rows: Rows) -> dict[str, int]:
     """Return at how many ticks each limit of the force acted."""
     limits = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
     return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
+
+
+def certificate(rows: Rows) -> dict[str, Any]:
+    """Return what the watch of the certificate found: V and its bound where V comes nearest to it, alarms.
+
+    The share is that of sqrt(V) of the worst axis, so it may be nearer to 100 % than the sum over all axes.
+    """
+    V, bound, share = (rows[name] for name in ("lyapunov", "lyapunov_bound", "lyapunov_share"))
+    alarm = (rows["warnings"] & Warn.CERTIFICATE) > 0
+    watched = np.isfinite(share)
+    result: dict[str, Any] = {"peak_V_m2_s4": float(np.nanmax(V)), "watched_ticks": int(watched.sum())}
+    if watched.any():
+        peak = int(np.nanargmax(np.where(watched, V, np.nan)))
+        result |= {
+            "bound_at_peak_m2_s4": float(bound[peak]),
+            "largest_share_percent": 100.0 * float(share[watched].max()),
+        }
+    return result | {"alarms": int(np.count_nonzero(alarm[1:] & ~alarm[:-1]) + alarm[0])}
 
 
 def pose_errors(rows: Rows) -> tuple[Array, Array]:

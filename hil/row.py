@@ -71,7 +71,7 @@ def make_row(
     )  # fmt: skip
     forces = (own, command.force, fusion.figures, wrench_sensor)
     values = (*measurement, *state, estimate.condition, *reference, *forces)
-    _fill(cells, time, *values)
+    _fill(cells, time, *values, *verdict.certificate)
     return np.ndarray((), ROW, cells)
 
 
@@ -84,7 +84,10 @@ def _put(values: Array, cells: Array, at: int) -> int:
     return at
 
 
-@kernel(OUT_VECTOR, REAL, *MEASUREMENT, *STATE, REAL, *REFERENCE, VECTOR, VECTOR, VECTOR, VECTOR)
+@kernel(
+    OUT_VECTOR, REAL, *MEASUREMENT, *STATE, REAL, *REFERENCE, VECTOR, VECTOR, VECTOR, VECTOR,
+    REAL, REAL, REAL, REAL,
+)  # fmt: skip
 def _fill(
     cells: Array, time: float,
     _length: Array, _rate: Array, force: Array, drive_state: Ints, fault: Ints, age: Ints,
@@ -93,6 +96,7 @@ def _fill(
     wrench: Array, condition: float,
     p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array, _t: float,
     own: Array, tau: Array, figures: Array, wrench_sensor: Array,
+    V: float, dV: float, bound: float, share: float,
 ) -> None:  # fmt: skip
     """Put what follows the integers of the whole tick into the row."""
     words = cells.view(np.int64)
@@ -108,4 +112,8 @@ def _fill(
     cells[at] = residual
     cells[at + 1] = condition
     cells[at + 2] = time
-    _put(wrench_sensor, cells, _put(figures, cells, at + 3))
+    at = _put(wrench_sensor, cells, _put(figures, cells, at + 3))
+    cells[at] = V
+    cells[at + 1] = dV
+    cells[at + 2] = bound
+    cells[at + 3] = share

@@ -6,6 +6,7 @@ Rule of the room: values only; arrays are read-only to every reader.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
@@ -100,6 +101,8 @@ class Fault(IntFlag):
     """An encoder contradicts the fused pose that may not be lost."""
     UNCERTAIN = 8192
     """The fused pose is less certain than it has to be."""
+    CERTIFICATE = 16384
+    """The error grew as the law's Lyapunov function forbids."""
 
 
 class Warn(IntFlag):
@@ -122,6 +125,8 @@ class Warn(IntFlag):
     """The encoder of a leg is lost or contradicts the fused pose; column `legs_lost` says which."""
     SENSOR = 2048
     """A configured tracker or IMU has been silent or refused for several of its periods."""
+    CERTIFICATE = 4096
+    """The error grows as the law's Lyapunov function forbids."""
 
 
 class TickInput(NamedTuple):
@@ -248,6 +253,8 @@ class Verdict(NamedTuple):
     faults: Fault
     stop: bool = False
     """A controlled stop is asked for: ticks missed in a row, or no recorder."""
+    certificate: Sequence[float] = (math.nan,) * 4
+    """Columns `lyapunov` to `lyapunov_share`; nan where nothing is watched."""
 
 
 class TickOutput(NamedTuple):
@@ -320,6 +327,10 @@ FLOAT_COLUMNS: dict[str, int] = {
     "innovation_tracker": 6,
     "pose_std": 6,
     "wrench_sensor": 6,
+    "lyapunov": 1,
+    "lyapunov_rate": 1,
+    "lyapunov_bound": 1,
+    "lyapunov_share": 1,
 }
 """Columns of the row that are float64, after the integers."""
 

@@ -14,6 +14,7 @@ from drivers import PROTOCOLS
 from drivers.bustime import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
 from hil.app.check_controller import report_controller
+from hil.app.check_monitor import report_monitor
 from hil.app.check_report import Report
 from hil.app.compose import build_admission
 from hil.app.configuration import Configuration, load, platform_dict
@@ -52,6 +53,7 @@ def inspect(c: Configuration) -> Report:
     _bus(report, c)
     _drives(report, c)
     report_controller(report, c)
+    report_monitor(report, c)
     _reference(report, c, platform, model)
     _permissions(report, c)
     return report

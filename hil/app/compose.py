@@ -38,6 +38,7 @@ from hil.dynamics import Model
 from hil.force_path import ForcePath
 from hil.geometry import Platform
 from hil.kinematics import leg_lengths
+from hil.monitor import build_watch
 from hil.observer import WrenchObserver
 from hil.predict import Predictor
 from hil.record import Scene
@@ -141,6 +142,7 @@ def build_cycle(
         rate_Hz=rate_Hz,
         drive_force_limit=c.drives.force_limit_N,
         on_recorder_loss=c.recording.on_recorder_loss,
+        watch=build_watch(c.monitor, c.controller, platform, (p, R), 1.0 / rate_Hz),
     )
     return Cycle(
         Parts(

@@ -28,6 +28,7 @@ from hil.config import (
     EstimationSettings,
     LimitSettings,
     LoopSettings,
+    MonitorSettings,
     PlatformSettings,
     RecordingSettings,
     ReferenceSettings,
@@ -53,6 +54,7 @@ class Configuration(Section):
     loop: LoopSettings = LoopSettings()
     estimation: EstimationSettings = EstimationSettings()
     controller: ControllerSettings
+    monitor: MonitorSettings = MonitorSettings()
     engage: EngageSettings = EngageSettings()
     reference: ReferenceSettings
     limits: LimitSettings

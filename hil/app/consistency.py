@@ -32,6 +32,7 @@ from hil.config import (
     LiveReference,
     LoopSettings,
     ModelBasedSettings,
+    MonitorSettings,
     MultisineReference,
     PlatformSettings,
     Pose,
@@ -44,6 +45,7 @@ from hil.config import (
 from hil.control.feedforward_pd import ENDLESS
 from hil.geometry import GeometryError, Platform
 from hil.kinematics import leg_lengths
+from hil.monitor import error_axes
 from hil.trajectory import build_trajectory
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 
@@ -314,6 +316,14 @@ def designed_controllers(
             yield (*path, "controller_file"), trouble
 
 
+def certified_law(monitor: MonitorSettings, controller: ControllerSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse to act on the certificate of a law that has none."""
+    reason = error_axes(controller)
+    if monitor.action != "log" and isinstance(reason, str):
+        message = f"law {controller.law} has no certificate: {reason}, allowed: log, given: {monitor.action}"
+        yield ("monitor", "action"), message
+
+
 def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
     """Refuse a period that is no whole number of the plant's steps."""
     if plant is None:
@@ -390,6 +400,7 @@ RULES: tuple[Rule, ...] = (
     Rule(("reference", "platform"), reference_path),
     Rule(("controller", "reference", "platform"), feedforward_table),
     Rule(("controller", "compare", "loop"), designed_controllers),
+    Rule(("monitor", "controller"), certified_law),
     Rule(("plant", "loop"), plant_steps),
     Rule(("plant", "sensors"), emulated_sensors),
     Rule(("plant",), plant_lag),

@@ -20,6 +20,7 @@ from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.model_based import ModelBasedSettings
+from hil.config.monitor import MonitorSettings
 from hil.config.platform import (
     BodySettings,
     BoxShape,
@@ -102,6 +103,7 @@ __all__ = [
     "MechanicsSettings",
     "ModelBasedSettings",
     "ModelSettings",
+    "MonitorSettings",
     "MultisineAxis",
     "MultisineReference",
     "NonNegative",

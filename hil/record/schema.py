@@ -69,6 +69,10 @@ ROW_UNITS: dict[str, str] = {
     "innovation_tracker": "m, rad, measured less predicted",
     "pose_std": "m, rad, of the fused pose, base frame",
     "wrench_sensor": "N, N m, base frame, on the platform at its origin",
+    "lyapunov": "(m/s^2)^2, V of the law's error dynamics over all axes",
+    "lyapunov_rate": "(m/s^2)^2/s, of V since the last tick",
+    "lyapunov_bound": "(m/s^2)^2, the largest V that its certificate allows",
+    "lyapunov_share": "1, largest sqrt(V) of an axis over what is allowed",
 }
 """Units of the columns of hil.signals.ROW; columns not listed are counts, flags or enumerations."""
 

@@ -14,6 +14,7 @@ stroke      hard ends, square-root speed cap, speed                 STROKE, SPEE
 following   leg error against a limit that grows with speed         FOLLOWING
 timing      late and missed ticks                                   warnings, controlled stop
 recorder    recorder dead or losing ticks                           warning, controlled stop
+certificate growth of V beyond what a stated disturbance allows     CERTIFICATE, or a warning
 effort      force, change per tick, change within 250 ms            limits, with a warning
 =========== ======================================================= ==========================
 """

@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.signals import LEGS, Measurement
 from hil.config import LimitSettings
+from hil.safety.certificate import ASKED, LAST_V, NO_WATCH, PAST, Watch
 from hil.safety.effort import BLOCK
 from hil.safety.kernels import DROPPED, MEMORY, judge_tick
 from hil.safety.recorder import recorder_stop
@@ -33,7 +34,8 @@ class Safety:
 
     Mutable state: the forces sent within the last 250 ms, the last of them being the last tau; which of the
     last 32 ticks were late; periods missed in a row; which of the last 32 ticks had refused frames; the
-    recorder's losses so far; whether all drives have been in RUN since the brakes opened.
+    recorder's losses so far; whether all drives have been in RUN since the brakes opened; what the watch of
+    the certificate remembers.
     `reset` forgets all of it.
     """
 
@@ -45,8 +47,13 @@ class Safety:
         rate_Hz: float,
         drive_force_limit: float,
         on_recorder_loss: Literal["continue", "stop"] = "continue",
+        watch: Watch = NO_WATCH,
     ) -> None:
         """Take the hard ends of the legs (m), the loop's rate and the drives' rated force (N)."""
+        rows = len(watch.constants)
+        self._watched = np.zeros((rows + (ASKED + watch.ticks if rows else 0), LEGS))
+        self._watched[:rows] = watch.constants
+        self._watch_memory = self._watched[rows:]
         self._period_ns = round(1e9 / rate_Hz)
         self._stop_on_loss = recorder_stop(losing=True, on_loss=on_recorder_loss)
         self._limits = np.array(
@@ -77,8 +84,9 @@ class Safety:
 
     def reset(self) -> None:
         """Back to the state before the first tick: no force, no late tick, no failure."""
-        for array in (self._memory, self._history, self._lows, self._highs):
+        for array in (self._memory, self._history, self._lows, self._highs, self._watch_memory):
             array.fill(0)
+        self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
         self._memory[DROPPED] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
     def judge(
@@ -101,13 +109,14 @@ class Safety:
         powered = _LOADING <= mode <= _UNLOADING
         tau = np.empty(LEGS)
         values = (*measurement, *estimate.state, estimate.condition, estimate.hop, *reference, effort.tau)
-        faults, warnings, stop = judge_tick(
+        faults, warnings, stop, *figures = judge_tick(
             int(mode), inp.lateness_ns, inp.skipped,
             inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow,
             inp.recorder_alive, inp.recorder_dropped,
             *values,
             self._limits, self._period_ns, self._stop_on_loss,
-            self._memory, self._history, self._lows, self._highs, tau,
+            self._memory, self._history, self._lows, self._highs,
+            self._watched, tau,
         )  # fmt: skip
         if fusion.warnings:
             warnings |= fusion.warnings
@@ -118,4 +127,5 @@ class Safety:
             Warn(warnings) if warnings else Warn.NONE,
             Fault(faults) if faults else Fault.NONE,
             stop,
+            figures,
         )

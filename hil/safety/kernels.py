@@ -6,12 +6,42 @@ beside this one.
 
 from __future__ import annotations
 
+from math import nan
+
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from drivers.compile_cache import (
+    INTEGER,
+    OUT_INTEGERS,
+    OUT_MATRIX,
+    OUT_VECTOR,
+    REAL,
+    VECTOR,
+    helper,
+    kernel,
+)
+from hil.kernels.error_axes import error_axes
 from hil.kernels.signals import MEASUREMENT, REFERENCE, STATE
 from hil.safety.bus import bus_down, bus_noisy, refusals
+from hil.safety.certificate import (
+    ACTION,
+    BOUND,
+    CONSTANTS,
+    DV,
+    FIGURES,
+    PAST,
+    POSE,
+    SCALARS,
+    SHARE,
+    UNREST,
+    V,
+    forget,
+    jumped,
+    remember_reference,
+    settle,
+    watch,
+)
 from hil.safety.effort import limit_force, limit_step, limit_window, remember, window_extremes
 from hil.safety.finite import all_finite
 from hil.safety.following import lagging
@@ -35,7 +65,7 @@ _RELEASING, _STOPPING = int(Mode.RELEASING), int(Mode.STOPPING)
 _STALE, _DRIVE, _NOT_FINITE = int(Fault.STALE), int(Fault.DRIVE), int(Fault.NOT_FINITE)
 _KINEMATICS, _ASSEMBLY, _CONDITION = int(Fault.KINEMATICS), int(Fault.ASSEMBLY), int(Fault.CONDITION)
 _LAW, _STROKE, _SPEED, _FOLLOWING = int(Fault.LAW), int(Fault.STROKE), int(Fault.SPEED), int(Fault.FOLLOWING)
-_BUS = int(Fault.BUS)
+_BUS, _CERTIFICATE, _WARN_CERTIFICATE = int(Fault.BUS), int(Fault.CERTIFICATE), int(Warn.CERTIFICATE)
 _WARN_STALE, _WARN_LATE, _WARN_DEGRADED = int(Warn.STALE), int(Warn.LATE), int(Warn.DEGRADED)
 _WARN_REJECTED, _WARN_RECORDER, _WARN_BUS = int(Warn.REJECTED), int(Warn.RECORDER), int(Warn.BUS)
 _FORCE_LIMIT, _FORCE_STEP, _FORCE_WINDOW = int(Warn.FORCE_LIMIT), int(Warn.FORCE_STEP), int(Warn.FORCE_WINDOW)
@@ -129,10 +159,45 @@ def limit_effort(
     return faults, warnings, newest
 
 
+@helper
+def judge_certificate(
+    running: int, late_ns: int, late: bool, skipped: int, age: Ints,
+    q: Array, dq: Array, p: Array, R: Array, twist: Array,
+    p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
+    watched: Array, figures: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """Fill the figures of `hil.safety.certificate`; return fault bits and warning bits.
+
+    running: not 0 while the brakes are open and the law moves the platform. Watched anew after a late,
+    skipped or stale tick, a jump of the reference, and a limit that acted on the forces.
+    """
+    figures[:] = nan
+    if not watched.size:
+        return 0, 0
+    certificate, memory = watched[:CONSTANTS], watched[CONSTANTS:]
+    if running == 0:
+        forget(memory)
+        return 0, 0
+    whole = not late and skipped == 0 and not stale(age, 1) and memory[PAST, UNREST] == 0.0
+    whole = whole and not jumped(certificate, memory, q_d, dq_d, ddq_d)
+    e, de, rate, feed = np.empty_like(q), np.empty_like(q), np.empty_like(q), np.empty_like(q)
+    error_axes(
+        certificate[SCALARS, POSE] > 0.0, q, dq, p, R, twist,
+        p_d, R_d, twist_d, dtwist_d, q_d, dq_d, ddq_d, e, de, rate, feed,
+    )  # fmt: skip
+    broken = watch(certificate, memory, e, de, rate, feed, whole, 1e-9 * abs(late_ns), 1.0 + skipped, figures)
+    remember_reference(memory, q_d, dq_d, ddq_d)
+    action = certificate[SCALARS, ACTION]
+    if not broken or action == 0.0:
+        return 0, 0
+    return _CERTIFICATE if action > 1.0 else 0, _WARN_CERTIFICATE
+
+
 @kernel(
     INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
     *MEASUREMENT, *STATE, REAL, REAL, *REFERENCE, VECTOR,
-    VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX, OUT_VECTOR,
+    VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX,
+    OUT_MATRIX, OUT_VECTOR,
 )  # fmt: skip
 def judge_tick(
     mode: int, lateness_ns: int, skipped: int,
@@ -141,15 +206,17 @@ def judge_tick(
     rejected: int, _tick: int, _blind: Flags,
     q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, residual: float,
     _wrench: Array, condition: float, hop: float,
-    _p_d: Array, _R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
+    p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
     _t: float, tau: Array,
     limits: Array, period_ns: int, stop_on_loss: int,
-    memory: Ints, history: Array, lows: Array, highs: Array, limited: Array,
-) -> tuple[int, int, bool]:  # fmt: skip
-    """Fill the limited forces (6,) N; return fault bits, warning bits, and whether a stop is asked for.
+    memory: Ints, history: Array, lows: Array, highs: Array,
+    watched: Array, limited: Array,
+) -> tuple[int, int, bool, float, float, float, float]:  # fmt: skip
+    """Fill the limited forces (6,) N; return fault bits, warning bits, whether to stop, and four figures.
 
-    The tick as in hil.signals, in the order of its values; limits: see `Safety`. Changes memory and the force
-    window. Fills nothing where the drives are off.
+    The tick as in hil.signals, in the order of its values; limits, watched: see `Safety`; the figures are
+    those of `hil.safety.certificate`. Changes memory, the force window and what is watched. Fills nothing
+    where the drives are off.
     """
     warnings = 0
     late = is_late(lateness_ns, period_ns)
@@ -174,15 +241,24 @@ def judge_tick(
         q_d, dq_d, ddq_d, twist_d, dtwist_d, limits,
     )  # fmt: skip
     warnings |= more
+    figures = np.empty(FIGURES)
+    broken, more = judge_certificate(
+        memory[RUNNING], lateness_ns, late, skipped, age, q, dq, p, R, twist,
+        p_d, R_d, twist_d, dtwist_d, q_d, dq_d, ddq_d, watched, figures,
+    )  # fmt: skip
+    faults |= broken
+    warnings |= more
     if mode < _LOADING or mode > _UNLOADING:
         history[:] = 0.0
         lows[:] = 0.0
         highs[:] = 0.0
-        return faults, warnings, False
+        return faults, warnings, False, nan, nan, nan, nan
     if bus_down(bus_off != 0, memory[REFUSED]):
         faults |= _BUS
     law, more, memory[NEWEST] = limit_effort(
         tau, history, lows, highs, memory[NEWEST], skipped, limits[11], limits[12], limits[13], limited
     )
+    if watched.size:
+        settle(watched[CONSTANTS:], more != 0)
     stop = too_many_missed(memory[MISSED], limits[14]) or (losing and stop_on_loss != 0)
-    return faults | law, warnings | more, bool(stop)
+    return faults | law, warnings | more, bool(stop), figures[V], figures[DV], figures[BOUND], figures[SHARE]

@@ -8,6 +8,7 @@ import pytest
 from drivers.signals import DriveState, Measurement
 from hil.config import LimitSettings
 from hil.safety import guard
+from hil.safety.certificate import Watch
 from hil.signals import (
     NO_FUSION,
     Effort,
@@ -460,3 +461,145 @@ def test_guard_judges_the_ages_that_the_filter_excuses():
     assert Bench().tick(measurement__age=old).faults & Fault.STALE
     excused = Fusion(ages=np.zeros(6, np.int64))
     assert not Bench().tick(measurement__age=old, fusion=excused).faults
+
+
+# -- the certificate: V = 4 (de + e)^2 of each axis, which may not grow at all
+
+POSE, ACTION = 0, 3
+WARN, FAULT = 1.0, 2.0
+CLEAN = [np.nan, np.nan, np.nan, np.nan]
+
+
+def certified(action=WARN, ticks=3, **options):
+    table = np.zeros((12, 6))
+    table[2:5] = 4.0  # P_11, P_12, P_22
+    table[5] = 1e3  # disturbance: the reference may jump by 25 m/s
+    table[6], table[8] = 1e-6, 1.0  # noise, decay
+    table[11] = [0.0, 0.0, 1.0, action, 1.0, 1.0 / RATE_HZ]
+    for name, value in options.items():
+        table[11, {"pose": 0}[name]] = value
+    return Bench(watch=Watch(table, ticks))
+
+
+def figures(bench, mode=Mode.TRACKING, de=0.0, **changes):
+    return bench.tick(mode, state__dq=leg(-de), **changes)
+
+
+def broken(bench, **changes):
+    return bool(figures(bench, **changes).warnings & Warn.CERTIFICATE)
+
+
+def test_guard_watches_nothing_without_a_certificate():
+    bench = Bench()
+    for mode in Mode:
+        np.testing.assert_array_equal(figures(bench, mode).certificate, CLEAN)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_watches_the_certificate_while_the_law_moves_the_platform(mode):
+    bench = certified()
+    first, second = (figures(bench, mode, de=de) for de in (0.5, 0.25))
+    if mode in MOVING:
+        np.testing.assert_allclose(first.certificate, [1.0, np.nan, np.nan, np.nan])
+        np.testing.assert_allclose(second.certificate[:2], [0.25, -0.75 * RATE_HZ])
+        assert second.certificate[3] == pytest.approx(0.5, rel=1e-4)
+    else:
+        for verdict in (first, second):
+            np.testing.assert_array_equal(verdict.certificate, CLEAN)
+            assert not verdict.warnings
+            assert not verdict.faults
+
+
+@pytest.mark.parametrize(
+    ("action", "warning", "fault"),
+    [
+        (0.0, Warn.NONE, Fault.NONE),
+        (WARN, Warn.CERTIFICATE, Fault.NONE),
+        (FAULT, Warn.CERTIFICATE, Fault.CERTIFICATE),
+    ],
+)
+def test_guard_warns_or_faults_where_the_certificate_is_broken(action, warning, fault):
+    bench = certified(action)
+    for de, told in ((0.5, False), (0.4, False), (0.6, True), (0.3, False)):
+        verdict = figures(bench, de=de, inp__bus_errors=1, condition=60.0)
+        assert verdict.warnings == Warn.BUS | (warning if told else Warn.NONE)
+        assert verdict.faults == Fault.CONDITION | (fault if told else Fault.NONE)
+    assert not figures(certified(action), inp__bus_off=True).faults & Fault.CERTIFICATE
+
+
+def test_guard_watches_no_platform_on_its_brakes():
+    ready = np.full(6, int(DriveState.READY))
+    bench = certified()
+    for de in (0.0, 0.5):
+        verdict = figures(bench, Mode.RELEASING, de=de, measurement__state=ready)
+        np.testing.assert_array_equal(verdict.certificate, CLEAN)
+    assert not broken(bench, de=1.0)
+    assert broken(bench, de=1.5)
+    figures(bench, Mode.PARKING)
+    figures(bench, Mode.PARKED)
+    assert not broken(bench, de=2.0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"measurement__age": leg(1, 0, np.int64)},
+        {"inp__skipped": 1},
+        {"inp__lateness_ns": PERIOD_NS // 5 + 1},
+        {"reference__dq": leg(26.0)},
+    ],
+    ids=["stale", "skipped", "late", "jump"],
+)
+def test_guard_watches_the_certificate_anew_after_a_disturbed_tick(changes):
+    bench = certified()
+    assert not broken(bench)
+    assert not broken(bench, de=0.5, **changes)
+    assert np.isnan(figures(bench, de=0.5, **changes).certificate[2:]).all()
+    bench = certified()
+    figures(bench)
+    assert broken(bench, de=0.5)
+
+
+def test_guard_takes_the_time_of_skipped_ticks_into_the_rate_of_V():
+    bench = certified()
+    figures(bench)
+    assert figures(bench, de=0.5, inp__skipped=3).certificate[1] == pytest.approx(1.0 * RATE_HZ / 4)
+
+
+@pytest.mark.parametrize("late_ns", [-4_000_000, 4_000_000])
+def test_guard_allows_a_certificate_what_a_late_tick_makes_of_motion(late_ns):
+    """2 m/s for 4 ms are 8 mm, W = 2 e."""
+    moving = {"reference__dq": leg(2.0), "inp__lateness_ns": late_ns}
+    bench = certified()
+    figures(bench, de=-2.0, reference__dq=leg(2.0))
+    at = 0.008
+    assert not broken(bench, de=-2.0 + 0.999 * at, **moving)
+    assert broken(bench, de=-2.0 + 1.01 * at, **moving)
+
+
+def test_guard_does_not_judge_the_law_by_forces_that_a_limit_changed():
+    bench = certified(ticks=3)
+    figures(bench)
+    assert not broken(bench, tau=0.0)
+    verdict = figures(bench, tau=leg(1000.0))
+    assert verdict.warnings & Warn.FORCE_STEP
+    assert np.isfinite(verdict.certificate[2])
+    judged = [bool(np.isfinite(figures(bench).certificate[2])) for _ in range(6)]
+    assert judged == [False] * 3 + [True] * 3
+
+
+def test_guard_takes_the_errors_of_the_pose_for_a_law_in_pose_space():
+    bench = certified(pose=1.0)
+    pushed = {"reference__p": np.array([0.0, 0.0, 0.5]), "state__q": leg(5.1, 5.0)}
+    assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.25)
+    bench = certified()
+    assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.01)
+
+
+def test_guard_forgets_the_certificate_on_reset():
+    bench = certified()
+    figures(bench)
+    bench.tick(tau=leg(1000.0))
+    bench.safety.reset()
+    assert not broken(bench, de=0.5)
+    assert broken(bench, de=0.8)

@@ -30,6 +30,7 @@ FAMILIES = [
     "following",
     "timing",
     "effort",
+    "certificate",
 ]
 TOGETHER = ["kernels", "guard"]
 

@@ -259,6 +259,21 @@ def test_a_law_that_switches_is_warned_of():
     json.dumps(report.to_dict())
 
 
+def test_it_says_whether_the_law_is_monitored():
+    report = inspect(edited(("  action: log", "  action: fault")))
+    line = "monitored: growth of the error beyond what a disturbance of 8 m/s^2 explains faults"
+    assert line in report.sections["controller"]
+    assert report.figures["monitor"] == {"watched": True, "action": "fault"}
+    report = inspect(with_law("  law: pd_gravity\n  kp_N_m: 2e6\n  kv_N_s_m: 5e4\n"))
+    (line,) = [line for line in report.sections["controller"] if "monitored" in line]
+    assert line.startswith("not monitored: its energy function")
+    assert report.figures["monitor"] == {"watched": False, "action": "log"}
+    pose = inspect(with_law("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n"))
+    assert any(
+        "8 m/s^2 or 8 rad/s^2 explains shows in the log alone" in line for line in pose.sections["controller"]
+    )
+
+
 def test_a_window_shorter_than_the_feedbacks_is_warned_of():
     c = edited(("  rate_Hz: 1000\n", "  rate_Hz: 1000\n  feedback_window_us: 400\n"))
     assert any("SYNC and six feedbacks take 453 us" in w for w in inspect(c).warnings)

@@ -315,6 +315,20 @@ def test_platform_dict_has_the_keys_of_the_model():
     assert "universal_joint_base_axes" not in d
 
 
+@pytest.mark.parametrize("action", ["warn", "fault"])
+def test_a_law_without_a_certificate_cannot_be_acted_upon(action):
+    text = load("virtual").text
+    begin, end = text.index("\ncontroller:") + 1, text.index("\nmonitor:") + 1
+    pd = "controller: {law: pd, kp_N_m: 2.0e+6, kv_N_s_m: 5.0e+4}\n"
+    text = text[:begin] + pd + text[end:]
+    assert loads(text, "pd.yaml").monitor.action == "log"
+    text = text.replace("  action: log ", f"  action: {action} ")
+    with pytest.raises(
+        ConfigurationError, match=r"monitor.action: law pd has no certificate: .*allowed: log"
+    ):
+        loads(text, "pd.yaml")
+
+
 def test_a_wrench_from_a_sensor_needs_the_sensor():
     text = load("virtual").text + "\nestimation: {wrench: {source: sensor}}\n"
     with pytest.raises(ConfigurationError, match=r"estimation.wrench.source: there is no sensors.wrench"):

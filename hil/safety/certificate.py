@@ -1,0 +1,186 @@
+"""Rule on the certificate: V of the error dynamics grows no faster than a stated disturbance lets it.
+
+Rule of the room: see `hil.safety`. Derived in docs/theory/monitor.md.
+
+::
+
+    W = sqrt(V),  dW/dt <= g D,  dV/dt <= -2 alpha (V - D^2)      under |d| <= D, g = sqrt(P_22)
+    bound(k + 1) = min(level(k) + g D T, sqrt(a level(k)^2 + (1 - a) D^2)),  a = exp(-2 alpha T)
+    level(k) = min(bound(k), W(k) + noise)
+
+for each axis: `bound` is the smallest of what all ticks since the start of the watch allow. The axis breaks
+its certificate where W - noise > bound.
+"""
+
+from __future__ import annotations
+
+from math import nan, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compile_cache import helper
+
+Array = NDArray[np.float64]
+
+(
+    K_P, K_D, P_11, P_12, P_22, DISTURBANCE, NOISE, RISE, DECAY, SLOPE, STEEPNESS, SCALARS, CONSTANTS,
+) = range(13)  # fmt: skip
+"""Rows of the constants of a watch (CONSTANTS, 6), see `hil.monitor`: the certificate; the disturbance in
+m/s^2 or rad/s^2; the noise of W; g T and exp(-2 alpha T); slope and steepness of a boundary layer."""
+POSE, SHARED, LAYER, ACTION, CONFIRM, PERIOD = range(6)
+"""SCALARS: axes of the pose; layer of all legs at once; its thickness; what to do; ticks; s."""
+LEVEL, COUNT, PAST, REFERENCE, ASKED = 0, 1, 2, 3, 6
+"""Rows of the memory: level and ticks of breach of each axis; PAST; q_d, dq_d, ddq_d of the last tick; from
+ASKED on the accelerations that the law asked for, the newest first."""
+LAST_V, UNREST = range(2)
+"""PAST: V of the last tick, nan without one; ticks until the forces are again those of the law."""
+V, DV, BOUND, SHARE, FIGURES = range(5)
+"""What is recorded: V, its rate, the largest V that is allowed, the largest W / (bound + noise)."""
+
+
+class Watch(NamedTuple):
+    """What is watched, as `hil.monitor` makes it."""
+
+    constants: Array
+    """(CONSTANTS, 6); (0, 6): nothing."""
+    ticks: int
+    """So many of the last efforts may act at once."""
+
+
+NO_WATCH = Watch(np.zeros((0, 6)), 0)
+
+
+@helper
+def grown(level: float, disturbance: float, rise: float, decay: float) -> float:
+    """Return the largest W one period after W <= level, under a disturbance."""
+    settled = decay * level * level + (1.0 - decay) * disturbance * disturbance
+    return min(level + rise * disturbance, sqrt(settled))
+
+
+@helper
+def lyapunov(constants: Array, i: int, e: float, de: float) -> float:
+    """Return V of axis i."""
+    mixed = 2.0 * constants[P_12, i] * e * de
+    value: float = constants[P_11, i] * e * e + mixed + constants[P_22, i] * de * de
+    return max(value, 0.0)
+
+
+@helper
+def asked_for(constants: Array, e: Array, de: Array, feed: Array, linear: Array, asked: Array) -> None:
+    """Fill the axes' accelerations: by the certified gains, and by the law, which saturates beyond its layer.
+
+    linear = feed + K_P e + K_D de; sigma = de + slope e. Where |sigma| (of all legs where they share a layer)
+    is beyond the layer, the law asks for steepness (|sigma| - layer) less along sigma.
+    """
+    layer = constants[SCALARS, LAYER]
+    square = 0.0
+    for i in range(6):
+        sigma = de[i] + constants[SLOPE, i] * e[i]
+        square += sigma * sigma
+    for i in range(6):
+        linear[i] = feed[i] + constants[K_P, i] * e[i] + constants[K_D, i] * de[i]
+        sigma = de[i] + constants[SLOPE, i] * e[i]
+        size = sqrt(square) if constants[SCALARS, SHARED] > 0.0 else abs(sigma)
+        beyond = 1.0 - layer / size if size > layer else 0.0
+        asked[i] = linear[i] - constants[STEEPNESS, i] * sigma * beyond
+
+
+@helper
+def jumped(constants: Array, memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> bool:
+    """Tell whether the reference moved otherwise since the last tick than by its own rates.
+
+    By more than the disturbance moves a leg within a period; a jump of its acceleration alone may do so.
+    """
+    T = constants[SCALARS, PERIOD]
+    for i in range(6):
+        slip = dq_d[i] - memory[REFERENCE + 1, i] - 0.5 * T * (ddq_d[i] + memory[REFERENCE + 2, i])
+        gap = q_d[i] - memory[REFERENCE, i] - 0.5 * T * (dq_d[i] + memory[REFERENCE + 1, i])
+        allowed = T * constants[DISTURBANCE, 0]
+        if abs(slip) > allowed or abs(gap) > T * allowed:
+            return True
+    return False
+
+
+@helper
+def spread(memory: Array, i: int, linear: float) -> float:
+    """Return how far `linear` is from what the law asked axis i for in the ticks whose forces act now."""
+    widest = 0.0
+    for k in range(ASKED, memory.shape[0]):
+        widest = max(widest, abs(linear - memory[k, i]))
+    return widest
+
+
+@helper
+def remember_reference(memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
+    """Keep the reference of this tick."""
+    memory[REFERENCE] = q_d
+    memory[REFERENCE + 1] = dq_d
+    memory[REFERENCE + 2] = ddq_d
+
+
+@helper
+def remember_asked(memory: Array, asked: Array, fresh: bool) -> None:
+    """Keep what the law asks for; `fresh`: as if it had always asked for it."""
+    for k in range(memory.shape[0] - 1, ASKED, -1):
+        memory[k] = asked if fresh else memory[k - 1]
+    memory[ASKED] = asked
+
+
+@helper
+def forget(memory: Array) -> None:
+    """Forget what was: nothing is watched."""
+    memory[COUNT] = 0.0
+    memory[PAST, LAST_V] = nan
+    memory[PAST, UNREST] = 0.0
+
+
+@helper
+def settle(memory: Array, limited: bool) -> None:
+    """Take note of whether a limit acted on the forces: until they are forgotten they are not the law's."""
+    memory[PAST, UNREST] = memory.shape[0] - ASKED if limited else max(memory[PAST, UNREST] - 1.0, 0.0)
+
+
+@helper
+def watch(
+    constants: Array, memory: Array, e: Array, de: Array, rate: Array, feed: Array,
+    whole: bool, late_s: float, periods: float, figures: Array,
+) -> bool:  # fmt: skip
+    """Fill the figures; tell whether an axis has broken its certificate for as long as is asked.
+
+    e, de, and rate and acceleration of the reference as of `hil.kernels.error_axes`. whole: since the last
+    tick nothing happened that the certificate knows nothing of; where it is false the watch starts anew.
+    late_s: how late the encoders were read; periods: since the last tick.
+    """
+    fresh = bool(np.isnan(memory[PAST, LAST_V]))
+    begins = fresh or not whole
+    linear, asked = np.empty_like(e), np.empty_like(e)
+    asked_for(constants, e, de, feed, linear, asked)
+    total, bounds, share = 0.0, 0.0, 0.0
+    broken = False
+    for i in range(6):
+        value = lyapunov(constants, i, e[i], de[i])
+        W = sqrt(value)
+        moved = sqrt(constants[P_11, i]) * abs(rate[i]) + sqrt(constants[P_22, i]) * abs(feed[i])
+        noise = constants[NOISE, i] + moved * late_s
+        total += value
+        if begins:
+            memory[LEVEL, i] = W + noise
+            memory[COUNT, i] = 0.0
+            continue
+        disturbance = constants[DISTURBANCE, i] + spread(memory, i, linear[i])
+        bound = grown(memory[LEVEL, i], disturbance, constants[RISE, i], constants[DECAY, i])
+        bounds += bound * bound
+        share = max(share, W / (bound + noise))
+        memory[COUNT, i] = memory[COUNT, i] + 1.0 if W - noise > bound else 0.0
+        memory[LEVEL, i] = min(bound, W + noise)
+        if memory[COUNT, i] >= constants[SCALARS, CONFIRM]:
+            broken = True
+    remember_asked(memory, asked, fresh)
+    figures[V] = total
+    figures[DV] = (total - memory[PAST, LAST_V]) / (constants[SCALARS, PERIOD] * periods)
+    figures[BOUND] = nan if begins else bounds
+    figures[SHARE] = nan if begins else share
+    memory[PAST, LAST_V] = total
+    return broken

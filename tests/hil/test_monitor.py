@@ -1,0 +1,199 @@
+"""What is watched: the numbers of the certificate, and that they allow what they promise to allow."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from drivers.signals import DriveState, Measurement
+from hil.app.configuration import load
+from hil.config import (
+    InverseDynamicsSettings,
+    LimitSettings,
+    MonitorSettings,
+    PDSettings,
+    PoseInverseDynamicsSettings,
+    RobustInverseDynamicsSettings,
+    SlidingModeSettings,
+    UncertaintySettings,
+)
+from hil.control import LAWS
+from hil.geometry import Platform
+from hil.kernels.error_axes import error_axes as kernel
+from hil.kinematics import jacobian
+from hil.monitor import REASONS, build_watch, error_axes
+from hil.rotations import rotation_from_vector, rotation_vector
+from hil.safety import Safety
+from hil.safety.certificate import NO_WATCH
+from hil.signals import Effort, Estimate, Mode, Reference, State, TickInput, Warn
+
+T = 1e-3
+HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
+UNCERTAIN = UncertaintySettings(disturbance_m_s2=9.0)
+PLAIN = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0)
+
+
+@pytest.fixture(scope="module")
+def platform():
+    from hil.app.configuration import platform_dict  # noqa: PLC0415
+
+    return Platform.from_dict(platform_dict(load("virtual").platform))
+
+
+def test_the_constants_of_a_critically_damped_law(platform):
+    """alpha = wn / 4 = 5, V = 600 ((de + 5 e)^2 + 225 e^2)."""
+    table, ticks = build_watch(MonitorSettings(action="fault"), PLAIN, platform, HOME, T)
+    rows = {0: 400, 1: 40, 2: 150e3, 3: 3e3, 4: 600, 5: 8, 7: math.sqrt(600) * T, 8: math.exp(-0.01)}
+    for row, value in rows.items():
+        np.testing.assert_allclose(table[row], value, rtol=1e-9)
+    np.testing.assert_allclose(table[6], math.sqrt(150e3) * 2e-6 + math.sqrt(600) * 1e-4)
+    np.testing.assert_array_equal(table[9:11], 0.0)
+    np.testing.assert_array_equal(table[11], [0, 0, 1, 2, 3, T])
+    assert ticks == 2 + 3, "transport and hold, and 2.4 ms of the force loop"
+    assert build_watch(MonitorSettings(), PLAIN, platform, HOME, 0.02).ticks == 2 + 1
+
+
+def test_noise_of_the_legs_reaches_the_pose_through_the_jacobian(platform):
+    settings = MonitorSettings(length_noise_m=1e-3, rate_noise_m_s=0.0, disturbance_rad_s2=3.0)
+    law = PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)
+    table, _ = build_watch(settings, law, platform, HOME, T)
+    worst = 1e-3 * np.abs(np.linalg.inv(jacobian(platform, *HOME))).sum(axis=1)
+    np.testing.assert_allclose(table[6], math.sqrt(150e3) * worst)
+    np.testing.assert_array_equal(table[5], [8, 8, 8, 3, 3, 3])
+    assert table[11, 0] == 1.0
+
+
+def test_robust_laws_are_watched_with_the_gains_of_their_layers(platform):
+    """k = 10 and phi = k / 50 = 0.2: two poles at 50 rad/s. rho / epsilon = 9 sqrt(6) / 0.5."""
+    sliding = SlidingModeSettings(
+        law="sliding_mode", lambda_rad_s=50.0, uncertainty=UNCERTAIN, reaching_m_s2=1.0
+    )
+    table, _ = build_watch(MonitorSettings(), sliding, platform, HOME, T)
+    np.testing.assert_allclose(table[[0, 1, 9, 10], 3], [2500, 100, 50, 50])
+    np.testing.assert_allclose(table[11, 1:3], [0, 0.2])
+    robust = RobustInverseDynamicsSettings(
+        law="robust_inverse_dynamics", wn_rad_s=60.0, uncertainty=UNCERTAIN, boundary_layer_m_s=0.5
+    )
+    table, _ = build_watch(MonitorSettings(), robust, platform, HOME, T)
+    steep = 9 * math.sqrt(6) / 0.5
+    np.testing.assert_allclose(table[[0, 1, 9, 10], 3], [3600 + 60 * steep, 120 + steep, 60, steep])
+    np.testing.assert_allclose(table[11, 1:3], [1, 0.5])
+
+
+def test_a_law_has_a_certificate_or_a_reason(platform):
+    pd = PDSettings(law="pd", kp_N_m=1e6, kv_N_s_m=1e4)
+    assert build_watch(MonitorSettings(), pd, platform, HOME, T) is NO_WATCH
+    switching = SlidingModeSettings(
+        law="sliding_mode",
+        lambda_rad_s=50.0,
+        uncertainty=UNCERTAIN,
+        reaching_m_s2=1.0,
+        boundary_layer_m_s=0.0,
+    )
+    assert "switches" in str(error_axes(switching))
+    certified = {
+        "inverse_dynamics",
+        "partial_linearisation",
+        "pose_inverse_dynamics",
+        "sliding_mode",
+        "robust_inverse_dynamics",
+    }
+    assert certified.isdisjoint(REASONS)
+    assert set(LAWS) <= certified | set(REASONS)
+
+
+def test_the_error_of_the_pose_and_its_exact_rate():
+    """Of a platform that turns at 0.3 rad off its reference: differences over a microsecond."""
+
+    def poses(t):
+        R_d = rotation_from_vector(np.array([0.2, -0.1, 0.4])) @ rotation_from_vector(t * w_d)
+        R = rotation_from_vector(np.array([0.0, 0.1, 0.2])) @ rotation_from_vector(t * w)
+        return R_d, R
+
+    w_d, w = np.array([0.5, -0.3, 0.8]), np.array([-0.2, 0.7, 0.1])  # platform frame
+    (R_d, R), h = poses(0.0), 1e-6
+    (a_d, a), (b_d, b) = poses(-h), poses(h)
+    slope = (rotation_vector(b_d @ b.T) - rotation_vector(a_d @ a.T)) / (2 * h)
+    out = [np.empty(6) for _ in range(4)]
+    p, p_d, v, v_d = np.arange(12.0).reshape(4, 3) ** 2
+    twist, twist_d, dtwist_d = np.hstack([v, R @ w]), np.hstack([v_d, R_d @ w_d]), np.arange(6.0)
+    six = np.zeros(6)
+    kernel(True, six, six, p, R, twist, p_d, R_d, twist_d, dtwist_d, six, six, six, *out)
+    np.testing.assert_allclose(out[0], np.hstack([p_d - p, rotation_vector(R_d @ R.T)]))
+    np.testing.assert_allclose(out[1], np.hstack([v_d - v, slope]), atol=1e-8)
+    np.testing.assert_array_equal(out[2:], [twist_d, dtwist_d])
+
+
+LIMITS = LimitSettings(
+    force_N=1.0, force_step_N=1.0, force_window_N=1.0, speed_m_s=9.0, deceleration_m_s2=9.0,
+    following_error_m=9.0,
+)  # fmt: skip
+
+
+class Axes:
+    """Six axes of wn 20 under disturbances d, with a force loop's lag and one period of transport."""
+
+    def __init__(self, watch):
+        self.safety = Safety(LIMITS, 0.0, 9.0, 1 / T, 1.0, watch=watch)
+        A = np.array([[0, 1, 0, 0], [0, 0, 1, 1], [0, 0, -1 / 0.8e-3, 0], [0, 0, 0, 0]], float)
+        B = np.array([[0], [0], [1 / 0.8e-3], [0]], float)
+        self.step = expm(np.block([[A, B], [np.zeros((1, 5))]]) * T)
+        self.x = np.zeros((6, 5))  # e, de, acceleration that acts, disturbance, command
+        self.command = np.zeros(6)
+
+    def tick(self, d):
+        """Return V and whether the watch alarms; then one period under d."""
+        e, de = self.x[:, 0], self.x[:, 1]
+        run = np.full(6, int(DriveState.RUN))
+        none = np.zeros(6, np.int64)
+        measurement = Measurement(np.ones(6), np.zeros(6), np.zeros(6), run, none, none, 0)
+        state = State(1.0 - e, -de, np.zeros(3), np.eye(3), np.zeros(6), np.eye(6), 1, 0.0)
+        still = np.zeros(6)
+        reference = Reference(np.zeros(3), np.eye(3), still, still, np.ones(6), still, still)
+        inp = TickInput(0, 0, 0, 0, (), 0, 0, False, 0, True, 0, (), 0)
+        verdict = self.safety.judge(
+            inp, measurement, Estimate(state, 1.0, 0.0), reference, Effort(still), Mode.TRACKING
+        )
+        self.x[:, 3] = d
+        self.x[:, 4] = self.command
+        self.command = -400.0 * e - 40.0 * de
+        self.x = self.x @ self.step.T
+        return verdict.certificate, bool(verdict.warnings & Warn.CERTIFICATE)
+
+
+@pytest.fixture(scope="module")
+def exact(platform):
+    """A watch that allows for no noise and asks once."""
+    settings = MonitorSettings(action="warn", confirm_ticks=1, length_noise_m=0.0, rate_noise_m_s=0.0)
+    return build_watch(settings, PLAIN, platform, HOME, T)
+
+
+@pytest.mark.parametrize("kind", ["worst", "steps", "noise"])
+def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
+    """Whatever the six do within 8 m/s^2, the one that always pushes outwards included."""
+    random = np.random.default_rng(7)
+    axes = Axes(exact)
+    largest = 0.0
+    for k in range(1500):
+        if kind == "worst":
+            d = 8.0 * np.where(axes.x[:, 1] + 5.0 * axes.x[:, 0] >= 0.0, 1.0, -1.0)
+        elif kind == "noise":
+            d = random.uniform(-8.0, 8.0, 6)
+        elif k % 40 == 0:
+            d = random.choice([-8.0, 0.0, 8.0], 6)
+        figures, alarm = axes.tick(d)
+        assert not alarm, k
+        if k > 1:
+            largest = max(largest, figures[3])
+    assert largest > (0.5 if kind == "noise" else 0.95), "the bound is a sharp one"
+
+
+@pytest.mark.parametrize("excess", [1.25, 2.0, 4.0])
+def test_a_disturbance_beyond_the_bound_breaks_it_at_once(exact, excess):
+    axes = Axes(exact)
+    for _ in range(5):
+        axes.tick(0.0)
+    alarms = [axes.tick(np.array([0, 0, excess * 8.0, 0, 0, 0]))[1] for _ in range(5)]
+    assert not alarms[0]
+    assert any(alarms)

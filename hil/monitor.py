@@ -6,6 +6,7 @@ feeds the cycle.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import ceil, isinf
 from typing import NamedTuple
 
@@ -86,6 +87,16 @@ def error_axes(settings: ControllerSettings) -> ErrorAxes | str:
             slope=slope, steepness=steepness, layer=layer, shared=True,
         )  # fmt: skip
     return REASONS[settings.law]
+
+
+def certified_law(
+    monitor: MonitorSettings, controller: ControllerSettings, _: object
+) -> Iterator[tuple[tuple[str, str], str]]:
+    """Refuse to act on the certificate of a law that has none: a rule of `hil.app.consistency`."""
+    reason = error_axes(controller)
+    if monitor.action != "log" and isinstance(reason, str):
+        message = f"law {controller.law} has no certificate: {reason}, allowed: log, given: {monitor.action}"
+        yield ("monitor", "action"), message
 
 
 def build_watch(

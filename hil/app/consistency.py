@@ -32,7 +32,6 @@ from hil.config import (
     LiveReference,
     LoopSettings,
     ModelBasedSettings,
-    MonitorSettings,
     MultisineReference,
     PlatformSettings,
     Pose,
@@ -45,7 +44,7 @@ from hil.config import (
 from hil.control.feedforward_pd import ENDLESS
 from hil.geometry import GeometryError, Platform
 from hil.kinematics import leg_lengths
-from hil.monitor import error_axes
+from hil.monitor import certified_law
 from hil.trajectory import build_trajectory
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 
@@ -314,14 +313,6 @@ def designed_controllers(
         trouble = None if folder is None else unusable(law, loop.rate_Hz, folder)
         if trouble is not None:
             yield (*path, "controller_file"), trouble
-
-
-def certified_law(monitor: MonitorSettings, controller: ControllerSettings, _: Folder) -> Iterator[Finding]:
-    """Refuse to act on the certificate of a law that has none."""
-    reason = error_axes(controller)
-    if monitor.action != "log" and isinstance(reason, str):
-        message = f"law {controller.law} has no certificate: {reason}, allowed: log, given: {monitor.action}"
-        yield ("monitor", "action"), message
 
 
 def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:

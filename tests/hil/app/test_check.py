@@ -268,7 +268,7 @@ def test_it_says_whether_the_law_is_monitored():
     (line,) = [line for line in report.sections["controller"] if "monitored" in line]
     assert line.startswith("not monitored: its energy function")
     assert report.figures["monitor"] == {"watched": False, "action": "log"}
-    pose = inspect(with_law("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n"))
+    pose = inspect(with_law("  law: pose_inverse_dynamics\n  wn_rad_s: 25\n"))
     assert any(
         "8 m/s^2 or 8 rad/s^2 explains shows in the log alone" in line for line in pose.sections["controller"]
     )

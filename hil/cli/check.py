@@ -17,8 +17,8 @@ def check_command(configuration: str, json_file: Path | None) -> None:
     """Say what the bus, the legs and the limits have to say about CONFIGURATION, before anything moves.
 
     Bus time of a tick with its arithmetic, forces and lengths at home and along the whole reference, drive
-    watchdog, delay against the law's bandwidth, real-time rights of this machine. Opens no bus,
-    writes no log.
+    watchdog, delay against the law's bandwidth, what is proven of the law (more: hil stability), real-time
+    rights of this machine. Opens no bus, writes no log.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""`hil identify`: what a run tells of the loop; a run made for it, or any log."""
+"""`hil identify --delay`, and what all of `hil identify` shares: runs made for it, and logs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.app.configuration import Configuration, loads, platform_dict
 from hil.app.run import run_daemon
 from hil.app.sim import simulate
 from hil.app.yaml_positions import parse
-from hil.config import HoldReference, ModelBasedSettings, ModelSettings
+from hil.config import Evaluated, HoldReference, ModelBasedSettings, ModelSettings, Pose
 from hil.control.model import build_model
 from hil.dynamics import Model
 from hil.excitation import excitation
@@ -40,6 +40,14 @@ class Excited(NamedTuple):
     """Largest leg force of the excitation."""
 
 
+class Recorded(NamedTuple):
+    """A log of a run."""
+
+    configuration: Configuration
+    rows: Rows
+    rate_Hz: float
+
+
 def is_log(source: Path) -> bool:
     """Tell whether a file is a log (MCAP) rather than a configuration."""
     try:
@@ -55,6 +63,18 @@ def excited(configuration: Configuration, force_N: float | None, duration_s: flo
     Raises ConfigurationError: a force that the limits would cut, or a pose that cannot be reached.
     """
     c = configuration
+    force = excitation_force(c, force_N)
+    reference = excitation(
+        exact_model(c), excitation_pose(c), c.loop.rate_Hz, force, duration_s or DURATION_S
+    )
+    return excited_by(c, reference, force)
+
+
+def excitation_force(c: Configuration, force_N: float | None) -> float:
+    """Return the largest leg force of an excitation: what was asked for, or what the limits leave room for.
+
+    Raises ConfigurationError: a force that the limits would cut.
+    """
     most = STEP_SHARE * min(c.limits.force_step_N, c.limits.force_window_N)
     force = min(FORCE_SHARE * c.limits.force_N, most) if force_N is None else force_N
     if force > 5 * most:
@@ -62,10 +82,20 @@ def excited(configuration: Configuration, force_N: float | None, duration_s: flo
             f"--force {force:g}: more than half of limits.force_step_N or limits.force_window_N, which would "
             f"cut it, allowed: up to {5 * most:g}"
         )
+    return force
+
+
+def excitation_pose(c: Configuration) -> Pose:
+    """Return the pose that is held, else home."""
     held = c.reference.pose if isinstance(c.reference, HoldReference) else None
-    reference = excitation(
-        exact_model(c), held or c.platform.home, c.loop.rate_Hz, force, duration_s or DURATION_S
-    )
+    return held or c.platform.home
+
+
+def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excited:
+    """Return the configuration with another reference.
+
+    Raises ConfigurationError for one that cannot be reached.
+    """
     document = dict(parse(c.text).value or {})
     document["name"] = f"{c.name}-identify"
     document["reference"] = reference.model_dump(mode="json")
@@ -73,7 +103,7 @@ def excited(configuration: Configuration, force_N: float | None, duration_s: flo
     text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
     made = loads(text, c.source, c.folder)
     refuse_unreachable(made)
-    return Excited(made, force)
+    return Excited(made, force_N)
 
 
 def exact_model(configuration: Configuration) -> Model:
@@ -106,10 +136,10 @@ def motion_of(rows: Rows, period_s: float) -> Motion:
     )
 
 
-def delay_of_log(path: Path) -> dict[str, Any]:
-    """Return the summary of the delay that a log of `hil run` or `hil sim` shows.
+def recorded_run(path: Path) -> Recorded:
+    """Return what a log of `hil run` or `hil sim` holds.
 
-    Raises LogError for what is no such log, IdentificationError where it does not hold enough.
+    Raises LogError for what is no such log.
     """
     log = Log.open(path)
     run = log.metadata.get("hil", {})
@@ -118,7 +148,17 @@ def delay_of_log(path: Path) -> dict[str, Any]:
             f"{path}: holds a log of kind {run.get('kind')!r}; only logs of `hil run` and `hil sim` tell"
         )
     configuration = loads(log.configuration, f"{path}:config.yaml")
-    delay = force_delay(motion_of(log.rows(), 1.0 / float(run["rate_Hz"])), exact_model(configuration))
+    return Recorded(configuration, log.rows(), float(run["rate_Hz"]))
+
+
+def delay_of_log(path: Path) -> dict[str, Any]:
+    """Return the summary of the delay that a log of `hil run` or `hil sim` shows.
+
+    Raises LogError for what is no such log, IdentificationError where it does not hold enough.
+    """
+    recorded = recorded_run(path)
+    motion = motion_of(recorded.rows, 1.0 / recorded.rate_Hz)
+    delay = force_delay(motion, exact_model(recorded.configuration))
     return {"success": True, "kind": "identify", "log": str(path)} | summary(delay)
 
 

@@ -10,9 +10,11 @@ import click
 from hil.cli.shared import FILE, announce_compilation, guarded, json_option, log_option
 
 
-@click.command("identify", short_help="What the loop is like: its delay, from a run or a log.")
+@click.command("identify", short_help="What the loop is like: its axes or its delay, from a run or a log.")
 @click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=FILE)
-@click.option("--delay", is_flag=True, help="From the measurement to the force that answers it.")
+@click.option(
+    "--delay", is_flag=True, help="Only the delay, from the measurement to the force that answers it."
+)
 @click.option(
     "--run", "real_time", is_flag=True, help="In real time: moves real drives. Default is lockstep."
 )
@@ -27,7 +29,14 @@ from hil.cli.shared import FILE, announce_compilation, guarded, json_option, log
     "--duration",
     type=click.FloatRange(min=1),
     metavar="S",
-    help="Of the excitation, fading in and out included; default 4.",
+    help="Of the excitation, fading in and out included; default 11.5, with --delay 4.",
+)
+@click.option(
+    "-o",
+    "--model",
+    type=FILE,
+    metavar="FILE",
+    help="Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it.",
 )
 @log_option
 @json_option
@@ -39,32 +48,44 @@ def identify_command(
     with_plant: bool,
     force: float | None,
     duration: float | None,
+    model: Path | None,
     log: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Measure what the loop is like, and print it as a configuration wants it.
+    """Measure what the loop is like, from a run that excites it or from a log that is there.
+
+    Without --delay: the linearised axes, from the acceleration that the law demands of each leg (pose laws:
+    of x, y, z and the rotations about them) to where it is. Frequency response with coherence and standard
+    deviations, the nominal axis gain exp(-transport s) / (lag s + 1) / s^2 behind the hold, and a bound of
+    |P/P0 - 1| over frequency, as `hil design` takes them (-o), with a picture. It needs a law that
+    linearises: inverse_dynamics, pose_inverse_dynamics, partial_linearisation, sliding_mode or
+    robust_inverse_dynamics.
 
     --delay: how long it takes from the encoders' latch to the force that answers it, split into transport
     (a pure delay: feedback, computing, command), lag (the drives' force loop, first order) and hold (half a
     period). A law with a model compensates it: section controller.delay_compensation; the wrench observer
-    wants transport and lag, too: section estimation.wrench.
+    wants transport and lag, too: section estimation.wrench. With any law.
 
-    With CONFIG, the platform is held at home (or at the pose of a hold reference) and moved by 36 sinusoids
-    from 10 Hz to 0.3 of the rate, on a slow heave of 3 mm: engage, excite, park, as an ordinary run, with
-    all its limits. Ctrl-C stops and parks. In lockstep by default, which needs a section plant; with --run in
-    real time, which moves real drives. With LOG, nothing runs: any log of `hil run` or `hil sim` in which
-    the forces vary tells the total, and one with quick changes the split.
+    With CONFIG, the platform is held at home (or at the pose of a hold reference) and moved by small
+    sinusoids on a slow heave of 3 mm: engage, excite, park, as an ordinary run, with all its limits. Each
+    axis has 12 lines of its own from 1 Hz to a tenth of the rate; with --delay there are 36 from 10 Hz to
+    0.3 of the rate. Ctrl-C stops and parks. In lockstep by default, which needs a section plant; with --run
+    in real time, which moves real drives.
 
-    The forces that the motion took, from the rigid-body model, are compared with the commands of each leg.
-    Gain, offset and friction of each leg are fitted along, so a model that is somewhat wrong does not
-    hurt. Uncertainties are two standard deviations.
+    With LOG, nothing runs. Sinusoids and multisines are cut into whole periods, anything else into segments
+    of 2 s; what is not coherent with its reference is not used. For --delay any log serves in which the
+    forces vary, and one with quick changes tells the split.
+
+    Uncertainties are two standard deviations. Guide: docs/guides/identify.md.
 
     \b
     Examples:
-      hil identify virtual --delay                the virtual bench, in lockstep
-      hil identify virtual --delay --run --plant  the same in real time
-      hil identify my.yaml --delay --run          real drives: they move a little
-      hil identify runs/today.mcap --delay        a run that is there already
+      hil identify virtual                        the axes of the virtual bench, in lockstep
+      hil identify virtual -o axes.yaml           the same, into a file of your own
+      hil identify my.yaml --run                  real drives: they move by some millimetres
+      hil identify my.yaml --run --force 800      more force, where friction or noise hides the answer
+      hil identify runs/today.mcap                a run that is there already
+      hil identify virtual --delay --run --plant  only the delay, in real time against the virtual plant
 
     \b
     Exit code:
@@ -72,22 +93,29 @@ def identify_command(
       1  the run for it ended in a fault; its log tells
       2  not measured: configuration, log, or too little excitation; the message says what
     """
-    if not delay:
-        raise click.UsageError("say what to measure: --delay")
     announce_compilation()
-    from hil.app import identify
-    from hil.app.output import show_lines, write_json
+    from hil.app import identify, identify_axes
+    from hil.app.output import log_path, show_lines, write_json
 
+    if delay and model:
+        raise click.UsageError("--model has no use with --delay, which prints what it finds")
+    made = run = files = None
     if identify.is_log(configuration):
         if real_time or with_plant or force or duration or log:
             raise click.UsageError(
                 f"{configuration} is a log: --run, --plant, --force, --duration, --log have no use"
             )
-        result = identify.delay_of_log(configuration)
+        log = configuration
     else:
         from hil.app.configuration import load
 
-        made = identify.excited(load(configuration), force, duration)
+        loaded = load(configuration)
+        excite = identify.excited if delay else identify_axes.excited_axes
+        made = excite(loaded, force, duration)
+        log = log_path(loaded.recording.folder, made.configuration.name, log)
+    if not delay:
+        files = identify_axes.outputs(log, model)
+    if made is not None:
         run = identify.run_for(made, log, real_time=real_time, with_plant=with_plant)
         if not run["success"]:
             click.echo(
@@ -96,7 +124,16 @@ def identify_command(
             if json_file is not None:
                 write_json(json_file, run)
             sys.exit(1)
-        result = identify.delay_of_log(Path(run["log"])) | {"excitation_N": made.force_N, "run": run}
-    show_lines(identify.report(result))
+    if files is None:
+        result = identify.delay_of_log(log)
+        lines = identify.report(result)
+    else:
+        found = identify_axes.axes_of_log(log)
+        identify_axes.save(found, files, log.stem)
+        result = identify_axes.summary(found, log, files)
+        lines = identify_axes.report(result, found.model)
+    if made is not None:
+        result |= {"excitation_N": made.force_N, "run": run}
+    show_lines(lines)
     if json_file is not None:
         write_json(json_file, result)

@@ -74,7 +74,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
-    given = (arguments.get(name) for name in ("configuration", "log", "salvage", "picture"))
+    given = (arguments.get(name) for name in ("configuration", "log", "salvage", "picture", "model"))
     return [Path(file) for file in given if file is not None]
 
 

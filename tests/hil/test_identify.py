@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.force_path import ForcePath
-from hil.identify import mean_forces
+from hil.identify.delay import mean_forces
 
 T = 1e-3
 COMMANDS = np.random.default_rng(5).normal(0.0, 500.0, (50, 6))

@@ -80,7 +80,7 @@ def test_a_robot_that_is_not_the_model_shows_in_the_gains(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["virtual"], "--delay"),
+        (["virtual", "--delay", "--model", "a.yaml"], "--model"),
         (["virtual", "--delay", "--force", "1e5"], "limits.force_step_N"),
         (["socketcan", "--delay"], "--run"),
         (["nothing.yaml", "--delay"], "no such file"),

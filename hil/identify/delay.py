@@ -1,6 +1,6 @@
-"""What a log tells of the loop: how long a command takes to become a force.
+"""How long a command takes to become a force.
 
-Rule of the room: arrays in, values out; offline, so scipy may be used.
+Rule of the room: see `hil.identify`.
 
 The forces in the legs are known twice: from the commands, through a transport delay and a first-order lag
 (`hil.force_path`), and from the motion, through the rigid-body model: the mean force over a period is what
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from drivers.errors import ModelError
 from hil.dynamics import SLIDING_SPEED, Model
+from hil.identify.errors import IdentificationError
 from hil.observer import unexplained_kernel
 from hil.signals import Array
 
@@ -40,10 +40,6 @@ FEWEST_PERIODS = 100
 """Of usable periods of motion, for each leg."""
 SURE_S = 2e-4
 """A standard deviation above this is no measurement."""
-
-
-class IdentificationError(ModelError):
-    """The log does not hold what the estimate needs."""
 
 
 class Motion(NamedTuple):

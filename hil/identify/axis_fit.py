@@ -1,0 +1,146 @@
+"""From measured responses to the nominal axis and the bound of its error.
+
+Rule of the room: see `hil.identify`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from hil.identify.errors import IdentificationError
+from hil.identify.nominal import axis_response
+from hil.identify.response import Response
+from hil.linear_system import ComplexArray
+from hil.signals import Array
+
+COHERENT = 0.9
+FEWEST_LINES = 6
+"""Of each axis."""
+SYSTEMATIC = 2e-3
+"""What no line is trusted beyond, relative: coupling and the change of the pose do not average out."""
+LONGEST_PERIODS = 20.0
+SEPARATED = 10.0
+"""Largest condition number of six lines' directions from which a coupling matrix can be told."""
+
+
+class Fit(NamedTuple):
+    """gain exp(-transport s) / (lag s + 1) / s^2 with standard deviations."""
+
+    gain: Array
+    """(6,)."""
+    gain_std: Array
+    transport_s: float
+    transport_std_s: float
+    lag_s: float
+    lag_std_s: float
+    total_s: float
+    """Phase slope at low frequency: transport, lag and half a period."""
+    total_std_s: float
+    used: NDArray[np.bool_]
+    """(lines, 6) what the fit was made from: excited and coherent."""
+
+
+class Uncertainty(NamedTuple):
+    """What the measured axes differ from the nominal one by, with confidence."""
+
+    frequency_Hz: Array
+    bound: Array
+    coupled: bool
+    """Whether the coupling of the axes is in it: six lines side by side moved the axes in six directions."""
+
+
+def fit_axes(response: Response) -> Fit:
+    """Return the nominal axis that leaves the smallest relative error, each line weighted by its certainty.
+
+    Raises IdentificationError: too few coherent lines on an axis, or responses that are no such axis.
+    """
+    used = response.excited & (response.coherence >= COHERENT) & np.isfinite(response.G)
+    for axis, lines in enumerate(used.sum(axis=0).tolist()):
+        if lines < FEWEST_LINES:
+            there = int(response.excited[:, axis].sum())
+            raise IdentificationError(
+                f"axis {axis} is coherent with its reference (above {COHERENT:g}) at {lines} of {there} "
+                f"lines, allowed: at least {FEWEST_LINES}; excite it more (--force), longer (--duration), "
+                "or over more frequencies"
+            )
+    T = response.period_s
+    line, of = np.nonzero(used)
+    f, G = response.frequency_Hz[line], response.G[used]
+    weight = 1.0 / np.hypot(response.std[used], SYSTEMATIC)
+
+    def residual(x: Array) -> Array:
+        P = x[of] * axis_response(f, T, x[6] * T, x[7] * T)
+        error = weight * (G / P - 1.0)
+        return np.concatenate([error.real, error.imag])
+
+    fits = [
+        least_squares(
+            residual,
+            [1.0] * 6 + [transport, lag],
+            bounds=([1e-3] * 6 + [0.0, 0.0], [1e3] * 6 + [LONGEST_PERIODS, LONGEST_PERIODS]),
+            xtol=1e-10,
+        )
+        for transport, lag in ((0.5, 0.5), (2.0, 0.5), (1.0, 3.0))
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    worst = float(np.median(np.abs(best.fun[: len(f)] + 1j * best.fun[len(f) :]) / weight))
+    if worst > 0.5:
+        raise IdentificationError(
+            f"the measured responses are {100 * worst:.0f} % from any gain, delay and lag in front of a "
+            "double integrator, allowed: 50 %; the model is of another robot, or the axes are not linearised"
+        )
+    # Scaled by what is left, so that a systematic misfit counts, too; a parameter at its end has no slope.
+    scale = max(1.0, 2.0 * float(best.cost) / (2 * len(f) - 8))
+    C = scale * np.linalg.pinv(best.jac.T @ best.jac)
+    std = np.sqrt(np.diag(C))
+    both = float(np.sqrt(C[6, 6] + C[7, 7] + 2.0 * C[6, 7]))
+    transport, lag = float(best.x[6]) * T, float(best.x[7]) * T
+    return Fit(
+        np.asarray(best.x[:6], np.float64), std[:6], transport, float(std[6]) * T, lag, float(std[7]) * T,
+        transport + lag + 0.5 * T, both * T, used,
+    )  # fmt: skip
+
+
+def uncertainty(response: Response, fit: Fit) -> Uncertainty:
+    """Return a bound of the relative error over frequency: what was measured, and its 95 % circle.
+
+    Each axis by itself: its relative error and, on top, the radius of its 95 % circle. Six neighbouring lines
+    that move the axes in six directions tell coupling, too, all of Delta in Y = P0 (1 + Delta) V: its largest
+    singular value is what six equal controllers side by side meet (K. Zhou and J. C. Doyle, Essentials of
+    Robust Control, Prentice Hall, 1998, ch. 8). That is convex in Delta, so noise only adds to its mean.
+    """
+    lines = np.flatnonzero(fit.used.any(axis=1))
+    f = response.frequency_Hz[lines]
+    P0 = axis_response(f, response.period_s, fit.transport_s, fit.lag_s)[:, None] * fit.gain
+    own = fit.used[lines]
+    error = np.where(own, np.abs(response.G[lines] / P0 - 1.0), 0.0)
+    circle = np.where(own, response.radius[lines] * np.abs(response.G[lines] / P0), 0.0)
+    alone = (error + circle).max(axis=1)
+    V = response.V[lines]
+    D = response.Y[lines] / P0 - V
+    bound, coupled = np.empty(len(lines)), True
+    for k in range(len(lines)):
+        first = min(max(k - 2, 0), max(len(lines) - 6, 0))
+        six = slice(first, first + 6)
+        sigma = _largest_singular_value(D[six], V[six])
+        if sigma is None:
+            coupled = False
+            bound[k] = alone[six].max()
+        else:
+            bound[k] = max(sigma, float(alone[six].max()))
+    return Uncertainty(f, bound, coupled)
+
+
+def _largest_singular_value(D: ComplexArray, V: ComplexArray) -> float | None:
+    """Return that of Delta with D = Delta V, six lines as rows; None where they are not six directions."""
+    size = np.linalg.norm(V, axis=1)
+    if len(V) < 6 or not (size > 0.0).all():
+        return None
+    V, D = V / size[:, None], D / size[:, None]
+    if np.linalg.cond(V) > SEPARATED:
+        return None
+    return float(np.linalg.svd(np.linalg.solve(V, D), compute_uv=False)[0])

@@ -1,0 +1,91 @@
+"""Frequency response of each axis, its coherence and its standard deviation.
+
+Rule of the room: see `hil.identify`.
+
+In a closed loop the noise of the measurement comes back in the demanded acceleration, and the quotient of
+their spectra is biased towards the inverse of the law. The reference is not correlated with any noise, so
+
+    G = S_yr / S_vr,    S_ab = sum over blocks of A conj(R),
+
+reference to position over reference to demanded acceleration, is not (joint input-output method; R. Pintelon
+and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley, 2012, ch. 2 and 9). With
+an excitation that repeats this is the quotient of the means over the periods. What is left in each block,
+E = Y - G V, has the variance that the standard deviation follows from.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as fisher
+
+from hil.identify.spectra import Spectra
+from hil.linear_system import ComplexArray
+from hil.signals import Array
+
+OWN = 0.3
+"""An axis counts as excited at a line where its reference has this share of the axis that has most."""
+SURE = 0.95
+
+
+class Response(NamedTuple):
+    """Estimates for each line and axis, all (lines, 6)."""
+
+    period_s: float
+    frequency_Hz: Array
+    """(lines,)."""
+    G: ComplexArray
+    """Position over demanded acceleration, s^2."""
+    std: Array
+    """Of |G| / |true G|: of the magnitude, relative, and of the phase in rad."""
+    radius: Array
+    """Around G, relative to it, with 95 % confidence."""
+    coherence: Array
+    """Of the reference with position and demanded acceleration, the smaller one, 0 .. 1."""
+    excited: NDArray[np.bool_]
+    V: ComplexArray
+    """Mean demanded acceleration, in phase with the reference; tells the direction of each line."""
+    Y: ComplexArray
+    """Mean position."""
+
+
+def estimate(spectra: Spectra) -> Response:
+    """Return the frequency responses of six axes, each by itself.
+
+    The 95 % circle is that of a complex normal with variance estimated from m blocks: |error|^2 / variance is
+    distributed as F(2, 2 m - 2).
+    """
+    V, Y, R = spectra.V, spectra.Y, spectra.R
+    m = len(V)
+    power = np.sqrt((np.abs(R) ** 2).mean(axis=0))
+    strongest = power.max(axis=1, keepdims=True)
+    excited = (power >= OWN * strongest) & (strongest > 1e-3 * strongest.max())
+    S_yr, S_vr = (Y * R.conj()).sum(axis=0), (V * R.conj()).sum(axis=0)
+    G = S_yr / np.where(S_vr == 0.0, np.nan, S_vr)
+    E = Y - G * V
+    variance = m / (m - 1) * (np.abs(E) ** 2 * np.abs(R) ** 2).sum(axis=0) / np.abs(S_yr) ** 2
+    coherence = np.minimum(_coherence(Y, R), _coherence(V, R))
+    # The reference of the axis that has most gives the phase that blocks are averaged in.
+    lead = np.take_along_axis(R, power.argmax(axis=1)[None, :, None], axis=2)
+    turn = lead.conj() / np.where(lead == 0.0, 1.0, np.abs(lead))
+    return Response(
+        spectra.period_s,
+        spectra.frequency_Hz,
+        np.asarray(G, np.complex128),
+        np.sqrt(variance / 2.0),
+        np.sqrt(variance * float(fisher.ppf(SURE, 2, 2 * m - 2))),
+        coherence,
+        excited,
+        np.asarray((V * turn).mean(axis=0), np.complex128),
+        np.asarray((Y * turn).mean(axis=0), np.complex128),
+    )
+
+
+def _coherence(A: ComplexArray, R: ComplexArray) -> Array:
+    """Return |S_ar|^2 / (S_aa S_rr) over the blocks, 0 where there is nothing."""
+    both = (np.abs(A) ** 2).sum(axis=0) * (np.abs(R) ** 2).sum(axis=0)
+    return np.asarray(
+        np.minimum(np.abs((A * R.conj()).sum(axis=0)) ** 2 / np.where(both == 0.0, np.inf, both), 1.0)
+    )

@@ -1,0 +1,125 @@
+"""Spectra of a run, block by block: whole periods of an excitation that repeats, or windowed segments.
+
+Rule of the room: see `hil.identify`.
+
+A double integrator turns the slow part of any motion into most of the position, which must not leak into the
+rest: what repeats is cut into whole periods, less a steady drift; the rest is transformed as second
+differences, divided by what those do to a sinusoid.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.identify.errors import IdentificationError
+from hil.identify.linearised import AxisSignals
+from hil.linear_system import ComplexArray
+from hil.signals import Array
+
+FEWEST_BLOCKS = 4
+"""With fewer, noise alone is coherent too often."""
+SEGMENT_S = 2.0
+"""Of a log whose excitation does not repeat."""
+SEGMENT_LINES = 60
+"""Of such a log, evenly spread on a logarithmic scale."""
+HIGHEST = 0.3
+"""Times the rate."""
+
+
+class Spectra(NamedTuple):
+    """Fourier coefficients of each block at each line, for six axes: all (blocks, lines, 6)."""
+
+    period_s: float
+    frequency_Hz: Array
+    """(lines,)."""
+    V: ComplexArray
+    """Demanded acceleration."""
+    Y: ComplexArray
+    """Measured position."""
+    R: ComplexArray
+    """Acceleration of the reference."""
+
+
+def periodic(signals: AxisSignals, length: int, harmonics: NDArray[np.int64]) -> Spectra:
+    """Return the spectra of whole periods of `length` ticks, at multiples of 1/(length T).
+
+    A whole period of what repeats needs no window and leaks nothing. A drift at constant speed may lie
+    underneath: it follows from the means of the first and the last period. Periods with a missing tick are
+    left out.
+
+    Raises IdentificationError: fewer than four whole periods.
+    """
+    starts = _starts(signals.good, length, length)
+    if len(starts) < FEWEST_BLOCKS:
+        raise IdentificationError(
+            f"too short: {len(starts)} whole periods of {length * signals.period_s:g} s without a missing "
+            f"tick, allowed: at least {FEWEST_BLOCKS}; excite longer"
+        )
+    blocks = _blocks(starts, length)
+    y = signals.y[blocks]
+    speed = (y[-1].mean(axis=0) - y[0].mean(axis=0)) / (starts[-1] - starts[0])
+    drift = speed * np.arange(length)[:, None]
+
+    def spectrum(x: Array) -> ComplexArray:
+        return np.asarray(2.0 / length * np.fft.rfft(x, axis=1)[:, harmonics], np.complex128)
+
+    V, R = spectrum(signals.v[blocks]), spectrum(signals.r[blocks])
+    return Spectra(signals.period_s, harmonics / (length * signals.period_s), V, spectrum(y - drift), R)
+
+
+def segmented(signals: AxisSignals) -> Spectra:
+    """Return the spectra of half-overlapping segments under a Hann window, for any excitation.
+
+    P. D. Welch, The use of fast Fourier transform for the estimation of power spectra, IEEE Trans. Audio
+    Electroacoust. 15, 1967.
+
+    Raises IdentificationError: fewer than four segments.
+    """
+    length = round(SEGMENT_S / signals.period_s)
+    whole = signals.good.copy()  # second differences want both neighbours
+    whole[1:] &= signals.good[:-1]
+    whole[:-1] &= signals.good[1:]
+    whole[[0, -1]] = False
+    starts = _starts(whole, length, length // 2)
+    if len(starts) < FEWEST_BLOCKS:
+        raise IdentificationError(
+            f"too short: {len(starts)} segments of {SEGMENT_S:g} s of tracking without a missing tick, "
+            f"allowed: {FEWEST_BLOCKS}; {SEGMENT_S * (FEWEST_BLOCKS + 1) / 2:g} s of tracking have them"
+        )
+    T, blocks = signals.period_s, _blocks(starts, length)
+    window = np.sin(np.pi * (np.arange(length) + 0.5) / length)[:, None] ** 2
+    harmonics = np.unique(np.geomspace(2, HIGHEST * length, SEGMENT_LINES).round().astype(np.int64))
+    second = np.zeros_like(signals.y)
+    second[1:-1] = signals.y[2:] - 2.0 * signals.y[1:-1] + signals.y[:-2]
+
+    def spectrum(x: Array) -> ComplexArray:
+        cut = x[blocks]
+        X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)[:, harmonics]
+        return np.asarray(4.0 / length * X, np.complex128)
+
+    frequency_Hz = harmonics / (length * T)
+    difference = 2.0 * np.cos(2.0 * np.pi * frequency_Hz * T) - 2.0
+    Y = spectrum(second) / difference[:, None]
+    return Spectra(T, frequency_Hz, spectrum(signals.v), Y, spectrum(signals.r))
+
+
+def _blocks(starts: list[int], length: int) -> NDArray[np.int64]:
+    """Return the ticks of each block (blocks, length)."""
+    return np.array(starts, np.int64)[:, None] + np.arange(length)
+
+
+def _starts(good: NDArray[np.bool_], length: int, step: int) -> list[int]:
+    """Return where blocks begin that are good throughout, as many as fit, `step` apart but for gaps."""
+    starts, k = [], 0
+    bad = np.flatnonzero(~good)
+    while k + length <= len(good):
+        at = int(np.searchsorted(bad, k))
+        if at < len(bad) and bad[at] < k + length:
+            k = int(bad[at]) + 1
+            continue
+        starts.append(k)
+        k += step
+    return starts

@@ -29,7 +29,7 @@ from hil.cli.shared import FILE, announce_compilation, guarded, json_option, log
     "--duration",
     type=click.FloatRange(min=1),
     metavar="S",
-    help="Of the excitation, fading in and out included; default 11.5, with --delay 4.",
+    help="Of the excitation, fading in and out included; default 12.5, with --delay 4.",
 )
 @click.option(
     "-o",
@@ -66,11 +66,12 @@ def identify_command(
     period). A law with a model compensates it: section controller.delay_compensation; the wrench observer
     wants transport and lag, too: section estimation.wrench. With any law.
 
-    With CONFIG, the platform is held at home (or at the pose of a hold reference) and moved by small
-    sinusoids on a slow heave of 3 mm: engage, excite, park, as an ordinary run, with all its limits. Each
-    axis has 12 lines of its own from 1 Hz to a tenth of the rate; with --delay there are 36 from 10 Hz to
-    0.3 of the rate. Ctrl-C stops and parks. In lockstep by default, which needs a section plant; with --run
-    in real time, which moves real drives.
+    With CONFIG, the platform is moved by small sinusoids about home (or the pose of a hold reference):
+    engage, excite, park, as an ordinary run, with all its limits. Each axis has 12 lines of its own from 1 Hz
+    to a tenth of the rate, while all legs extend by some 50 mm, so that friction does not change its sign.
+    With --delay there are 36 lines from 10 Hz to 0.3 of the rate on a slow heave of 3 mm. Ctrl-C stops and
+    parks. In lockstep by default, which needs a section plant; with --run in real time, which moves real
+    drives.
 
     With LOG, nothing runs. Sinusoids and multisines are cut into whole periods, anything else into segments
     of 2 s; what is not coherent with its reference is not used. For --delay any log serves in which the
@@ -82,7 +83,7 @@ def identify_command(
     Examples:
       hil identify virtual                        the axes of the virtual bench, in lockstep
       hil identify virtual -o axes.yaml           the same, into a file of your own
-      hil identify my.yaml --run                  real drives: they move by some millimetres
+      hil identify my.yaml --run                  real drives: they move by some 50 mm
       hil identify my.yaml --run --force 800      more force, where friction or noise hides the answer
       hil identify runs/today.mcap                a run that is there already
       hil identify virtual --delay --run --plant  only the delay, in real time against the virtual plant

@@ -6,6 +6,7 @@ Rule of the room: see `hil.identify`; gives a `reference` section, so that the r
 from __future__ import annotations
 
 from math import ceil, pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +29,13 @@ HIGHEST = 0.1
 PERIOD_S = 2.0
 """At least; a slow loop needs longer ones to have room for all lines."""
 PERIODS = 5
-RAMP_S, SETTLING_S = 0.5, 0.5
-CARRIER_m = 3e-3
-"""Heave, once a period: all legs move by some millimetres, and slide."""
-DRIFT_m, DRIFT_Hz = 1e-3, 1e-4
-"""Heave during the whole run, the straight part of a sinusoid that is never seen to turn: each period meets
-the encoders' steps elsewhere, so that their rounding is noise, which averages out and shows in the standard
-deviations."""
+RAMP_S, SETTLING_S = 1.0, 0.5
+SLIDING = 1.5
+"""Speed of the legs underneath, times the largest that the lines make: no leg ever turns back."""
+SLOWEST_m_s = 4e-3
+"""Below, legs with friction stick and slip."""
+DRIFT_Hz = 5e-4
+"""Of a sinusoid of which only the straight part is seen."""
 
 
 def axis_excitation(
@@ -46,8 +47,12 @@ def axis_excitation(
     encoder makes of them falls; axes load the legs equally, and the largest leg force of all is `force_N`
     beyond what holds the platform. Lines are multiples of 1/period, and neighbours belong to different axes,
     so whole periods separate the axes. A leg moves alone when the pose moves along a column of J^-1. Phases
-    are Schroeder's, which keep the peak low (IEEE Trans. Inf. Theory 16, 1970). A heave of 3 mm, once a
-    period, is underneath. duration_s includes fading; default: five periods.
+    are Schroeder's, which keep the peak low (IEEE Trans. Inf. Theory 16, 1970).
+
+    Underneath, all legs extend at one speed, faster than the lines ever move them back: Coulomb friction
+    stays constant, and each period meets the steps of the encoders elsewhere, so that their rounding is
+    noise, which averages out and shows in the standard deviations. duration_s includes fading; default:
+    five periods.
 
     Raises IdentificationError: no room for four periods.
     """
@@ -64,35 +69,19 @@ def axis_excitation(
     frequency = harmonics / period_s
     phases = -pi * np.arange(n) * (np.arange(n) - 1) / n
     axis = np.arange(n) % 6
-    force, words = _directions(model, pose, space)
-    acceleration = 1.0 / np.abs(force).max(axis=0)
+    at = _directions(model, pose, space)
     t = np.arange(0.0, period_s, 0.1 / frequency[-1])
-    waves = np.sin(2.0 * pi * np.outer(frequency, t) + phases[:, None])
-    share = frequency / frequency[-1]
-    on_axes = np.array([acceleration[j] * share[axis == j] @ waves[axis == j] for j in range(6)])
-    acceleration *= force_N / np.abs(force @ on_axes).max()
+    turns = 2.0 * pi * np.outer(frequency, t) + phases[:, None]
+    rate = 1.0 / np.abs(at.forces).max(axis=0) / (2.0 * pi * frequency[-1])  # of each line of each axis
+    forces = at.forces @ _on_axes(rate[axis, None] * 2.0 * pi * frequency[:, None] * np.sin(turns), axis)
+    rate *= force_N / np.abs(forces).max()
+    fastest = float(np.abs(at.leg_rates @ _on_axes(rate[axis, None] * np.cos(turns), axis)).max())
     duration = settled + periods * period_s
-    components = [
-        Sinusoid(axis="z_m", amplitude=CARRIER_m, frequency_Hz=1.0 / period_s),
-        Sinusoid(
-            axis="z_m",
-            amplitude=DRIFT_m / (2.0 * pi * DRIFT_Hz * duration),
-            frequency_Hz=DRIFT_Hz,
-            phase_rad=-pi * DRIFT_Hz * duration,
-        ),
-    ]
+    drift = max(SLIDING * fastest, SLOWEST_m_s) / (2.0 * pi * DRIFT_Hz)
+    components = _sinusoids(at.together * drift, DRIFT_Hz, -pi * DRIFT_Hz * duration)
     for k in range(n):
-        moved = words[:, axis[k]] * acceleration[axis[k]] * share[k] / (2.0 * pi * frequency[k]) ** 2
-        components += [
-            Sinusoid(
-                axis=word,  # type: ignore[arg-type]
-                amplitude=float(f"{amplitude:.6g}"),
-                frequency_Hz=float(frequency[k]),
-                phase_rad=float(f"{phases[k] % (2.0 * pi):.6f}"),
-            )
-            for word, amplitude in zip(WORDS, moved, strict=True)
-            if abs(amplitude) > 1e-6 * np.abs(moved).max()
-        ]
+        moved = at.words[:, axis[k]] * rate[axis[k]] / (2.0 * pi * frequency[k])
+        components += _sinusoids(moved, float(frequency[k]), float(phases[k]))
     return SinusoidReference(
         type="sinusoids",
         centre=pose,
@@ -100,6 +89,25 @@ def axis_excitation(
         ramp_s=RAMP_S,
         duration_s=duration,
     )
+
+
+def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid]:
+    """Return the components of one line: amplitudes (6,) m, deg of the words, phase in rad."""
+    return [
+        Sinusoid(
+            axis=word,  # type: ignore[arg-type]
+            amplitude=float(f"{amplitude:.6g}"),
+            frequency_Hz=frequency_Hz,
+            phase_rad=float(f"{phase % (2.0 * pi):.6f}"),
+        )
+        for word, amplitude in zip(WORDS, moved, strict=True)
+        if abs(amplitude) > 1e-6 * np.abs(moved).max()
+    ]
+
+
+def _on_axes(waves: Array, axis: NDArray[np.int64]) -> Array:
+    """Return the sums (6, n) of the lines of each axis."""
+    return np.array([waves[axis == j].sum(axis=0) for j in range(6)])
 
 
 def _harmonics(n: int, lowest: int, highest: int) -> NDArray[np.int64]:
@@ -110,14 +118,33 @@ def _harmonics(n: int, lowest: int, highest: int) -> NDArray[np.int64]:
     return found
 
 
-def _directions(model: Model, pose: Pose, space: AxisSpace) -> tuple[Array, Array]:
-    """Return leg forces (6, 6) N and the pose's words (6, 6) m, deg that one m or rad of each axis takes."""
+class _Directions(NamedTuple):
+    """What one m or rad of each axis is, at a pose; columns are axes."""
+
+    forces: Array
+    """(6, 6) N of the legs for one m/s^2 or rad/s^2."""
+    leg_rates: Array
+    """(6, 6)."""
+    words: Array
+    """(6, 6) m, deg of the pose."""
+    together: Array
+    """(6,) m, deg of the pose for one metre of all legs."""
+
+
+def _directions(model: Model, pose: Pose, space: AxisSpace) -> _Directions:
     p = np.array(pose.position_m, float)
     r = np.deg2rad(np.array(pose.rotation_vector_deg, float))
     R = rotation_from_vector(r)
     J = jacobian(model.platform, p, R)
-    twist = np.asarray(np.linalg.inv(J) if space == "joint" else np.eye(6), np.float64)
-    words = twist.copy()
-    for j in range(6):
-        words[3:, j] = np.rad2deg(rotation_vector_rate(r, np.ascontiguousarray(twist[3:, j])))
-    return np.asarray(np.linalg.solve(J.T, model.mass_matrix(p, R) @ twist), np.float64), words
+    inverse = np.asarray(np.linalg.inv(J), np.float64)
+    twist = inverse if space == "joint" else np.eye(6)
+
+    def words(twist: Array) -> Array:
+        return np.concatenate([twist[:3], np.rad2deg(rotation_vector_rate(r, twist[3:].copy()))])
+
+    return _Directions(
+        inverse.T @ model.mass_matrix(p, R) @ twist,
+        J @ twist,
+        np.array([words(column) for column in twist.T]).T,
+        words(inverse.sum(axis=1)),
+    )

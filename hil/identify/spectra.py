@@ -3,7 +3,7 @@
 Rule of the room: see `hil.identify`.
 
 A double integrator turns the slow part of any motion into most of the position, which must not leak into the
-rest: what repeats is cut into whole periods, less a steady drift; the rest is transformed as second
+rest: what repeats is cut into whole periods, less a drift; the rest is transformed as second
 differences, divided by what those do to a sinusoid.
 """
 
@@ -46,9 +46,9 @@ class Spectra(NamedTuple):
 def periodic(signals: AxisSignals, length: int, harmonics: NDArray[np.int64]) -> Spectra:
     """Return the spectra of whole periods of `length` ticks, at multiples of 1/(length T).
 
-    A whole period of what repeats needs no window and leaks nothing. A drift at constant speed may lie
-    underneath: it follows from the means of the first and the last period. Periods with a missing tick are
-    left out.
+    A whole period of what repeats needs no window and leaks nothing. A drift may lie underneath, its speed
+    changing steadily: it follows from the means of the periods and is taken off. Periods with a missing tick
+    are left out.
 
     Raises IdentificationError: fewer than four whole periods.
     """
@@ -60,8 +60,12 @@ def periodic(signals: AxisSignals, length: int, harmonics: NDArray[np.int64]) ->
         )
     blocks = _blocks(starts, length)
     y = signals.y[blocks]
-    speed = (y[-1].mean(axis=0) - y[0].mean(axis=0)) / (starts[-1] - starts[0])
-    drift = speed * np.arange(length)[:, None]
+    # The means of blocks on a parabola have its curvature, and at each block's middle its slope.
+    middle = np.array(starts, float)
+    slope = np.gradient(y.mean(axis=1), middle, axis=0, edge_order=2)[:, None, :]
+    curvature = np.gradient(slope, middle, axis=0, edge_order=2)
+    tau = (np.arange(length) - 0.5 * (length - 1))[None, :, None]
+    drift = tau * (slope + 0.5 * tau * curvature)
 
     def spectrum(x: Array) -> ComplexArray:
         return np.asarray(2.0 / length * np.fft.rfft(x, axis=1)[:, harmonics], np.complex128)

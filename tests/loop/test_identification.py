@@ -64,12 +64,12 @@ def pose_bench():
 
 @pytest.fixture(scope="module")
 def joint(tmp_path_factory):
-    return made(load("virtual"), tmp_path_factory.mktemp("joint") / "a.mcap")
+    return made(load("virtual"), tmp_path_factory.mktemp("joint") / "a.mcap", 10.5)
 
 
 @pytest.fixture(scope="module")
 def pose(tmp_path_factory):
-    return made(pose_bench(), tmp_path_factory.mktemp("pose") / "a.mcap", 9.5)
+    return made(pose_bench(), tmp_path_factory.mktemp("pose") / "a.mcap", 10.5)
 
 
 @pytest.fixture(params=["joint", "pose"])
@@ -87,7 +87,7 @@ def test_all_six_axes_are_within_two_percent_and_two_degrees_of_the_truth(either
     for axis in either.model.measured:
         f, G, coherence = measured(axis)
         judged = (f <= 30.0) & (coherence > 0.9)
-        assert judged.sum() >= 8, "the axis was excited, and it shows"
+        assert judged.sum() >= 7, "the axis was excited, and it shows"
         off = G[judged] / truth(f[judged])
         worst = np.maximum(worst, [np.abs(np.abs(off) - 1).max(), np.abs(np.rad2deg(np.angle(off))).max()])
     with capsys.disabled():

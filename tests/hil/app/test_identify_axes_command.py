@@ -37,7 +37,7 @@ def edited(old, new):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["virtual", "--duration", "5"], "allowed: at least 4, 9.5 s with fading"),
+        (["virtual", "--duration", "5"], "allowed: at least 4, 10.5 s with fading"),
         (["virtual", "--force", "1e5"], "limits.force_step_N"),
         (["bench"], "demands no acceleration"),
         (["virtual", "-o", "/nowhere/axes.yaml"], "no folder /nowhere"),
@@ -112,7 +112,7 @@ def test_a_slow_loop_gets_longer_periods_for_as_many_lines():
     made = excited_axes(edited("rate_Hz: 1000\n", "rate_Hz: 500\n"), None, None).configuration
     lines = repeating(made.reference, 500.0)
     assert lines is not None
-    assert len(lines.harmonics) == 73
+    assert len(lines.harmonics) == 72
     assert lines.harmonics.max() * 500.0 / lines.length == 50.0
     assert lines.length == 4 * 500
 

@@ -46,6 +46,7 @@ class Recorded(NamedTuple):
     configuration: Configuration
     rows: Rows
     rate_Hz: float
+    attachments: dict[str, bytes]
 
 
 def is_log(source: Path) -> bool:
@@ -148,7 +149,7 @@ def recorded_run(path: Path) -> Recorded:
             f"{path}: holds a log of kind {run.get('kind')!r}; only logs of `hil run` and `hil sim` tell"
         )
     configuration = loads(log.configuration, f"{path}:config.yaml")
-    return Recorded(configuration, log.rows(), float(run["rate_Hz"]))
+    return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
 
 
 def delay_of_log(path: Path) -> dict[str, Any]:

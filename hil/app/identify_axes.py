@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.errors import HilError
+from hil.app.compose import with_attachments
 from hil.app.configuration import Configuration
-from hil.app.documents import check_document_path, write_document
 from hil.app.identify import (
     Excited,
     exact_model,
@@ -21,6 +22,7 @@ from hil.app.identify import (
 from hil.app.linearised_axes import linearised_law, repeating, settled, signals_of
 from hil.app.output import picture_path
 from hil.app.response_picture import draw
+from hil.app.section_file import check_section_path, write_section
 from hil.config import MultisineReference, SinusoidReference
 from hil.config.axis_model import (
     AxisModel,
@@ -88,7 +90,7 @@ def outputs(log: Path, model: Path | None) -> Outputs:
     Raises ConfigurationError or LogError where they cannot be written.
     """
     path = model or log.with_name(f"{log.stem}-axes.yaml")
-    check_document_path("--model", path, AxisModel)
+    check_section_path("--model", path, AxisModel)
     return Outputs(path, picture_path("", "", path.with_suffix(".png")))
 
 
@@ -100,7 +102,9 @@ def axes_of_log(path: Path) -> Identified:
     """
     recorded = recorded_run(path)
     try:
-        return _identified(path, *recorded)
+        with tempfile.TemporaryDirectory() as folder:
+            c = with_attachments(recorded.configuration, recorded.attachments, Path(folder))
+            return _identified(path, c, recorded.rows, recorded.rate_Hz)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None
 
@@ -163,7 +167,7 @@ def _rounded(value: float) -> float:
 
 def save(identified: Identified, files: Outputs, title: str) -> None:
     """Write the model and its picture."""
-    write_document(files.model, identified.model, REMARK)
+    write_section(files.model, identified.model, REMARK)
     draw(identified.model, files.picture, title)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration import Configuration, platform_dict
+from hil.app.controller_file import controller_of
 from hil.config import (
     ModelBasedSettings,
     ModelSettings,
@@ -39,7 +40,7 @@ SPACES: dict[str, AxisSpace] = {
     "robust_inverse_dynamics": "joint",
     "pose_inverse_dynamics": "pose",
 }
-"""Laws that linearise the robot -> the axes in which they do."""
+"""Laws that linearise the robot -> the axes in which they do; state_space has those of its file."""
 LEAST_MOTION_m = 1e-4
 """Of the leg that moves most; what moves less is lost in encoder steps and friction."""
 
@@ -64,13 +65,17 @@ class Lines(NamedTuple):
 def linearised_law(c: Configuration) -> LinearisedLaw:
     """Return the linearising part of the configured law.
 
-    Raises ConfigurationError for a law that does not linearise.
+    Raises ConfigurationError for a law that does not linearise, or a controller's file that cannot be used.
     """
     settings = c.controller
-    if settings.law not in SPACES:
+    space = SPACES.get(settings.law)
+    controller = controller_of(settings, c.folder)
+    if controller is not None:
+        space = controller.axes
+    if space is None:
         raise ConfigurationError(
             f"{c.source}: controller.law: {settings.law} demands no acceleration, so there is no linearised "
-            f"axis to identify, allowed: {', '.join(SPACES)}"
+            f"axis to identify, allowed: {', '.join(SPACES)}, state_space"
         )
     if isinstance(settings, PartialLinearisationSettings):
         believed = ModelSettings(variant="no_H", **dict(settings.model))
@@ -78,7 +83,7 @@ def linearised_law(c: Configuration) -> LinearisedLaw:
         assert isinstance(settings, ModelBasedSettings)
         believed = settings.model
     model = build_model(believed, Platform.from_dict(platform_dict(c.platform)), c.platform.leg_spin)
-    return LinearisedLaw(SPACES[settings.law], model, not isinstance(settings, PartialLinearisationSettings))
+    return LinearisedLaw(space, model, not isinstance(settings, PartialLinearisationSettings))
 
 
 def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSignals, Array]:

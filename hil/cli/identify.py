@@ -58,8 +58,8 @@ def identify_command(
     of x, y, z and the rotations about them) to where it is. Frequency response with coherence and standard
     deviations, the nominal axis gain exp(-transport s) / (lag s + 1) / s^2 behind the hold, and a bound of
     |P/P0 - 1| over frequency, as `hil design` takes them (-o), with a picture. It needs a law that
-    linearises: inverse_dynamics, pose_inverse_dynamics, partial_linearisation, sliding_mode or
-    robust_inverse_dynamics.
+    linearises: inverse_dynamics, pose_inverse_dynamics, partial_linearisation, sliding_mode,
+    robust_inverse_dynamics or state_space.
 
     --delay: how long it takes from the encoders' latch to the force that answers it, split into transport
     (a pure delay: feedback, computing, command), lag (the drives' force loop, first order) and hold (half a

@@ -18,8 +18,8 @@ import pytest
 from click.testing import CliRunner
 
 from hil.app.configuration import load, loads
-from hil.app.documents import read_document
 from hil.app.identify_axes import axes_of_log, excited_axes
+from hil.app.section_file import read_section
 from hil.app.sim import simulate
 from hil.cli import main
 from hil.config.axis_model import AxisModel
@@ -148,7 +148,7 @@ def test_a_log_gives_the_file_the_picture_and_the_report(joint, tmp_path):
     file = tmp_path / "axes.yaml"
     result = identify(joint.log, "-o", file, "--json", tmp_path / "a.json")
     assert result.exit_code == 0, result.output
-    assert read_document(file, AxisModel) == joint.model
+    assert read_section(file, AxisModel)[0] == joint.model
     assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
     summary = json.loads((tmp_path / "a.json").read_text())
     assert summary["total_ms"] == pytest.approx(TOTAL_MS, abs=0.05)

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration import load, loads
-from hil.app.documents import check_document_path, read_document, write_document
 from hil.app.identify_axes import excited_axes
 from hil.app.linearised_axes import linearised_law, repeating, settled, signals_of
+from hil.app.section_file import check_section_path, read_section, write_section
 from hil.cli import main
 from hil.config import MultisineAxis, MultisineReference, Pose, Sinusoid, SinusoidReference
 from hil.config.axis_model import AxisModel
@@ -57,6 +57,17 @@ def test_a_file_that_is_no_axis_model_is_not_overwritten(tmp_path):
     assert result.exit_code == 2
     assert "is no axis-model and is not overwritten" in result.stderr
     assert mine.read_text() == "name: mine\n"
+
+
+def test_a_designed_controller_is_identified_in_the_axes_of_its_file(tmp_path):
+    gains = "A: []\nB: []\nC: [[]]\nD: [[400.0, 40.0]]\nanti_windup: []\ndesign: {}\n"
+    kind = "kind: linear-controller\nmethod: hinf\naxes: pose\nrate_Hz: 1000\ninputs: [error, rate_error]\n"
+    (tmp_path / "pd.yaml").write_text(kind + gains)
+    text = load("virtual").text
+    first, last = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
+    law = "controller: {law: state_space, controller_file: pd.yaml}\n\n"
+    c = loads(text[:first] + law + text[last:], "my.yaml", tmp_path)
+    assert linearised_law(c).space == "pose"
 
 
 def rows_of(mode, q):
@@ -190,12 +201,12 @@ def axis_model():
     )
 
 
-def test_a_document_is_read_as_it_was_written(tmp_path):
+def test_an_axis_model_is_read_as_it_was_written(tmp_path):
     file = tmp_path / "axes.yaml"
-    write_document(file, axis_model(), "Made by a test.")
+    write_section(file, axis_model(), "Made by a test.")
     assert file.read_text().startswith("# Made by a test.\nkind: axis-model\n")
-    assert read_document(file, AxisModel) == axis_model()
-    check_document_path("-o", file, AxisModel)
+    assert read_section(file, AxisModel)[0] == axis_model()
+    check_section_path("-o", file, AxisModel)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +215,7 @@ def test_a_document_is_read_as_it_was_written(tmp_path):
         (
             "kind: axis-model",
             "kind: linear-controller",
-            "holds kind 'linear-controller', allowed: axis-model",
+            r"axes.yaml:2:\d+: kind: .*allowed: axis-model",
         ),
         ("lag_ms: 0.796", "lag_ms: -1", r"axes.yaml:\d+:\d+: nominal.lag_ms"),
         ("axes: joint", "axes: legs", r"axes.yaml:\d+:\d+: axes: .*joint, pose"),
@@ -213,16 +224,16 @@ def test_a_document_is_read_as_it_was_written(tmp_path):
         ("kind: axis-model", "kind: [", r"axes.yaml:\d+"),
     ],
 )
-def test_a_wrong_document_is_refused_with_place_and_what_is_allowed(tmp_path, old, new, said):
+def test_a_wrong_axis_model_is_refused_with_place_and_what_is_allowed(tmp_path, old, new, said):
     file = tmp_path / "axes.yaml"
-    write_document(file, axis_model(), "Made by a test.")
+    write_section(file, axis_model(), "Made by a test.")
     text = file.read_text()
     assert text.count(old) == 1
     file.write_text(text.replace(old, new))
     with pytest.raises(ConfigurationError, match=said):
-        read_document(file, AxisModel)
+        read_section(file, AxisModel)
 
 
-def test_a_missing_document_is_refused(tmp_path):
+def test_a_missing_axis_model_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="no such file"):
-        read_document(tmp_path / "nothing.yaml", AxisModel)
+        read_section(tmp_path / "nothing.yaml", AxisModel)

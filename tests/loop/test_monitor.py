@@ -73,7 +73,7 @@ def alarms(rows):
 
 
 # (instant, legs): the legs that then carry 1 kN or more; a leg carries 1.03 to 16.0 kN
-FLIPS = [(0.75, (3,)), (0.95, (1, 2)), (1.45, (0,)), (1.95, (4, 5)), (2.2, (2,))]
+FLIPS = [(0.75, (3,)), (0.95, (1,)), (1.2, (2,)), (1.45, (0,)), (1.95, (4, 5))]
 
 
 @pytest.mark.parametrize(("start_s", "leg"), [(t, leg) for t, legs in FLIPS for leg in legs])
@@ -131,13 +131,13 @@ def test_V_is_that_of_the_smallest_reachable_ellipsoid_and_its_rate_a_difference
 
 @pytest.mark.parametrize(("disturbance", "alarmed"), [(8.0, False), (6.0, True)])
 def test_an_untold_load_alarms_where_it_is_more_than_what_is_stated(disturbance, alarmed):
-    rows = run(bench("warn", disturbance, following_error_m=0.1), [LOAD], 2.3)
+    rows = run(bench("warn", disturbance, following_error_m=0.1), [LOAD], 2.15)
     assert bool(alarms(rows)) == alarmed
     assert not rows["faults"].any(), "it only warns"
     assert np.sqrt(rows["lyapunov"].max(where=np.isfinite(rows["lyapunov"]), initial=0.0)) > 8.0
 
 
-@pytest.mark.parametrize(("name", "until_s"), [("ideal", 2.0), ("lab", 3.0), ("vcan50", 3.0)])
+@pytest.mark.parametrize(("name", "until_s"), [("ideal", 1.3), ("lab", 1.6), ("vcan50", 3.0)])
 def test_other_shipped_configurations_do_not_alarm(name, until_s):
     rows = run(bench("warn", name=name), [], until_s)
     assert np.isfinite(rows["lyapunov_share"]).sum() > 0.3 * len(rows)

@@ -1,0 +1,120 @@
+"""The file that `hil design` reads: an axis, how it is controlled, and what is asked of the loop."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from drivers.config import Section
+from hil.config.axis_model import AxisSpace
+from hil.config.delay import Delay
+from hil.config.linear_controller import ControllerInput
+from hil.config.values import Positive
+
+
+class TransferFunction(Section):
+    """A rational function of s in rad/s; coefficients of the highest power first."""
+
+    numerator: Annotated[list[float], Field(min_length=1)]
+    denominator: Annotated[list[float], Field(min_length=1)]
+
+
+class DesignAxis(Section):
+    """gain exp(-transport s) / (lag s + 1) / s^2, behind a hold of one period."""
+
+    gain: Positive = 1.0
+    """Measured over demanded acceleration; 1 where model and robot agree."""
+    transport_ms: Delay
+    """Pure delay: feedback, computing, command. `hil identify` measures it."""
+    lag_ms: Delay
+    """Time constant of the drives' force loop, first order: 1000 / (2 pi bandwidth in Hz)."""
+    drive: TransferFunction | None = None
+    """What the drives do beyond that lag: a force loop of higher order, a resonance. Gain 1 at rest."""
+
+
+class DisturbanceWeight(Section):
+    """The acceleration that acts on the axis without the law's knowledge: loads, friction, a wrong model."""
+
+    amplitude_m_s2: Positive
+    """rad/s^2 on an axis that turns; so below."""
+
+
+class ErrorWeight(Section):
+    """The error that is allowed under the disturbance: `low` at rest, `peak` above `bandwidth`."""
+
+    low_m: Positive
+    """Of a disturbance that lasts. The smaller, the more the controller integrates."""
+    peak_m: Positive
+    """Of a disturbance at the worst frequency."""
+    bandwidth_rad_s: Positive
+    """From here on `peak` is allowed; below, in proportion less, down to `low`."""
+
+    @model_validator(mode="after")
+    def _low_is_low(self) -> Self:
+        if self.low_m >= self.peak_m:
+            raise ValueError(f"low_m is {self.low_m:g}, allowed: below peak_m, {self.peak_m:g}")
+        return self
+
+
+class ControlWeight(Section):
+    """The acceleration that the controller may ask for under disturbance and noise."""
+
+    limit_m_s2: Positive
+    """At low frequency. Over the disturbance's amplitude it bounds the peak of T."""
+    roll_off_rad_s: Positive
+    """Above it, in proportion less: what acts there is noise and what the model does not hold."""
+
+
+class NoiseWeight(Section):
+    """What the measurements are wrong by; the controller trusts them, one against the other, by it."""
+
+    error_m: Positive
+    """Encoder: resolution and what bends between encoder and load."""
+    rate_error_m_s: Positive | None = None
+    """Only with rate_error in `inputs`."""
+
+
+class DesignWeights(Section):
+    """What is asked of the loop. gamma <= 1 says that all of it is reached."""
+
+    disturbance: DisturbanceWeight
+    error: ErrorWeight | TransferFunction
+    """Or the weight itself, 1/m."""
+    control: ControlWeight | TransferFunction
+    """Or the weight itself, s^2/m."""
+    noise: NoiseWeight
+
+
+class Design(Section):
+    """A design: one controller for each of six axes that are alike."""
+
+    kind: Literal["design"]
+    description: str = ""
+    axes: AxisSpace = "joint"
+    rate_Hz: Positive
+    """Of the loop that will run the controller."""
+    inputs: Annotated[list[ControllerInput], Field(min_length=1, max_length=2)] = ["error", "rate_error"]
+    nominal: DesignAxis | None = None
+    """The axis in figures ..."""
+    model: str | None = None
+    """... or a file of `hil identify`, relative to this one; `--model` goes before both."""
+    delay_order: Annotated[int, Field(ge=1, le=4)] = 1
+    """Of the Pade approximation of transport and half a period."""
+    weights: DesignWeights
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(set(self.inputs)) != len(self.inputs):
+            raise ValueError("inputs names one twice, allowed: each once")
+        if "error" not in self.inputs:
+            raise ValueError(
+                "inputs lacks error: a rate alone cannot hold a position, allowed: error, rate_error"
+            )
+        if (self.weights.noise.rate_error_m_s is None) != ("rate_error" not in self.inputs):
+            raise ValueError(
+                "weights.noise.rate_error_m_s and the input rate_error go together: give both or neither"
+            )
+        if self.nominal is not None and self.model is not None:
+            raise ValueError("nominal and model both say what the axis is, allowed: one of them")
+        return self

@@ -1,0 +1,112 @@
+"""The axis of the linearised loop, and the four-block problem around it.
+
+Rule of the room: a design in, `LinearSystem`s out; e = demanded - measured, positive u reduces e.
+
+The model and its feed-forward leave of each leg or pose axis a double integrator. What the law adds, u, acts
+on it late; what the model does not know, d, acts on it at once:
+
+    e'' = -(gain a + d),  a = exp(-T s) / (lag s + 1) u,  T = transport + half a period.
+"""
+
+from __future__ import annotations
+
+from math import comb, factorial
+
+import numpy as np
+
+from hil.config.design import Design, DesignAxis
+from hil.linear_system import LinearSystem, static
+from hil.signals import Array
+from hil.synthesis.errors import SynthesisError
+from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight, rational
+
+
+def pade(delay_s: float, order: int) -> LinearSystem:
+    """Return the Pade approximation of exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
+    if delay_s == 0.0:
+        return static(np.eye(1))
+    n = order
+    c = [comb(n, k) * factorial(2 * n - k) / factorial(2 * n) * delay_s**k for k in range(n, -1, -1)]
+    signs = [(-1) ** k for k in range(n, -1, -1)]
+    lead = c[0]
+    numerator = [s * x / lead for s, x in zip(signs, c, strict=True)]
+    denominator = [x / lead for x in c]
+    A = np.eye(n, k=-1)
+    A[0] = [-x for x in denominator[1:]]
+    D = numerator[0]
+    C = np.array([[b - D * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]])
+    return LinearSystem(A, np.eye(n)[:, :1], C, np.array([[D]]))
+
+
+def lag(time_s: float) -> LinearSystem:
+    """Return 1 / (T s + 1)."""
+    if time_s == 0.0:
+        return static(np.eye(1))
+    return LinearSystem(*(np.array([[x]]) for x in (-1.0 / time_s, 1.0 / time_s, 1.0, 0.0)))
+
+
+def drive(axis: DesignAxis) -> LinearSystem:
+    """Return the force loop of the drives: the lag, and what they do beyond it.
+
+    Raises SynthesisError: improper or unstable, or not of gain 1 at rest.
+    """
+    first = lag(1e-3 * axis.lag_ms)
+    if axis.drive is None:
+        return first
+    further = rational(axis.drive, "nominal.drive")
+    if not further.is_stable():
+        raise SynthesisError(
+            f"nominal.drive: unstable, a pole at {max(further.poles().real):.3g} rad/s, allowed: left of 0"
+        )
+    at_rest = further.response(np.zeros(1))[0, 0, 0].real
+    if abs(at_rest - 1.0) > 1e-3:
+        raise SynthesisError(
+            f"nominal.drive: gain {at_rest:.4g} at rest, allowed: 1; the axis has a key gain"
+        )
+    return further.after(first)
+
+
+def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
+    """Return what comes between u and the acceleration it makes: delay, half a period, lag; with the gain."""
+    delay = pade(1e-3 * axis.transport_ms + 0.5 / rate_Hz, order)
+    path = drive(axis).after(delay)
+    return path._replace(C=axis.gain * path.C, D=axis.gain * path.D)
+
+
+def body(inputs: list[str]) -> LinearSystem:
+    """Return the double integrator from [a + d] to [e, measured inputs in their order]."""
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
+    rows: dict[str, Array] = {"error": np.array([1.0, 0.0]), "rate_error": np.array([0.0, 1.0])}
+    C = np.array([rows["error"], *(rows[name] for name in inputs)])
+    return LinearSystem(A, B, C, np.zeros((len(C), 1)))
+
+
+def four_block(path: LinearSystem, inputs: list[str]) -> LinearSystem:
+    """Return the unweighted problem, from [d, noise of each input, u] to [e, u, y]; `path` leads to the body."""
+    n, axis = len(inputs), body(inputs)
+    # [d, noise, u] -> [d, noise, u, a] -> [a + d, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
+    split = static(np.vstack([np.eye(n + 2), np.eye(n + 2)[-1:]]))
+    acting = static(np.eye(n + 2)).beside(path)
+    joined = np.hstack([np.eye(n + 2), np.zeros((n + 2, 1))])
+    joined[0, -1] = 1.0
+    moved = axis.beside(static(np.eye(n + 1)))
+    out = np.zeros((n + 2, 2 * n + 2))
+    out[0, 0] = out[1, -1] = 1.0
+    out[2:, 1 : n + 1] = out[2:, n + 1 : 2 * n + 1] = np.eye(n)
+    return static(out).after(moved).after(static(joined)).after(acting).after(split)
+
+
+def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
+    """Return the weighted problem from [d, noise, u] to [W_e e, W_u u, y].
+
+    Plain mixed sensitivity has no d: on 1/s^2 the two modes at 0 would be excited by nothing, and no gamma
+    would bound what they do. Here d excites them, and the axis stays as it is.
+
+    Raises SynthesisError for an axis or a weight that cannot be used.
+    """
+    n = len(design.inputs)
+    core = four_block(actuator(axis, design.rate_Hz, design.delay_order), list(design.inputs))
+    into = disturbance_weight(design).beside(noise_weight(design)).beside(static(np.eye(1)))
+    weights = design.weights
+    out = error_weight(weights.error).beside(control_weight(weights.control, design.rate_Hz))
+    return out.beside(static(np.eye(n))).after(core).after(into)

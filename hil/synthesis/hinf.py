@@ -1,0 +1,262 @@
+"""H-infinity synthesis: the controller that keeps the norm from w to z below gamma, by two Riccati equations.
+
+Rule of the room: pure functions of `LinearSystem`; knows nothing of platforms and weights.
+
+State-space solution of Doyle, Glover, Khargonekar and Francis (1989), in the general form of Glover and
+Doyle (1988), here in the notation of Zhou, Doyle and Glover, *Robust and Optimal Control* (1996), section
+17.1: D12 and D21 are brought to [0; I] and [0 I] by scaling, D22 is taken out and put back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack, matrix_balance, schur
+
+from hil.linear_system import LinearSystem
+from hil.signals import Array
+from hil.synthesis.errors import SynthesisError
+
+RANK = 1e-9
+"""Singular value, relative to the largest, below which a direction is none."""
+AXIS = 1e-9
+"""Real part of an eigenvalue, relative to the matrix, below which it lies on the imaginary axis."""
+TOLERANCE = 1e-6
+"""Relative, of gamma_opt."""
+
+
+class Synthesis(NamedTuple):
+    """A controller u = K y and what it reaches."""
+
+    K: LinearSystem
+    gamma: float
+    """The norm from w to z is below it."""
+    gamma_opt: float
+    """What no controller gets below."""
+
+
+class _Normal(NamedTuple):
+    """A plant with D12 = [0; I], D21 = [0 I], D22 = 0, and the way back to the one given."""
+
+    A: Array
+    B1: Array
+    B2: Array
+    C1: Array
+    C2: Array
+    D11: Array
+    of_u: Array
+    """u = of_u u' """
+    to_y: Array
+    """y' = to_y y."""
+    D22: Array
+
+
+def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
+    """Return the central controller at gamma = `ratio` times the optimum.
+
+    `P` is continuous, from [w; u] to [z; y]; the last `n_u` inputs are u, the last `n_y` outputs y. At the
+    optimum itself poles of the controller run away to infinity: `ratio` keeps clear of it.
+
+    Raises SynthesisError: P is sampled, cannot be stabilised, or the problem is ill posed; the message says
+    which assumption fails.
+    """
+    plant = _normal(P, n_y, n_u)
+    gamma_opt = _optimum(plant)
+    gamma = ratio * gamma_opt
+    found = _central(plant, gamma)
+    if found is None:
+        raise SynthesisError(
+            f"no controller at {gamma:g}, {ratio:g} times the optimum: numbers too far apart"
+        )
+    return Synthesis(found, gamma, gamma_opt)
+
+
+def central(P: LinearSystem, n_y: int, n_u: int, gamma: float) -> LinearSystem | None:
+    """Return the central controller for a given gamma, or None where gamma is below the optimum.
+
+    Raises SynthesisError as `hinf` does.
+    """
+    return _central(_normal(P, n_y, n_u), gamma)
+
+
+def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
+    """Scale, and refuse what the theory does not cover."""
+    if P.period_s is not None:
+        raise SynthesisError("the plant is sampled, allowed: a continuous one")
+    if not all(np.isfinite(matrix).all() for matrix in P[:4]):
+        raise SynthesisError("the plant holds numbers that are not finite")
+    n_z, n_w = P.C.shape[0] - n_y, P.B.shape[1] - n_u
+    if min(n_y, n_u, n_z, n_w) < 1:
+        raise SynthesisError(
+            f"{P.B.shape[1]} inputs and {P.C.shape[0]} outputs leave none for w or z beside {n_u} u, {n_y} y"
+        )
+    A, T = matrix_balance(P.A) if P.order else (P.A, P.A)
+    B, C = np.linalg.solve(T, P.B) if P.order else P.B, P.C @ T
+    B1, B2, C1, C2 = B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:]
+    D11, D12, D21, D22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
+    _require(A, B2, lambda real: real > -AXIS, "does not decay and cannot be moved by u")
+    _require(A.T, C2.T, lambda real: real > -AXIS, "does not decay and cannot be seen in y")
+    U, s, Vt = np.linalg.svd(D12)
+    if n_z < n_u or s[-1] <= RANK * s[0]:
+        raise SynthesisError(
+            "D12 has no full column rank: some u costs nothing at high frequency, so it would be used "
+            "without bound; weight every u, with a weight that does not roll off"
+        )
+    U = np.hstack([U[:, n_u:], U[:, :n_u]])  # z = U z', D12 = U [0; I] diag(s) Vt
+    of_u = Vt.T / s
+    V, t, Wt = np.linalg.svd(D21)
+    if n_w < n_y or t[-1] <= RANK * t[0]:
+        raise SynthesisError(
+            "D21 has no full row rank: some y is without noise at high frequency, so it would be trusted "
+            "without bound; give every y its noise, with a weight that does not roll off"
+        )
+    Wt = np.vstack([Wt[n_y:], Wt[:n_y]])  # w' = Wt w, D21 = V diag(t) [0 I] Wt
+    to_y = (V / t).T
+    plant = _Normal(A, B1 @ Wt.T, B2 @ of_u, U.T @ C1, to_y @ C2, U.T @ D11 @ Wt.T, of_u, to_y, D22)
+    _well_posed(plant, n_z - n_u, n_w - n_y)
+    return plant
+
+
+def _well_posed(plant: _Normal, p: int, m: int) -> None:
+    """Refuse a zero on the imaginary axis from u to z or from w to y: there gamma says nothing."""
+    A, B1, B2, C1, C2, *_ = plant
+
+    def axis(real: float) -> bool:
+        return abs(real) < AXIS
+
+    remedy = (
+        "An axis 1/s^2 needs a disturbance at its input and noise in its measurement; "
+        "a plain mixed sensitivity has no such disturbance"
+    )
+    _require((A - B2 @ C1[p:]).T, C1[:p].T, axis, f"is ill posed: no z sees it without u. {remedy}")
+    _require(
+        A - B1[:, m:] @ C2, B1[:, :m], axis, f"is ill posed: no w excites it without noise in y. {remedy}"
+    )
+
+
+def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> None:
+    """Refuse a mode of A among `poles` (a test of the real part) that B does not reach (Hautus)."""
+    scale = max(np.linalg.norm(A), 1e-300)
+    size = np.linalg.norm(B, axis=0)
+    B = scale * B / np.where(size > 0.0, size, 1.0)
+    for pole in np.linalg.eigvals(A):
+        if poles(pole.real / scale):
+            reach = np.linalg.svd(np.hstack([A - pole * np.eye(len(A)), B]), compute_uv=False)
+            if reach[-1] <= RANK * scale:
+                raise SynthesisError(f"the mode at {abs(pole):.3g} rad/s {what}")
+
+
+def _optimum(plant: _Normal) -> float:
+    """Bisect gamma; both equations have solutions once it is large enough."""
+    m2, p2 = len(plant.of_u), len(plant.to_y)
+    top, left = plant.D11[: len(plant.D11) - m2], plant.D11[:, : plant.D11.shape[1] - p2]
+    low = max((np.linalg.norm(M, 2) for M in (top, left) if M.size), default=0.0)
+    high = max(2.0 * low, 1.0)
+    while not _feasible(plant, high):
+        low, high = high, 4.0 * high
+        if high > 1e15:
+            raise SynthesisError("no gamma below 1e15 will do: numbers of the plant are too far apart")
+    while low == 0.0 and _feasible(plant, high / 4.0) and high > 1e-15:
+        high /= 4.0
+    while high - low > TOLERANCE * high:
+        middle = 0.5 * (low + high)
+        if _feasible(plant, middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+class _Riccati(NamedTuple):
+    X: Array
+    Y: Array
+    F: Array
+    L: Array
+
+
+def _feasible(plant: _Normal, gamma: float) -> bool:
+    return _riccati(plant, gamma) is not None
+
+
+def _riccati(plant: _Normal, gamma: float) -> _Riccati | None:
+    """Solve both equations; None where one has no solution >= 0, or they do not fit together."""
+    A, B1, B2, C1, C2, D11, of_u, to_y, _ = plant
+    m2, p2 = len(of_u), len(to_y)
+    p1, m1 = D11.shape
+    top, left = D11[: p1 - m2], D11[:, : m1 - p2]
+    if any(M.size and np.linalg.norm(M, 2) >= gamma for M in (top, left)):
+        return None
+    D12 = np.vstack([np.zeros((p1 - m2, m2)), np.eye(m2)])
+    D21 = np.hstack([np.zeros((p2, m1 - p2)), np.eye(p2)])
+    B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
+    D1, D_1 = np.hstack([D11, D12]), np.vstack([D11, D21])
+    X_F = _stabilising(A, B, C1, D1, m1, gamma)
+    Y_L = _stabilising(A.T, C.T, B1.T, D_1.T, p1, gamma)
+    if X_F is None or Y_L is None:
+        return None
+    (X, F), (Y, Lt) = X_F, Y_L
+    if A.size and np.abs(np.linalg.eigvals(X @ Y)).max() >= gamma**2:
+        return None
+    return _Riccati(X, Y, F, Lt.T)
+
+
+def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -> tuple[Array, Array] | None:
+    """Return X >= 0 of A'X + XA + C'C - (XB + C'D) R^-1 (B'X + D'C) = 0 and F = -R^-1 (D'C + B'X).
+
+    R = D'D less gamma^2 on its first `m` entries. X spans the stable subspace of the Hamiltonian, found by
+    an ordered Schur form; eigenvalues on the imaginary axis leave none.
+    """
+    n = len(A)
+    R = D.T @ D
+    R[:m, :m] -= gamma**2 * np.eye(m)
+    if n == 0:
+        return np.zeros((0, 0)), np.zeros((B.shape[1], 0))
+    DC = D.T @ C
+    right = np.linalg.solve(R, np.hstack([DC, B.T]))
+    H = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) - np.vstack([B, -DC.T]) @ right
+    H, (scale, _) = matrix_balance(H, permute=False, separate=True)
+    T, U, stable = schur(H, sort="lhp")
+    if stable != n or np.abs(np.linalg.eigvals(T).real).min() <= AXIS * np.abs(np.diag(T)).max():
+        return None
+    U1, U2 = scale[:n, None] * U[:n, :n], scale[n:, None] * U[n:, :n]
+    lu, pivots, info = lapack.dgetrf(U1)
+    if info:
+        return None
+    Xt, _ = lapack.dgetrs(lu, pivots, U2.T.copy(), trans=1)
+    X = 0.5 * (Xt + Xt.T)
+    if not np.isfinite(X).all():
+        return None
+    size = np.linalg.norm(X) + np.linalg.norm(C) ** 2 / np.linalg.norm(A)
+    if np.linalg.eigvalsh(X).min() < -1e-9 * size:
+        return None
+    return X, -np.linalg.solve(R, DC + B.T @ X)
+
+
+def _central(plant: _Normal, gamma: float) -> LinearSystem | None:
+    found = _riccati(plant, gamma)
+    if found is None:
+        return None
+    A, B1, B2, _, C2, D11, of_u, to_y, D22 = plant
+    X, Y, F, L = found
+    m2, p2 = len(of_u), len(to_y)
+    p1, m1 = D11.shape
+    D1111, D1112 = D11[: p1 - m2, : m1 - p2], D11[: p1 - m2, m1 - p2 :]
+    D1121, D1122 = D11[p1 - m2 :, : m1 - p2], D11[p1 - m2 :, m1 - p2 :]
+    inner = gamma**2 * np.eye(p1 - m2) - D1111 @ D1111.T
+    D_11 = -D1121 @ D1111.T @ np.linalg.solve(inner, D1112) - D1122
+    F12, F2 = F[m1 - p2 : m1], F[m1:]
+    L12, L2 = L[:, p1 - m2 : p1], L[:, p1:]
+    Z = np.linalg.inv(np.eye(len(A)) - Y @ X / gamma**2)
+    through = -(C2 + F12)
+    B_1 = -Z @ L2 + Z @ (B2 + L12) @ D_11
+    C_1 = F2 + D_11 @ through
+    A_ = A + np.hstack([B1, B2]) @ F + B_1 @ through
+    K = LinearSystem(A_, B_1 @ to_y, of_u @ C_1, of_u @ D_11 @ to_y)
+    if not D22.any():
+        return K
+    E = np.linalg.inv(np.eye(m2) + K.D @ D22)  # u = K (y - D22 u)
+    return LinearSystem(
+        K.A - K.B @ D22 @ E @ K.C, K.B - K.B @ D22 @ E @ K.D, E @ K.C, E @ K.D
+    )  # fmt: skip

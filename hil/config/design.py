@@ -62,7 +62,7 @@ class ControlWeight(Section):
 
     limit_m_s2: Positive
     """At low frequency. Over the disturbance's amplitude it bounds the peak of T."""
-    roll_off_rad_s: Positive
+    roll_off_rad_s: Positive | None = None
     """Above it, in proportion less: what acts there is noise and what the model does not hold."""
 
 
@@ -101,6 +101,8 @@ class Design(Section):
     """... or a file of `hil identify`, relative to this one; `--model` goes before both."""
     delay_order: Annotated[int, Field(ge=1, le=4)] = 1
     """Of the Pade approximation of transport and half a period."""
+    lump_lag: bool = False
+    """Take the lag as further dead time: a state less, and no fast pole of the controller that undoes it."""
     weights: DesignWeights
 
     @model_validator(mode="after")

@@ -42,7 +42,8 @@ def lag(time_s: float) -> LinearSystem:
     """Return 1 / (T s + 1)."""
     if time_s == 0.0:
         return static(np.eye(1))
-    return LinearSystem(*(np.array([[x]]) for x in (-1.0 / time_s, 1.0 / time_s, 1.0, 0.0)))
+    rate = np.array([[1.0 / time_s]])
+    return LinearSystem(-rate, rate, np.eye(1), np.zeros((1, 1)))
 
 
 def drive(axis: DesignAxis) -> LinearSystem:
@@ -66,6 +67,11 @@ def drive(axis: DesignAxis) -> LinearSystem:
     return further.after(first)
 
 
+def lumped(axis: DesignAxis) -> DesignAxis:
+    """Return the axis with its lag as further dead time: of the same phase up to 1 / lag."""
+    return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
+
+
 def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
     """Return what comes between u and the acceleration it makes: delay, half a period, lag; with the gain."""
     delay = pade(1e-3 * axis.transport_ms + 0.5 / rate_Hz, order)
@@ -82,7 +88,7 @@ def body(inputs: list[str]) -> LinearSystem:
 
 
 def four_block(path: LinearSystem, inputs: list[str]) -> LinearSystem:
-    """Return the unweighted problem, from [d, noise of each input, u] to [e, u, y]; `path` leads to the body."""
+    """Return the unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
     n, axis = len(inputs), body(inputs)
     # [d, noise, u] -> [d, noise, u, a] -> [a + d, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
     split = static(np.vstack([np.eye(n + 2), np.eye(n + 2)[-1:]]))
@@ -105,6 +111,7 @@ def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
     Raises SynthesisError for an axis or a weight that cannot be used.
     """
     n = len(design.inputs)
+    axis = lumped(axis) if design.lump_lag else axis
     core = four_block(actuator(axis, design.rate_Hz, design.delay_order), list(design.inputs))
     into = disturbance_weight(design).beside(noise_weight(design)).beside(static(np.eye(1)))
     weights = design.weights

@@ -152,7 +152,7 @@ def _optimum(plant: _Normal) -> float:
     """Bisect gamma; both equations have solutions once it is large enough."""
     m2, p2 = len(plant.of_u), len(plant.to_y)
     top, left = plant.D11[: len(plant.D11) - m2], plant.D11[:, : plant.D11.shape[1] - p2]
-    low = max((np.linalg.norm(M, 2) for M in (top, left) if M.size), default=0.0)
+    low = float(max((np.linalg.norm(M, 2) for M in (top, left) if M.size), default=0.0))
     high = max(2.0 * low, 1.0)
     while not _feasible(plant, high):
         low, high = high, 4.0 * high
@@ -217,7 +217,10 @@ def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -
     right = np.linalg.solve(R, np.hstack([DC, B.T]))
     H = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) - np.vstack([B, -DC.T]) @ right
     H, (scale, _) = matrix_balance(H, permute=False, separate=True)
-    T, U, stable = schur(H, sort="lhp")
+    try:
+        T, U, stable = schur(H, sort="lhp")
+    except np.linalg.LinAlgError:  # an eigenvalue on the axis changed sides when it was moved
+        return None
     if stable != n or np.abs(np.linalg.eigvals(T).real).min() <= AXIS * np.abs(np.diag(T)).max():
         return None
     U1, U2 = scale[:n, None] * U[:n, :n], scale[n:, None] * U[n:, :n]

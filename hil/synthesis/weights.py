@@ -21,7 +21,8 @@ BEYOND = 2.0 * pi
 def shelf(low: float, high: float, corner: float) -> LinearSystem:
     """Return high (s + corner) / (s + corner high / low): gain `low` at rest, `high` at infinity."""
     pole = corner * high / low
-    return LinearSystem(*(np.array([[x]]) for x in (-pole, 1.0, high * (corner - pole), high)))
+    A, C, D = (np.array([[x]]) for x in (-pole, high * (corner - pole), high))
+    return LinearSystem(A, np.eye(1), C, D)
 
 
 def rational(section: TransferFunction, what: str) -> LinearSystem:
@@ -57,12 +58,16 @@ def error_weight(section: ErrorWeight | TransferFunction) -> LinearSystem:
 def control_weight(section: ControlWeight | TransferFunction, rate_Hz: float) -> LinearSystem:
     """Return W_u with 1 / |W_u| = the demand allowed: limit, falling above roll_off, flat above 2 pi rate.
 
+    Without roll_off it is a constant: the roll-off is left to the noise, and the controller has a state less.
+
     Raises SynthesisError where it rolls off above half Nyquist, since nothing of the controller may act
     there, and for a rational function that is no weight.
     """
     if isinstance(section, TransferFunction):
         return _checked(section, "weights.control", biproper=True)
     corner = section.roll_off_rad_s
+    if corner is None:
+        return static(np.array([[1.0 / section.limit_m_s2]]))
     if corner > pi * rate_Hz / 2.0:
         raise SynthesisError(
             f"weights.control.roll_off_rad_s: {corner:g}, allowed: up to half the Nyquist frequency, "

@@ -1,0 +1,113 @@
+"""H-infinity for a design: from what is asked of the loop to a controller that gives it, or the reason why not.
+
+Rule of the room: a design and an axis in, controller and figures out; no file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.config.design import Design, DesignAxis
+from hil.linear_system import LinearSystem
+from hil.synthesis.axis import generalised_plant
+from hil.synthesis.errors import SynthesisError
+from hil.synthesis.hinf import Synthesis, hinf
+from hil.synthesis.norm import norm
+from hil.synthesis.result import Judgement, described, judge
+from hil.synthesis.sampled import sampled_problem
+
+RATIOS = tuple(1.0 + 0.01 * k for k in range(1, 11))
+"""gamma / gamma_opt, tried in this order."""
+CLOSE = 1.01
+"""The norm may exceed gamma by this factor: what sampling, hold and the rational delay may cost."""
+
+
+class Designed(NamedTuple):
+    """A controller that may be used, and all that is known of it."""
+
+    K: LinearSystem
+    """Continuous."""
+    judged: Judgement
+    figures: dict[str, Any]
+
+
+def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
+    """Return the controller of the smallest gamma, within 1.1 of the optimum, that a loop can run.
+
+    Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
+    message says which and what would help.
+    """
+    P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
+    n_y = len(design.inputs)
+    reasons: tuple[str, ...] = ()
+    for ratio in RATIOS:
+        progress(f"gamma at {ratio:.2f} of the optimum")
+        found = hinf(P, n_y, 1, ratio)
+        if found.gamma > 1.0:
+            _refuse_weights(P, found, reasons)
+        judged = judge(design, axis, found.K)
+        reasons = judged.reasons
+        if reasons:
+            continue
+        continuous = norm(P.closed_with(found.K)).value
+        discrete = norm(sampled.closed_with(judged.sampled)).value
+        if max(continuous, discrete) <= CLOSE * found.gamma:
+            return Designed(found.K, judged, _figures(design, axis, found, judged, continuous, discrete))
+        reasons = (
+            f"the norm of the sampled loop is {discrete:.4g}, allowed: {CLOSE:g} times gamma, {found.gamma:.4g}; "
+            "delay and hold cost too much at this bandwidth: raise delay_order, or ask for less",
+        )
+    raise SynthesisError(f"no controller within 1.1 of the optimum can be used: {'; '.join(reasons)}")
+
+
+def channels(closed: LinearSystem, inputs: list[str]) -> dict[str, float]:
+    """Return the norm of each weighted path of a closed four-block problem, by name."""
+    causes = ["disturbance", *(f"noise of {name}" for name in inputs)]
+    found = {}
+    for i, effect in enumerate(("error", "control")):
+        for j, cause in enumerate(causes):
+            one = LinearSystem(
+                closed.A, closed.B[:, [j]], closed.C[[i]], closed.D[[i]][:, [j]], closed.period_s
+            )  # fmt: skip
+            found[f"{cause} to {effect}"] = norm(one).value
+    return found
+
+
+def _refuse_weights(P: LinearSystem, found: Synthesis, reasons: tuple[str, ...]) -> None:
+    """Say that the weights ask too much, and which of them."""
+    if reasons:
+        raise SynthesisError(
+            f"gamma up to 1 is reached ({found.gamma_opt:.3g} at best), but not by a controller that can be used: "
+            f"{'; '.join(reasons)}"
+        )
+    inputs = [f"input {k}" for k in range(P.C.shape[0] - 2)]
+    gains = channels(P.closed_with(found.K), inputs)
+    named = ", ".join(f"{name} {gain:.2f}" for name, gain in gains.items() if gain > 0.5)
+    raise SynthesisError(
+        f"no controller does what the weights ask: gamma is {found.gamma_opt:.3g} at best, allowed: below 1. "
+        f"Of 1 take: {named}. Allow more error or more control, or state less disturbance, noise or delay"
+    )
+
+
+def _figures(
+    design: Design,
+    axis: DesignAxis,
+    found: Synthesis,
+    judged: Judgement,
+    continuous: float,
+    discrete: float,
+) -> dict[str, Any]:
+    return {
+        "gamma": found.gamma,
+        "gamma_opt": found.gamma_opt,
+        "norm": continuous,
+        "norm_sampled": discrete,
+        **described(judged, found.K),
+        "axis": axis.model_dump(mode="json", exclude_none=True),
+        "delay_order": design.delay_order,
+        "lump_lag": design.lump_lag,
+        "weights": design.weights.model_dump(mode="json", exclude_none=True),
+    }

@@ -1,0 +1,92 @@
+"""The H-infinity norm, independently of any synthesis.
+
+Rule of the room: pure functions of `LinearSystem`; shares nothing with `hil.synthesis.hinf`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.linear_system import LinearSystem
+from hil.signals import Array
+from hil.synthesis.errors import SynthesisError
+
+TOLERANCE = 1e-6
+"""Relative, of the norm: it lies between the value returned and the same times 1 + 2e-6."""
+AXIS = 1e-8
+"""Real part, relative to the modulus, below which an eigenvalue is taken to lie on the imaginary axis."""
+
+
+class Norm(NamedTuple):
+    """The largest gain, and where."""
+
+    value: float
+    omega: float
+    """rad/s; inf where the gain is largest at no finite frequency."""
+
+
+def norm(system: LinearSystem) -> Norm:
+    """Return the supremum over frequency of the largest singular value of the response.
+
+    N. A. Bruinsma and M. Steinbuch (1990): where gamma lies below the norm, the Hamiltonian of gamma has
+    eigenvalues j w at the frequencies at which a singular value equals gamma; between these the gain is
+    larger, and the largest gain at their middles is the next gamma. A sampled system is mapped to a
+    continuous one of the same norm, z = (1 + s) / (1 - s).
+
+    Raises SynthesisError for a system that is not stable: it has no norm.
+    """
+    if not system.is_stable():
+        raise SynthesisError("the system is not stable, so it has no H-infinity norm")
+    if system.period_s is None:
+        return _continuous(system)
+    found = _continuous(_bilinear(system))
+    return Norm(found.value, 2.0 * float(np.arctan(found.omega)) / system.period_s)
+
+
+def gains(system: LinearSystem, omega: Array) -> Array:
+    """Return the largest singular value of the response at each omega, rad/s."""
+    return np.asarray(np.linalg.svd(system.response(omega), compute_uv=False)[:, 0])
+
+
+def _bilinear(system: LinearSystem) -> LinearSystem:
+    inverse = np.linalg.inv(system.A + np.eye(system.order))
+    A = inverse @ (system.A - np.eye(system.order))
+    B, C = np.sqrt(2.0) * inverse @ system.B, np.sqrt(2.0) * system.C @ inverse
+    return LinearSystem(A, B, C, system.D - system.C @ inverse @ system.B)
+
+
+def _continuous(system: LinearSystem) -> Norm:
+    at_infinity = float(np.linalg.norm(system.D, 2))
+    if not system.order:
+        return Norm(at_infinity, float("inf"))
+    omega = np.unique(np.concatenate([[0.0], np.abs(system.poles())]))
+    found = gains(system, omega)
+    best = Norm(float(found.max()), float(omega[found.argmax()]))
+    if at_infinity > best.value:
+        best = Norm(at_infinity, float("inf"))
+    for _ in range(60):
+        gamma = (1.0 + TOLERANCE) * best.value
+        if gamma == 0.0:
+            return best
+        eigenvalues = np.linalg.eigvals(_hamiltonian(system, gamma))
+        near = np.abs(eigenvalues.real) <= AXIS * np.abs(eigenvalues).max() + 1e-6 * np.abs(eigenvalues)
+        crossings = np.unique(np.abs(eigenvalues[near].imag))
+        if len(crossings) == 0:
+            return best
+        middles = np.concatenate([crossings, 0.5 * (crossings[1:] + crossings[:-1])])
+        found = gains(system, middles)
+        if found.max() <= gamma:
+            return best
+        best = Norm(float(found.max()), float(middles[found.argmax()]))
+    return best
+
+
+def _hamiltonian(system: LinearSystem, gamma: float) -> Array:
+    A, B, C, D = system[:4]
+    R = D.T @ D - gamma**2 * np.eye(D.shape[1])
+    S = D @ D.T - gamma**2 * np.eye(D.shape[0])
+    RD, RB = np.linalg.solve(R, D.T @ C), np.linalg.solve(R, B.T)
+    SC = np.linalg.solve(S, C)
+    return np.block([[A - B @ RD, -gamma * B @ RB], [gamma * C.T @ SC, -A.T + C.T @ D @ RB]])

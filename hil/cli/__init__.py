@@ -9,6 +9,7 @@ import click
 from hil.cli.calibrate import calibrate_command
 from hil.cli.check import check_command
 from hil.cli.compare import compare_command
+from hil.cli.design import design_group
 from hil.cli.fmu import fmu_group
 from hil.cli.identify import identify_command
 from hil.cli.plant import plant_command
@@ -72,6 +73,7 @@ for command in (
     fmu_group,
     calibrate_command,
     identify_command,
+    design_group,
 ):
     main.add_command(command)
 

@@ -138,7 +138,7 @@ def _well_posed(plant: _Normal, p: int, m: int) -> None:
 
 def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> None:
     """Refuse a mode of A among `poles` (a test of the real part) that B does not reach (Hautus)."""
-    scale = max(np.linalg.norm(A), 1e-300)
+    scale = max(float(np.linalg.norm(A)), 1e-300)
     size = np.linalg.norm(B, axis=0)
     B = scale * B / np.where(size > 0.0, size, 1.0)
     for pole in np.linalg.eigvals(A):
@@ -152,7 +152,7 @@ def _optimum(plant: _Normal) -> float:
     """Bisect gamma; both equations have solutions once it is large enough."""
     m2, p2 = len(plant.of_u), len(plant.to_y)
     top, left = plant.D11[: len(plant.D11) - m2], plant.D11[:, : plant.D11.shape[1] - p2]
-    low = float(max((np.linalg.norm(M, 2) for M in (top, left) if M.size), default=0.0))
+    low = max([0.0, *(float(np.linalg.norm(M, 2)) for M in (top, left) if M.size)])
     high = max(2.0 * low, 1.0)
     while not _feasible(plant, high):
         low, high = high, 4.0 * high

@@ -1,4 +1,4 @@
-"""H-infinity for a design: from what is asked of the loop to a controller that gives it, or the reason why not.
+"""H-infinity for a design: from what is asked of the loop to a controller that gives it, or why none does.
 
 Rule of the room: a design and an axis in, controller and figures out; no file.
 """
@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from hil.config.design import Design, DesignAxis
 from hil.linear_system import LinearSystem
@@ -56,10 +54,11 @@ def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None
         discrete = norm(sampled.closed_with(judged.sampled)).value
         if max(continuous, discrete) <= CLOSE * found.gamma:
             return Designed(found.K, judged, _figures(design, axis, found, judged, continuous, discrete))
-        reasons = (
-            f"the norm of the sampled loop is {discrete:.4g}, allowed: {CLOSE:g} times gamma, {found.gamma:.4g}; "
-            "delay and hold cost too much at this bandwidth: raise delay_order, or ask for less",
+        reason = (
+            f"the norm is {continuous:.4g}, of the sampled loop {discrete:.4g}, allowed: {CLOSE:g} gamma, "
+            f"{CLOSE * found.gamma:.4g}; delay and hold cost too much, raise delay_order, or ask for less"
         )
+        reasons = (reason,)
     raise SynthesisError(f"no controller within 1.1 of the optimum can be used: {'; '.join(reasons)}")
 
 
@@ -80,8 +79,8 @@ def _refuse_weights(P: LinearSystem, found: Synthesis, reasons: tuple[str, ...])
     """Say that the weights ask too much, and which of them."""
     if reasons:
         raise SynthesisError(
-            f"gamma up to 1 is reached ({found.gamma_opt:.3g} at best), but not by a controller that can be used: "
-            f"{'; '.join(reasons)}"
+            f"gamma below 1 is reached, {found.gamma_opt:.3g} at best, but by no controller that can run: "
+            + "; ".join(reasons)
         )
     inputs = [f"input {k}" for k in range(P.C.shape[0] - 2)]
     gains = channels(P.closed_with(found.K), inputs)

@@ -9,11 +9,11 @@ from math import pi
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
-from hil.linear_system import LinearSystem
+from hil.linear_system import ComplexArray, LinearSystem
 from hil.signals import Array
 from hil.synthesis.axis import actuator, four_block, lumped
 from hil.synthesis.margins import Margins, margins
@@ -29,7 +29,7 @@ class Judgement(NamedTuple):
     sampled: LinearSystem
     """The controller at the loop's rate."""
     margins: Margins
-    loop_poles: Array
+    loop_poles: ComplexArray
     """rad/s, of the loop of rational axis and continuous controller."""
     reasons: tuple[str, ...]
     """Why it must not be used; empty for a good one."""
@@ -64,10 +64,15 @@ def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
             f"a pole of the closed loop at {slowest:.3g} rad/s, allowed: from {SLOW:g} of the crossover, "
             f"{SLOW * found.crossover_rad_s:.3g}; let the error weight ask for more at low frequency"
         )
+    if not K.is_stable():
+        reasons.append(
+            f"the controller is unstable by itself, a pole at {K.poles().real.max():.3g} rad/s, and would "
+            "run away where a limit opens the loop; ask for less bandwidth"
+        )
     if not legs.closed_with(sampled).is_stable():
         reasons.append(
-            "the sampled loop is unstable: the rational model of delay and hold is too rough at this bandwidth; "
-            "raise delay_order, or ask for less"
+            "the sampled loop is unstable: the rational model of delay and hold is too rough at this "
+            "bandwidth; raise delay_order, or ask for less"
         )
     return Judgement(sampled, found, poles, tuple(reasons))
 
@@ -78,8 +83,8 @@ def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
     While a limit holds u back, the state moves by L times what was taken from u: an observer of the
     controller's own state by what was applied (Astrom and Rundqwist 1989). Poles slower than `bandwidth` are
     mirrored at it, the others stay where they are: least energy with a prescribed degree of stability
-    (B. D. O. Anderson and J. B. Moore, *Optimal Control*, 1990, section 3.5), a Riccati equation without weight
-    on the state.
+    (B. D. O. Anderson and J. B. Moore, *Optimal Control*, 1990, section 3.5), by a Riccati equation that
+    puts no weight on the state.
     """
     assert K.period_s is not None
     n = K.order
@@ -92,11 +97,26 @@ def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
     return np.asarray(gain[:, 0] / faster)
 
 
+def balanced(K: LinearSystem) -> LinearSystem:
+    """Return a stable sampled system in balanced coordinates: both Gramians equal and diagonal.
+
+    B. C. Moore (1981). States so are of one size, and the realisation is unique but for signs: those are
+    chosen so that the first column of B is positive.
+    """
+    W_c = solve_discrete_lyapunov(K.A, K.B @ K.B.T)
+    W_o = solve_discrete_lyapunov(K.A.T, K.C.T @ K.C)
+    R = np.linalg.cholesky(W_c)
+    U, s, _ = np.linalg.svd(R.T @ W_o @ R)
+    T = R @ U / s**0.25
+    T = T * np.where(np.linalg.solve(T, K.B)[:, 0] < 0.0, -1.0, 1.0)
+    return LinearSystem(np.linalg.solve(T, K.A @ T), np.linalg.solve(T, K.B), K.C @ T, K.D, K.period_s)
+
+
 def linear_controller(
     design: Design, method: str, judged: Judgement, figures: dict[str, Any]
 ) -> LinearController:
     """Return the file's content: the sampled controller in balanced numbers, and how it was made."""
-    K = judged.sampled
+    K = balanced(judged.sampled)
     return LinearController.model_validate(
         {
             "kind": "linear-controller",
@@ -129,6 +149,6 @@ def described(judged: Judgement, K: LinearSystem) -> dict[str, Any]:
     }
 
 
-def _pairs(poles: Array) -> list[list[float]]:
+def _pairs(poles: ComplexArray) -> list[list[float]]:
     """Real and imaginary part, the slowest first; no minus zero."""
     return [[float(p.real), abs(float(p.imag))] for p in sorted(poles, key=abs) if p.imag >= 0.0]

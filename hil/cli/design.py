@@ -1,0 +1,105 @@
+"""`hil design`: a table of methods, one command each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+
+from hil.cli.shared import FILE, guarded, json_option
+
+
+class _Method(NamedTuple):
+    """How a method introduces itself."""
+
+    short: str
+    text: str
+
+
+METHODS = {
+    "hinf": _Method(
+        "H-infinity: the weights are met at every frequency.",
+        """Design an H-infinity controller for the linearised axes of a robot, from DESIGN.
+
+    DESIGN is a YAML file or the name of a shipped one: hinf, constant_hinf. It says what the axis is (its
+    delay and lag, or a file of `hil identify`), what acts on it (disturbance, noise of the measurements), and
+    what is asked: the error allowed at rest and at the worst frequency, the acceleration the controller may
+    ask for. gamma says how much of that is used: below 1 all of it is met, for every disturbance and noise
+    within their bounds.
+
+    Of all controllers within 1.1 of the best gamma the first is taken that a loop can run: no pole above half
+    the Nyquist frequency, no closed-loop pole slower than a tenth of the crossover, the norm of the exact
+    sampled loop, delay and hold included, within 1.01 gamma. If there is none, the reason is printed, and
+    what to change.""",
+    ),
+}
+"""Name -> introduction; what it does is in the table of hil.app.design."""
+
+EXIT = """
+
+    \b
+    Examples:
+      hil design {name} {name} -o controller.yaml
+      hil design {name} my.yaml --model axis.yaml -o controller.yaml --plot design.png
+      hil design {name} my.yaml --json design.json
+
+    Then `law: state_space` with `controller_file: controller.yaml` in section controller.
+
+    \b
+    Exit code:
+      0  designed
+      2  not designed: file, weights, or no controller that can be used; the message says why
+    """
+
+
+@click.group("design", short_help="A robust controller from weights: hinf.")
+def design_group() -> None:
+    """Design a robust controller for the linearised axes, as a file for the law `state_space`."""
+
+
+def _command(name: str, method: _Method) -> click.Command:
+    @click.command(name, short_help=method.short, help=method.text + EXIT.format(name=name))
+    @click.argument("design", metavar="DESIGN")
+    @click.option(
+        "--model", type=FILE, metavar="AXIS.yaml", help="The axis, from `hil identify`; before DESIGN's own."
+    )
+    @click.option(
+        "-o",
+        "--out",
+        type=FILE,
+        metavar="FILE",
+        help="Write the controller there; an earlier one is replaced.",
+    )
+    @click.option(
+        "--plot", type=FILE, metavar="FILE", help="PNG file: S, T, K S against their weights, and the loop."
+    )
+    @json_option
+    @guarded
+    def command(
+        design: str, model: Path | None, out: Path | None, plot: Path | None, json_file: Path | None
+    ) -> None:
+        from hil.app import design as app
+        from hil.app.output import console, picture_path, show_lines, write_json
+
+        if out is not None:
+            app.check_output(out)
+        picture = None if plot is None else picture_path(".", Path(design).stem, plot)
+        with console.status("reading") as status:
+            controller, made, settings, axis = app.run_design(name, design, model, status.update)
+        show_lines(app.report(controller))
+        if out is not None:
+            out.write_text(app.controller_text(controller, design), encoding="utf-8")
+            click.echo(f"written: {out}")
+        if picture is not None:
+            from hil.app.design_picture import draw
+
+            click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
+        if json_file is not None:
+            write_json(json_file, app.summary(controller, design))
+
+    return command
+
+
+for _name, _method in METHODS.items():
+    design_group.add_command(_command(_name, _method))

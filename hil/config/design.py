@@ -115,7 +115,7 @@ class Design(Section):
             )
         if (self.weights.noise.rate_error_m_s is None) != ("rate_error" not in self.inputs):
             raise ValueError(
-                "weights.noise.rate_error_m_s and the input rate_error go together: give both or neither"
+                "weights.noise.rate_error_m_s and the input rate_error go together, allowed: both or neither"
             )
         if self.nominal is not None and self.model is not None:
             raise ValueError("nominal and model both say what the axis is, allowed: one of them")

@@ -10,6 +10,7 @@ on it late; what the model does not know, d, acts on it at once:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import comb, factorial
 
 import numpy as np
@@ -79,7 +80,7 @@ def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
     return path._replace(C=axis.gain * path.C, D=axis.gain * path.D)
 
 
-def body(inputs: list[str]) -> LinearSystem:
+def body(inputs: Sequence[str]) -> LinearSystem:
     """Return the double integrator from [a + d] to [e, measured inputs in their order]."""
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
     rows: dict[str, Array] = {"error": np.array([1.0, 0.0]), "rate_error": np.array([0.0, 1.0])}
@@ -87,7 +88,7 @@ def body(inputs: list[str]) -> LinearSystem:
     return LinearSystem(A, B, C, np.zeros((len(C), 1)))
 
 
-def four_block(path: LinearSystem, inputs: list[str]) -> LinearSystem:
+def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
     """Return the unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
     n, axis = len(inputs), body(inputs)
     # [d, noise, u] -> [d, noise, u, a] -> [a + d, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
@@ -112,7 +113,7 @@ def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
     """
     n = len(design.inputs)
     axis = lumped(axis) if design.lump_lag else axis
-    core = four_block(actuator(axis, design.rate_Hz, design.delay_order), list(design.inputs))
+    core = four_block(actuator(axis, design.rate_Hz, design.delay_order), design.inputs)
     into = disturbance_weight(design).beside(noise_weight(design)).beside(static(np.eye(1)))
     weights = design.weights
     out = error_weight(weights.error).beside(control_weight(weights.control, design.rate_Hz))

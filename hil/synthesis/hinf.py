@@ -231,7 +231,8 @@ def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -
     X = 0.5 * (Xt + Xt.T)
     if not np.isfinite(X).all():
         return None
-    size = np.linalg.norm(X) + np.linalg.norm(C) ** 2 / np.linalg.norm(A)
+    a, b, c = (float(np.linalg.norm(M)) for M in (A, B, C))
+    size = float(np.linalg.norm(X)) + c**2 / max(a, b * c, 1e-300)  # X may be 0 but for rounding
     if np.linalg.eigvalsh(X).min() < -1e-9 * size:
         return None
     return X, -np.linalg.solve(R, DC + B.T @ X)

@@ -47,9 +47,9 @@ def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
     """
     h = 1.0 / design.rate_Hz
     path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
-    poles = four_block(path, list(design.inputs)).closed_with(K).poles()
+    poles = four_block(path, design.inputs).closed_with(K).poles()
     sampled = K.sampled(h, "bilinear")
-    legs = sampled_axis(axis, design.rate_Hz, list(design.inputs))
+    legs = sampled_axis(axis, design.rate_Hz, design.inputs)
     found = margins(sampled, legs)
     reasons = []
     fastest, end = float(np.abs(K.poles()).max(initial=0.0)), pi * design.rate_Hz / 2.0

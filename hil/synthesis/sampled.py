@@ -8,6 +8,7 @@ T = (m + f) periods the demand of m + 1 ticks ago acts for the fraction f, that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import floor
 
 import numpy as np
@@ -20,7 +21,7 @@ from hil.synthesis.axis import body, drive
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 
 
-def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: list[str]) -> LinearSystem:
+def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> LinearSystem:
     """Return the axis from [d, u] to [e, measured inputs], d held for a period like u."""
     h = 1.0 / rate_Hz
     late = 1e-3 * axis.transport_ms * rate_Hz
@@ -67,7 +68,7 @@ def sampled_problem(design: Design, axis: DesignAxis) -> LinearSystem:
     the Nyquist frequency.
     """
     n, h, weights = len(design.inputs), 1.0 / design.rate_Hz, design.weights
-    legs = sampled_axis(axis, design.rate_Hz, list(design.inputs))
+    legs = sampled_axis(axis, design.rate_Hz, design.inputs)
     # [d, noise, u] -> [d, u, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
     order = static(np.eye(n + 2)[[0, n + 1, *range(1, n + 2)]], h)
     out = np.zeros((n + 2, 2 * n + 2))

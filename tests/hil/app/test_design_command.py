@@ -1,0 +1,110 @@
+"""`hil design`: files in, files out, refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from hil.app.controller_file import read_controller
+from hil.cli import main
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def design(*arguments):
+    return CliRunner().invoke(main, ["design", "hinf", *map(str, arguments)])
+
+
+def axis_file(folder, **changes):
+    measured = {
+        key: [1.0, 1.0]
+        for key in ("frequency_Hz", "magnitude", "coherence", "magnitude_std", "phase_std_deg", "phase_deg")
+    }
+    model = {
+        "kind": "axis-model",
+        "source": "today.mcap",
+        "axes": "joint",
+        "rate_Hz": 1000,
+        "nominal": {"gain": [1.0] * 5 + [1.1], "transport_ms": 0.45, "lag_ms": 0.7},
+        "uncertainty": {"frequency_Hz": [1, 10], "bound": [0.1, 0.2]},
+        "measured": [measured] * 6,
+    }
+    nominal = changes.pop("nominal", {})
+    model["nominal"] |= nominal
+    path = folder / "axis.yaml"
+    path.write_text(json.dumps(model | changes))
+    return path
+
+
+def test_the_command_writes_controller_figures_and_picture(tmp_path):
+    files = [tmp_path / name for name in ("c.yaml", "d.json", "d.png")]
+    done = design("hinf", "-o", files[0], "--json", files[1], "--plot", files[2])
+    assert done.exit_code == 0, done.output
+    controller = read_controller(files[0])
+    summary = json.loads(files[1].read_text())
+    assert summary["gamma"] == controller.design["gamma"]
+    assert f"{summary['crossover_rad_s']:.1f} rad/s" in done.output
+    assert files[2].read_bytes().startswith(b"\x89PNG")
+    assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
+
+
+def test_an_identified_axis_goes_before_the_designs_own(tmp_path):
+    out = tmp_path / "c.yaml"
+    done = design("hinf", "--model", axis_file(tmp_path), "-o", out)
+    assert done.exit_code == 0, done.output
+    axis = read_controller(out).design["axis"]
+    assert axis["transport_ms"] == 0.45
+    assert axis["gain"] == pytest.approx(1.1 ** (1 / 6))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"rate_Hz": 500}, "rate_Hz: 500.0, allowed: that of the design, 1000.0"),
+        ({"axes": "pose"}, "axes: pose, allowed: that of the design, joint"),
+        ({"nominal": {"gain": [1, 1, 1, 1, 1, 2]}}, "within 20 % of their mean"),
+    ],
+)
+def test_an_axis_that_does_not_fit_the_design_is_refused(changes, says, tmp_path):
+    done = design("hinf", "--model", axis_file(tmp_path, **changes))
+    assert done.exit_code == 2
+    assert says in done.output
+
+
+SHIPPED = (ROOT / "configs/designs/hinf.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("low_m: 5.0e-5", "low_m: 5.0e-3", "low_m is 0.005, allowed: below peak_m"),
+        ("  transport_ms: 0.5 ", "  transport: 0.5 ", "missing unit: the key is transport_ms"),
+        ("[error, rate_error]", "[rate_error]", "inputs lacks error"),
+        ("[error, rate_error]", "[error]", "go together"),
+        ("limit_m_s2: 25", "limit_m_s2: -25", "weights.control.limit_m_s2"),
+        ("delay_order: 1", "delay_order: 1\nmodel: axis.yaml", "nominal and model both say"),
+        ("limit_m_s2: 25", "limit_m_s2: 5", "no controller does what the weights ask"),
+    ],
+)
+def test_a_wrong_design_is_refused_with_what_is_allowed(old, new, says, tmp_path):
+    assert SHIPPED.count(old) == 1
+    path = tmp_path / "my.yaml"
+    path.write_text(SHIPPED.replace(old, new))
+    done = design(path, "-o", tmp_path / "c.yaml")
+    assert done.exit_code == 2
+    assert says in done.output
+    assert not (tmp_path / "c.yaml").exists()
+
+
+def test_other_files_are_not_overwritten_and_unknown_designs_are_named(tmp_path):
+    other = tmp_path / "mine.yaml"
+    other.write_text("a: 1\n")
+    done = design("hinf", "-o", other)
+    assert done.exit_code == 2
+    assert "is no controller and is not overwritten" in done.output
+    assert other.read_text() == "a: 1\n"
+    assert "shipped designs are: constant_hinf, hinf" in design("nothing").output
+    assert "there is no folder" in design("hinf", "-o", tmp_path / "no" / "c.yaml").output

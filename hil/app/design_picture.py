@@ -35,7 +35,7 @@ def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: st
     K, inputs = made.judged.sampled, design.inputs
     legs = sampled_axis(axis, design.rate_Hz, inputs)
     omega = grid(1.0 / design.rate_Hz)
-    omega = omega[omega > 0.1]
+    omega = omega[(omega > 0.1) & (omega < omega[-1])]
     L = loop_gain(K, legs, omega)
     _closed(axes[0, 0], design, omega, L)
     _weighted(axes[0, 1], design, omega, K, legs, L, made.figures)

@@ -74,6 +74,12 @@ def test_an_axis_that_does_not_fit_the_design_is_refused(changes, says, tmp_path
     assert says in done.output
 
 
+def test_the_guide_shows_what_the_command_prints():
+    page = (ROOT / "docs/guides/design.md").read_text()
+    block = page.partition("```text\n")[2].partition("```")[0]
+    assert block.split() == design("hinf").output.split()
+
+
 SHIPPED = (ROOT / "configs/designs/hinf.yaml").read_text()
 
 

@@ -10,7 +10,8 @@
     │   ├── GeometryError
     │   ├── KinematicsError
     │   ├── CalibrationError    measured pairs that cannot calibrate (hil.calibrate)
-    │   └── IdentificationError a log that does not hold what is looked for (hil.identify)
+    │   ├── IdentificationError a log that does not hold what is looked for (hil.identify)
+    │   └── SynthesisError      a design that no controller fulfils (hil.synthesis.errors)
     ├── PlantError              plant, FMU, FMU hosting (plant_fmu)
     ├── LogError                log file: not MCAP, truncated, of another version
     └── RunError                the run itself: no drives, latched fault, another daemon

@@ -27,16 +27,13 @@ def pade(delay_s: float, order: int) -> LinearSystem:
     if delay_s == 0.0:
         return static(np.eye(1))
     n = order
-    c = [comb(n, k) * factorial(2 * n - k) / factorial(2 * n) * delay_s**k for k in range(n, -1, -1)]
-    signs = [(-1) ** k for k in range(n, -1, -1)]
-    lead = c[0]
-    numerator = [s * x / lead for s, x in zip(signs, c, strict=True)]
-    denominator = [x / lead for x in c]
+    c = np.array([comb(n, k) * factorial(2 * n - k) / factorial(n) for k in range(n, -1, -1)])
+    denominator, numerator = c, c * [(-1) ** k for k in range(n, -1, -1)]  # of s T
     A = np.eye(n, k=-1)
-    A[0] = [-x for x in denominator[1:]]
+    A[0] = -denominator[1:]
     D = numerator[0]
-    C = np.array([[b - D * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]])
-    return LinearSystem(A, np.eye(n)[:, :1], C, np.array([[D]]))
+    C = numerator[1:] - D * denominator[1:]
+    return LinearSystem(A / delay_s, np.eye(n)[:, :1] / delay_s, C[None], np.array([[D]]))
 
 
 def lag(time_s: float) -> LinearSystem:

@@ -21,6 +21,8 @@ from hil.synthesis.errors import SynthesisError
 
 RANK = 1e-9
 """Singular value, relative to the largest, below which a direction is none."""
+REACH = 1e-14
+"""The same for a mode that is not reached, relative to A: what rounding leaves of 0."""
 AXIS = 1e-9
 """Real part of an eigenvalue, relative to the matrix, below which it lies on the imaginary axis."""
 TOLERANCE = 1e-6
@@ -97,7 +99,12 @@ def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
     B1, B2, C1, C2 = B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:]
     D11, D12, D21, D22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
     _require(A, B2, lambda real: real > -AXIS, "does not decay and cannot be moved by u")
-    _require(A.T, C2.T, lambda real: real > -AXIS, "does not decay and cannot be seen in y")
+    _require(
+        A.T,
+        C2.T,
+        lambda real: real > -AXIS,
+        "does not decay and is not seen in y; is it a weight that integrates?",
+    )
     U, s, Vt = np.linalg.svd(D12)
     if n_z < n_u or s[-1] <= RANK * s[0]:
         raise SynthesisError(
@@ -137,14 +144,16 @@ def _well_posed(plant: _Normal, p: int, m: int) -> None:
 
 
 def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> None:
-    """Refuse a mode of A among `poles` (a test of the real part) that B does not reach (Hautus)."""
+    """Refuse a mode of A that B does not reach (Hautus); `poles` tests real part over fastest pole."""
     scale = max(float(np.linalg.norm(A)), 1e-300)
     size = np.linalg.norm(B, axis=0)
     B = scale * B / np.where(size > 0.0, size, 1.0)
-    for pole in np.linalg.eigvals(A):
-        if poles(pole.real / scale):
+    found = np.linalg.eigvals(A)
+    fastest = np.abs(found).max(initial=1e-300)
+    for pole in found:
+        if poles(pole.real / fastest):
             reach = np.linalg.svd(np.hstack([A - pole * np.eye(len(A)), B]), compute_uv=False)
-            if reach[-1] <= RANK * scale:
+            if reach[-1] <= REACH * scale:
                 raise SynthesisError(f"the mode at {abs(pole):.3g} rad/s {what}")
 
 
@@ -257,7 +266,8 @@ def _central(plant: _Normal, gamma: float) -> LinearSystem | None:
     B_1 = -Z @ L2 + Z @ (B2 + L12) @ D_11
     C_1 = F2 + D_11 @ through
     A_ = A + np.hstack([B1, B2]) @ F + B_1 @ through
-    K = LinearSystem(A_, B_1 @ to_y, of_u @ C_1, of_u @ D_11 @ to_y)
+    A_, T = matrix_balance(A_) if len(A_) else (A_, A_)
+    K = LinearSystem(A_, np.linalg.solve(T, B_1 @ to_y), of_u @ C_1 @ T, of_u @ D_11 @ to_y)
     if not D22.any():
         return K
     E = np.linalg.inv(np.eye(m2) + K.D @ D22)  # u = K (y - D22 u)

@@ -5,8 +5,11 @@ Rule of the room: a design and an axis in, controller and figures out; no file.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from hil.config.design import Design, DesignAxis
 from hil.linear_system import LinearSystem
@@ -38,6 +41,18 @@ def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None
     Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
     message says which and what would help.
     """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # SciPy warns where a matrix is close to singular
+            return _first_usable(design, axis, progress)
+    except (np.linalg.LinAlgError, Warning) as error:
+        raise SynthesisError(
+            f"the numbers of the design are too far apart to compute with ({error}), allowed: weights of one "
+            "loop; look for a wrong unit"
+        ) from None
+
+
+def _first_usable(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
     P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
     n_y = len(design.inputs)
     reasons: tuple[str, ...] = ()
@@ -45,7 +60,7 @@ def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None
         progress(f"gamma at {ratio:.2f} of the optimum")
         found = hinf(P, n_y, 1, ratio)
         if found.gamma > 1.0:
-            _refuse_weights(P, found, reasons)
+            _refuse_weights(P.closed_with(found.K), found, reasons, design.inputs)
         judged = judge(design, axis, found.K)
         reasons = judged.reasons
         if reasons:
@@ -62,7 +77,7 @@ def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None
     raise SynthesisError(f"no controller within 1.1 of the optimum can be used: {'; '.join(reasons)}")
 
 
-def channels(closed: LinearSystem, inputs: list[str]) -> dict[str, float]:
+def channels(closed: LinearSystem, inputs: Sequence[str]) -> dict[str, float]:
     """Return the norm of each weighted path of a closed four-block problem, by name."""
     causes = ["disturbance", *(f"noise of {name}" for name in inputs)]
     found = {}
@@ -75,16 +90,17 @@ def channels(closed: LinearSystem, inputs: list[str]) -> dict[str, float]:
     return found
 
 
-def _refuse_weights(P: LinearSystem, found: Synthesis, reasons: tuple[str, ...]) -> None:
+def _refuse_weights(
+    closed: LinearSystem, found: Synthesis, reasons: tuple[str, ...], inputs: Sequence[str]
+) -> None:
     """Say that the weights ask too much, and which of them."""
     if reasons:
         raise SynthesisError(
             f"gamma below 1 is reached, {found.gamma_opt:.3g} at best, but by no controller that can run: "
             + "; ".join(reasons)
         )
-    inputs = [f"input {k}" for k in range(P.C.shape[0] - 2)]
-    gains = channels(P.closed_with(found.K), inputs)
-    named = ", ".join(f"{name} {gain:.2f}" for name, gain in gains.items() if gain > 0.5)
+    shares = channels(closed, inputs) if closed.is_stable() else {}
+    named = ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5) or "all of them"
     raise SynthesisError(
         f"no controller does what the weights ask: gamma is {found.gamma_opt:.3g} at best, allowed: below 1. "
         f"Of 1 take: {named}. Allow more error or more control, or state less disturbance, noise or delay"

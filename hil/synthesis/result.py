@@ -16,6 +16,7 @@ from hil.config.linear_controller import LinearController
 from hil.linear_system import ComplexArray, LinearSystem
 from hil.signals import Array
 from hil.synthesis.axis import actuator, four_block, lumped
+from hil.synthesis.errors import SynthesisError
 from hil.synthesis.margins import Margins, margins
 from hil.synthesis.sampled import sampled_axis
 
@@ -85,6 +86,8 @@ def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
     mirrored at it, the others stay where they are: least energy with a prescribed degree of stability
     (B. D. O. Anderson and J. B. Moore, *Optimal Control*, 1990, section 3.5), by a Riccati equation that
     puts no weight on the state.
+
+    Raises SynthesisError where that has no solution.
     """
     assert K.period_s is not None
     n = K.order
@@ -92,7 +95,13 @@ def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
         return np.zeros(0)
     faster = np.exp(bandwidth * K.period_s)
     A, C = faster * K.A, K.C
-    X = solve_discrete_are(A.T, C.T, np.zeros((n, n)), np.eye(1))
+    try:
+        X = solve_discrete_are(A.T, C.T, np.zeros((n, n)), np.eye(1))
+    except np.linalg.LinAlgError:
+        raise SynthesisError(
+            "no anti-windup: a pole of the controller lies exactly at the crossover, or a slow one is not "
+            "seen in u; change a weight by a little"
+        ) from None
     gain = A @ X @ C.T @ np.linalg.inv(C @ X @ C.T + np.eye(1))
     return np.asarray(gain[:, 0] / faster)
 
@@ -101,11 +110,15 @@ def balanced(K: LinearSystem) -> LinearSystem:
     """Return a stable sampled system in balanced coordinates: both Gramians equal and diagonal.
 
     B. C. Moore (1981). States so are of one size, and the realisation is unique but for signs: those are
-    chosen so that the first column of B is positive.
+    chosen so that the first column of B is positive. One with a state that is hardly reached or seen has no
+    such coordinates and is returned as it is.
     """
     W_c = solve_discrete_lyapunov(K.A, K.B @ K.B.T)
     W_o = solve_discrete_lyapunov(K.A.T, K.C.T @ K.C)
-    R = np.linalg.cholesky(W_c)
+    try:
+        R = np.linalg.cholesky(W_c)
+    except np.linalg.LinAlgError:
+        return K
     U, s, _ = np.linalg.svd(R.T @ W_o @ R)
     T = R @ U / s**0.25
     T = T * np.where(np.linalg.solve(T, K.B)[:, 0] < 0.0, -1.0, 1.0)

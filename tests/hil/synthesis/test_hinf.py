@@ -107,7 +107,7 @@ UNDISTURBED = ((0, 0), (0, 0))
         (double_integrator(DISTURBED, 1.0, 0.0), "D21 has no full row rank"),
         (double_integrator(UNDISTURBED, 1.0, 1.0), "ill posed: no w excites it"),
         (double_integrator(DISTURBED, 1.0, 1.0, B2=((0.0,), (0.0,))), "cannot be moved by u"),
-        (double_integrator(DISTURBED, 1.0, 1.0, C2=((0.0, 0.0),)), "cannot be seen in y"),
+        (double_integrator(DISTURBED, 1.0, 1.0, C2=((0.0, 0.0),)), "is not seen in y"),
         (double_integrator(DISTURBED, 1.0, 1.0)._replace(period_s=1e-3), "sampled"),
         (double_integrator(((0, 0), (np.nan, 0)), 1.0, 1.0), "not finite"),
     ],

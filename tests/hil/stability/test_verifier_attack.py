@@ -113,6 +113,14 @@ def test_a_counterexample_lies_in_the_box():
         assert edge.certificate.verdict is verdict
 
 
+def test_a_pole_of_f_that_cancels_in_the_derivative_of_V_is_seen():
+    f = {x: -x + y / (x - R(1, 2)), y: -y - x / (x - R(1, 2))}
+    report = verify(f, x**2 + y**2, box={x: (-1, 1), y: (-1, 1)})
+    assert report.certificate.verdict is Certificate.UNDECIDED
+    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE  # on a box without the pole
+    assert report.equilibrium.box[x][1] < R(1, 2)
+
+
 def test_a_dip_between_all_samples_is_not_overlooked():
     dip = R(141421, 10**5)
     V = x**2 * ((x - dip) ** 2 - R(1, 10**10))  # negative on a stretch of 2e-5

@@ -9,6 +9,7 @@ from hil.stability import verify
 from hil.stability.verifier.branch_and_bound import Budget, covered, positive, without
 from hil.stability.verifier.cancellation import cancelled, continuous, lie_derivative, squares
 from hil.stability.verifier.interval import Ball, Enclosure, outward
+from hil.stability.verifier.lasalle import _ways
 from hil.stability.verifier.level import largest_level
 from hil.stability.verifier.origin import definite_near, weights_of
 from hil.stability.verifier.picture import draw
@@ -131,6 +132,37 @@ def test_semidefinite_functions_name_their_zeros():
     assert s.nonnegative(x**2 - y**4) is None
     assert not s.definite(x**2 - x**4)
     assert squares(x**2 + 4 * x * y + y**2, (x, y)) == [(1, x + 2 * y), (-3, y)]
+
+
+def test_all_branches_of_the_zeros_are_named():
+    branches = {frozenset(branch) for branch in signs().nonnegative(x**2 * y**2 + x**4) or ()}
+    assert branches == {frozenset({x}), frozenset({x, y})}
+
+
+def test_a_cell_about_the_origin_ends_before_the_function_changes_sign():
+    near = definite_near(x**2 - 5 * x**4, (x,), [], Budget())
+    assert near is not None
+    assert near[0][0][1] ** 2 < 1 / 5
+
+
+def test_a_dip_far_from_the_origin_is_no_proof():
+    dip = x**2 * ((x - R(141421, 10**5)) ** 2 - R(1, 10**10))
+    assert not signs({x: (-2, 2), y: (-2, 2)}).definite(dip)
+    assert signs({x: (-1, 1), y: (-1, 1)}).definite(dip)
+
+
+def test_parameters_leave_a_sum_only_if_each_term_keeps_its_sign():
+    k, b = (sp.Symbol(name, positive=True) for name in "kb")
+    s = Signs(make_system({x: -k * x, y: -b * y}, None, None, None, None), Budget())
+    assert s.freed(k * x**2 + b * y**2 / k) == x**2 + y**2
+    assert s.freed(k * x**2 + b * x * y + y**2) is None
+    assert s.freed((k - b) * x**2) is None
+    assert s.freed(x**2 / (k - b)) is None
+
+
+def test_only_factors_that_can_be_zero_are_followed():
+    assert _ways((1 + x**2) * y * (x - y) / (2 + sp.cos(x)), signs()) in ([y, x - y], [x - y, y])
+    assert _ways(1 + x**2, signs()) == []
 
 
 def test_the_level_is_the_least_value_on_the_boundary():

@@ -1,0 +1,237 @@
+"""The structured singular value of a complex matrix, from above and from below, frequency by frequency.
+
+Rule of the room: pure functions of arrays, offline (LAPACK is used), all frequencies at once.
+
+    mu(M) = 1 / min { largest singular value of Delta : det(I - M Delta) = 0 },  Delta = diag(Delta_1 ...)
+
+The smallest structured perturbation that makes the loop around M singular has the size 1 / mu. A. Packard and
+J. Doyle, The complex structured singular value, Automatica 29 (1993).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.errors import ModelError
+from hil.linear_system import ComplexArray
+from hil.signals import Array
+
+ZERO = 1e-6
+"""Share of the first bound below which mu is as good as 0: real blocks may leave nothing of it."""
+
+
+class Block(NamedTuple):
+    """One block of Delta: a full complex matrix (rows, columns), or a real number.
+
+    It feeds `rows` inputs of M from `columns` outputs of M.
+    """
+
+    rows: int = 1
+    columns: int = 1
+    real: bool = False
+
+
+class UpperBound(NamedTuple):
+    """mu <= bound at every frequency, and the scales that prove it."""
+
+    bound: Array
+    """(N,)."""
+    D: Array
+    """(N, blocks), > 0, 1 in the last: bound = largest singular value of D M D^-1 where G is 0."""
+    G: Array
+    """(N, blocks), 0 but for real blocks."""
+
+
+class LowerBound(NamedTuple):
+    """mu >= bound at every frequency, and the perturbation that proves it."""
+
+    bound: Array
+    """(N,)."""
+    Delta: ComplexArray
+    """(N, inputs, outputs) of largest singular value 1: a spectral radius of M Delta is the bound."""
+
+
+def upper_bound(
+    M: ComplexArray, blocks: list[Block], *, accuracy: float = 1e-4, iterations: int = 100
+) -> UpperBound:
+    """Return the least bound on mu that scales of the blocks can prove, a convex problem.
+
+    beta >= mu if there are D > 0 that commute with Delta and Hermitian G, zero but for real blocks, with
+
+        M^H D^2 M + j (G M - M^H G) <= beta^2 D^2
+
+    (Fan, Tits and Doyle 1991). Without G that is the largest singular value of D M D^-1, and equal to mu
+    for up to three complex blocks. Found by the method of centres: Newton's method on the barrier
+    -log det(beta^2 D^2 - M^H D^2 M - j (G M - M^H G)), beta lowered to the bound proven whenever centred.
+    Whatever the number of iterations, what is returned is a bound.
+
+    Parameters
+    ----------
+    M : (N, outputs, inputs)
+    blocks : in the order of the rows and columns of M
+    accuracy : relative step of the bound below which it is taken as found
+    """
+    outputs, inputs = _slices(M, blocks)
+    balance = _balanced(M, outputs, inputs)
+    A = _scaled(M, balance, outputs, inputs)
+    n, N = len(blocks), len(A)
+    real = [k for k, block in enumerate(blocks) if block.real]
+    gains = np.stack([_dagger(A[:, o]) @ A[:, o] for o in outputs], 1)  # (N, n, inputs, inputs)
+    units = np.zeros((n, A.shape[2], A.shape[2]))
+    for k, i in enumerate(inputs):
+        units[k, i, i] = np.eye(i.stop - i.start)
+    skew = np.zeros((N, len(real), A.shape[2], A.shape[2]), complex)
+    for j, k in enumerate(real):
+        skew[:, j, inputs[k]] = 1j * A[:, outputs[k]]
+    skew = skew + _dagger(skew)
+    # x = (d_1^2 .. d_(n-1)^2, g ..); d_n = 1
+    x = np.hstack([np.ones((N, n - 1)), np.zeros((N, len(real)))])
+    best, best_x = _proven(x, gains, skew, inputs), x.copy()
+    beta = highest = 1.05 * best + 1e-300
+    for _ in range(iterations):
+        basis = np.concatenate([beta[:, None, None, None] ** 2 * units - gains, -skew], 1)
+        fixed = basis[:, n - 1]
+        basis = np.delete(basis, n - 1, 1)
+        for _ in range(2):
+            X = fixed + np.einsum("Nk,Nkij->Nij", x, basis)
+            x = x + _newton_step(X, basis, x, n - 1)
+        proven = _proven(x, gains, skew, inputs)
+        better = proven < best
+        best = np.where(better, proven, best)
+        best_x[better] = x[better]
+        lower = 0.7 * np.minimum(proven, beta) + 0.3 * beta
+        moves = (beta - lower > accuracy * beta) & (lower > ZERO * highest)
+        beta = np.where(moves, lower, beta)
+        if not moves.any():
+            break
+    D = np.hstack([np.sqrt(best_x[:, : n - 1]), np.ones((N, 1))])
+    G = np.zeros((N, n))
+    G[:, real] = best_x[:, n - 1 :] * balance[:, real] ** 2 / balance[:, -1:] ** 2
+    return UpperBound(best, D * balance / balance[:, -1:], G)
+
+
+def lower_bound(M: ComplexArray, blocks: list[Block], *, iterations: int = 80) -> LowerBound:
+    """Return what perturbations found by the power iteration prove, complex blocks only.
+
+    mu(M) is the largest spectral radius of M Delta over all Delta of size 1. The iteration need not converge;
+    each Delta that it ends with is a proof (Packard and Doyle 1993, section 7). From three starts.
+
+    Raises ModelError for real blocks: what the iteration finds need not be real.
+    """
+    if any(block.real for block in blocks):
+        raise ModelError("the lower bound of mu takes complex blocks, given a real one: state it as complex")
+    outputs, inputs = _slices(M, blocks)
+    A = _scaled(M, _balanced(M, outputs, inputs), outputs, inputs)
+    N, rows, columns = M.shape
+    best, best_Delta = np.full(N, -1.0), np.zeros((N, columns, rows), complex)
+    strongest = _dagger(np.linalg.svd(A)[2])[:, :, 0]
+    for start in (strongest, np.ones_like(strongest), np.exp(2j * np.arange(columns)) + 0 * strongest):
+        b = w = start
+        for _ in range(iterations):
+            a = _unit(np.einsum("Nij,Nj->Ni", A, b))
+            z = _blockwise(a, outputs, _norms(w, inputs))
+            w = _unit(np.einsum("Nij,Ni->Nj", A.conj(), z))
+            b = _blockwise(w, inputs, _norms(a, outputs))
+        Delta = np.zeros((N, columns, rows), complex)
+        from_a = _blockwise(a, outputs, np.ones((N, len(blocks))))
+        to_b = _blockwise(b, inputs, np.ones((N, len(blocks))))
+        for o, i in zip(outputs, inputs, strict=True):
+            Delta[:, i, o] = to_b[:, i, None] * from_a[:, None, o].conj()
+        radius = np.abs(np.linalg.eigvals(A @ Delta)).max(1)
+        better = radius > best
+        best = np.where(better, radius, best)
+        best_Delta[better] = Delta[better]
+    return LowerBound(best, best_Delta)
+
+
+def _slices(M: ComplexArray, blocks: list[Block]) -> tuple[list[slice], list[slice]]:
+    """Return each block's rows and columns of M."""
+    outputs, inputs = [], []
+    row = column = 0
+    for block in blocks:
+        if block.real and (block.rows, block.columns) != (1, 1):
+            raise ModelError(f"a real block is a number, given {block.rows} x {block.columns}")
+        outputs.append(slice(row, row := row + block.columns))
+        inputs.append(slice(column, column := column + block.rows))
+    if M.shape[1:] != (row, column):
+        raise ModelError(f"blocks for a matrix of {row} x {column}, given {M.shape[1]} x {M.shape[2]}")
+    return outputs, inputs
+
+
+def _dagger(M: ComplexArray) -> ComplexArray:
+    return M.conj().swapaxes(-1, -2)
+
+
+def _balanced(M: ComplexArray, outputs: list[slice], inputs: list[slice]) -> Array:
+    """Return the scales (N, blocks) of least Frobenius norm of D M D^-1 (Osborne 1960), off the diagonal."""
+    power = np.array([[(np.abs(M[:, o, i]) ** 2).sum((1, 2)) for i in inputs] for o in outputs])
+    tiny = 1e-12 * power.max((0, 1)) + 1e-300  # a block that nothing reaches keeps a scale
+    power = np.where(np.eye(len(outputs))[:, :, None] > 0, 0.0, power + tiny)
+    d2 = np.ones((len(outputs), len(M)))
+    for _ in range(30):
+        for k in range(len(outputs)):
+            d2[k] = np.sqrt((power[:, k] * d2).sum(0) / (power[k] / d2).sum(0)) if len(outputs) > 1 else 1.0
+    return np.asarray(np.sqrt(d2 / d2[-1]).T, float)
+
+
+def _scaled(M: ComplexArray, D: Array, outputs: list[slice], inputs: list[slice]) -> ComplexArray:
+    """Return D M D^-1 (N, outputs, inputs)."""
+    left = np.concatenate([np.repeat(D[:, k, None], o.stop - o.start, 1) for k, o in enumerate(outputs)], 1)
+    right = np.concatenate([np.repeat(D[:, k, None], i.stop - i.start, 1) for k, i in enumerate(inputs)], 1)
+    return np.asarray(left[:, :, None] * M / right[:, None, :], complex)
+
+
+def _proven(x: Array, gains: ComplexArray, skew: ComplexArray, inputs: list[slice]) -> Array:
+    """Return the least beta (N,) for which the scales x satisfy the inequality."""
+    n = len(inputs)
+    d2 = np.hstack([x[:, : n - 1], np.ones((len(x), 1))])
+    left = np.einsum("Nk,Nkij->Nij", d2, gains) + np.einsum("Nk,Nkij->Nij", x[:, n - 1 :], skew)
+    d = np.sqrt(
+        np.concatenate([np.repeat(d2[:, k, None], i.stop - i.start, 1) for k, i in enumerate(inputs)], 1)
+    )
+    return np.asarray(
+        np.sqrt(np.maximum(np.linalg.eigvalsh(left / (d[:, :, None] * d[:, None, :]))[:, -1], 0.0))
+    )
+
+
+def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array, positive: int) -> Array:
+    """Return the Newton step of -log det X(x) - sum log x of the positive ones, of the best length."""
+    values, vectors = np.linalg.eigh(X)
+    S = vectors / np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
+    Y = _dagger(S)[:, None] @ basis @ S[:, None]  # X^-1/2 dX X^-1/2
+    gradient = -np.einsum("Nkii->Nk", Y).real
+    hessian = np.einsum("Nkij,Nlji->Nkl", Y, Y).real
+    p = np.arange(positive)
+    gradient[:, p] -= 1.0 / x[:, p]
+    hessian[:, p, p] += 1.0 / x[:, p] ** 2
+    steepest = np.abs(hessian).max((1, 2), initial=1e-300)
+    hessian += 1e-13 * steepest[:, None, None] * np.eye(x.shape[1])  # a scale without effect stays
+    step = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
+    # along it the barrier is -sum log(1 + t r), r the eigenvalues of X^-1/2 dX X^-1/2 and the relative steps
+    along = np.linalg.eigvalsh(np.einsum("Nk,Nkij->Nij", step, Y))
+    r = np.hstack([along, step[:, :positive] / x[:, :positive]])
+    decrement = np.sqrt(np.maximum(-(gradient * step).sum(1), 0.0))
+    t = 1.0 / (1.0 + decrement)  # inside for certain: the barrier is self-concordant
+    room = 1.0 / np.maximum(-r.min(1), 1e-12)
+    t = np.minimum(t, 0.9 * room)
+    for _ in range(4):
+        share = r / (1.0 + t[:, None] * r)
+        longer = t + share.sum(1) / np.maximum((share**2).sum(1), 1e-300)
+        t = np.clip(longer, 0.1 * t, 0.5 * (t + room))
+    return np.asarray(step * t[:, None], float)
+
+
+def _unit(v: ComplexArray) -> ComplexArray:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300))
+
+
+def _norms(v: ComplexArray, parts: list[slice]) -> Array:
+    return np.stack([np.linalg.norm(v[:, part], axis=1) for part in parts], 1)
+
+
+def _blockwise(v: ComplexArray, parts: list[slice], norms: Array) -> ComplexArray:
+    """Return v with the norm of each part as given."""
+    factor = norms / np.maximum(_norms(v, parts), 1e-300)
+    return np.concatenate([v[:, part] * factor[:, k, None] for k, part in enumerate(parts)], 1)

@@ -19,11 +19,12 @@ from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
 from hil.synthesis.hinf_design import Designed, design_hinf
+from hil.synthesis.mu_design import design_mu
 from hil.synthesis.result import linear_controller
 
 Method = Callable[[Design, DesignAxis, Callable[[str], None]], Designed]
 
-METHODS: dict[str, Method] = {"hinf": design_hinf}
+METHODS: dict[str, Method] = {"hinf": design_hinf, "mu": design_mu}
 """What `hil design` offers, by name."""
 
 PD_CROSSOVER = 2.058
@@ -163,6 +164,13 @@ def report(controller: LinearController) -> list[str]:
 
 def _figures(design: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows that only some methods have."""
+    if "mu_upper" in design:
+        worst = f"{design['mu_lower']:.4f} to {design['mu_upper']:.4f} at {design['mu_peak_rad_s']:.3g} rad/s"
+        return [
+            ("mu", f"{worst}; below 1 all weights are met for all of the uncertainty"),
+            ("without uncertainty", f"{design['nominal_performance']:.4f}"),
+            ("rounds", " ".join(f"{peak:.3f}" for peak in design["rounds"])),
+        ]
     if "gamma" not in design:
         return []
     best = f"{design['gamma_opt']:.4f} at best; below 1 all weights are met"

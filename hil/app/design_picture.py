@@ -83,6 +83,10 @@ def _weighted(
     axes.axhline(1.0, color="black", linewidth=0.8)
     if "gamma" in figures:
         axes.axhline(figures["gamma"], color="black", linestyle="--", linewidth=0.8, label="gamma")
+    if "mu" in figures:
+        mu = figures["mu"]
+        axes.loglog(mu["omega_rad_s"], mu["upper"], "k", label="mu, upper bound")
+        axes.loglog(mu["omega_rad_s"], mu["lower"], "k.", markersize=4, label="mu, lower bound")
     axes.set(xlabel="rad/s", title="share of the weights that each path takes", ylim=(1e-3, 2))
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3, which="both")

@@ -33,6 +33,19 @@ METHODS = {
     sampled loop, delay and hold included, within 1.01 gamma. If there is none, the reason is printed, and
     what to change.""",
     ),
+    "mu": _Method(
+        "mu: the weights are met whatever the robot is within its uncertainty.",
+        """Design a controller by D-K iteration for axes that are known within limits only, from DESIGN.
+
+    DESIGN is a YAML file or the name of a shipped one: mu. Beside what `hil design hinf` takes it says in
+    section uncertainty by how much inertia, delay and the drives' bandwidth may differ. mu says how much of
+    the weights the worst of these axes uses: below 1 all of it is met by every one of them.
+
+    Each round finds the scales that bound mu best for the controller of the round before, and the H-infinity
+    controller for these scales; it ends when mu stops falling. A controller that does not get below 1, or
+    that a loop cannot run, is refused with the reason. States that do next to nothing are left out, and the
+    bounds printed are of what is left.""",
+    ),
 }
 """Name -> introduction; what it does is in the table of hil.app.design."""
 
@@ -53,7 +66,7 @@ EXIT = """
     """
 
 
-@click.group("design", short_help="A robust controller from weights: hinf.")
+@click.group("design", short_help="A robust controller from weights: hinf, mu.")
 def design_group() -> None:
     """Design a robust controller for the linearised axes, as a file for the law `state_space`."""
 

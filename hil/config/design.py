@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from drivers.config import Section
 from hil.config.axis_model import AxisSpace
 from hil.config.delay import Delay
+from hil.config.design_uncertainty import UncertaintyRanges
 from hil.config.linear_controller import ControllerInput
 from hil.config.values import Positive
 
@@ -104,6 +105,8 @@ class Design(Section):
     lump_lag: bool = False
     """Take the lag as further dead time: a state less, and no fast pole of the controller that undoes it."""
     weights: DesignWeights
+    uncertainty: UncertaintyRanges | None = None
+    """For `hil design mu`."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -22,6 +22,10 @@ ZERO = 1e-6
 """Share of the first bound below which mu is as good as 0: real blocks may leave nothing of it."""
 
 
+PATIENCE = 5
+"""Rounds of centring without a lower bound after which it is taken as found."""
+
+
 class Block(NamedTuple):
     """One block of Delta: a full complex matrix (rows, columns), or a real number.
 
@@ -90,6 +94,7 @@ def upper_bound(
     x = np.hstack([np.ones((N, n - 1)), np.zeros((N, len(real)))])
     best, best_x = _proven(x, gains, skew, inputs), x.copy()
     beta = highest = 1.05 * best + 1e-300
+    idle = 0
     for _ in range(iterations):
         basis = np.concatenate([beta[:, None, None, None] ** 2 * units - gains, -skew], 1)
         fixed = basis[:, n - 1]
@@ -104,7 +109,8 @@ def upper_bound(
         lower = 0.7 * np.minimum(proven, beta) + 0.3 * beta
         moves = (beta - lower > accuracy * beta) & (lower > ZERO * highest)
         beta = np.where(moves, lower, beta)
-        if not moves.any():
+        idle = 0 if moves.any() else idle + 1
+        if idle == PATIENCE:  # centring goes on where beta rests: often it moves again
             break
     D = np.hstack([np.sqrt(best_x[:, : n - 1]), np.ones((N, 1))])
     G = np.zeros((N, n))
@@ -167,7 +173,7 @@ def _dagger(M: ComplexArray) -> ComplexArray:
 def _balanced(M: ComplexArray, outputs: list[slice], inputs: list[slice]) -> Array:
     """Return the scales (N, blocks) of least Frobenius norm of D M D^-1 (Osborne 1960), off the diagonal."""
     power = np.array([[(np.abs(M[:, o, i]) ** 2).sum((1, 2)) for i in inputs] for o in outputs])
-    tiny = 1e-12 * power.max((0, 1)) + 1e-300  # a block that nothing reaches keeps a scale
+    tiny = 1e-28 * power.max((0, 1)) + 1e-300  # a block that nothing reaches keeps a scale
     power = np.where(np.eye(len(outputs))[:, :, None] > 0, 0.0, power + tiny)
     d2 = np.ones((len(outputs), len(M)))
     for _ in range(30):

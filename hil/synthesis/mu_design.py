@@ -1,0 +1,110 @@
+"""mu for a design: from what is asked of an uncertain loop to a controller that gives it, or why none does.
+
+Rule of the room: a design and an axis in, controller and figures out; no file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from hil.config.design import Design, DesignAxis
+from hil.linear_system import LinearSystem
+from hil.signals import Array
+from hil.synthesis.dk import Bounds, bounds_over_frequency, dk_iteration, nominal_controller
+from hil.synthesis.errors import SynthesisError
+from hil.synthesis.hinf_design import Designed
+from hil.synthesis.mu import lower_bound
+from hil.synthesis.reduction import reduced
+from hil.synthesis.result import SLOW, Judgement, described, judge
+from hil.synthesis.structured import CORNER, Structured, structured_plant
+from hil.synthesis.weights import noise_weight
+
+POINTS = 80
+"""Of the grid of mu, before it is refined around the peak ..."""
+SPAN = 1e-4, 5.0
+"""... from and to these shares of the Nyquist frequency."""
+NOTHING = 1e-4
+"""Hankel singular value, as a share of the largest, below which a state of a controller is left out: of poles
+and zeros of the scales that all but cancel, and that an anti-windup would move by force."""
+LISTED = 40
+"""Frequencies that the file lists."""
+
+
+def mu_grid(rate_Hz: float) -> Array:
+    """Return the frequencies, rad/s, at which mu is looked at."""
+    return np.asarray(np.geomspace(*SPAN, POINTS) * pi * rate_Hz)
+
+
+def design_mu(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
+    """Return the controller of the least mu that D-K iteration comes to.
+
+    Raises SynthesisError: no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
+    the message says which and what would help.
+    """
+    if design.uncertainty is None:
+        raise SynthesisError(
+            "the design has no section uncertainty, allowed: inertia, transport_ms, drive_bandwidth_Hz; or "
+            "take `hil design hinf`"
+        )
+    if design.lump_lag:
+        raise SynthesisError(
+            "lump_lag: true, allowed: false, since the lag is uncertain by itself; or take `hil design hinf`"
+        )
+    problem = structured_plant(design, axis, design.uncertainty)
+    start = nominal_controller(problem)
+    slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
+    within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
+    found = dk_iteration(problem, start, mu_grid(design.rate_Hz), within, progress)
+    K, _ = reduced(found.K, np.diag(noise_weight(design).D), NOTHING)
+    bounds = bounds_over_frequency(problem.plant.closed_with(K), problem.blocks, mu_grid(design.rate_Hz))
+    judged = judge(design, axis, K)
+    if judged.reasons:
+        raise SynthesisError(
+            f"mu below 1 is reached, {bounds.peak:.3g}, but by no controller that can run: "
+            + "; ".join(judged.reasons)
+        )
+    return Designed(K, judged, _figures(design, axis, problem, K, bounds, found.history, judged))
+
+
+def over_frequency(problem: Structured, K: LinearSystem, omega: Array) -> tuple[Array, Array]:
+    """Return the lower bound of mu and the largest gain of the loop without uncertainty, (N,) each."""
+    M = problem.plant.closed_with(K).response(omega)
+    n = problem.uncertain
+    gain = np.linalg.svd(M[:, n:, n:], compute_uv=False)[:, 0]
+    return lower_bound(M, problem.blocks).bound, np.asarray(gain, float)
+
+
+def _figures(
+    design: Design,
+    axis: DesignAxis,
+    problem: Structured,
+    K: LinearSystem,
+    bounds: Bounds,
+    history: list[float],
+    judged: Judgement,
+) -> dict[str, Any]:
+    assert design.uncertainty is not None
+    omega, upper = bounds.omega, bounds.upper.bound
+    lower, nominal = over_frequency(problem, K, omega)
+    k = np.unique(np.append(np.linspace(0, len(omega) - 1, LISTED).astype(int), upper.argmax()))
+    return {
+        "mu_upper": bounds.peak,
+        "mu_lower": float(lower.max()),
+        "mu_peak_rad_s": bounds.peak_rad_s,
+        "nominal_performance": float(nominal.max()),
+        "rounds": history,
+        **described(judged, K),
+        "mu": {
+            "omega_rad_s": [float(w) for w in omega[k]],
+            "upper": [float(v) for v in upper[k]],
+            "lower": [float(v) for v in lower[k]],
+        },
+        "axis": axis.model_dump(mode="json", exclude_none=True),
+        "delay_order": design.delay_order,
+        "uncertainty": design.uncertainty.model_dump(mode="json"),
+        "weights": design.weights.model_dump(mode="json", exclude_none=True),
+    }

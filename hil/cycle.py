@@ -9,29 +9,20 @@ Verdict -> Command -> encode -> frames``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.protocol import DriveProtocol, Frame, run_of
+from drivers.protocol import Frame, run_of
 from drivers.sensors import Readings, SensorProtocol
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Measurement, Reaction, no_measurement
-from hil.config import EngageSettings, LegSpin
-from hil.control.law import Law
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Measurement, no_measurement
 from hil.dynamics import Model
 from hil.estimate import Estimator
-from hil.geometry import Platform
 from hil.modes import CONTROLLED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.motion import Motion
-from hil.observer import WrenchObserver
-from hil.predict import Predictor
+from hil.parts import Parts
 from hil.reference import complete
-from hil.rotations import turned
 from hil.row import make_row
-from hil.safety import Safety
 from hil.signals import (
     NO_WRENCH,
     Array,
@@ -47,11 +38,8 @@ from hil.signals import (
     Verdict,
     Warn,
 )
-from hil.steering import NO_SETPOINTS, Steering
-from hil.trajectory import PoseSample, Trajectory, quintic_move
-
-if TYPE_CHECKING:
-    from hil.fused_pose import PoseFusion  # its kernels are compiled only for who fuses
+from hil.steering import NO_SETPOINTS
+from hil.trajectory import PoseSample, quintic_move
 
 _ZERO6 = np.zeros(6)
 _ZERO6.flags.writeable = False
@@ -72,39 +60,8 @@ REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
 SETUPS = 3
 """How often a drive is sent its set-up: nothing acknowledges it."""
-SENSOR_PATIENCE = 3.0
-"""Sample periods of the wrench sensor without a sample that warn."""
 REST_m_s = 0.02
 """A motion has ended only when no measured leg is faster: brakes do not close on a moving platform."""
-
-
-@dataclass(frozen=True)
-class Parts:
-    """What a cycle is made of."""
-
-    platform: Platform
-    leg_spin: LegSpin
-    protocol: DriveProtocol
-    law: Law
-    trajectory: Trajectory
-    safety: Safety
-    engage: EngageSettings
-    home_p: Array
-    home_R: Array
-    rate_Hz: float
-    watchdog_s: float
-    reaction: Reaction
-    steering: Steering | None = None
-    """What takes set-points, where the reference is live."""
-    sensors: SensorProtocol | None = None
-    fusion: PoseFusion | None = None
-    """Gives the pose once the legs have; None: the legs alone do."""
-    predictor: Predictor | None = None
-    """For a law that is told state and reference of the instant at which its force acts."""
-    observer: WrenchObserver | None = None
-    """Of the external wrench."""
-    wrench_sensor_rate_Hz: float | None = None
-    """Set where the external wrench is what the sensor says."""
 
 
 class Cycle:
@@ -113,7 +70,7 @@ class Cycle:
     Mutable state, all of it: the last Measurement, what the sensors last said, the estimator's pose, the
     filter, mode and the tick of its entry, latched faults, the motion, the law's, the predictor's, the
     observer's and the safety's own state, and the forces that the bumpless entry and the exit fade, what
-    limits last took from the effort, the external wrench, and the steering's own. `reset` restores the
+    limits last took from the effort, the external wrench's and the steering's own. `reset` restores the
     initial one.
     """
 
@@ -128,7 +85,8 @@ class Cycle:
             release=engage.brake_release_s,
         )
         self._setup_interval = max(LEGS, round(0.02 * parts.rate_Hz))
-        self._followers = [each for each in (parts.predictor, parts.observer) if each is not None]
+        followers = (parts.predictor, parts.wrench.observer)
+        self._followers = [each for each in followers if each is not None]
         """Who follows the forces that were sent."""
         self.reset()
 
@@ -139,12 +97,6 @@ class Cycle:
         self.estimator.reset(parts.home_p, parts.home_R)
         self.located = False
         self.readings = Readings()
-        self.wrench_sensor = _ZERO6
-        """(6,) N, N m: what the wrench sensor last said, on the platform at its origin, base frame."""
-        self.wrench_sensor_tick = 0
-        """When it said that."""
-        self.wrench = NO_WRENCH
-        """(6,) N, N m: the external wrench of the last tick."""
         self.fusing = False
         """Whether the filter has begun."""
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R)
@@ -166,8 +118,9 @@ class Cycle:
         self.shortfall = _ZERO6
         """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
         parts.law.reset()
-        for follower in self._followers:
-            follower.reset()
+        parts.wrench.reset()
+        if parts.predictor is not None:
+            parts.predictor.reset()
         parts.safety.reset()
         if parts.steering is not None:
             parts.steering.reset()
@@ -185,7 +138,8 @@ class Cycle:
         if parts.sensors is not None:
             measurement = self._hear_sensors(parts.sensors, inp, measurement)
         self.measurement = measurement
-        estimate = self._with_wrench(tick, self._estimate(tick, inp.t_ns + inp.lateness_ns, measurement))
+        estimate = self._estimate(tick, inp.t_ns + inp.lateness_ns, measurement)
+        estimate = parts.wrench.told(tick, estimate, measurement, fusing=self.fusing)
         state = estimate.state
 
         self._change_mode(inp, state)
@@ -198,7 +152,7 @@ class Cycle:
         reference = complete(parts.platform, sample, self.motion.time(tick) if tracking else nan)
         effort, own = self._effort(tick, *self._ahead(tick, state, reference))
         verdict = parts.safety.judge(inp, measurement, estimate, reference, effort, self.mode)
-        if parts.wrench_sensor_rate_Hz is not None and self._sensor_late(tick, parts.wrench_sensor_rate_Hz):
+        if parts.wrench.late:
             verdict = verdict._replace(warnings=verdict.warnings | Warn.SENSOR)
         self._latch(inp, verdict)
 
@@ -211,7 +165,11 @@ class Cycle:
         if Operator.ESTOP in inp.operator:
             frames = parts.protocol.emergency_stop() + frames
         frames += self._setup(tick)
-        row = self._row(inp, run, estimate, reference, own, command, verdict)
+        setpoints = NO_SETPOINTS if parts.steering is None else parts.steering.counts
+        row = make_row(
+            inp, run, self.mode, self.faults, measurement, estimate, self.motion.time(tick), reference,
+            own, command, verdict, setpoints, parts.wrench.said,
+        )  # fmt: skip
         return TickOutput(frames, row)
 
     # -- estimate ------------------------------------------------------------------------------------
@@ -221,8 +179,7 @@ class Cycle:
         self.readings = readings = sensors.decode(inp.frames, inp.tick, self.readings)
         if readings.wrench:
             R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
-            self.wrench_sensor = turned(R, np.array(readings.wrench[-1].values))
-            self.wrench_sensor_tick = inp.tick
+            self.parts.wrench.hear(inp.tick, readings.wrench[-1].values, R)
         if readings.rejected:
             measurement = measurement._replace(rejected=measurement.rejected + readings.rejected)
         return measurement
@@ -244,7 +201,8 @@ class Cycle:
                 )
         fusion = self.parts.fusion
         if fusion is not None and self.fusing:
-            found = fusion.estimate(tick, latched_ns, measurement, self.readings, self.last_tau, self.wrench)
+            last_wrench = self.parts.wrench.last
+            found = fusion.estimate(tick, latched_ns, measurement, self.readings, self.last_tau, last_wrench)
             if found.fusion.used == _ALL_LEGS and found.state.residual < AGREED_m:
                 estimator.p, estimator.R = found.state.p, found.state.R
             return found
@@ -255,23 +213,6 @@ class Cycle:
             fusion.start(tick, latched_ns, p, R)
             self.fusing = True
         return Estimate(State(q, dq, p, R, twist, J, iterations, residual), condition, hop)
-
-    def _with_wrench(self, tick: int, estimate: Estimate) -> Estimate:
-        """Return the estimate with the external wrench of the configured source, zero without one."""
-        parts = self.parts
-        if parts.observer is not None:
-            seen = not self.fusing or estimate.fusion.used == _ALL_LEGS
-            drives = self.measurement.state.tolist()
-            self.wrench = parts.observer.observe(tick, estimate.state, drives, seen=seen)
-        elif parts.wrench_sensor_rate_Hz is not None:
-            self.wrench = self.wrench_sensor
-        else:
-            return estimate
-        return estimate._replace(state=estimate.state._replace(wrench=self.wrench))
-
-    def _sensor_late(self, tick: int, rate_Hz: float) -> bool:
-        """Tell whether the wrench sensor has left out samples: its last one is held."""
-        return (tick - self.wrench_sensor_tick) * self.period_s * rate_Hz > SENSOR_PATIENCE
 
     def _free(self) -> bool:
         """Tell whether all brakes are open, on the drives' own word."""
@@ -287,7 +228,7 @@ class Cycle:
             self.faults = Fault.NONE
             self.stop_requested = False
             self.located = self.fusing = False
-            self.wrench_sensor = _ZERO6  # a sensor that is there says it anew before the brakes open
+            self.parts.wrench.forget()
             self.parts.safety.reset()
         measurement, motion = self.measurement, self.motion
         elapsed = (tick - self.mode_tick) * self.period_s
@@ -441,26 +382,6 @@ class Cycle:
         self.set_up[leg] += 1
         parts = self.parts
         return (parts.protocol.configure(parts.watchdog_s, parts.reaction)[leg],)
-
-    # -- record --------------------------------------------------------------------------------------
-
-    def _row(
-        self,
-        inp: TickInput,
-        run: bytes,
-        estimate: Estimate,
-        reference: Reference,
-        own: Array,
-        command: Command,
-        verdict: Verdict,
-    ) -> NDArray[np.void]:
-        steering = self.parts.steering
-        setpoints = NO_SETPOINTS if steering is None else steering.counts
-        return make_row(
-            inp, run, self.mode, self.faults, self.measurement, estimate,
-            self.motion.time(inp.tick), reference, own, command, verdict, setpoints,
-            self.wrench_sensor,
-        )  # fmt: skip
 
 
 def smoothstep(x: float) -> float:

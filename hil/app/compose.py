@@ -33,13 +33,15 @@ from hil.config import (
 )
 from hil.control import LawContext, build_law
 from hil.control.model import build_model
-from hil.cycle import Cycle, Parts
+from hil.cycle import Cycle
 from hil.dynamics import Model
+from hil.external_wrench import ExternalWrench
 from hil.force_path import ForcePath
 from hil.geometry import Platform
 from hil.kinematics import leg_lengths
 from hil.monitor import build_watch
 from hil.observer import WrenchObserver
+from hil.parts import Parts
 from hil.predict import Predictor
 from hil.record import Scene
 from hil.rotations import rotation_from_vector
@@ -158,19 +160,20 @@ def build_cycle(
             rate_Hz=rate_Hz,
             watchdog_s=watchdog_s,
             reaction=Reaction[c.drives.reaction.upper()],
+            wrench=_external_wrench(c, platform, 1.0 / rate_Hz),
             steering=steering,
             sensors=build_sensors(c),
             fusion=_fusion(c, platform, rate_Hz),
             predictor=predictor,
-            observer=build_observer(c.estimation.wrench, platform, c.platform.leg_spin, 1.0 / rate_Hz),
-            wrench_sensor_rate_Hz=_wrench_sensor_rate(c),
         )
     )
 
 
-def _wrench_sensor_rate(c: Configuration) -> float | None:
+def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> ExternalWrench:
     sensor = c.sensors.wrench
-    return None if sensor is None or c.estimation.wrench.source != "sensor" else sensor.rate_Hz
+    rate_Hz = None if sensor is None or c.estimation.wrench.source != "sensor" else sensor.rate_Hz
+    observer = build_observer(c.estimation.wrench, platform, c.platform.leg_spin, period_s)
+    return ExternalWrench(observer, rate_Hz, period_s)
 
 
 def build_admission(c: Configuration, platform: Platform) -> Admission:

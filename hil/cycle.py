@@ -148,8 +148,8 @@ class Cycle:
             along = tick - self.motion.tick if under_way else None
             parts.steering.step(inp.setpoints, along, tracking=self.mode is Mode.TRACKING)
         sample = self._sample(tick, state)
-        tracking = self.mode is Mode.TRACKING
-        reference = complete(parts.platform, sample, self.motion.time(tick) if tracking else nan)
+        t = self.motion.time(tick)
+        reference = complete(parts.platform, sample, t if self.mode is Mode.TRACKING else nan)
         effort, own = self._effort(tick, *self._ahead(tick, state, reference))
         verdict = parts.safety.judge(inp, measurement, estimate, reference, effort, self.mode)
         if parts.wrench.late:
@@ -167,7 +167,7 @@ class Cycle:
         frames += self._setup(tick)
         setpoints = NO_SETPOINTS if parts.steering is None else parts.steering.counts
         row = make_row(
-            inp, run, self.mode, self.faults, measurement, estimate, self.motion.time(tick), reference,
+            inp, run, self.mode, self.faults, measurement, estimate, t, reference,
             own, command, verdict, setpoints, parts.wrench.said,
         )  # fmt: skip
         return TickOutput(frames, row)
@@ -243,7 +243,7 @@ class Cycle:
         facts = Facts(
             operator,
             measurement.state.tolist(),
-            self.located and max(measurement.age.tolist()) <= 1 and min(self.set_up) >= SETUPS,
+            self.mode is Mode.WAITING and self._ready(),
             elapsed,
             motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
             self.stop_requested,
@@ -251,6 +251,10 @@ class Cycle:
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
             self._enter(mode, tick, state)
+
+    def _ready(self) -> bool:
+        """Tell whether all six legs are heard, the pose is found and all six drives are set up."""
+        return self.located and max(self.measurement.age.tolist()) <= 1 and min(self.set_up) >= SETUPS
 
     def _enter(self, mode: Mode, tick: int, state: State) -> None:
         parts = self.parts

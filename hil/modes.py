@@ -38,7 +38,7 @@ class Facts(NamedTuple):
     drive_state: Sequence[int]
     """Six DriveState."""
     ready: bool
-    """All six legs heard lately, the pose found, all six drives set up."""
+    """All six legs heard lately, the pose found, all six drives set up; only WAITING asks for it."""
     elapsed: float
     """s since the present mode was entered."""
     finished: bool

@@ -86,7 +86,7 @@ def _put(values: Array, cells: Array, at: int) -> int:
 
 @kernel(
     OUT_VECTOR, REAL, *MEASUREMENT, *STATE, REAL, *REFERENCE, VECTOR, VECTOR, VECTOR, VECTOR,
-    REAL, REAL, REAL, REAL,
+    REAL, REAL, REAL, REAL, trusted=True,
 )  # fmt: skip
 def _fill(
     cells: Array, time: float,

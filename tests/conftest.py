@@ -10,11 +10,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import gc
+import os
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import IO
 
 import pytest
+
+os.environ.setdefault("HIL_CHECK_KERNELS", "1")  # read as the first kernel is compiled
 
 
 @contextlib.contextmanager

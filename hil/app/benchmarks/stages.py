@@ -10,11 +10,12 @@ from array import array
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.protocol import Frame
 from drivers.signals import Command
 from hil.app.benchmarks.figures import Figure, Mark, spread
-from hil.cycle import Cycle, Parts
+from hil.cycle import Cycle
+from hil.parts import Parts
 from hil.signals import Array, Effort, Estimate, Mode, TickInput, TickOutput
 
 COMPUTE = Mark(40.0)
@@ -59,9 +60,10 @@ class StagedCycle(Cycle):
         self.stamps.append(_now())
         return super()._command(*values)
 
-    def _row(self, *values: Any) -> NDArray[np.void]:
-        self.stamps.append(_now())
-        return super()._row(*values)
+    def _setup(self, tick: int) -> tuple[Frame, ...]:
+        frames = super()._setup(tick)
+        self.stamps.append(_now())  # the row comes next
+        return frames
 
 
 def stage_figures(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> list[Figure]:

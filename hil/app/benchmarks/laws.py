@@ -15,8 +15,8 @@ from hil.app.compose import build_cycle, build_observer, build_predictor
 from hil.config import DelayCompensation, InverseDynamicsSettings, StateSpaceSettings, WrenchSettings
 from hil.config.linear_controller import LinearController
 from hil.control import Law, LawContext, build_law
-from hil.cycle import Parts
 from hil.estimate import Estimator
+from hil.parts import Parts
 from hil.reference import complete
 from hil.signals import Array, Reference, State
 

@@ -231,7 +231,8 @@ def report(result: dict[str, Any], model: AxisModel) -> list[str]:
     ]
     if not result["coupled"]:
         lines.append(
-            "The axes moved together in this log, so their coupling is not in the bound; "
-            "`hil identify CONFIG` moves each by itself."
+            "At some frequencies the axes moved together, by their reference or by friction, so that their "
+            "coupling is not in the bound there. `hil identify CONFIG` moves each by itself; "
+            "more --force drowns friction."
         )
     return [*lines, f"model    {result['model']}", f"picture  {result['picture']}"]

@@ -50,7 +50,8 @@ class Uncertainty(NamedTuple):
     frequency_Hz: Array
     bound: Array
     coupled: bool
-    """Whether the coupling of the axes is in it: six lines side by side moved the axes in six directions."""
+    """Whether the coupling of the axes is in it: six lines side by side moved the axes in six directions,
+    wherever they lie."""
 
 
 def fit_axes(response: Response) -> Fit:
@@ -67,8 +68,8 @@ def fit_axes(response: Response) -> Fit:
             there = int(response.excited[:, axis].sum())
             raise IdentificationError(
                 f"axis {axis} is coherent with its reference (above {COHERENT:g}) at {lines} of {there} "
-                f"lines, allowed: at least {FEWEST_LINES}; excite it more (--force), longer (--duration), "
-                "or over more frequencies"
+                f"excited lines, allowed: at least {FEWEST_LINES}; excite it more (--force), longer "
+                "(--duration), or over more frequencies; `hil identify CONFIG` excites every axis"
             )
     T = response.period_s
     line, of = np.nonzero(used)
@@ -113,31 +114,48 @@ def fit_axes(response: Response) -> Fit:
 def uncertainty(response: Response, fit: Fit) -> Uncertainty:
     """Return a bound of the relative error over frequency: what was measured, and its 95 % circle.
 
-    Each axis by itself: its relative error and, on top, the radius of its 95 % circle. Six neighbouring lines
-    that move the axes in six directions tell coupling, too, all of Delta in Y = P0 (1 + Delta) V: its largest
-    singular value is what six equal controllers side by side meet (K. Zhou and J. C. Doyle, Essentials of
-    Robust Control, Prentice Hall, 1998, ch. 8). That is convex in Delta, so noise only adds to its mean.
+    Each axis by itself: its relative error and, on top, the radius of its 95 % circle; a line that is excited
+    and not coherent has a large one, and counts. Six neighbouring lines that move the axes in six directions
+    tell coupling, too, all of Delta in Y = P0 (1 + Delta) V: its largest singular value is what six equal
+    controllers side by side meet (K. Zhou and J. C. Doyle, Essentials of Robust Control, Prentice Hall, 1998,
+    ch. 8). That is convex in Delta, so noise only adds to its mean.
+
+    From the first to the last coherent line. Each bound is that of six neighbouring lines; where an axis has
+    none among them, nothing is said.
+
+    Raises IdentificationError: nowhere can all six axes be bounded.
     """
-    lines = np.flatnonzero(fit.used.any(axis=1))
+    heard = response.excited & np.isfinite(response.G) & np.isfinite(response.radius)
+    coherent = np.flatnonzero(fit.used.any(axis=1))
+    lines = np.flatnonzero(heard.any(axis=1))
+    lines = lines[(lines >= coherent[0]) & (lines <= coherent[-1])]
     f = response.frequency_Hz[lines]
     P0 = axis_response(f, response.period_s, fit.transport_s, fit.lag_s)[:, None] * fit.gain
-    own = fit.used[lines]
+    own = heard[lines]
     error = np.where(own, np.abs(response.G[lines] / P0 - 1.0), 0.0)
     circle = np.where(own, response.radius[lines] * np.abs(response.G[lines] / P0), 0.0)
     alone = (error + circle).max(axis=1)
     V = response.V[lines]
     D = response.Y[lines] / P0 - V
-    bound, coupled = np.empty(len(lines)), True
+    bound, coupled = np.full(len(lines), np.nan), True
     for k in range(len(lines)):
         first = min(max(k - 2, 0), max(len(lines) - 6, 0))
         six = slice(first, first + 6)
+        if not own[six].any(axis=0).all():
+            continue
         sigma = _largest_singular_value(D[six], V[six])
         if sigma is None:
             coupled = False
             bound[k] = alone[six].max()
         else:
             bound[k] = max(sigma, float(alone[six].max()))
-    return Uncertainty(f, bound, coupled)
+    said = np.isfinite(bound)
+    if said.sum() < 2:
+        raise IdentificationError(
+            f"the axes are excited at frequencies too far apart: six neighbouring lines hold all of them at "
+            f"{said.sum()} lines, allowed: at least 2; give each axis lines in the same band"
+        )
+    return Uncertainty(f[said], bound[said], coupled)
 
 
 def _largest_singular_value(D: ComplexArray, V: ComplexArray) -> float | None:

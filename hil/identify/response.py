@@ -11,6 +11,11 @@ reference to position over reference to demanded acceleration, is not (joint inp
 and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley, 2012, ch. 2 and 9). With
 an excitation that repeats this is the quotient of the means over the periods. What is left in each block,
 E = Y - G V, has the variance that the standard deviation follows from.
+
+Blocks count by the power of the reference in them: a chirp passes a line in one or two, and what the others
+hold of it is noise. h = |R|^2 / sum |R|^2 is the leverage of a block; it draws the estimate towards itself,
+so that its own |E|^2 is too small by 1 - h (D. V. Hinkley, Technometrics 19, 1977), and 1 / sum h^2 blocks
+are what there is to tell noise from. Of equal blocks that is all of them.
 """
 
 from __future__ import annotations
@@ -28,6 +33,8 @@ from hil.signals import Array
 OWN = 0.3
 """An axis counts as excited at a line where its reference has this share of the axis that has most."""
 SURE = 0.95
+FEWEST_COUNTING = 3.0
+"""Of 1 / sum h^2; a line that fewer blocks have seen is as if not excited: its noise is not known."""
 
 
 class Response(NamedTuple):
@@ -55,17 +62,21 @@ def estimate(spectra: Spectra) -> Response:
     """Return the frequency responses of six axes, each by itself.
 
     The 95 % circle is that of a complex normal with variance estimated from m blocks: |error|^2 / variance is
-    distributed as F(2, 2 m - 2).
+    distributed as F(2, 2 m - 2), m = 1 / sum h^2.
     """
     V, Y, R = spectra.V, spectra.Y, spectra.R
-    m = len(V)
     power = np.sqrt((np.abs(R) ** 2).mean(axis=0))
     strongest = power.max(axis=1, keepdims=True)
-    excited = (power >= OWN * strongest) & (strongest > 1e-3 * strongest.max())
+    total = (np.abs(R) ** 2).sum(axis=0)
+    h = np.abs(R) ** 2 / np.where(total == 0.0, np.inf, total)
+    m = 1.0 / np.maximum((h**2).sum(axis=0), 1.0 / len(R))
+    known = (m >= FEWEST_COUNTING) & (total > 0.0)
+    excited = (power >= OWN * strongest) & (strongest > 1e-3 * strongest.max()) & known
     S_yr, S_vr = (Y * R.conj()).sum(axis=0), (V * R.conj()).sum(axis=0)
     G = S_yr / np.where(S_vr == 0.0, np.nan, S_vr)
     E = Y - G * V
-    variance = m / (m - 1) * (np.abs(E) ** 2 * np.abs(R) ** 2).sum(axis=0) / np.abs(S_yr) ** 2
+    left = np.where(known, (np.abs(E) ** 2 * np.abs(R) ** 2 / np.maximum(1.0 - h, 1e-9)).sum(axis=0), np.nan)
+    variance = left / np.where(S_yr == 0.0, np.nan, np.abs(S_yr) ** 2)
     coherence = np.minimum(_coherence(Y, R), _coherence(V, R))
     # The reference of the axis that has most gives the phase that blocks are averaged in.
     lead = np.take_along_axis(R, power.argmax(axis=1)[None, :, None], axis=2)
@@ -75,7 +86,7 @@ def estimate(spectra: Spectra) -> Response:
         spectra.frequency_Hz,
         np.asarray(G, np.complex128),
         np.sqrt(variance / 2.0),
-        np.sqrt(variance * float(fisher.ppf(SURE, 2, 2 * m - 2))),
+        np.sqrt(variance * fisher.ppf(SURE, 2, 2.0 * np.where(known, m, 2.0) - 2.0)),
         coherence,
         excited,
         np.asarray((V * turn).mean(axis=0), np.complex128),

@@ -27,6 +27,9 @@ SEGMENT_LINES = 60
 """Of such a log, evenly spread on a logarithmic scale."""
 HIGHEST = 0.3
 """Times the rate."""
+BESIDE = np.array([-4, -2, 0, 2, 4])
+"""Harmonics that count for a line of such a log, 1 and 2 Hz beside it. A chirp is past a line within a
+segment or two; what it does beside it tells the noise. Noise two apart correlates by 1/6."""
 
 
 class Spectra(NamedTuple):
@@ -95,16 +98,21 @@ def segmented(signals: AxisSignals) -> Spectra:
         )
     T, blocks = signals.period_s, _blocks(starts, length)
     window = np.sin(np.pi * (np.arange(length) + 0.5) / length)[:, None] ** 2
-    harmonics = np.unique(np.geomspace(2, HIGHEST * length, SEGMENT_LINES).round().astype(np.int64))
+    lines = np.unique(np.geomspace(2, HIGHEST * length, SEGMENT_LINES).round().astype(np.int64))
+    # Both sides or none, for the phase changes from one to the other; below the second is the mean's.
+    there = lines[None, :] - np.abs(BESIDE)[:, None] >= 2
+    harmonics = np.where(there, lines[None, :] + BESIDE[:, None], 0)
     second = np.zeros_like(signals.y)
     second[1:-1] = signals.y[2:] - 2.0 * signals.y[1:-1] + signals.y[:-2]
 
     def spectrum(x: Array) -> ComplexArray:
         cut = x[blocks]
-        X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)[:, harmonics]
-        return np.asarray(4.0 / length * X, np.complex128)
+        X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)
+        beside = 4.0 / length * X[:, harmonics] * there[:, :, None]
+        return np.asarray(beside.reshape(-1, len(lines), 6), np.complex128)
 
-    frequency_Hz = harmonics / (length * T)
+    frequency_Hz = lines / (length * T)
+    # That of the line for those beside it, too: an axis changes far less than 1/s^2 from one to the other.
     difference = 2.0 * np.cos(2.0 * np.pi * frequency_Hz * T) - 2.0
     Y = spectrum(second) / difference[:, None]
     return Spectra(T, frequency_Hz, spectrum(signals.v), Y, spectrum(signals.r))

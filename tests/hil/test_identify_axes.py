@@ -10,6 +10,7 @@ from hil.identify import (
     AxisSignals,
     IdentificationError,
     Response,
+    Spectra,
     axis_response,
     estimate,
     fit_axes,
@@ -198,6 +199,32 @@ def test_segments_of_a_random_motion_give_the_same_axis():
     assert fit.total_s == pytest.approx(2.3e-3, abs=0.05e-3)
 
 
+def test_the_circles_of_a_chirp_hold_the_truth_as_often_as_they_say():
+    """One sweep is past a line within a segment or two, which alone cannot tell their noise."""
+    n, f_0, f_1 = 20000, 0.5, 60.0
+    t = np.arange(n) * T
+    sweep = 0.5 * np.sin(2 * np.pi * (f_0 * t + (f_1 - f_0) * t**2 / (2 * t[-1])))
+    r = (sweep * np.clip(2 * np.minimum(t, t[-1] - t), 0.0, 1.0))[:, None] * np.ones(6)
+    response = estimate(segmented(run(r, noise=10e-6)))
+    error = np.abs(response.G / (GAIN * sampled(response.frequency_Hz)[:, None]) - 1.0)
+    judged = response.excited & (response.frequency_Hz[:, None] < 55.0)
+    assert judged.any(axis=1).sum() > 20
+    assert judged[response.frequency_Hz < 30.0].any(axis=1).sum() > 10
+    assert (error <= response.radius)[judged].mean() > 0.9
+    assert np.median(response.radius[judged]) < 0.05
+    assert fit_axes(response).gain == pytest.approx(GAIN, rel=0.01)
+
+
+def test_a_line_that_one_block_alone_has_seen_is_not_used():
+    """It leaves no residual and is coherent with itself, whatever noise it holds."""
+    rng = np.random.default_rng(5)
+    V, Y = (rng.normal(size=(9, 12, 6)) + 1j * rng.normal(size=(9, 12, 6)) for _ in range(2))
+    R = np.zeros_like(V)
+    R[4] = 1.0
+    response = estimate(Spectra(T, np.arange(1.0, 13.0), V, Y, R))
+    assert not response.excited.any()
+
+
 # -- the bound -----------------------------------------------------------------------------------------------
 
 
@@ -238,6 +265,37 @@ def test_the_bound_is_never_below_the_measured_difference(noisy):
         k = int(np.flatnonzero(response.frequency_Hz == f)[0])
         own = fit.used[k]
         assert (np.abs(response.G[k] / (P0[k] * fit.gain) - 1.0)[own] <= bound).all()
+
+
+def test_an_axis_that_noise_drowns_at_high_frequency_is_in_the_bound(quiet):
+    """Its lines there are no part of the fit, but nobody knows that it is as good as its neighbours."""
+    high = (quiet.frequency_Hz > 60)[:, None] & (np.arange(6) == 3)
+    drowned = quiet._replace(
+        coherence=np.where(high, 0.5, quiet.coherence), radius=np.where(high, 0.8, quiet.radius)
+    )
+    fit = fit_axes(drowned)
+    assert not fit.used[high].any()
+    found = uncertainty(drowned, fit)
+    assert (found.bound[found.frequency_Hz > 75] > 0.7).all()
+    assert found.frequency_Hz.max() > 120
+    assert (found.bound[found.frequency_Hz < 50] < 0.1).all()
+
+
+def test_nothing_is_said_where_an_axis_was_not_excited(quiet):
+    excited = quiet.excited.copy()
+    excited[quiet.frequency_Hz > 60, 3] = False
+    less = quiet._replace(excited=excited)
+    found = uncertainty(less, fit_axes(less))
+    last = quiet.frequency_Hz[excited[:, 3]].max()
+    assert last <= found.frequency_Hz.max() < 1.3 * last
+
+
+def test_axes_in_bands_of_their_own_are_refused(quiet):
+    low = quiet.frequency_Hz[:, None] < np.median(quiet.frequency_Hz)
+    apart = quiet.excited & np.where(np.arange(6) < 3, low, ~low)
+    fit = fit_axes(quiet)._replace(used=apart)
+    with pytest.raises(IdentificationError, match="too far apart"):
+        uncertainty(quiet._replace(excited=apart), fit)
 
 
 # -- what is refused -----------------------------------------------------------------------------------------

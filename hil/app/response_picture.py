@@ -45,7 +45,7 @@ def draw(model: AxisModel, path: Path, title: str) -> Path:
     magnitude.plot(f, np.abs(P0) * (2.0 * np.pi * f) ** 2, "k-", linewidth=1.0, label="nominal")
     phase.plot(f, np.rad2deg(np.unwrap(np.angle(-P0))), "k-", linewidth=1.0)
     coherence.axhline(COHERENT, color="k", linestyle="--", linewidth=0.8)
-    coherence.set(title="coherence; below the dashed line nothing is used", ylim=(0.0, 1.02))
+    coherence.set(title="coherence; below the dashed line for the bound alone", ylim=(0.0, 1.02))
     bound.plot(ends, 100.0 * np.array(model.uncertainty.bound), "k-", label="bound, with 95 % confidence")
     bound.set(title="|P/P0 - 1|", ylabel="%", xlabel="Hz", yscale="log")
     bound.legend(loc="upper left")

@@ -108,14 +108,17 @@ def segmented(signals: AxisSignals) -> Spectra:
     def spectrum(x: Array) -> ComplexArray:
         cut = x[blocks]
         X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)
-        beside = 4.0 / length * X[:, harmonics] * there[:, :, None]
-        return np.asarray(beside.reshape(-1, len(lines), 6), np.complex128)
+        return np.asarray(4.0 / length * X[:, harmonics] * there[:, :, None], np.complex128)
 
     frequency_Hz = lines / (length * T)
     # That of the line for those beside it, too: an axis changes far less than 1/s^2 from one to the other.
     difference = 2.0 * np.cos(2.0 * np.pi * frequency_Hz * T) - 2.0
-    Y = spectrum(second) / difference[:, None]
-    return Spectra(T, frequency_Hz, spectrum(signals.v), Y, spectrum(signals.r))
+    V, Y, R = spectrum(signals.v), spectrum(second) / difference[:, None], spectrum(signals.r)
+    # The stronger side weighs what the weaker does: else the line would have the phase of another frequency.
+    power = (np.abs(R) ** 2).sum(axis=(0, 3))
+    even = np.sqrt(np.minimum(power, power[::-1]) / np.where(power == 0.0, 1.0, power))[:, :, None]
+    V, Y, R = ((even * x).reshape(-1, len(lines), 6) for x in (V, Y, R))
+    return Spectra(T, frequency_Hz, V, Y, R)
 
 
 def _blocks(starts: list[int], length: int) -> NDArray[np.int64]:

@@ -212,7 +212,9 @@ def test_the_circles_of_a_chirp_hold_the_truth_as_often_as_they_say():
     assert judged[response.frequency_Hz < 30.0].any(axis=1).sum() > 10
     assert (error <= response.radius)[judged].mean() > 0.9
     assert np.median(response.radius[judged]) < 0.05
-    assert fit_axes(response).gain == pytest.approx(GAIN, rel=0.01)
+    fit = fit_axes(response)
+    assert fit.gain == pytest.approx(GAIN, rel=0.01)
+    assert fit.total_s == pytest.approx(T + LAG + T / 2, abs=0.02e-3)
 
 
 def test_a_line_that_one_block_alone_has_seen_is_not_used():

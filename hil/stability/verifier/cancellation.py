@@ -44,7 +44,7 @@ def _pythagoras(e: sp.Expr) -> sp.Expr:
 
 
 def continuous(expression: sp.Expr) -> sp.Expr:
-    """Return the expression without sign(): u sign(u) = |u|, |u| sign(u) = u.
+    """Return the expression without sign(): u sign(u) = |u|, u sign(u)^2 = u.
 
     What differentiation makes of |u| stands away from u = 0. Where the result is continuous, it holds
     there too, and what was differentiated is continuously differentiable.
@@ -70,13 +70,14 @@ def _without(sign: sp.Expr, expression: sp.Expr) -> sp.Expr:
         terms = sp.Poly(sp.expand(e), s)
     except sp.PolynomialError:
         raise ModelError(f"{expression} is not shown to be continuous at {u} = 0") from None
-    odd = even = sp.S.Zero
+    without, odd, even = terms.nth(0), sp.S.Zero, sp.S.Zero
     for (power,), coefficient in terms.terms():
-        odd, even = (odd + coefficient, even) if power % 2 else (odd, even + coefficient)
-    quotient = sp.cancel(sp.together(odd) / u)
-    if quotient != 0 and _divides_by(quotient, u):
+        odd += coefficient if power % 2 else 0
+        even += coefficient if power and power % 2 == 0 else 0
+    quotients = [sp.cancel(sp.together(part) / u) for part in (odd, even)]
+    if any(q != 0 and _divides_by(q, u) for q in quotients):
         raise ModelError(f"{expression} jumps at {u} = 0, or is not shown not to")
-    return even + quotient * sp.Abs(u)
+    return without + even + quotients[0] * sp.Abs(u)
 
 
 def _divides_by(quotient: sp.Expr, u: sp.Expr) -> bool:

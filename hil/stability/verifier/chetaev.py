@@ -19,7 +19,7 @@ from hil.stability.verifier.branch_and_bound import Budget, covered, faces, posi
 from hil.stability.verifier.cancellation import lie_derivative
 from hil.stability.verifier.interval import Ball, Cell, Enclosure, ball, unsupported
 from hil.stability.verifier.origin import RADII, Ray, T
-from hil.stability.verifier.signs import Signs
+from hil.stability.verifier.signs import Signs, regular
 
 LIMIT = 400
 WEIGHTS = 3
@@ -40,6 +40,8 @@ def grows(W: sp.Expr, signs: Signs) -> bool:
     """Tell whether W is shown to fulfil Chetaev's theorem at the origin."""
     states = signs.system.states
     if not set(states) & W.free_symbols or sp.expand(W.subs(dict.fromkeys(states, 0))) != 0:
+        return False
+    if unsupported(W) or not regular({states[0]: W}, signs):
         return False
     try:
         W_dot = lie_derivative(W, signs.system.f, states)

@@ -99,6 +99,8 @@ class Report:
     certificate: CertificateVerdict
     equilibrium: EquilibriumVerdict
     linearisation: Eigenvalues
+    parameters: Box
+    """For which all of this is said; (0, oo) means any positive number."""
     boxes: int
     """Cells of the budget that were looked at."""
 
@@ -117,9 +119,16 @@ class Report:
             sides = ", ".join(f"{x} in [{low}, {high}]" for x, (low, high) in e.box.items())
             lines.append(f"  shown for {sides}")
         if e.level is not None:
-            lines.append(f"  of its box {{V < {e.level}}} is not left")
+            tends = "" if e.asymptotic is not Truth.PROVEN else ", and all of it tends to the equilibrium"
+            lines.append(f"  of its box {{V < {e.level}}} is not left{tends}")
         lines.append(f"linearisation: {self.linearisation.value}")
+        if self.parameters:
+            lines.append("for all " + ", ".join(_range(p, *side) for p, side in self.parameters.items()))
         return "\n".join(lines)
+
+
+def _range(p: sp.Symbol, low: sp.Expr, high: sp.Expr) -> str:
+    return f"{p} > 0" if high == sp.oo else f"{p} in [{low}, {high}]"
 
 
 def _where(at: Point | None) -> str:

@@ -137,8 +137,9 @@ class Signs:
             near = origin.definite_near(moved, (x,), self._ranges(g), self.budget, side=1 if k == 0 else -1)
             if near is None:
                 return None
-            reach = near[0][0][1] * (1 - 2.0**-20)
-            trimmed[k] = side[k] + (reach if k == 0 else -reach)
+            reach = sp.Rational(near[0][0][1])
+            kept = end + reach if k == 0 else end - reach
+            trimmed[k] = outward(kept, kept)[k]
         return trimmed[0], trimmed[1]
 
     def _positive_everywhere(self, g: sp.Expr) -> bool:
@@ -247,7 +248,7 @@ class Signs:
         """Return a function without parameters that has the zeros of g >= 0; None if g may be < 0.
 
         g = sum of p_j T_j(x) with products p_j > 0 of parameters: where all T_j >= 0, it
-        is zero where their sum is.
+        is zero where their sum is, and grows without bound where their sum does.
         """
         top, bottom = sp.fraction(sp.together(g))
         if bottom.free_symbols and self._structure(sp.factor(bottom)) != NOWHERE:
@@ -256,7 +257,7 @@ class Signs:
         for term in sp.Add.make_args(sp.expand(top)):
             T, p = term.as_independent(*self.system.positive, as_Add=False)
             parts[p] = parts.get(p, sp.S.Zero) + T
-        if any(not p.is_positive or not self.enclosable(T) for p, T in parts.items()):
+        if any(not p.is_positive or self.own(p) or not self.enclosable(T) for p, T in parts.items()):
             return None
         if any(self.nonnegative(T) is None for T in parts.values()):
             return None

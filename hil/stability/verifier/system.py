@@ -7,7 +7,7 @@ without a range positive ones, the equilibrium the origin (the change of variabl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -44,6 +44,12 @@ class System:
     def bounded(self) -> bool:
         """Tell whether every side of the domain has an end."""
         return not any(end in {sp.oo, -sp.oo} for side in self.domain.values() for end in side)
+
+    @property
+    def parameters(self) -> dict[sp.Symbol, Interval]:
+        """What the parameters may be, in the user's symbols; (0, oo) of those without a range."""
+        sides = dict.fromkeys(self.positive, (sp.S.Zero, sp.oo)) | self.ranges
+        return {self.own[p]: side for p, side in sides.items()}
 
     def read(self, expression: Any) -> sp.Expr:
         """Return an expression of the user in these symbols.
@@ -82,9 +88,10 @@ def make_system(
     Raises ModelError where `at` is no equilibrium or not inside the box, or where f jumps or holds what
     cannot be enclosed.
     """
-    if not f:
+    if not isinstance(f, Mapping) or not f:
         raise ModelError("f has no state: it maps each state to its time derivative")
-    at = dict(at or {})
+    at, box = dict(at or {}), dict(box or {})
+    _names(f, at, box, parameters or {})
     ranges = {p: _interval(p, side) for p, side in (parameters or {}).items()}
     if endless := [str(p) for p, side in ranges.items() if any(end.is_infinite for end in side)]:
         raise ModelError(f"the range of {endless[0]} has no end: leave it out to mean all positive numbers")
@@ -94,21 +101,63 @@ def make_system(
     )
     if any(str(s) == "t" for s in everything - set(f)):
         raise ModelError("f and V depend on t: only systems dx/dt = f(x) without time can be verified")
+    if unused := sorted(map(str, set(ranges) - everything)):
+        raise ModelError(f"`parameters` names {', '.join(unused)}, of which neither f nor V speaks")
     free = sorted(everything - set(f) - set(ranges), key=str)
+    _assumptions(f, free, ranges)
     renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in (*f, *ranges)}
     renamed |= {p: sp.Symbol(str(p), positive=True) for p in free}
     if len({str(s) for s in renamed}) != len(renamed):
         raise ModelError("two symbols have one name: give each state and parameter its own")
     own = {new: old for old, new in renamed.items()}
     states = tuple(renamed[x] for x in f)
-    equilibrium = {x: exact(at.get(x, 0)).xreplace(renamed) for x in f}
+    centre = {x: exact(at.get(x, 0)) for x in f}
+    for x, value in centre.items():
+        if wrong := sorted(map(str, value.free_symbols - {*free, *ranges})):
+            raise ModelError(f"`at` puts {x} at {value}: {', '.join(wrong)} is no parameter; name a number")
+    equilibrium = {x: value.xreplace(renamed) for x, value in centre.items()}
     shifted = renamed | {x: renamed[x] + equilibrium[x] for x in f}
     field = {renamed[x]: _field(x, e, shifted) for x, e in f.items()}
     for x, e in field.items():
         _vanishes(x, e, dict.fromkeys(states, sp.S.Zero), equilibrium)
-    domain = {renamed[x]: _about(x, (box or {}).get(x), equilibrium[x]) for x in f}
+    domain = {renamed[x]: _about(x, box.get(x), equilibrium[x]) for x in f}
     ranged = {renamed[p]: side for p, side in ranges.items()}
     return System(states, field, domain, ranged, tuple(renamed[p] for p in free), equilibrium, shifted, own)
+
+
+def _names(
+    f: Mapping[Any, Any], at: Mapping[Any, Any], box: Mapping[Any, Any], parameters: Mapping[Any, Any]
+) -> None:
+    """Refuse a name that is not understood: it would change the question unseen."""
+    states = ", ".join(map(str, f))
+    for x in (*f, *parameters):
+        if not isinstance(x, sp.Symbol):
+            raise ModelError(f"{x!r} is no symbol: states and parameters are made by sympy.Symbol")
+    for option, names in (("at", at), ("box", box)):
+        if wrong := [str(x) for x in names if x not in f]:
+            raise ModelError(
+                f"`{option}` names {', '.join(wrong)}, which is no state: the states are {states}"
+            )
+    if wrong := [str(p) for p in parameters if p in f]:
+        raise ModelError(
+            f"`parameters` names {', '.join(wrong)}, which is a state: its range goes into `box`"
+        )
+
+
+def _assumptions(
+    states: Iterable[sp.Symbol], free: Iterable[sp.Symbol], ranges: Mapping[sp.Symbol, Interval]
+) -> None:
+    """Refuse an assumption that is not part of the claim: sympy has simplified f and V by it."""
+    positive = [*free, *(p for p, (low, _) in ranges.items() if low > 0)]
+    real = [*states, *(p for p in ranges if p not in positive)]
+    for symbols, meant in ((real, "real"), (positive, "positive")):
+        known = sp.Symbol("s", **{meant: True}).assumptions0.items()
+        for s in symbols:
+            if not s.assumptions0.items() <= known:
+                raise ModelError(
+                    f"{s} was declared with an assumption that not every {meant} number meets, and sympy "
+                    f'simplifies by it; every one is meant here: declare it as sympy.Symbol("{s}")'
+                )
 
 
 def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
@@ -139,7 +188,10 @@ def _vanishes(x: sp.Symbol, e: sp.Expr, origin: Point, equilibrium: Point) -> No
 
 
 def _interval(x: sp.Symbol, side: tuple[Any, Any]) -> Interval:
-    low, high = (exact(end) for end in side)
+    try:
+        low, high = (exact(end) for end in side)
+    except (TypeError, ValueError):
+        raise ModelError(f"the range of {x} is {side}: two numbers, the lower first") from None
     ordered = all(end.is_number and end.is_extended_real for end in (low, high))
     if not ordered or not (low < high):
         raise ModelError(f"the range of {x} is [{low}, {high}]: two numbers, the lower first")
@@ -150,6 +202,8 @@ def _about(x: sp.Symbol, side: tuple[Any, Any] | None, centre: sp.Expr) -> Inter
     if side is None:
         return -sp.oo, sp.oo
     low, high = _interval(x, side)
+    if centre.free_symbols:
+        raise ModelError(f"the equilibrium {x} = {centre} depends on a parameter: a box needs a number")
     around = tuple(end if end.is_infinite else sp.expand(end - centre) for end in (low, high))
     inside = all(e.is_infinite or (number(e) < 0 if k == 0 else number(e) > 0) for k, e in enumerate(around))
     if not inside:

@@ -32,6 +32,7 @@ from hil.stability.verifier.system import System, make_system
 
 SHRINKS = 6
 """How often the box is halved in search of one on which V is valid: stability is a local property."""
+ROUNDED = "quotients of decimal numbers are rounded and do not cancel: write them as sympy.Rational"
 
 
 def verify(
@@ -54,8 +55,8 @@ def verify(
 
     Sources: section 6.0 of the chapter; Khalil, Nonlinear Systems, theorems 4.1 to 4.4 and 4.7.
 
-    Raises ModelError where the question has no meaning: no equilibrium, f jumps, an unknown function, a
-    bad box.
+    Raises ModelError where the question has no meaning: no equilibrium, f jumps, an unknown function or
+    name, a bad box, a symbol that was declared to be less than what is claimed.
     """
     budget = Budget() if budget is None else budget
     start = budget.left
@@ -65,8 +66,14 @@ def verify(
     spectrum = _spectrum(near)
     claim = None if V is None else system.read(V)
     proof, certificate = _certificate(claim, signs)
+    if certificate.verdict is Certificate.UNDECIDED and any(_decimal(e) for e in (*f.values(), V)):
+        certificate = replace(certificate, reason=f"{certificate.reason}; {ROUNDED}")
     verdict = _equilibrium(claim, signs, near, proof, spectrum)
-    return Report(certificate, verdict, spectrum, start - budget.left)
+    return Report(certificate, verdict, spectrum, system.parameters, start - budget.left)
+
+
+def _decimal(e: Any) -> bool:
+    return bool(sp.sympify(0 if e is None else e).has(sp.Float))
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,8 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> tuple[_Proof | None, Certif
         return None, _undecided(f"V holds {', '.join(sorted(wrong))}, of which no enclosure is known")
     at_origin = sp.simplify(V.subs(origin))
     if at_origin != 0:
+        if not (at_origin.is_finite is False or signs.positive(at_origin) or signs.positive(-at_origin)):
+            return None, _undecided(f"V(0) = {at_origin} is not shown to be 0")
         return None, CertificateVerdict(
             Certificate.NOT_POSITIVE_DEFINITE, None, None, system.told(origin), at_origin, "V(0) must be 0"
         )

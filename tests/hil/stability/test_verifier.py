@@ -175,11 +175,55 @@ def test_without_V_the_linearisation_speaks():
         ({x: -x}, {"box": {x: (2, 1)}}, "lower first"),
         ({x: -m * x}, {"parameters": {m: (0, sp.oo)}}, "has no end"),
         ({}, {}, "no state"),
+        ([-x], {}, "no state"),
+        ({"x": "-x"}, {}, "no symbol"),
+        ({sp.Function("x")(v): -x}, {}, "no symbol"),
+        ({x: -x}, {"box": {x: 1}}, "two numbers"),
+        ({x: -x}, {"box": {y: (-1, 1)}}, "which is no state"),
+        ({x: -x}, {"at": {y: 1}}, "which is no state"),
+        ({x: y - x, y: y}, {"at": {x: y}}, "is no parameter"),
+        ({x: 1 - m * x}, {"at": {x: 1 / m}, "box": {x: (0, 5)}}, "a box needs a number"),
+        ({x: x**3 - x}, {"parameters": {x: (-R(1, 2), R(1, 2))}}, "which is a state"),
+        ({x: -x}, {"parameters": {m: (1, 2)}}, "neither f nor V"),
+        ({x: 1 - x - sp.sign(x) ** 2}, {}, "continuous"),
     ],
 )
 def test_a_question_without_meaning_is_refused(f, options, words):
     with pytest.raises(ModelError, match=words):
         verify(f, x**2, **options)
+
+
+@pytest.mark.parametrize(
+    ("assumption", "side"),
+    [({"negative": True}, None), ({"integer": True}, None), ({"positive": True}, (-1, 1))],
+)
+def test_a_parameter_is_not_less_than_what_is_claimed_of_it(assumption, side):
+    k = sp.Symbol("k", **assumption)
+    with pytest.raises(ModelError, match="assumption"):
+        verify({x: -k * x}, x**2, parameters=None if side is None else {k: side})
+
+
+def test_a_state_is_any_real_number():
+    s = sp.Symbol("s", positive=True)  # sympy makes s of sqrt(s^2), which is |s|
+    with pytest.raises(ModelError, match="assumption"):
+        verify({s: -sp.sqrt(s**2)}, s**2)
+    r, k = sp.Symbol("r", real=True), sp.Symbol("k", positive=True)
+    assert verify({r: -k * r}, r**2, parameters={k: (1, 2)}).certificate.verdict is Certificate.VALID
+
+
+def test_the_report_says_for_which_parameters():
+    report = verify({x: -m * k0 * x}, x**2, parameters={m: (R(1, 2), 2)})
+    assert report.parameters == {k0: (0, sp.oo), m: (R(1, 2), 2)}
+    assert str(report).endswith("for all k0 > 0, m in [1/2, 2]")
+    assert "for all" not in str(verify({x: -x}, x**2))
+
+
+def test_rounded_quotients_are_named_where_they_keep_terms_from_cancelling():
+    def spring(k, d, mass):
+        return verify({x: v, v: -(k * x + d * v) / mass}, mass * v**2 / 2 + k * x**2 / 2).certificate
+
+    assert "sympy.Rational" in spring(3.1, 0.3, 0.7).reason
+    assert spring(*map(R, ("3.1", "0.3", "0.7"))).verdict is Certificate.VALID
 
 
 def test_importing_the_package_loads_no_algebra():

@@ -103,6 +103,18 @@ def _check_counterexample(f, V, certificate):
         assert V.subs(at).evalf(60) <= 0 or V.subs(dict.fromkeys(real.values(), 0)) != 0
 
 
+@pytest.mark.parametrize(
+    "zero",
+    [
+        16 * sp.atan(R(1, 5)) - 4 * sp.atan(R(1, 239)) - sp.pi,
+        sum(cos(k * sp.pi / 7) for k in (1, 3, 5)) - R(1, 2),
+    ],
+)
+def test_a_zero_that_algebra_does_not_see_is_no_counterexample(zero):  # Machin's and Gauss's
+    for V, truth in ((x**2 + zero, Truth.UNDECIDED), (x**2 + zero + R(1, 10**6), Truth.REFUTED)):
+        assert verify({x: -x}, V).certificate.truth is truth
+
+
 def test_a_counterexample_lies_in_the_box():
     f, V = {x: v, v: -v - sin(x)}, 1 - cos(x) + v**2 / 2  # zero at 2 pi too
     report = verify(f, V, box={x: (-3, 3)})

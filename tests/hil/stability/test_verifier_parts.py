@@ -93,7 +93,8 @@ def test_exact_cancellation_leaves_what_textbooks_print():
 def test_a_jump_is_told_from_a_kink():
     assert continuous(sp.diff(sp.Abs(x) ** 3, x)) == 3 * x * sp.Abs(x)
     assert continuous(x * sp.sign(x)) == sp.Abs(x)
-    for jump in (sp.sign(x), (1 + x) * sp.sign(x), sp.sign(x - y) * y, sp.exp(sp.sign(x))):
+    assert continuous(x * sp.sign(x) ** 2) == x
+    for jump in (sp.sign(x), sp.sign(x) ** 2, (1 + x) * sp.sign(x), sp.sign(x - y) * y, sp.exp(sp.sign(x))):
         with pytest.raises(ModelError, match=r"continuous|jumps"):
             continuous(jump)
 
@@ -158,11 +159,20 @@ def test_parameters_leave_a_sum_only_if_each_term_keeps_its_sign():
     assert s.freed(k * x**2 + b * x * y + y**2) is None
     assert s.freed((k - b) * x**2) is None
     assert s.freed(x**2 / (k - b)) is None
+    assert s.freed(x**2 * sp.exp(k * x)) is None  # has not the tail of x^2
 
 
 def test_only_factors_that_can_be_zero_are_followed():
     assert _ways((1 + x**2) * y * (x - y) / (2 + sp.cos(x)), signs()) in ([y, x - y], [x - y, y])
     assert _ways(1 + x**2, signs()) == []
+
+
+def test_an_end_that_is_a_zero_is_left_out_by_no_more_than_was_shown():
+    wide = 10**12 * sp.pi
+    s = Signs(make_system({x: -x}, None, None, {x: (-1, wide)}, None), Budget())
+    trimmed = s._open(x * (wide - x), x, s.sides[x])
+    assert trimmed is not None
+    assert wide - 1 <= R(trimmed[1]) < wide  # positive within 1 of the end, doubles are 4e-4 apart there
 
 
 def test_the_level_is_the_least_value_on_the_boundary():

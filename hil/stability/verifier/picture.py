@@ -38,8 +38,8 @@ def draw(
 
     `parameters` are their values. With a report the verdict, the level and a counterexample are drawn too.
 
-    Raises ModelError where there are not two states, or a parameter has no value; OSError where the file
-    cannot be written.
+    Raises ModelError where there are not two states, or a parameter has no value or a state no ends; OSError
+    where the file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -53,7 +53,9 @@ def draw(
     unknown = set().union(surface.free_symbols, *(e.free_symbols for e in field.values())) - set(states)
     if unknown:
         raise ModelError(f"no value of {', '.join(sorted(map(str, unknown)))}: name it in parameters")
-    sides = tuple((float(low), float(high)) for low, high in (box[x] for x in states))
+    sides = tuple(tuple(map(float, box.get(x, ()))) for x in states)
+    if any(len(side) != 2 or not np.isfinite(side).all() for side in sides):
+        raise ModelError(f"a picture needs a box with two ends for each of {states[0]}, {states[1]}")
     X, Y = np.meshgrid(*(np.linspace(low, high, POINTS) for low, high in sides))
     real = {x: sp.Symbol(str(x), real=True) for x in states}
     rate = lie_derivative(surface.xreplace(real), {real[x]: e.xreplace(real) for x, e in field.items()})

@@ -86,7 +86,8 @@ def make_system(
     """Return the system in exact form.
 
     Raises ModelError where `at` is no equilibrium or not inside the box, or where f jumps or holds what
-    cannot be enclosed.
+    cannot be enclosed; where an option names what f does not know, or a symbol carries an assumption that
+    the claim does not.
     """
     if not isinstance(f, Mapping) or not f:
         raise ModelError("f has no state: it maps each state to its time derivative")

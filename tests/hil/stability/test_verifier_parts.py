@@ -193,5 +193,8 @@ def test_two_states_are_drawn(tmp_path):
     assert picture.read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(ModelError, match="no value of b"):
         draw(f, V, box, tmp_path / "no.png")
+    for ends in ({x: (-1, 1)}, {x: (-1, 1), v: (0, sp.oo)}):
+        with pytest.raises(ModelError, match="two ends"):
+            draw({x: v, v: -v - x}, V, ends, tmp_path / "no.png")
     with pytest.raises(ModelError, match="two states"):
         draw({x: -x}, x**2, {x: (-1, 1)}, tmp_path / "no.png")

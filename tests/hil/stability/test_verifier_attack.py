@@ -56,6 +56,9 @@ SYSTEMS = [
     ({x: v, v: -x - v, y: w, w: -y}, x**2 + v**2 + y**2 + w**2, STABLE, GOOD),
     ({x: y**3, y: -(x**3)}, x**4 + y**4, STABLE, GOOD),
     ({x: v * cos(y) ** 2 + v * sin(y) ** 2 - v, y: -y, v: -v}, x**2 + v**2 + y**2, STABLE, GOOD),
+    ({x: -x, y: z, z: -y - x**2 * z**3}, x**2 + y**2 + z**2, STABLE, GOOD),  # the damping dies out
+    ({x: v, v: -x - v * Abs(x - 1 + Abs(x - 1))}, x**2 + v**2, STABLE, GOOD),  # no damping below 1
+    ({x: v, v: -x - v * (x**2 + v**2 - 1) ** 2}, x**2 + v**2, LOCAL, GOOD),  # a cycle within dV/dt = 0
     ({x: -x + x**3}, x**2, LOCAL, BAD),
     ({x: -x + x**3 / 10**6}, x**2, LOCAL, BAD),
     ({x: -sin(x)}, x**2, LOCAL, BAD),

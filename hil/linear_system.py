@@ -110,6 +110,14 @@ def static(gain: Array, period_s: float | None = None) -> LinearSystem:
     return LinearSystem(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, period_s)
 
 
+def lag(time_s: float) -> LinearSystem:
+    """Return 1 / (T s + 1); T = 0: a gain of 1."""
+    if time_s == 0.0:
+        return static(np.eye(1))
+    rate = np.array([[1.0 / time_s]])
+    return LinearSystem(-rate, rate, np.eye(1), np.zeros((1, 1)))
+
+
 def _same_time(one: LinearSystem, other: LinearSystem) -> None:
     if one.period_s != other.period_s:
         raise ModelError(f"systems of different time: periods {one.period_s} and {other.period_s} s")

@@ -1,51 +1,59 @@
-"""The loop of a sampled controller and the delayed axis that inverse dynamics leaves: poles and margins.
+"""The loop of a sampled controller and the delayed axis that inverse dynamics leaves: the axis, and margins.
 
 Rule of the room: values and pure functions, offline (LAPACK is used); nothing of it runs inside the cycle.
 
-The axis is gain exp(-transport s) / (lag s + 1) / s^2 behind a hold of one period, from demanded acceleration
-to measured position and rate; it is sampled exactly, also where the transport is no whole number of periods.
+The axis is gain exp(-transport s) D(s) / s^2 behind a hold of one period, D the force loop of the drives,
+from demanded acceleration to measured position and rate; it is sampled exactly, also where the transport is
+no whole number of periods.
 """
 
 from __future__ import annotations
 
-from math import ceil, inf
+from math import ceil, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from hil.config.linear_controller import LinearController
 from hil.linear_system import LinearSystem
 from hil.signals import Array
 
-GRID = 4000
-"""Frequencies looked at, evenly in their logarithm, over five decades below half the rate."""
+SLOWEST = 1e-5
+"""Of the Nyquist frequency: where margins are looked for from."""
 
 
 class Margins(NamedTuple):
-    """What is left of a loop."""
+    """How much a stable loop can bear of one thing at a time; inf where it bears any amount."""
 
-    pole_radius: float
-    """Largest magnitude of the closed loop's poles; below 1 it is stable."""
-    cross_over_rad_s: float
-    """The highest frequency at which the loop has gain 1."""
+    gain_up: float
+    """Times which the gain may grow."""
+    gain_down: float
+    """Times which it may become; 0 where it may become as small as it likes."""
     phase_deg: float
-    """The least distance of the loop's phase from half a turn, over all frequencies of gain 1."""
-    sensitivity: float
-    """The peak of 1 / |1 + L|: the loop stays 1 over it away from -1. inf where it is unstable."""
+    delay_s: float
+    """Further pure delay."""
+    crossover_rad_s: float
+    """The highest frequency at which the loop's gain is 1; 0 for none."""
+    peak_S: float
+    """Of |1 / (1 + L)|: the loop stays 1 over it away from -1."""
+    peak_T: float
+    """Of |L / (1 + L)|."""
 
 
-def sampled_axis(transport_s: float, lag_s: float, period_s: float, gain: float = 1.0) -> LinearSystem:
-    """Return the axis at the samples: from held acceleration to [position, rate] (2,)."""
+def sampled_axis(transport_s: float, drive: LinearSystem, period_s: float, gain: float = 1.0) -> LinearSystem:
+    """Return the axis at the samples: from held acceleration to [position, rate], its first two states.
+
+    `drive` is the force loop, continuous: `hil.linear_system.lag`, or one of higher order.
+    """
     whole = ceil(transport_s / period_s - 1e-9)
     late = max(whole * period_s - transport_s, 0.0)  # so long before the sample the newer input already acts
-    # position, rate, and the drives' acceleration where they lag
-    if lag_s > 0.0:
-        A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / lag_s]])
-        B = np.array([[0.0], [0.0], [gain / lag_s]])
-    else:
-        A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [gain]])
-    n = len(A)
+    n = 2 + drive.order
+    A, B = np.zeros((n, n)), np.zeros((n, 1))  # of position, rate, and the drives
+    A[0, 1] = 1.0
+    A[1, 2:], B[1] = gain * drive.C[0], gain * drive.D[0]
+    A[2:, 2:], B[2:] = drive.A, drive.B
     _, newer = _held(A, B, late)
     Phi, both = _held(A, B, period_s)
     older = both - newer
@@ -63,6 +71,15 @@ def sampled_axis(transport_s: float, lag_s: float, period_s: float, gain: float 
         F[n + 1 :, n:-1] = np.eye(whole - 1)
         G[n] = 1.0
     return LinearSystem(F, G, np.eye(2, n + whole), np.zeros((2, 1)), period_s)
+
+
+def disturbed(axis: LinearSystem) -> LinearSystem:
+    """Return a `sampled_axis` with a second input: an acceleration that acts at once, held too."""
+    T = axis.period_s
+    assert T is not None
+    push = np.zeros((axis.order, 1))
+    push[:2, 0] = T * T / 2.0, T
+    return axis._replace(B=np.hstack([axis.B, push]), D=np.zeros((2, 2)))
 
 
 def _held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
@@ -86,22 +103,41 @@ def sampled_controller(controller: LinearController) -> LinearSystem:
     return LinearSystem(A, B, C, np.array(controller.D, float) @ chosen, 1.0 / controller.rate_Hz)
 
 
-def margins(controller: LinearSystem, axis: LinearSystem) -> Margins:
-    """Return what the loop of u = controller [e, de] around an axis leaves, [e, de] = -axis u."""
-    assert axis.period_s is not None
-    loop = controller.after(axis)
-    radius = float(np.abs(np.linalg.eigvals(loop.A - loop.B @ loop.C / (1.0 + loop.D[0, 0]))).max())
-    nyquist = np.pi / axis.period_s
-    omega = np.geomspace(1e-5 * nyquist, nyquist, GRID)
-    L = loop.response(omega)[:, 0, 0]
-    size = np.log(np.abs(L))
-    crossed = np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:]))
-    share = size[crossed] / (size[crossed] - size[crossed + 1])
-    at = omega[crossed] * (omega[crossed + 1] / omega[crossed]) ** share
-    phase = np.angle(-loop.response(at)[:, 0, 0], deg=True)  # from half a turn
+def grid(period_s: float) -> Array:
+    """Return frequencies up to Nyquist's, rad/s: dense in their logarithm, and in themselves at the end."""
+    top = pi / period_s
+    return np.unique(
+        np.concatenate([np.geomspace(SLOWEST * top, top, 2500), np.linspace(1e-3 * top, top, 1500)])
+    )
+
+
+def margins(loop: LinearSystem) -> Margins:
+    """Return the margins of a stable loop, sampled, one input L one output: 1 + L(z) = 0 is its edge."""
+    assert loop.period_s is not None
+
+    def L(omega: float) -> complex:
+        return complex(loop.response(np.array([omega]))[0, 0, 0])
+
+    omega = grid(loop.period_s)
+    value = loop.response(omega)[:, 0, 0]
+    at_real = [value[-1].real]  # at half the rate the response is real
+    for k in np.flatnonzero(np.diff(np.sign(value.imag[:-1])) != 0):
+        w = brentq(lambda w: L(w).imag, omega[k], omega[k + 1])
+        at_real.append(L(float(w)).real)
+    factors = [-1.0 / real for real in at_real if real < 0.0]
+    phase, delay, crossover = inf, inf, 0.0
+    for k in np.flatnonzero(np.diff(np.sign(np.abs(value) - 1.0)) != 0):
+        w = float(brentq(lambda w: abs(L(w)) - 1.0, omega[k], omega[k + 1]))
+        left = float(np.angle(L(w))) + pi  # in 0 .. 2 pi: what may still be lost until -1
+        phase = min(phase, left, 2.0 * pi - left)
+        delay = min(delay, left / w)
+        crossover = max(crossover, w)
     return Margins(
-        radius,
-        float(at.max()) if at.size else 0.0,
-        float(np.abs(phase).min()) if at.size else inf,
-        float((1.0 / np.abs(1.0 + L)).max()) if radius < 1.0 else inf,
+        min((f for f in factors if f > 1.0), default=inf),
+        max((f for f in factors if f <= 1.0), default=0.0),
+        float(np.degrees(phase)),
+        delay,
+        crossover,
+        float(np.abs(1.0 / (1.0 + value)).max()),
+        float(np.abs(value / (1.0 + value)).max()),
     )

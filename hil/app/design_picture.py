@@ -12,10 +12,10 @@ import numpy as np
 
 from hil.config.design import Design, DesignAxis
 from hil.linear_system import ComplexArray, LinearSystem
+from hil.sampled_loop import grid
 from hil.signals import Array
 from hil.synthesis.hinf_design import Designed
-from hil.synthesis.margins import grid, loop_gain
-from hil.synthesis.sampled import sampled_axis
+from hil.synthesis.sampled import loop_gain, sampled_axis
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 
 STEP_S = 0.3
@@ -36,7 +36,7 @@ def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: st
     legs = sampled_axis(axis, design.rate_Hz, inputs)
     omega = grid(1.0 / design.rate_Hz)
     omega = omega[(omega > 0.1) & (omega < omega[-1])]
-    L = loop_gain(K, legs, omega)
+    L = loop_gain(K, legs).response(omega)[:, 0, 0]
     _closed(axes[0, 0], design, omega, L)
     _weighted(axes[0, 1], design, omega, K, legs, L, made.figures)
     _open(axes[1, 0], omega, L, made.figures)

@@ -11,7 +11,7 @@ from math import inf, pi
 import numpy as np
 from scipy.optimize import brentq
 
-from hil.linear_system import ComplexArray, LinearSystem, static
+from hil.linear_system import ComplexArray, LinearSystem, lag, static
 from hil.sampled_loop import sampled_axis
 from hil.signals import Array
 from hil.stability.sampled import Axis
@@ -34,7 +34,7 @@ def growth(axis: Axis, controller: LinearSystem, mobility: Array) -> float:
 
     mobility (6, 6): acceleration of the axes per force of each, J M^-1 J^T for legs, M^-1 for a pose.
     """
-    one = sampled_axis(axis.transport_s, axis.lag_s, axis.period_s, axis.gain)
+    one = sampled_axis(axis.transport_s, lag(axis.lag_s), axis.period_s, axis.gain)
     plant = reduce(lambda left, right: left.beside(right), [one] * 6)
     order = [*range(0, 12, 2), *range(1, 12, 2)]  # positions, then rates
     y = -plant.C[order]
@@ -51,7 +51,7 @@ def delay_margin_s(axis: Axis, controller: LinearSystem, mobility: Array) -> flo
     A common delay turns all eigenvalues of the loop's frequency response by the same angle: the least margin
     of these characteristic loci is the loop's (A. G. J. MacFarlane and I. Postlethwaite, 1977).
     """
-    plant = sampled_axis(axis.transport_s, axis.lag_s, axis.period_s, axis.gain)
+    plant = sampled_axis(axis.transport_s, lag(axis.lag_s), axis.period_s, axis.gain)
 
     def loci(omega: Array) -> ComplexArray:
         """Return the eigenvalues (n, 6), the largest first."""

@@ -10,16 +10,14 @@ its eigenvalues tell whether the sampled loop is stable, exactly and with all de
 
 from __future__ import annotations
 
-from math import inf, pi
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from drivers.errors import ModelError
-from hil.linear_system import ComplexArray, LinearSystem, static
-from hil.sampled_loop import sampled_axis
-from hil.signals import Array
+from hil.linear_system import ComplexArray, LinearSystem, lag, static
+from hil.sampled_loop import Margins, disturbed, margins, sampled_axis
 
 
 class Axis(NamedTuple):
@@ -32,20 +30,6 @@ class Axis(NamedTuple):
     """Time constant of the force, first order; 0: none."""
     gain: float = 1.0
     """1 where model and robot agree."""
-
-
-class Margins(NamedTuple):
-    """How much the loop can bear of one thing at a time; inf where it bears any amount."""
-
-    gain_up: float
-    """Times which the gain may grow."""
-    gain_down: float
-    """Times which it may become; 0 where it may become as small as it likes."""
-    phase_deg: float
-    delay_s: float
-    """Further pure delay."""
-    crossover_rad_s: float
-    """The highest frequency at which the loop's gain is 1; 0 for none."""
 
 
 class Sampled(NamedTuple):
@@ -68,11 +52,7 @@ class Sampled(NamedTuple):
 
 def disturbed_axis(axis: Axis) -> LinearSystem:
     """Return the axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
-    T = axis.period_s
-    driven = sampled_axis(axis.transport_s, axis.lag_s, T, axis.gain)
-    push = np.zeros((driven.order, 1))
-    push[:2, 0] = T * T / 2.0, T
-    return driven._replace(B=np.hstack([driven.B, push]), D=np.zeros((2, 2)))
+    return disturbed(sampled_axis(axis.transport_s, lag(axis.lag_s), axis.period_s, axis.gain))
 
 
 def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
@@ -96,9 +76,8 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
     radius = float(np.abs(poles).max())
     if radius >= 1.0:
         return Sampled(poles, None, -np.log(radius) / axis.period_s, inf)
-    return Sampled(
-        poles, _margins(plant, controller), -np.log(max(radius, 1e-300)) / axis.period_s, _peak_gain(loop)
-    )
+    opened = controller.after(plant._replace(B=plant.B[:, :1], D=plant.D[:, :1]))
+    return Sampled(poles, margins(opened), -np.log(max(radius, 1e-300)) / axis.period_s, _peak_gain(loop))
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
@@ -122,42 +101,3 @@ def _peak_gain(loop: LinearSystem) -> float:
         total += abs((C @ x).item())
         x = A @ x
     return total
-
-
-def _margins(plant: LinearSystem, controller: LinearSystem) -> Margins:
-    """Return the margins of a stable loop, opened at u: 1 + L(z) = 0 is its edge."""
-    T = plant.period_s
-    assert T is not None
-
-    def L(omega: Array) -> Array:
-        P = plant.response(omega)[:, :, :1]
-        return np.asarray((controller.response(omega) @ P)[:, 0, 0])
-
-    def one(omega: float) -> complex:
-        return complex(L(np.array([omega]))[0])
-
-    top = pi / T
-    omega = np.unique(
-        np.concatenate([np.geomspace(1e-5 * top, top, 2500), np.linspace(1e-3 * top, top, 1500)])
-    )
-    value = L(omega)
-    up, down = inf, 0.0
-    for k in np.flatnonzero(np.diff(np.sign(value.imag)) != 0):
-        w = brentq(lambda w: one(w).imag, omega[k], omega[k + 1]) if omega[k + 1] < top else omega[k + 1]
-        real = one(float(w)).real
-        if real < 0.0:
-            factor = -1.0 / real
-            up, down = (min(up, factor), down) if factor > 1.0 else (up, max(down, factor))
-    if value[-1].real < 0.0:  # at half the rate the response is real
-        factor = -1.0 / value[-1].real
-        up, down = (min(up, factor), down) if factor > 1.0 else (up, max(down, factor))
-    phase, delay, crossover = inf, inf, 0.0
-    size = np.abs(value)
-    for k in np.flatnonzero(np.diff(np.sign(size - 1.0)) != 0):
-        w = float(brentq(lambda w: abs(one(w)) - 1.0, omega[k], omega[k + 1]))
-        angle = float(np.angle(one(w)))
-        lag = angle + pi  # in 0 .. 2 pi: what may still be lost until -1
-        phase = min(phase, lag, 2.0 * pi - lag)
-        delay = min(delay, lag / w)
-        crossover = max(crossover, w)
-    return Margins(up, down, float(np.degrees(phase)), delay, crossover)

@@ -16,7 +16,7 @@ from math import comb, factorial
 import numpy as np
 
 from hil.config.design import Design, DesignAxis
-from hil.linear_system import LinearSystem, static
+from hil.linear_system import LinearSystem, lag, static
 from hil.signals import Array
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight, rational
@@ -34,14 +34,6 @@ def pade(delay_s: float, order: int) -> LinearSystem:
     D = numerator[0]
     C = numerator[1:] - D * denominator[1:]
     return LinearSystem(A / delay_s, np.eye(n)[:, :1] / delay_s, C[None], np.array([[D]]))
-
-
-def lag(time_s: float) -> LinearSystem:
-    """Return 1 / (T s + 1)."""
-    if time_s == 0.0:
-        return static(np.eye(1))
-    rate = np.array([[1.0 / time_s]])
-    return LinearSystem(-rate, rate, np.eye(1), np.zeros((1, 1)))
 
 
 def drive(axis: DesignAxis) -> LinearSystem:

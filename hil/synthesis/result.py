@@ -14,11 +14,11 @@ from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
 from hil.linear_system import ComplexArray, LinearSystem
+from hil.sampled_loop import Margins, margins
 from hil.signals import Array
 from hil.synthesis.axis import actuator, four_block, lumped
 from hil.synthesis.errors import SynthesisError
-from hil.synthesis.margins import Margins, margins
-from hil.synthesis.sampled import sampled_axis
+from hil.synthesis.sampled import loop_gain, sampled_axis
 
 SLOW = 0.1
 """Times the crossover: no pole of the closed loop may be slower."""
@@ -51,7 +51,7 @@ def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
     poles = four_block(path, design.inputs).closed_with(K).poles()
     sampled = K.sampled(h, "bilinear")
     legs = sampled_axis(axis, design.rate_Hz, design.inputs)
-    found = margins(sampled, legs)
+    found = margins(loop_gain(sampled, legs))
     reasons = []
     fastest, end = float(np.abs(K.poles()).max(initial=0.0)), pi * design.rate_Hz / 2.0
     if fastest > end:
@@ -153,7 +153,7 @@ def described(judged: Judgement, K: LinearSystem) -> dict[str, Any]:
     return {
         "crossover_rad_s": m.crossover_rad_s,
         "phase_margin_deg": m.phase_deg,
-        "delay_margin_ms": m.delay_ms,
+        "delay_margin_ms": 1e3 * m.delay_s,
         "gain_margin": [m.gain_down, m.gain_up],
         "peak_S": m.peak_S,
         "peak_T": m.peak_T,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.config.linear_controller import LinearController
-from hil.linear_system import LinearSystem, static
+from hil.linear_system import LinearSystem, lag, static
 from hil.sampled_loop import margins, sampled_axis, sampled_controller
 
 T = 1e-3
@@ -26,31 +26,32 @@ def step_response(axis, count):
 @pytest.mark.parametrize("lag_ms", [0.0, 0.8])
 def test_the_axis_answers_a_step_as_its_differential_equation_does(transport_ms, lag_ms):
     """lag y''' + y'' = 2 from transport on: y = t^2 - 2 lag t + 2 lag^2 (1 - exp(-t / lag))."""
-    axis = sampled_axis(1e-3 * transport_ms, 1e-3 * lag_ms, T, gain=2.0)
+    axis = sampled_axis(1e-3 * transport_ms, lag(1e-3 * lag_ms), T, gain=2.0)
     found = step_response(axis, 12)
-    t, lag = np.maximum(T * np.arange(12) - 1e-3 * transport_ms, 0.0), 1e-3 * lag_ms
-    gone = np.exp(-t / lag) if lag else np.zeros(12)
-    position = t * t - 2 * lag * t + 2 * lag * lag * (1 - gone)
-    np.testing.assert_allclose(found, np.column_stack([position, 2 * t - 2 * lag * (1 - gone)]), atol=1e-15)
+    t, late = np.maximum(T * np.arange(12) - 1e-3 * transport_ms, 0.0), 1e-3 * lag_ms
+    gone = np.exp(-t / late) if late else np.zeros(12)
+    position = t * t - 2 * late * t + 2 * late * late * (1 - gone)
+    np.testing.assert_allclose(found, np.column_stack([position, 2 * t - 2 * late * (1 - gone)]), atol=1e-15)
 
 
-def test_the_margin_of_a_pd_is_that_of_its_continuous_loop_less_half_a_period():
+def test_the_margins_of_a_pd_are_those_of_its_continuous_loop_less_half_a_period():
     """At damping ratio 1: 2.0582 wn and 76.345 deg; a hold of 0.1 ms takes w_c T / 2."""
     period = 1e-4
-    found = margins(PD._replace(period_s=period), sampled_axis(0.0, 0.0, period))
-    assert found.cross_over_rad_s == pytest.approx(2.0582 * W_N, rel=1e-4)
+    found = margins(PD._replace(period_s=period).after(sampled_axis(0.0, lag(0.0), period)))
+    assert found.crossover_rad_s == pytest.approx(2.0582 * W_N, rel=1e-4)
     assert found.phase_deg == pytest.approx(76.345 - np.degrees(2.0582 * W_N * period / 2), abs=0.01)
-    assert found.pole_radius < 1.0
+    w = np.geomspace(1.0, 1e3, 4001)  # S = s^2 / (s + wn)^2, T = (2 wn s + wn^2) / (s + wn)^2
+    assert found.peak_S == pytest.approx(1.0, abs=5e-3)
+    assert found.peak_T == pytest.approx(np.abs((40j * w + 400) / (1j * w + 20) ** 2).max(), rel=3e-3)
 
 
-@pytest.mark.parametrize(("transport_s", "stable"), [(0.026, True), (0.034, False)])
-def test_a_delay_that_takes_the_whole_margin_makes_the_loop_unstable(transport_s, stable):
+@pytest.mark.parametrize("transport_s", [0.0, 0.4e-3, 0.026])
+def test_a_delay_takes_its_share_of_the_margin(transport_s):
     """76.345 deg at 41.16 rad/s are 32.4 ms, half a period of hold included."""
-    found = margins(PD, sampled_axis(transport_s, 0.0, T))
-    assert (found.pole_radius < 1.0) == stable
-    assert np.isfinite(found.sensitivity) == stable
+    found = margins(PD.after(sampled_axis(transport_s, lag(0.0), T)))
     left = 76.345 - np.degrees(2.0582 * W_N * (transport_s + T / 2))
-    assert found.phase_deg == pytest.approx(abs(left), abs=0.1)
+    assert found.phase_deg == pytest.approx(left, abs=0.1)
+    assert found.delay_s == pytest.approx(np.radians(left) / (2.0582 * W_N), rel=3e-3)
 
 
 def test_a_files_controller_is_told_error_and_rate_in_this_order():

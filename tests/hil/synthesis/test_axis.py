@@ -9,9 +9,9 @@ import pytest
 
 from hil.config.design import DesignAxis
 from hil.linear_system import LinearSystem, static
+from hil.sampled_loop import margins
 from hil.synthesis.axis import actuator, four_block, lumped, pade
-from hil.synthesis.margins import margins
-from hil.synthesis.sampled import sampled_axis
+from hil.synthesis.sampled import loop_gain, sampled_axis
 
 INPUTS = ["error", "rate_error"]
 
@@ -68,18 +68,18 @@ def test_the_margins_of_critically_damped_pd_are_those_of_the_closed_form_less_t
     wn = 20.0
     axis = sampled_axis(DesignAxis(transport_ms=0.5, lag_ms=0.796), 1000.0, INPUTS)
     K = LinearSystem(*static(np.array([[wn**2, 2.0 * wn]]))[:4], 1e-3)
-    found = margins(K, axis)
+    found = margins(loop_gain(K, axis))
     w_c = wn * sqrt(2.0 + sqrt(5.0))
     phase = degrees(atan(2.0 * w_c / wn)) - degrees(w_c * 1.796e-3)
     assert found.crossover_rad_s == pytest.approx(w_c, rel=1e-3)
     assert found.phase_deg == pytest.approx(phase, abs=0.05)
-    assert found.delay_ms == pytest.approx(1e3 * np.deg2rad(phase) / w_c, rel=1e-3)
+    assert 1e3 * found.delay_s == pytest.approx(1e3 * np.deg2rad(phase) / w_c, rel=1e-3)
     assert found.gain_down == 0.0
 
 
 def test_the_gain_margin_is_where_the_sampled_loop_loses_stability():
     axis = sampled_axis(DesignAxis(transport_ms=0.5, lag_ms=0.796), 1000.0, INPUTS)
     K = LinearSystem(*static(np.array([[1e4, 200.0]]))[:4], 1e-3)
-    up = margins(K, axis).gain_up
+    up = margins(loop_gain(K, axis)).gain_up
     stable = [axis.closed_with(K._replace(D=f * up * K.D)).is_stable() for f in (0.999, 1.001)]
     assert stable == [True, False]

@@ -13,9 +13,9 @@ from hil.app.design import METHODS, run_design
 from hil.config.design import Design, ErrorWeight
 from hil.config.linear_controller import LinearController
 from hil.linear_system import LinearSystem
+from hil.sampled_loop import grid
 from hil.synthesis.axis import generalised_plant
 from hil.synthesis.errors import SynthesisError
-from hil.synthesis.margins import grid
 from hil.synthesis.norm import gains, norm
 from hil.synthesis.result import anti_windup
 from hil.synthesis.sampled import sampled_axis

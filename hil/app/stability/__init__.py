@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration import Configuration
 from hil.app.stability import designed, linearising, springs
 from hil.app.stability.subject import Stated, Subject
+from hil.config import PDSettings
 from hil.stability.disturbance import Load
 from hil.stability.verdict import Verdict
 from plant_fmu.config import BenchPlant
@@ -43,8 +44,8 @@ def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False
     """
     subject = Subject(c, Stated() if stated is None else stated)
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
-        if c.controller.law == "pd":
-            return springs.bench(subject)
+        if isinstance(c.controller, PDSettings):
+            return springs.bench(subject, c.controller, c.plant.model)
         return Verdict("not proven", "six uncoupled legs are not the robot of this law's model", [], [], {})
     return JUDGES[c.controller.law](subject, c.controller, quick)
 

@@ -41,6 +41,7 @@ from hil.stability.verdict import Verdict, unless
 
 LinearSettings = InverseDynamicsSettings | PartialLinearisationSettings | PoseInverseDynamicsSettings
 RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
+SURVEYED = "within the bound nothing disturbs by more than at the extremes looked at: surveyed, not enclosed"
 
 
 def linear(subject: Subject, law: LinearSettings) -> Verdict:
@@ -63,6 +64,7 @@ def linear(subject: Subject, law: LinearSettings) -> Verdict:
         claims.append(f"die out as exp(-{min(decay(bound), loop.decay_rate):.3g} t)")
     if bound.d.max() > 1e-6:
         claims.append(f"stay below {worst(bound, loop, axes)} along the reference{beside(subject)}")
+        conditions.append(SURVEYED)
     claim = f"errors {' and '.join(claims) or 'stay bounded'}"
     return Verdict(unless(conditions), claim, conditions, more + lines, {**numbers, **figures})
 
@@ -125,6 +127,7 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
         more, numbers = bound_lines(bound, loop, "joint")
         lines, figures = more + lines, {**numbers, **figures}
         claim += f", errors stay below {worst(bound, loop, 'joint')} along the reference{beside(subject)}"
+        conditions.append(SURVEYED)
     elif layer > 0.0:
         claim += f", errors stay below {1e3 * layer / slope:.3g} mm"
     return Verdict(unless(conditions), claim, conditions, lines, figures)

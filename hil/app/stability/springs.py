@@ -39,6 +39,7 @@ from hil.stability.energy import (
     well,
 )
 from hil.stability.verdict import Verdict, unless
+from plant_fmu.config import BenchPlant
 
 LegSettings = PDSettings | PDGravitySettings | FeedforwardPDSettings
 _STILL = np.zeros(6)
@@ -52,8 +53,10 @@ class Held(NamedTuple):
     """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
     controller: LinearSystem
     mobility: Array
-    stiffness: float
-    """N/m, mean of the springs: for the level as a length."""
+    damping: str
+    """By which V falls."""
+    stiffness: float | None = None
+    """N/m, of all legs' springs together where S is theirs alone: the level is a length."""
 
 
 def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Verdict:
@@ -71,7 +74,9 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Verdict:
     S = total(leg_springs(subject.platform, q, K_p, tau), weight(subject.robot, compensated))
     exact = compensated is not None and _same_weight(subject, compensated)
     J, mobility = _mobility(subject, p, R)
-    held = Held(S, exact, proportional(K_p, K_v, subject.axis.period_s), J @ mobility @ J.T, float(K_p.sum()))
+    controller = proportional(K_p, K_v, subject.axis.period_s)
+    stiffness = float(K_p.sum()) if exact else None
+    held = Held(S, exact, controller, J @ mobility @ J.T, "dq^T K_v dq", stiffness)
     return _judge(subject, held, quick=quick)
 
 
@@ -102,7 +107,7 @@ def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Ver
 
     S = total(springs, weight(subject.robot, compensated))
     exact = compensated is not None and _same_weight(subject, compensated)
-    return _judge(subject, Held(S, exact, controller, mobility, float(K_p[:3].sum())), quick=quick)
+    return _judge(subject, Held(S, exact, controller, mobility, "t^T K_v t"), quick=quick)
 
 
 def pid(subject: Subject, law: PIDSettings) -> Verdict:
@@ -141,14 +146,18 @@ def pid(subject: Subject, law: PIDSettings) -> Verdict:
     return Verdict("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
 
 
-def bench(subject: Subject) -> Verdict:
+def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Verdict:
     """Judge a PD on six uncoupled legs with springs and dampers of their own."""
+    controller = proportional(per_leg(law.kp_N_m), per_leg(law.kv_N_s_m), subject.axis.period_s)
+    lines, figures, radius = _sampled(subject, controller, np.eye(6) / plant.mass_kg)
+    if radius >= 1.0:
+        return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
     conditions = _motion(subject)
     claim = (
         "each leg's V = m dq^2 / 2 + K_p e^2 / 2 + its own springs falls by K_v dq^2 + b |dq|^3 and grows "
         "without bound: its rest is globally asymptotically stable (LaSalle)"
     )
-    return Verdict(unless(conditions), claim, conditions, [], {})
+    return Verdict(unless(conditions), claim, conditions, lines, figures)
 
 
 def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
@@ -179,7 +188,7 @@ def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
         _basin(subject, held, rest, lines, figures)
     near = held.exact or sag_mm < 1e-3
     where = "the set-point" if near else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
-    claim = f"V = t^T M t / 2 + S falls by dq^T K_v dq: {where} is asymptotically stable (LaSalle)"
+    claim = f"V = t^T M t / 2 + S falls by {held.damping}: {where} is asymptotically stable (LaSalle)"
     if not held.exact:
         conditions.append("no other equilibrium lies in the sublevel set: not searched for")
     return Verdict(unless(conditions), claim, conditions, lines, figures)
@@ -187,10 +196,11 @@ def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
 
 def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: dict[str, Any]) -> None:
     found = basin(held.S, rest, subject.platform.radius, subject.outside)
-    start_mm = 1e3 * float(np.sqrt(2.0 * found.level_J / held.stiffness))
+    start_mm = None if held.stiffness is None else 1e3 * float(np.sqrt(2.0 * found.level_J / held.stiffness))
+    starts = "" if start_mm is None else f": every start at rest with all legs up to {start_mm:.3g} mm off"
     lines.append(
         f"sublevel set   V < {found.level_J:.4g} J stays within stroke and regular J (by search; its edge: "
-        f"{found.reason}): every start at rest with all axes up to {start_mm:.3g} mm off"
+        f"{found.reason}){starts}"
     )
     figures["energy"] |= {
         "level_J": found.level_J,
@@ -215,7 +225,7 @@ def _sampled(
 ) -> tuple[list[str], dict[str, Any], float]:
     radius = growth(subject.axis, controller, mobility)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
-    line = f"sampled loop   largest |z| {radius:.4f} at the reference's start, legs coupled"
+    line = f"sampled loop   largest |z| {radius:.4f} at the reference's start, all axes together"
     if radius < 1.0:
         margin = delay_margin_s(subject.axis, controller, mobility)
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None

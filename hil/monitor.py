@@ -15,6 +15,7 @@ import numpy as np
 from hil.config import (
     ControllerSettings,
     ErrorDynamics,
+    ModelBasedSettings,
     MonitorSettings,
     PoseInverseDynamicsSettings,
     RobustInverseDynamicsSettings,
@@ -121,6 +122,8 @@ def build_watch(
         J = jacobian(platform, *home)
         columns = [np.abs(solve(J, leg)) for leg in np.eye(6)]
         noise = columns[0] + columns[1] + columns[2] + columns[3] + columns[4] + columns[5]
+    h = _horizon_s(controller)
+    disturbance *= 1.0 + h * (K_D + K_P * h / 2.0)
     g = np.sqrt(P[:, 1, 1])
     constants = np.zeros((rule.CONSTANTS, 6))
     constants[rule.K_P], constants[rule.K_D] = K_P, K_D
@@ -140,6 +143,14 @@ def build_watch(
     constants[rule.SCALARS, rule.PERIOD] = period_s
     constants.flags.writeable = False
     return Watch(constants, HELD_TICKS + ceil(1e-3 * settings.drive_lag_ms * LAGS / period_s))
+
+
+def _horizon_s(settings: ControllerSettings) -> float:
+    """Return how far the law looks ahead, s: what disturbs it until then it does not see coming."""
+    if not isinstance(settings, ModelBasedSettings) or settings.delay_compensation is None:
+        return 0.0
+    delay = settings.delay_compensation
+    return 1e-3 * (delay.bus_ms + delay.drive_lag_ms + delay.hold_ms)
 
 
 def _decay(x: float) -> float:

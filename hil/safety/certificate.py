@@ -28,14 +28,15 @@ Array = NDArray[np.float64]
     K_P, K_D, P_11, P_12, P_22, DISTURBANCE, NOISE, RISE, DECAY, SLOPE, STEEPNESS, SCALARS, CONSTANTS,
 ) = range(13)  # fmt: skip
 """Rows of the constants of a watch (CONSTANTS, 6), see `hil.monitor`: the certificate; the disturbance in
-m/s^2 or rad/s^2; the noise of W; g T and exp(-2 alpha T); slope and steepness of a boundary layer."""
+m/s^2 or rad/s^2, with what looking ahead makes of it; the noise of W; g T and exp(-2 alpha T); slope and
+steepness of a boundary layer."""
 POSE, SHARED, LAYER, ACTION, CONFIRM, PERIOD = range(6)
 """SCALARS: axes of the pose; layer of all legs at once; its thickness; what to do; ticks; s."""
 LEVEL, COUNT, PAST, REFERENCE, ASKED = 0, 1, 2, 3, 6
 """Rows of the memory: level and ticks of breach of each axis; PAST; q_d, dq_d, ddq_d of the last tick; from
 ASKED on the accelerations that the law asked for, the newest first."""
 LAST_V, UNREST = range(2)
-"""PAST: V of the last tick, nan without one; ticks until the forces are again those of the law."""
+"""PAST: V of the last tick, nan without one; ticks until the forces are the law's, the lengths measured."""
 V, DV, BOUND, SHARE, FIGURES = range(5)
 """What is recorded: V, its rate, the largest V that is allowed, the largest W / (bound + noise)."""
 
@@ -143,6 +144,12 @@ def settle(memory: Array, limited: bool) -> None:
 
 
 @helper
+def unsettle(memory: Array) -> None:
+    """Take note that an error was an estimate: the next one is not compared to it."""
+    memory[PAST, UNREST] = max(memory[PAST, UNREST], 2.0)  # one of which `settle` takes off in this tick
+
+
+@helper
 def watch(
     constants: Array, memory: Array, e: Array, de: Array, rate: Array, feed: Array,
     whole: bool, late_s: float, periods: float, figures: Array,
@@ -162,7 +169,8 @@ def watch(
     for i in range(6):
         value = lyapunov(constants, i, e[i], de[i])
         W = sqrt(value)
-        moved = sqrt(constants[P_11, i]) * abs(rate[i]) + sqrt(constants[P_22, i]) * abs(feed[i])
+        pushed = abs(feed[i]) + constants[DISTURBANCE, i]
+        moved = sqrt(constants[P_11, i]) * abs(rate[i]) + sqrt(constants[P_22, i]) * pushed
         noise = constants[NOISE, i] + moved * late_s
         total += value
         if begins:

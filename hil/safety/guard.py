@@ -21,6 +21,7 @@ from hil.signals import Effort, Estimate, Fault, Mode, Reference, TickInput, Ver
 WINDOW_S = 0.25
 """Length of the force window."""
 
+_ALL_LEGS = (1 << LEGS) - 1
 _ZEROS = np.zeros(LEGS)
 _ZEROS.flags.writeable = False
 _LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)
@@ -103,8 +104,9 @@ class Safety:
         effort: what the law asks for, not finite where it failed; mode: that of this tick. Mutates the state
         named in the class, once per tick.
         """
-        fusion = estimate.fusion
+        fusion, unseen = estimate.fusion, False
         if fusion.ages is not None:
+            unseen = fusion.used != _ALL_LEGS
             measurement = measurement._replace(age=fusion.ages)
         powered = _LOADING <= mode <= _UNLOADING
         tau = np.empty(LEGS)
@@ -112,7 +114,7 @@ class Safety:
         faults, warnings, stop, *figures = judge_tick(
             int(mode), inp.lateness_ns, inp.skipped,
             inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow,
-            inp.recorder_alive, inp.recorder_dropped,
+            inp.recorder_alive, inp.recorder_dropped, unseen,
             *values,
             self._limits, self._period_ns, self._stop_on_loss,
             self._memory, self._history, self._lows, self._highs,

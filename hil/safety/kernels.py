@@ -40,6 +40,7 @@ from hil.safety.certificate import (
     jumped,
     remember_reference,
     settle,
+    unsettle,
     watch,
 )
 from hil.safety.effort import limit_force, limit_step, limit_window, remember, window_extremes
@@ -161,15 +162,16 @@ def limit_effort(
 
 @helper
 def judge_certificate(
-    running: int, late_ns: int, late: bool, skipped: int, age: Ints,
+    running: int, late_ns: int, late: bool, skipped: int, unseen: int, age: Ints,
     q: Array, dq: Array, p: Array, R: Array, twist: Array,
     p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
     watched: Array, figures: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Fill the figures of `hil.safety.certificate`; return fault bits and warning bits.
 
-    running: not 0 while the brakes are open and the law moves the platform. Watched anew after a late,
-    skipped or stale tick, a jump of the reference, and a limit that acted on the forces.
+    running: not 0 while the brakes are open and the law moves the platform; unseen: not 0 where a leg's
+    encoder is not used and its length an estimate. Watched anew after a late, skipped, unseen or stale
+    tick, a jump of the reference, and a limit that acted on the forces.
     """
     figures[:] = nan
     if not watched.size:
@@ -178,7 +180,8 @@ def judge_certificate(
     if running == 0:
         forget(memory)
         return 0, 0
-    whole = not late and skipped == 0 and not stale(age, 1) and memory[PAST, UNREST] == 0.0
+    measured = unseen == 0 and not stale(age, 1)
+    whole = measured and not late and skipped == 0 and memory[PAST, UNREST] == 0.0
     whole = whole and not jumped(certificate, memory, q_d, dq_d, ddq_d)
     e, de, rate, feed = np.empty_like(q), np.empty_like(q), np.empty_like(q), np.empty_like(q)
     error_axes(
@@ -187,6 +190,8 @@ def judge_certificate(
     )  # fmt: skip
     broken = watch(certificate, memory, e, de, rate, feed, whole, 1e-9 * abs(late_ns), 1.0 + skipped, figures)
     remember_reference(memory, q_d, dq_d, ddq_d)
+    if not measured:
+        unsettle(memory)
     action = certificate[SCALARS, ACTION]
     if not broken or action == 0.0:
         return 0, 0
@@ -194,7 +199,7 @@ def judge_certificate(
 
 
 @kernel(
-    INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
+    INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
     *MEASUREMENT, *STATE, REAL, REAL, *REFERENCE, VECTOR,
     VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX,
     OUT_MATRIX, OUT_VECTOR, trusted=True,
@@ -202,6 +207,7 @@ def judge_certificate(
 def judge_tick(
     mode: int, lateness_ns: int, skipped: int,
     sends_failed: int, bus_errors: int, bus_off: int, bus_overflow: int, recorder_alive: int, dropped: int,
+    unseen: int,
     length: Array, rate: Array, force: Array, drive_state: Ints, _fault: Ints, age: Ints,
     rejected: int, _tick: int, _blind: Flags,
     q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, residual: float,
@@ -243,7 +249,7 @@ def judge_tick(
     warnings |= more
     figures = np.empty(FIGURES)
     broken, more = judge_certificate(
-        memory[RUNNING], lateness_ns, late, skipped, age, q, dq, p, R, twist,
+        memory[RUNNING], lateness_ns, late, skipped, unseen, age, q, dq, p, R, twist,
         p_d, R_d, twist_d, dtwist_d, q_d, dq_d, ddq_d, watched, figures,
     )  # fmt: skip
     faults |= broken

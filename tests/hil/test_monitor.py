@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from drivers.signals import DriveState, Measurement
 from hil.app.configuration import load
 from hil.config import (
+    DelayCompensation,
     InverseDynamicsSettings,
     LimitSettings,
     MonitorSettings,
@@ -26,7 +27,7 @@ from hil.monitor import REASONS, build_watch, error_axes
 from hil.rotations import rotation_from_vector, rotation_vector
 from hil.safety import Safety
 from hil.safety.certificate import NO_WATCH
-from hil.signals import Effort, Estimate, Mode, Reference, State, TickInput, Warn
+from hil.signals import NO_FUSION, Effort, Estimate, Fusion, Mode, Reference, State, TickInput, Warn
 
 T = 1e-3
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
@@ -138,25 +139,30 @@ class Axes:
         self.safety = Safety(LIMITS, 0.0, 9.0, 1 / T, 1.0, watch=watch)
         A = np.array([[0, 1, 0, 0], [0, 0, 1, 1], [0, 0, -1 / 0.8e-3, 0], [0, 0, 0, 0]], float)
         B = np.array([[0], [0], [1 / 0.8e-3], [0]], float)
-        self.step = expm(np.block([[A, B], [np.zeros((1, 5))]]) * T)
+        self.rates = np.block([[A, B], [np.zeros((1, 5))]])
+        self.step = expm(self.rates * T)
         self.x = np.zeros((6, 5))  # e, de, acceleration that acts, disturbance, command
         self.command = np.zeros(6)
 
-    def tick(self, d):
-        """Return V and whether the watch alarms; then one period under d."""
-        e, de = self.x[:, 0], self.x[:, 1]
+    def tick(self, d, *, late_ns=0, off=0.0, age=0, fusion=NO_FUSION):
+        """Return the figures and whether the watch alarms; then one period under d.
+
+        late_ns: the encoders are read so late; off: the error of leg 0 seems so much more.
+        """
+        self.x[:, 3] = d
+        self.x[:, 4] = self.command
+        e, de = (self.x @ expm(self.rates * 1e-9 * late_ns).T)[:, :2].T
+        e[0] += off
         run = np.full(6, int(DriveState.RUN))
         none = np.zeros(6, np.int64)
-        measurement = Measurement(np.ones(6), np.zeros(6), np.zeros(6), run, none, none, 0)
+        ages = np.array([age, 0, 0, 0, 0, 0])
+        measurement = Measurement(np.ones(6), np.zeros(6), np.zeros(6), run, none, ages, 0)
         state = State(1.0 - e, -de, np.zeros(3), np.eye(3), np.zeros(6), np.eye(6), 1, 0.0)
         still = np.zeros(6)
         reference = Reference(np.zeros(3), np.eye(3), still, still, np.ones(6), still, still)
-        inp = TickInput(0, 0, 0, 0, (), 0, 0, False, 0, True, 0, (), 0)
-        verdict = self.safety.judge(
-            inp, measurement, Estimate(state, 1.0, 0.0), reference, Effort(still), Mode.TRACKING
-        )
-        self.x[:, 3] = d
-        self.x[:, 4] = self.command
+        inp = TickInput(0, 0, late_ns, 0, (), 0, 0, False, 0, True, 0, (), 0)
+        estimate = Estimate(state, 1.0, 0.0, fusion)
+        verdict = self.safety.judge(inp, measurement, estimate, reference, Effort(still), Mode.TRACKING)
         self.command = -400.0 * e - 40.0 * de
         self.x = self.x @ self.step.T
         return verdict.certificate, bool(verdict.warnings & Warn.CERTIFICATE)
@@ -187,6 +193,40 @@ def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
         if k > 1:
             largest = max(largest, figures[3])
     assert largest > (0.5 if kind == "noise" else 0.95), "the bound is a sharp one"
+
+
+def test_nor_does_it_where_ticks_are_late(exact):
+    """What pushes outwards from rest has a fifth more time to do so until a tick that is late."""
+    axes = Axes(exact)
+    axes.tick(0.0)
+    axes.tick(0.0)
+    assert not any(axes.tick(8.0, late_ns=190_000 * (k % 3 > 0))[1] for k in range(200))
+
+
+def test_an_error_that_is_an_estimate_says_nothing(exact):
+    """A length carried on, or estimated without its encoder, may be off, and jumps when it is heard again."""
+    none = np.zeros(6, np.int64)
+    for unseen in ({"age": 1}, {"fusion": Fusion(used=0b111110, lost=1, ages=none)}):
+        axes = Axes(exact)
+        for _ in range(5):
+            axes.tick(0.0)
+        ticks = [axes.tick(0.0, off=1e-3 * k, **unseen) for k in range(3)]
+        ticks.append(axes.tick(0.0, off=-2e-3))
+        assert not any(alarm for _, alarm in ticks)
+        assert np.isnan([figures[3] for figures, _ in ticks]).all()
+        assert axes.tick(0.0)[0][3] < 1.0
+    seen = Axes(exact)
+    for _ in range(5):
+        seen.tick(0.0, fusion=Fusion(used=0b111111, ages=none))
+    assert seen.tick(0.0, off=1e-3, fusion=Fusion(used=0b111111, ages=none))[1], "a measured one does"
+
+
+def test_a_law_that_looks_ahead_does_not_see_the_disturbance_coming(platform):
+    """Over h = 1.8 ms, 8 m/s^2 move de by 8 h and e by 8 h^2 / 2, which the gains answer that much too late."""
+    delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
+    law = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=90.0, delay_compensation=delay)
+    table, _ = build_watch(MonitorSettings(), law, platform, HOME, T)
+    np.testing.assert_allclose(table[5], 8.0 + 180.0 * 8.0 * 1.8e-3 + 8100.0 * 4.0 * 1.8e-3**2)
 
 
 @pytest.mark.parametrize("excess", [1.25, 2.0, 4.0])

@@ -466,6 +466,7 @@ def test_guard_judges_the_ages_that_the_filter_excuses():
 # -- the certificate: V = 4 (de + e)^2 of each axis, which may not grow at all
 
 POSE, ACTION = 0, 3
+UNUSED = Fusion(used=0b011111, ages=np.zeros(6, np.int64))
 WARN, FAULT = 1.0, 2.0
 CLEAN = [np.nan, np.nan, np.nan, np.nan]
 
@@ -477,7 +478,8 @@ def certified(action=WARN, ticks=3, **options):
     table[6], table[8] = 1e-6, 1.0  # noise, decay
     table[11] = [0.0, 0.0, 1.0, action, 1.0, 1.0 / RATE_HZ]
     for name, value in options.items():
-        table[11, {"pose": 0}[name]] = value
+        row, axis = {"pose": (11, 0), "disturbance": (5, 3)}[name]
+        table[row, axis] = value
     return Bench(watch=Watch(table, ticks))
 
 
@@ -544,11 +546,12 @@ def test_guard_watches_no_platform_on_its_brakes():
     "changes",
     [
         {"measurement__age": leg(1, 0, np.int64)},
+        {"fusion": UNUSED},
         {"inp__skipped": 1},
         {"inp__lateness_ns": PERIOD_NS // 5 + 1},
         {"reference__dq": leg(26.0)},
     ],
-    ids=["stale", "skipped", "late", "jump"],
+    ids=["stale", "unused", "skipped", "late", "jump"],
 )
 def test_guard_watches_the_certificate_anew_after_a_disturbed_tick(changes):
     bench = certified()
@@ -568,13 +571,39 @@ def test_guard_takes_the_time_of_skipped_ticks_into_the_rate_of_V():
 
 @pytest.mark.parametrize("late_ns", [-4_000_000, 4_000_000])
 def test_guard_allows_a_certificate_what_a_late_tick_makes_of_motion(late_ns):
-    """2 m/s for 4 ms are 8 mm, W = 2 e."""
+    """2 m/s and up to 100 m/s^2 for 4 ms are 8 mm and 0.4 m/s, W = 2 (e + de)."""
     moving = {"reference__dq": leg(2.0), "inp__lateness_ns": late_ns}
-    bench = certified()
+    bench = certified(disturbance=100.0)
     figures(bench, de=-2.0, reference__dq=leg(2.0))
-    at = 0.008
+    at = 0.408
     assert not broken(bench, de=-2.0 + 0.999 * at, **moving)
     assert broken(bench, de=-2.0 + 1.01 * at, **moving)
+
+
+@pytest.mark.parametrize("changes", [{"measurement__age": leg(1, 0, np.int64)}, {"fusion": UNUSED}])
+def test_guard_compares_no_error_to_one_that_was_an_estimate(changes):
+    bench = certified()
+    figures(bench)
+    figures(bench, **changes)
+    assert not broken(bench, de=0.5)
+    assert not broken(bench, de=0.5)
+    assert broken(bench, de=0.8)
+
+
+def test_guard_watches_a_filter_that_uses_all_legs():
+    all_used = Fusion(used=0b111111, ages=np.zeros(6, np.int64))
+    bench = certified()
+    figures(bench, fusion=all_used)
+    assert broken(bench, de=0.5, fusion=all_used)
+
+
+def test_guard_waits_for_the_forces_of_the_law_also_where_a_leg_is_stale():
+    bench = certified(ticks=4)
+    figures(bench)
+    figures(bench, tau=leg(1000.0))
+    ages = [leg(age, 0, np.int64) for age in (0, 1, 0, 0, 0, 0)]
+    judged = [bool(np.isfinite(figures(bench, measurement__age=age).certificate[2])) for age in ages]
+    assert judged == [False] * 4 + [True] * 2
 
 
 def test_guard_does_not_judge_the_law_by_forces_that_a_limit_changed():

@@ -479,6 +479,17 @@ def test_certificate_forces_are_the_law_s_again_once_the_limited_ones_are_forgot
     assert (memory == 9.0).sum() == 9 * 6 - 1
 
 
+def test_certificate_an_estimate_counts_in_its_own_tick_and_the_next():
+    for before, left in ((0.0, [1.0, 0.0]), (4.0, [3.0, 2.0])):
+        memory = np.full((9, 6), 9.0)
+        memory[2, 1] = before
+        certificate.unsettle(memory)
+        for after in left:
+            certificate.settle(memory, False)
+            assert memory[2, 1] == after
+        assert (memory == 9.0).sum() == 9 * 6 - 1
+
+
 class Watched:
     """A watch of two efforts that act at once, and what becomes of rates de of one axis."""
 
@@ -555,8 +566,8 @@ def test_certificate_the_level_is_the_smallest_that_any_tick_allows():
 
 
 def test_certificate_noise_and_lateness_are_no_growth():
-    """Read 0.1 ms late at 2 m/s and 30 m/s^2, a length is off by 0.2 mm and a rate by 3 mm/s."""
-    late = math.sqrt(150e3) * 2e-4 + G * 3e-3
+    """Read 0.1 ms late at 2 m/s, 30 m/s^2 and a disturbance of 8, a length is off by 0.2 mm, a rate by 3.8 mm/s."""
+    late = math.sqrt(150e3) * 2e-4 + G * 3.8e-3
     for rate, feed in ((2.0, 30.0), (-2.0, -30.0)):
         watch = Watched(rise=0.0, decay=1.0, confirm=1.0, K_D=0.0, P_12=0.0)
         watch.tick(0.0, feed=feed)

@@ -28,6 +28,11 @@ POSE = """controller:
   law: pose_inverse_dynamics
   wn_rad_s: 20
 """
+AHEAD = """controller:
+  law: inverse_dynamics
+  wn_rad_s: 90
+  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}
+"""
 LOAD = WrenchStep(start_s=1.9, wrench=(-1.12e3, -6.46e3, 7.55e3, 0.0, 0.0, 0.0))
 """10 kN where they move leg 1 most: J M^-1 wrench is 7.7 m/s^2."""
 
@@ -135,6 +140,13 @@ def test_an_untold_load_alarms_where_it_is_more_than_what_is_stated(disturbance,
     assert bool(alarms(rows)) == alarmed
     assert not rows["faults"].any(), "it only warns"
     assert np.sqrt(rows["lyapunov"].max(where=np.isfinite(rows["lyapunov"]), initial=0.0)) > 8.0
+
+
+def test_nor_does_it_alarm_a_law_that_looks_ahead():
+    """It does not see the load coming: 7.7 m/s^2 on a leg act like 10.2."""
+    rows = run(bench("warn", controller=AHEAD), [LOAD], 2.1)
+    assert alarms(rows) == 0
+    assert rows["lyapunov_share"][-100:].max() > 0.9
 
 
 @pytest.mark.parametrize(("name", "until_s"), [("ideal", 1.3), ("lab", 1.6), ("vcan50", 3.0)])

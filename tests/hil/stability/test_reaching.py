@@ -85,3 +85,10 @@ def test_the_redesign_bears_less_error_the_worse_its_model_is():
     de = epsilon - w_n * e
     dy = -gamma * (2 * w_n * de + w_n**2 * e + rho) + d + w_n * de
     assert dy == pytest.approx(0.0, abs=1e-9)
+
+
+def test_legs_may_be_as_fast_as_what_is_left_of_the_gain_stops():
+    """gamma k - d = 3.5 m/s^2 are (1 - gamma) lambda de at 0.7 m/s."""
+    found = sliding(50.0, 5.0, 0.1, gamma=0.9, d=1.0, linear=(2500.0, 100.0))
+    assert found.surplus == pytest.approx(3.5)
+    assert found.room == pytest.approx(0.7)

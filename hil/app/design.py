@@ -19,7 +19,7 @@ from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
 from hil.synthesis.hinf_design import Designed, design_hinf
-from hil.synthesis.mu_design import design_mu
+from hil.synthesis.mu_design import NOTHING, design_mu
 from hil.synthesis.result import linear_controller
 
 Method = Callable[[Design, DesignAxis, Callable[[str], None]], Designed]
@@ -168,8 +168,14 @@ def _figures(design: dict[str, Any]) -> list[tuple[str, str]]:
         worst = f"{design['mu_lower']:.4f} to {design['mu_upper']:.4f} at {design['mu_peak_rad_s']:.3g} rad/s"
         return [
             ("mu", f"{worst}; below 1 all weights are met for all of the uncertainty"),
+            ("at every frequency", f"{design['mu_proven']:.4f}, by scales of order 1"),
+            ("sampled loop", f"{design['norm_sampled_corners']:.4f} at the corners of the uncertainty"),
             ("without uncertainty", f"{design['nominal_performance']:.4f}"),
             ("rounds", " ".join(f"{peak:.3f}" for peak in design["rounds"])),
+            (
+                "states left out",
+                f"{design['states_left_out']}, of Hankel singular values below {NOTHING:g} of the largest",
+            ),
         ]
     if "gamma" not in design:
         return []

@@ -71,6 +71,26 @@ def bounds_over_frequency(M: LinearSystem, blocks: list[Block], omega: Array) ->
     return Bounds(np.concatenate([omega, finer])[order], UpperBound(*merged))
 
 
+def with_own(omega: Array, M: LinearSystem) -> Array:
+    """Return the frequencies with those of M's poles, where a bound can be sharp, and one as good as rest.
+
+    That is a hundredth of the slowest pole. Rises; M is stable.
+    """
+    own = np.abs(M.poles())
+    return np.unique(np.concatenate([omega, own, [0.01 * own.min()]]))
+
+
+def fitted_scales(
+    M: LinearSystem, found: Bounds, blocks: list[Block], within: tuple[float, float]
+) -> list[LinearSystem]:
+    """Return for each uncertain block a rational d(s) near the scale that was found best."""
+    weight = _matters(M.response(found.omega), found, blocks)
+    return [
+        minimum_phase(found.omega, found.upper.D[:, i], ORDER, within, weight[:, i])
+        for i in range(len(blocks) - 1)
+    ]
+
+
 def minimum_phase(
     omega: Array, magnitude: Array, order: int, within: tuple[float, float], weight: Array
 ) -> LinearSystem:
@@ -144,16 +164,12 @@ def dk_iteration(
 
     Raises SynthesisError where mu stays at 1 or above, and as `hinf` does.
     """
-    n = problem.uncertain
     M = problem.plant.closed_with(K)
     found = bounds_over_frequency(M, problem.blocks, omega)
     progress(f"without uncertainty: mu <= {found.peak:.3f} at {found.peak_rad_s:.0f} rad/s")
     best = Iterated(K, found, [found.peak])
     for k in range(ROUNDS):
-        weight = _matters(M.response(found.omega), found, problem.blocks)
-        scales = [
-            minimum_phase(found.omega, found.upper.D[:, i], ORDER, within, weight[:, i]) for i in range(n)
-        ]
+        scales = fitted_scales(M, found, problem.blocks, within)
         made = hinf(scaled(problem, scales), problem.n_y, 1)
         M = problem.plant.closed_with(made.K)
         found = bounds_over_frequency(M, problem.blocks, omega)

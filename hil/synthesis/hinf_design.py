@@ -5,16 +5,13 @@ Rule of the room: a design and an axis in, controller and figures out; no file.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from hil.config.design import Design, DesignAxis
 from hil.linear_system import LinearSystem
 from hil.synthesis.axis import generalised_plant
-from hil.synthesis.errors import SynthesisError
+from hil.synthesis.errors import SynthesisError, computable
 from hil.synthesis.hinf import Synthesis, hinf
 from hil.synthesis.norm import norm
 from hil.synthesis.result import Judgement, described, judge
@@ -41,15 +38,8 @@ def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None
     Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
     message says which and what would help.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # SciPy warns where a matrix is close to singular
-            return _first_usable(design, axis, progress)
-    except (np.linalg.LinAlgError, Warning) as error:
-        raise SynthesisError(
-            f"the numbers of the design are too far apart to compute with ({error}), allowed: weights of one "
-            "loop; look for a wrong unit"
-        ) from None
+    with computable():
+        return _first_usable(design, axis, progress)
 
 
 def _first_usable(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:

@@ -6,20 +6,32 @@ Rule of the room: a design and an axis in, controller and figures out; no file.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import pi
+from itertools import product
+from math import inf, pi
 from typing import Any
 
 import numpy as np
 
 from hil.config.design import Design, DesignAxis
+from hil.config.design_uncertainty import UncertaintyRanges
 from hil.linear_system import LinearSystem
 from hil.signals import Array
-from hil.synthesis.dk import Bounds, bounds_over_frequency, dk_iteration, nominal_controller
-from hil.synthesis.errors import SynthesisError
+from hil.synthesis.dk import (
+    Bounds,
+    bounds_over_frequency,
+    dk_iteration,
+    fitted_scales,
+    nominal_controller,
+    scaled,
+    with_own,
+)
+from hil.synthesis.errors import SynthesisError, computable
 from hil.synthesis.hinf_design import Designed
 from hil.synthesis.mu import lower_bound
+from hil.synthesis.norm import norm
 from hil.synthesis.reduction import reduced
 from hil.synthesis.result import SLOW, Judgement, described, judge
+from hil.synthesis.sampled import sampled_problem
 from hil.synthesis.structured import CORNER, Structured, structured_plant
 from hil.synthesis.weights import noise_weight
 
@@ -45,6 +57,11 @@ def design_mu(design: Design, axis: DesignAxis, progress: Callable[[str], None])
     Raises SynthesisError: no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
     the message says which and what would help.
     """
+    with computable():
+        return _designed(design, axis, progress)
+
+
+def _designed(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
     if design.uncertainty is None:
         raise SynthesisError(
             "the design has no section uncertainty, allowed: inertia, transport_ms, drive_bandwidth_Hz; or "
@@ -60,14 +77,49 @@ def design_mu(design: Design, axis: DesignAxis, progress: Callable[[str], None])
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
     found = dk_iteration(problem, start, mu_grid(design.rate_Hz), within, progress)
     K, _ = reduced(found.K, np.diag(noise_weight(design).D), NOTHING)
-    bounds = bounds_over_frequency(problem.plant.closed_with(K), problem.blocks, mu_grid(design.rate_Hz))
     judged = judge(design, axis, K)
     if judged.reasons:
         raise SynthesisError(
-            f"mu below 1 is reached, {bounds.peak:.3g}, but by no controller that can run: "
+            f"mu below 1 is reached, {found.bounds.peak:.4g}, but by no controller that can run: "
             + "; ".join(judged.reasons)
         )
-    return Designed(K, judged, _figures(design, axis, problem, K, bounds, found.history, judged))
+    M = problem.plant.closed_with(K)
+    bounds = bounds_over_frequency(M, problem.blocks, with_own(mu_grid(design.rate_Hz), M))
+    scales = fitted_scales(M, bounds, problem.blocks, within)
+    proven = norm(scaled(problem, scales).closed_with(K)).value
+    corners = sampled_corners(design, axis, design.uncertainty, judged.sampled)
+    if max(proven, corners) >= 1.0:
+        raise SynthesisError(
+            f"mu is {bounds.peak:.4g}, the worst at {bounds.peak_rad_s:.3g} rad/s, proven up to {proven:.4g} "
+            f"where nothing was looked at, the norm of the sampled loop {corners:.4g} at the corners of the "
+            "uncertainty, allowed: all below 1; ask for less, or raise delay_order"
+        )
+    figures = {
+        "mu_proven": proven,
+        "norm_sampled_corners": corners,
+        "rounds": found.history,
+        "states_left_out": found.K.order - K.order,
+    }
+    return Designed(K, judged, figures | _figures(design, axis, problem, K, bounds, judged))
+
+
+def sampled_corners(design: Design, axis: DesignAxis, ranges: UncertaintyRanges, K: LinearSystem) -> float:
+    """Return the largest norm of the exact sampled loop over the eight corners of the uncertainty.
+
+    inf where one is unstable.
+    """
+    worst = 0.0
+    for share, transport_ms, lag_ms in product(
+        (1.0 - ranges.inertia, 1.0 + ranges.inertia), ranges.transport_ms, ranges.lag_ms
+    ):
+        update = {"gain": axis.gain / share, "transport_ms": transport_ms, "lag_ms": lag_ms}
+        problem = sampled_problem(design, axis.model_copy(update=update))
+        # the first input is d, which a lighter body answers by more, too
+        B, D = problem.B.copy(), problem.D.copy()
+        B[:, 0], D[:, 0] = B[:, 0] / share, D[:, 0] / share
+        loop = problem._replace(B=B, D=D).closed_with(K)
+        worst = max(worst, norm(loop).value if loop.is_stable() else inf)
+    return worst
 
 
 def over_frequency(problem: Structured, K: LinearSystem, omega: Array) -> tuple[Array, Array]:
@@ -84,7 +136,6 @@ def _figures(
     problem: Structured,
     K: LinearSystem,
     bounds: Bounds,
-    history: list[float],
     judged: Judgement,
 ) -> dict[str, Any]:
     assert design.uncertainty is not None
@@ -96,7 +147,6 @@ def _figures(
         "mu_lower": float(lower.max()),
         "mu_peak_rad_s": bounds.peak_rad_s,
         "nominal_performance": float(nominal.max()),
-        "rounds": history,
         **described(judged, K),
         "mu": {
             "omega_rad_s": [float(w) for w in omega[k]],

@@ -16,12 +16,14 @@ from hil.signals import Array
 
 
 def reduced(K: LinearSystem, inputs: Array, share: float) -> tuple[LinearSystem, float]:
-    """Return a stable system without the states below `share` of the largest, and how far it is off at most.
+    """Return a system without the states below `share` of the largest, and how far it is off at most.
 
     Balanced truncation (B. C. Moore 1981; K. Glover 1984): the response, from inputs of the sizes `inputs`
     (m,), is off at no frequency by more than twice the sum of the values left out: returned as a share of the
-    largest.
+    largest. An unstable system has no Gramians and is returned as it is.
     """
+    if not K.is_stable():
+        return K, 0.0
     A, T = matrix_balance(K.A)
     B, C = np.linalg.solve(T, K.B) * inputs, K.C @ T
     L_c, L_o = (

@@ -24,7 +24,9 @@ def test_the_command_writes_controller_bounds_and_picture(tmp_path):
     assert done.exit_code == 0, done.output
     controller, summary = read_controller(files[0]), json.loads(files[1].read_text())
     assert controller.method == "mu"
-    assert summary["mu_lower"] <= summary["mu_upper"] == max(summary["mu"]["upper"]) < 1.0
+    assert summary["mu_lower"] <= summary["mu_upper"] == max(summary["mu"]["upper"])
+    assert summary["mu_upper"] <= summary["mu_proven"] < 1.0
+    assert f"states left out     {summary['states_left_out']}, of Hankel" in done.output
     assert f"{summary['mu_upper']:.4f}" in done.output
     assert files[2].read_bytes().startswith(b"\x89PNG")
 
@@ -36,6 +38,8 @@ def test_the_command_writes_controller_bounds_and_picture(tmp_path):
         ("[0.5, 2.0]", "[2.0, 0.5]", "transport_ms goes from 2 to 0.5, allowed: from less to more"),
         ("transport_ms: 1.25", "transport_ms: 2.5", "nominal.transport_ms: 2.5, allowed: within"),
         ("peak_m: 4.0e-3", "peak_m: 4.0e-4", "mu is not below"),
+        ("low_m: 3.0e-5", "low_m: 2.16e-5", "mu is 1.009, the worst at 0.00216 rad/s"),  # far below the grid
+        ("amplitude_m_s2: 13", "amplitude_m_s2: 1.3e-9", "look for a wrong unit"),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_reason(tmp_path, old, new, message):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from hil.linear_system import LinearSystem
-from hil.synthesis.dk import bounds_over_frequency, dk_iteration, inverse, minimum_phase
+from hil.synthesis.dk import bounds_over_frequency, dk_iteration, inverse, minimum_phase, with_own
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block
 from hil.synthesis.structured import Structured
@@ -49,6 +49,21 @@ def test_the_grid_is_refined_around_the_peak():
     assert found.peak > 20.0
     assert found.peak_rad_s == pytest.approx(100.0, rel=0.02)
     assert (np.diff(found.omega) > 0).all()
+
+
+def test_a_peak_between_the_frequencies_of_the_grid_and_one_at_rest_are_not_missed():
+    """A resonance of damping 1e-5: 5e4 at 100 rad/s; and 1 / (s + 0.001) rises to 1000 far below the grid."""
+    coarse = np.geomspace(10.0, 900.0, 14)
+    one, zero = np.eye(1), np.zeros((1, 1))
+    sharp = LinearSystem(
+        np.array([[-2e-3, -1e4], [1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[0.0, 1e4]]), zero
+    )
+    assert bounds_over_frequency(sharp, [Block()], coarse).peak < 1000.0
+    seen = bounds_over_frequency(sharp, [Block()], with_own(coarse, sharp))
+    assert seen.peak == pytest.approx(5e4, rel=1e-3)
+    slow = LinearSystem(-1e-3 * one, one, one, zero)
+    seen = bounds_over_frequency(slow, [Block()], with_own(coarse, slow))
+    assert seen.peak == pytest.approx(1000.0, rel=1e-3)
 
 
 def test_a_loop_without_control_over_its_uncertainty_is_refused():

@@ -52,6 +52,11 @@ def test_states_that_cancel_go_and_those_that_act_stay():
     assert 0.0 < worst <= off * np.abs(K.response(OMEGA)).max()
 
 
+def test_an_unstable_system_is_left_as_it_is():
+    unstable = first_order(-20.0).after(first_order(2.0))
+    assert reduced(unstable, np.ones(1), 0.9) == (unstable, 0.0)
+
+
 def test_what_acts_little_stays_where_little_is_asked_to_go():
     near = first_order(20.0, 1e-4, 1.0)
     assert reduced(near.after(first_order(2.0)), np.ones(1), 1e-12)[0].order == 2

@@ -17,6 +17,8 @@ from hil.stability.verifier.signs import NOWHERE, Signs, Zeros
 
 DERIVATIVES = 8
 """How many equations are followed on one branch."""
+LONGEST = 400
+"""Operations in an equation beyond which it is not followed: derivatives grow."""
 
 
 def leaves(zeros: Zeros, signs: Signs) -> bool:
@@ -32,7 +34,9 @@ def _leaves_branch(
         return True
     if not todo or left == 0:
         return False
-    h = cancelled(_put(todo[0], solved))
+    if (equation := _put(todo[0], solved)).count_ops() > LONGEST:
+        return False
+    h = cancelled(equation)
     rest = todo[1:]
     if h == 0:
         return _leaves_branch(rest, solved, kept, signs, left)

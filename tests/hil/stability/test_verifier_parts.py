@@ -9,7 +9,7 @@ from hil.stability import verify
 from hil.stability.verifier.branch_and_bound import Budget, covered, positive, without
 from hil.stability.verifier.cancellation import cancelled, continuous, lie_derivative, squares
 from hil.stability.verifier.interval import Ball, Enclosure, outward
-from hil.stability.verifier.lasalle import _ways
+from hil.stability.verifier.lasalle import _ways, leaves
 from hil.stability.verifier.level import largest_level
 from hil.stability.verifier.origin import definite_near, weights_of
 from hil.stability.verifier.picture import draw
@@ -165,6 +165,12 @@ def test_parameters_leave_a_sum_only_if_each_term_keeps_its_sign():
 def test_only_factors_that_can_be_zero_are_followed():
     assert _ways((1 + x**2) * y * (x - y) / (2 + sp.cos(x)), signs()) in ([y, x - y], [x - y, y])
     assert _ways(1 + x**2, signs()) == []
+
+
+def test_an_equation_that_is_too_long_is_not_followed():
+    long = sp.expand((1 + x + y) ** 16) * x
+    assert leaves(((x, y),), signs())
+    assert not leaves(((long, y),), signs())
 
 
 def test_an_end_that_is_a_zero_is_left_out_by_no_more_than_was_shown():

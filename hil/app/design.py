@@ -29,6 +29,8 @@ METHODS: dict[str, Method] = {"hinf": design_hinf, "mu": design_mu}
 
 PD_CROSSOVER = 2.058
 """Times wn: where (2 wn s + wn^2) / s^2 crosses over."""
+PINNED = 1.01
+"""An optimum below this times its floor at rest is set by noise and error allowed there alone."""
 SPREAD = 0.2
 """Gains of the six axes that differ from their mean by more are not alike: one controller will not do."""
 HEAD = "# Made by `hil design {method} {source}`; law state_space runs it.\n"
@@ -159,7 +161,18 @@ def report(controller: LinearController) -> list[str]:
         f"{len(controller.A)} states for each of six {controller.axes} axes, {controller.rate_Hz:g} Hz, from "
         f"{' and '.join(controller.inputs)}"
     )
-    return [headline, *(f"  {name:20}{value}" for name, value in rows)]
+    return [headline, *(f"  {name:20}{value}" for name, value in rows), *_remarks(d)]
+
+
+def _remarks(design: dict[str, Any]) -> list[str]:
+    """Say where being near the optimum means less than it seems to."""
+    if design.get("gamma_opt", np.inf) > PINNED * design.get("gamma_at_rest", 0.0):
+        return []
+    remark = (
+        "note: the best gamma is noise.error_m times the error weight at rest, so no other weight limits it; "
+        "raise error.low_m until one does, or ask for more elsewhere"
+    )
+    return [remark]
 
 
 def _figures(design: dict[str, Any]) -> list[tuple[str, str]]:

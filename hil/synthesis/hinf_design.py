@@ -16,6 +16,7 @@ from hil.synthesis.hinf import Synthesis, hinf
 from hil.synthesis.norm import norm
 from hil.synthesis.result import Judgement, described, judge
 from hil.synthesis.sampled import sampled_problem
+from hil.synthesis.weights import error_weight
 
 RATIOS = tuple(1.0 + 0.01 * k for k in range(1, 11))
 """gamma / gamma_opt, tried in this order."""
@@ -97,6 +98,15 @@ def _refuse_weights(
     )
 
 
+def floor_at_rest(design: Design) -> float:
+    """Return what gamma cannot get below, whatever the controller: |W_e| of the noise of error, at rest.
+
+    A double integrator in a stable loop follows its measurement there: T = 1.
+    """
+    at_rest = error_weight(design.weights.error).response(np.zeros(1))[0, 0, 0]
+    return float(abs(at_rest)) * design.weights.noise.error_m
+
+
 def _figures(
     design: Design,
     axis: DesignAxis,
@@ -108,6 +118,7 @@ def _figures(
     return {
         "gamma": found.gamma,
         "gamma_opt": found.gamma_opt,
+        "gamma_at_rest": floor_at_rest(design),
         "norm": continuous,
         "norm_sampled": discrete,
         **described(judged, found.K),

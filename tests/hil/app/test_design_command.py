@@ -86,13 +86,13 @@ SHIPPED = (ROOT / "configs/designs/hinf.yaml").read_text()
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("low_m: 5.0e-5", "low_m: 5.0e-3", "low_m is 0.005, allowed: below peak_m"),
+        ("low_m: 9.0e-5", "low_m: 5.0e-3", "low_m is 0.005, allowed: below peak_m"),
         ("  transport_ms: 0.5 ", "  transport: 0.5 ", "missing unit: the key is transport_ms"),
         ("[error, rate_error]", "[rate_error]", "inputs lacks error"),
         ("[error, rate_error]", "[error]", "go together"),
-        ("limit_m_s2: 25", "limit_m_s2: -25", "weights.control.limit_m_s2"),
+        ("limit_m_s2: 20", "limit_m_s2: -20", "weights.control.limit_m_s2"),
         ("delay_order: 1", "delay_order: 1\nmodel: axis.yaml", "nominal and model both say"),
-        ("limit_m_s2: 25", "limit_m_s2: 5", "no controller does what the weights ask"),
+        ("limit_m_s2: 20", "limit_m_s2: 5", "no controller does what the weights ask"),
     ],
 )
 def test_a_wrong_design_is_refused_with_what_is_allowed(old, new, says, tmp_path):
@@ -103,6 +103,16 @@ def test_a_wrong_design_is_refused_with_what_is_allowed(old, new, says, tmp_path
     assert done.exit_code == 2
     assert says in done.output
     assert not (tmp_path / "c.yaml").exists()
+
+
+def test_an_optimum_that_noise_at_rest_alone_sets_is_told(tmp_path):
+    path = tmp_path / "my.yaml"
+    path.write_text(SHIPPED.replace("low_m: 9.0e-5", "low_m: 7.0e-5"))  # 60 um of noise: 0.857 at best
+    done = design(path)
+    assert done.exit_code == 0, done.output
+    assert "0.8571 at best" in done.output
+    assert "no other weight limits it; raise error.low_m" in " ".join(done.output.split())
+    assert "note" not in design("hinf").output
 
 
 def test_other_files_are_not_overwritten_and_unknown_designs_are_named(tmp_path):

@@ -39,7 +39,7 @@ def test_the_command_writes_controller_bounds_and_picture(tmp_path):
         ("transport_ms: 1.25", "transport_ms: 2.5", "nominal.transport_ms: 2.5, allowed: within"),
         ("peak_m: 4.0e-3", "peak_m: 4.0e-4", "mu is not below"),
         ("low_m: 3.0e-5", "low_m: 2.16e-5", "mu is 1.009, the worst at 0.00216 rad/s"),  # far below the grid
-        ("amplitude_m_s2: 13", "amplitude_m_s2: 1.3e-9", "look for a wrong unit"),
+        ("rate_Hz: 1000", "rate_Hz: 1.0e-3", "look for a wrong unit"),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_reason(tmp_path, old, new, message):

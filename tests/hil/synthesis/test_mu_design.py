@@ -60,7 +60,7 @@ def made():
 
 def test_the_shipped_controller_is_what_the_command_makes_of_the_shipped_design(made):
     now, then = system(made[0]), system(shipped())
-    omega = np.geomspace(0.1, pi / H, 200)
+    omega = np.geomspace(0.1, 0.99 * pi / H, 200)  # at the Nyquist frequency both are 0 but for rounding
     assert now.response(omega) == pytest.approx(then.response(omega), rel=1e-4)
     assert made[0].design["mu_upper"] == pytest.approx(shipped().design["mu_upper"], rel=1e-4)
     assert made[0].design["uncertainty"] == shipped().design["uncertainty"]

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hil.config.design import Design, DesignAxis
 from hil.linear_system import LinearSystem
 from hil.synthesis.axis import generalised_plant
@@ -90,10 +92,11 @@ def _refuse_weights(
             f"gamma below 1 is reached, {found.gamma_opt:.3g} at best, but by no controller that can run: "
             + "; ".join(reasons)
         )
+    best = found.gamma_opt if found.gamma_opt >= 1.0 else found.gamma  # the first tried, a hundredth above
     shares = channels(closed, inputs) if closed.is_stable() else {}
     named = ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5) or "all of them"
     raise SynthesisError(
-        f"no controller does what the weights ask: gamma is {found.gamma_opt:.3g} at best, allowed: below 1. "
+        f"no controller does what the weights ask: gamma is {best:.3g} at best, allowed: below 1. "
         f"Of 1 take: {named}. Allow more error or more control, or state less disturbance, noise or delay"
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError
 from hil.app.section_file import read_section
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
@@ -106,20 +106,6 @@ def controller_text(controller: LinearController, source: str) -> str:
     document = controller.model_dump(mode="json")
     text = yaml.dump(document, sort_keys=False, default_flow_style=None, width=2000, allow_unicode=True)
     return HEAD.format(method=controller.method, source=Path(source).stem) + text
-
-
-def check_output(path: Path) -> None:
-    """Refuse to overwrite what is no controller.
-
-    Raises LogError.
-    """
-    if path.exists() and path.stat().st_size:
-        try:
-            read_section(path, LinearController)
-        except ConfigurationError:
-            raise LogError(f"-o {path}: exists, is no controller and is not overwritten") from None
-    if not path.parent.is_dir():
-        raise LogError(f"-o {path}: there is no folder {path.parent}; make it first")
 
 
 def summary(controller: LinearController, source: str) -> dict[str, Any]:

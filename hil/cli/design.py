@@ -95,9 +95,11 @@ def _command(name: str, method: _Method) -> click.Command:
     ) -> None:
         from hil.app import design as app
         from hil.app.output import console, picture_path, show_lines, write_json
+        from hil.app.section_file import check_section_path
+        from hil.config.linear_controller import LinearController
 
         if out is not None:
-            app.check_output(out)
+            check_section_path("-o", out, LinearController)
         picture = None if plot is None else picture_path(".", Path(design).stem, plot)
         with console.status("reading") as status:
             controller, made, settings, axis = app.run_design(name, design, model, status.update)

@@ -6,6 +6,7 @@ that file run against the copy, without compilation. A change that no test notic
 
 import ast
 import copy
+import functools
 import importlib.util
 import inspect
 import itertools
@@ -117,27 +118,28 @@ def plain(source: str) -> ast.Module:
 
 
 def mutants(tree: ast.Module) -> Iterator[tuple[str, ast.Module]]:
-    """Yield copies of the tree with one change each, named by line and change."""
-    for index, node in enumerate(ast.walk(tree)):
+    """Yield the tree with one change at a time, named by line and change; the change is undone afterwards."""
+    for node, put in list(places(tree)):
         for name, change in changes(node):
-            mutated = copy.deepcopy(tree)
-            target = next(itertools.islice(ast.walk(mutated), index, None))
-            replacement = change(target)
-            if replacement is not target:
-                _replace(mutated, target, replacement)
-            yield (
-                f"{getattr(node, 'lineno', 0)}: {ast.unparse(node)}: {name}",
-                ast.fix_missing_locations(mutated),
-            )
+            put(ast.fix_missing_locations(ast.copy_location(change(copy.copy(node)), node)))
+            yield f"{getattr(node, 'lineno', 0)}: {ast.unparse(node)}: {name}", tree
+            put(node)
 
 
-def _replace(tree: ast.AST, old: ast.AST, new: ast.AST) -> None:
+def places(tree: ast.Module) -> Iterator[tuple[ast.AST, Callable[[ast.AST], None]]]:
+    """Yield each node, and what puts another in its place."""
+
+    def into(values: list[ast.AST], index: int) -> Callable[[ast.AST], None]:
+        return lambda node: values.__setitem__(index, node)
+
     for parent in ast.walk(tree):
         for field, value in ast.iter_fields(parent):
-            if value is old:
-                setattr(parent, field, new)
-            elif isinstance(value, list) and any(item is old for item in value):
-                setattr(parent, field, [new if item is old else item for item in value])
+            if isinstance(value, ast.AST):
+                yield value, functools.partial(setattr, parent, field)
+            elif isinstance(value, list):
+                for index, item in enumerate(value):
+                    if isinstance(item, ast.AST):
+                        yield item, into(value, index)
 
 
 def load(name: str, tree: ast.Module, links: dict[str, Any]) -> ModuleType:

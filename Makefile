@@ -15,8 +15,7 @@ help:  ## this list
 run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the platform's FMU, in real time
 	@exec $(BIN)/hil run virtual --plant
 
-test: venv  ## import contracts, ruff, mypy, pytest (its summary is the last line)
-	@$(BIN)/python -c "import hil.app.compose" & $(MAKE) lint fmu && wait  # kernels compile beside mypy
+test: lint fmu  ## import contracts, ruff, mypy, pytest (its summary is the last line)
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy

@@ -48,11 +48,6 @@ def place(folder: Path, *, alone: bool, realtime: bool) -> Iterator[None]:
         yield
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """Return one process more than there are processors: a real-time test mostly waits."""
-    return (os.cpu_count() or 1) + 1
-
-
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Let each test run in its place."""

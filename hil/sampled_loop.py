@@ -54,8 +54,8 @@ def sampled_axis(transport_s: float, drive: LinearSystem, period_s: float, gain:
     A[0, 1] = 1.0
     A[1, 2:], B[1] = gain * drive.C[0], gain * drive.D[0]
     A[2:, 2:], B[2:] = drive.A, drive.B
-    _, newer = _held(A, B, late)
-    Phi, both = _held(A, B, period_s)
+    _, newer = held(A, B, late)
+    Phi, both = held(A, B, period_s)
     older = both - newer
     # the last inputs, the newest first
     F, G = np.zeros((n + whole, n + whole)), np.zeros((n + whole, 1))
@@ -82,10 +82,10 @@ def disturbed(axis: LinearSystem) -> LinearSystem:
     return axis._replace(B=np.hstack([axis.B, push]), D=np.zeros((2, 2)))
 
 
-def _held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
-    """Return exp(A t) and the integral of exp(A s) B over it."""
-    n = len(A)
-    block = np.zeros((n + 1, n + 1))
+def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
+    """Return exp(A t) (n, n) and the integral of exp(A s) B over it (n, inputs): what held inputs do."""
+    n, inputs = B.shape
+    block = np.zeros((n + inputs, n + inputs))
     block[:n, :n], block[:n, n:] = A, B
     e = expm(block * time_s)
     return e[:n, :n], e[:n, n:]

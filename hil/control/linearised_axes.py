@@ -20,12 +20,9 @@ from hil.control.inverse_dynamics import linearising_tau
 from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
 from hil.dynamics import Model
 from hil.kernels.dynamics import (
-    CONSTANT,
-    CONSTANT_MG,
-    FROZEN_M,
     fill_jacobian,
-    fill_mass_matrix,
     inverse_dynamics_kernel,
+    model_inertia,
 )
 from hil.linalg import lu_factor, lu_solve
 from hil.rotations import rotation_motion_kernel, rotation_vector_rate
@@ -118,12 +115,7 @@ def _leg_errors(q: Array, dq: Array, q_d: Array, dq_d: Array) -> Array:
 def _answer(c: Array, code: int, p: Array, R: Array, tau: Array) -> Array:
     """Return [M^-1 J^T tau; J M^-1 J^T tau] (2, 6) with the M and J of the variant; nan: M is singular."""
     M = np.empty((6, 6))
-    if code in (CONSTANT, CONSTANT_MG):
-        for i in range(6):
-            for j in range(6):
-                M[i, j] = c[FROZEN_M + 6 * i + j]
-    else:
-        fill_mass_matrix(c, p, R, M)
+    model_inertia(c, code, p, R, M)
     J = np.empty((6, 6))
     fill_jacobian(c, code, p, R, J)
     f = np.zeros(6)

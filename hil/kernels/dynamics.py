@@ -373,6 +373,17 @@ def joint_idc_kernel(
     return tau
 
 
+@helper
+def model_inertia(c: Array, code: int, p: Array, R: Array, M: Array) -> None:
+    """Fill M (6, 6), kg, kg m and kg m^2, base frame, with the mass matrix that the variant believes in."""
+    if code in (CONSTANT, CONSTANT_MG):
+        for i in range(6):
+            for j in range(6):
+                M[i, j] = c[FROZEN_M + 6 * i + j]
+    else:
+        fill_mass_matrix(c, p, R, M)
+
+
 @kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR)
 def forward_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, tau: Array, wrench: Array
@@ -391,12 +402,7 @@ def forward_dynamics_kernel(
             total += J[i, j] * drive[i]
         f[j] = total + wrench[j] - f[j]
     M = np.empty((6, 6))
-    if code in (CONSTANT, CONSTANT_MG):
-        for i in range(6):
-            for j in range(6):
-                M[i, j] = c[FROZEN_M + 6 * i + j]
-    else:
-        fill_mass_matrix(c, p, R, M)
+    model_inertia(c, code, p, R, M)
     LU = np.empty((6, 6))
     order = np.empty(6, np.int64)
     if lu_factor(M, LU, order):

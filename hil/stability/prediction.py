@@ -8,10 +8,9 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
-from scipy.linalg import expm
 
 from hil.linear_system import LinearSystem
-from hil.signals import Array
+from hil.sampled_loop import held
 
 
 def predicting(
@@ -39,7 +38,7 @@ def predicting(
     ahead, by_command, t = np.eye(n), np.zeros((n, count)), 0.0
     ends = [r + j * T for j in range(m)] + [horizon]
     for j, end in enumerate(ends):
-        Phi, push = _held(F, g, max(min(end, horizon) - t, 0.0))
+        Phi, push = held(F, g, max(min(end, horizon) - t, 0.0))
         ahead, by_command = Phi @ ahead, Phi @ by_command
         by_command[:, m - j] += push[:, 0]
         t = min(end, horizon)
@@ -62,10 +61,3 @@ def predicting(
     for j in range(1, count):
         A[first + j, first + j - 1] = 1.0
     return LinearSystem(A, B, C, D, T)
-
-
-def _held(A: Array, B: Array, time: float) -> tuple[Array, Array]:
-    """Return exp(A t) and its integral times B: what a held input does within `time` s."""
-    n, m = B.shape
-    both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * time)
-    return both[:n, :n], both[:n, n:]

@@ -163,18 +163,14 @@ _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": F
 
 
 CHECKED = bool(os.environ.get("HIL_CHECK_KERNELS"))
-"""Whether `trusted` kernels look at the types of their arguments, too: set by the tests."""
+"""Whether `direct` kernels look at the types of their arguments, too: set by the tests."""
 
 
-def kernel(*arguments: Any, unlocked: bool = False, trusted: bool = False) -> Callable[[F], F]:
+def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """Compile for exactly these argument types when the module is imported; other types are refused.
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
     the interpreter run meanwhile.
-
-    `trusted`: called with arrays that this project made of the declared types, and with no others. Their
-    element type and contiguity are then not looked at in each call, which takes 70 ns an argument, unless
-    CHECKED. Other kernels cannot call it.
     """
 
     def decorate(function: F) -> F:
@@ -185,12 +181,21 @@ def kernel(*arguments: Any, unlocked: bool = False, trusted: bool = False) -> Ca
             compiled: Any = numba.njit(arguments, nogil=unlocked, **_OPTIONS)(function)
         finally:
             settings["CACHE_LOCATOR_CLASSES"] = elsewhere
-        if trusted and not CHECKED:
-            (only,) = compiled.overloads.values()
-            return cast("F", only.entry_point)
         return cast("F", compiled)
 
     return decorate
+
+
+def direct(compiled: F) -> F:
+    """Return a kernel as the loop calls it: with arrays of the declared types, made by this project.
+
+    Their element type and contiguity are not looked at in each call, which takes 30 to 70 ns an argument,
+    unless CHECKED. Other kernels cannot call it.
+    """
+    if CHECKED:
+        return compiled
+    (only,) = cast("Any", compiled).overloads.values()
+    return cast("F", only.entry_point)
 
 
 def helper(function: F) -> F:

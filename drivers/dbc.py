@@ -240,7 +240,7 @@ class LegsProtocol:
         state, fault, age = previous.state.copy(), previous.fault.copy(), previous.age.copy()
         blind = np.zeros(LEGS, np.bool_)
         rejected = fold(
-            np.frombuffer(run, np.uint8), tick, tick - previous.tick if previous.tick >= 0 else 1, since_ns,
+            run, tick, tick - previous.tick if previous.tick >= 0 else 1, since_ns,
             self._identifiers, self._feedback_form, self._feedback_range,
             length, rate, force, state, fault, age, blind,
         )  # fmt: skip

@@ -6,11 +6,13 @@ legs.dbc. Fields are little-endian; CRC as in `drivers.crc`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compile_cache import (
-    BYTES,
+    DATA,
     INTEGER,
     INTEGERS,
     OUT_BYTES,
@@ -18,6 +20,7 @@ from drivers.compile_cache import (
     OUT_INTEGERS,
     OUT_VECTOR,
     VECTOR,
+    direct,
     helper,
     kernel,
 )
@@ -50,7 +53,7 @@ _TABLE = np.array(TABLE, np.uint8)
 
 
 @helper
-def integer(data: Bytes, at: int, size: int) -> int:
+def integer(data: Any, at: int, size: int) -> int:
     """Return `size` bytes at `at` as an integer, signed only if there are eight."""
     value = 0
     for k in range(size):
@@ -59,7 +62,7 @@ def integer(data: Bytes, at: int, size: int) -> int:
 
 
 @helper
-def read(data: Bytes, at: int, size: int, is_float: int, word: Ints) -> float:
+def read(data: Any, at: int, size: int, is_float: int, word: Ints) -> float:
     """Return the field of `size` bytes at `at`, a signed integer or a float64; `word` (1,) is scratch."""
     unused = 64 - 8 * size
     word[0] = (integer(data, at, size) << unused) >> unused
@@ -78,22 +81,23 @@ def write(value: float, data: Bytes, at: int, size: int, is_float: int, word: In
 
 
 @helper
-def register_after(data: Bytes, start: int, end: int, register: int) -> int:
+def register_after(data: Any, start: int, end: int, register: int) -> int:
     """Return the CRC register after data[start:end]."""
     for k in range(start, end):
         register = int(_TABLE[register ^ int(data[k])])
     return register
 
 
+@direct
 @kernel(
-    BYTES, INTEGER, INTEGER, INTEGER, INTEGERS, INTEGERS, VECTOR,
+    DATA, INTEGER, INTEGER, INTEGER, INTEGERS, INTEGERS, VECTOR,
     OUT_VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, OUT_FLAGS,
 )  # fmt: skip
 def fold(
-    run: Bytes, tick: int, gone: int, since_ns: int, identifiers: Ints, form: Ints, scale: Array,
+    run: Any, tick: int, gone: int, since_ns: int, identifiers: Ints, form: Ints, scale: Array,
     length: Array, rate: Array, force: Array, state: Ints, fault: Ints, age: Ints, blind: Flags,
 ) -> int:  # fmt: skip
-    """Fold frames joined by `drivers.protocol.run_of` into previous values; return how many were refused.
+    """Fold frames, bytes of `drivers.protocol.run_of`, into previous values; return how many were refused.
 
     The rules are those of `LegsProtocol.decode`. gone: ticks since the previous values. identifiers (18,): of
     the feedbacks, the CRC registers after them, of the statuses. scale (9,): scales, least and largest values
@@ -105,7 +109,7 @@ def fold(
         age[leg] = min(NEVER, age[leg] + gone)
     rejected = 0
     end = 0
-    while end < run.shape[0]:
+    while end < len(run):
         t_ns = integer(run, end, 8)
         identifier = integer(run, end + 8, 4)
         flags, size = integer(run, end + 12, 2), integer(run, end + 14, 2)

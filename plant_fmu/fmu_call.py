@@ -16,6 +16,7 @@ from drivers.compile_cache import (
     OUT_VECTOR,
     REAL,
     VECTOR,
+    direct,
     foreign,
     helper,
     kernel,
@@ -88,6 +89,7 @@ def do_step(call: Integers, t_s: float, dt_s: float) -> int:
     return int(foreign(call[STEP], (call[INSTANCE], t_s, dt_s, never_back)))
 
 
+@direct
 @kernel(
     INTEGERS, VECTOR, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_INTEGERS, OUT_VECTOR, BYTES, unlocked=True
 )

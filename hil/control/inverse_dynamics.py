@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import VECTOR, kernel
+from drivers.compile_cache import INTEGER, VECTOR, direct, kernel
 from hil.config import InverseDynamicsSettings
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
 from hil.dynamics import Model
 from hil.kernels.dynamics import joint_idc_kernel
+from hil.kernels.signals import REFERENCE, STATE
 from hil.signals import Array, Effort, Reference, State
 
 
@@ -42,13 +43,12 @@ class JointInverseDynamics:
     def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
         """Return tau (6,) N; NaN where J is singular."""
         del shortfall
-        ddq_star = linear_error(self.K_P, self.K_D, state, reference)
-        return Effort(linearising_tau(self.model, state, ddq_star, state.wrench))
+        return Effort(linearised_pd(self.model, self.K_P, self.K_D, state, reference))
 
 
-def linear_error(K_P: Array, K_D: Array, state: State, reference: Reference) -> Array:
-    """Return ddq* = ddq_d + K_D dE + K_P E, (6,) m/s^2."""
-    return _ddq_star(K_P, K_D, state.q, state.dq, reference.q, reference.dq, reference.ddq)
+def linearised_pd(model: Model, K_P: Array, K_D: Array, state: State, reference: Reference) -> Array:
+    """Return tau (6,) N for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2; NaN where J is singular."""
+    return _linearised_pd(K_P, K_D, model.constants, model.code, *state, *reference)
 
 
 def linearising_tau(model: Model, state: State, ddq_star: Array, wrench: Array) -> Array:
@@ -58,9 +58,16 @@ def linearising_tau(model: Model, state: State, ddq_star: Array, wrench: Array) 
     )
 
 
-@kernel(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-def _ddq_star(K_P: Array, K_D: Array, q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> Array:
+@direct
+@kernel(VECTOR, VECTOR, VECTOR, INTEGER, *STATE, *REFERENCE)
+def _linearised_pd(
+    K_P: Array, K_D: Array, c: Array, code: int,
+    q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, _residual: float,
+    wrench: Array,
+    _p_d: Array, _R_d: Array, _twist_d: Array, _dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
+    _t: float,
+) -> Array:  # fmt: skip
     ddq_star = np.empty(6)
     for i in range(6):
         ddq_star[i] = ddq_d[i] + K_D[i] * (dq_d[i] - dq[i]) + K_P[i] * (q_d[i] - q[i])
-    return ddq_star
+    return joint_idc_kernel(c, code, p, R, twist, J, ddq_star, wrench)

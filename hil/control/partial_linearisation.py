@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.config import ModelSettings, PartialLinearisationSettings
-from hil.control.inverse_dynamics import linear_error, linearising_tau
+from hil.control.inverse_dynamics import linearised_pd
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
 from hil.dynamics import Model
@@ -39,5 +39,5 @@ class PartialLinearisation:
     def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
         """Return tau (6,) N; NaN where J is singular."""
         del shortfall
-        ddq_star = linear_error(self.K_P, self.K_D, state, reference)
-        return Effort(linearising_tau(self.model, state, ddq_star, NO_WRENCH))
+        unloaded = state._replace(wrench=NO_WRENCH)
+        return Effort(linearised_pd(self.model, self.K_P, self.K_D, unloaded, reference))

@@ -10,7 +10,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from drivers.compile_cache import (
+    INTEGER,
+    MATRIX,
+    OUT_MATRIX,
+    OUT_VECTOR,
+    REAL,
+    VECTOR,
+    direct,
+    helper,
+    kernel,
+)
 from hil.linalg import condition_from_lu, lu_factor, lu_solve
 from hil.rotations import cayley_step, orthonormalise
 from hil.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
@@ -101,6 +111,7 @@ def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w:
     return dot(ds, u) + dot(s, cross(w, cross(w, r)))
 
 
+@direct
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR)
 def reference_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array) -> Array:
     """Return q, dq = J twist, ddq = J dtwist + (dJ/dt) twist as the rows of one array, (3, 6)."""
@@ -198,6 +209,7 @@ def forward_kinematics_kernel(
     return p, R, J, iterations, residual, hop
 
 
+@direct
 @kernel(
     MATRIX,
     MATRIX,

@@ -18,6 +18,7 @@ from drivers.compile_cache import (
     OUT_VECTOR,
     REAL,
     VECTOR,
+    direct,
     helper,
     kernel,
 )
@@ -198,11 +199,12 @@ def judge_certificate(
     return _CERTIFICATE if action > 1.0 else 0, _WARN_CERTIFICATE
 
 
+@direct
 @kernel(
     INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
     *MEASUREMENT, *STATE, REAL, REAL, *REFERENCE, VECTOR,
     VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX,
-    OUT_MATRIX, OUT_VECTOR, trusted=True,
+    OUT_MATRIX, OUT_VECTOR,
 )  # fmt: skip
 def judge_tick(
     mode: int, lateness_ns: int, skipped: int,

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGER, OUT_MATRIX, REAL, VECTOR, helper, kernel
+from drivers.compile_cache import INTEGER, OUT_MATRIX, REAL, VECTOR, direct, helper, kernel
 from drivers.errors import ConfigurationError
 from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift
 from hil.trajectory.piecewise import TENSOR
@@ -126,6 +126,7 @@ def way_to_rest(
     return chi
 
 
+@direct
 @kernel(TENSOR, INTEGER, WORDS, REAL, *SAMPLE)
 def evaluate(
     history: Array, k: int, window: NDArray[np.int64], period: float,

@@ -10,6 +10,7 @@ from array import array
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.protocol import Frame
 from drivers.signals import Command
@@ -22,6 +23,8 @@ COMPUTE = Mark(40.0)
 """us, decode to encode and row."""
 STAGES = ("decode", "estimate", "modes, reference", "law", "safety", "command", "row")
 _COLUMNS = len(STAGES) + 2
+BLOCK = 100
+"""Ticks over which a neighbour of the core is looked for."""
 _now = time.perf_counter_ns
 
 
@@ -68,12 +71,30 @@ class StagedCycle(Cycle):
 
 def stage_figures(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> list[Figure]:
     """Return median and p99 of the whole step and of each stage over the ticks in `mode`."""
-    table = np.array(cycle.stamps, np.int64)
-    table = table[: table.size // _COLUMNS * _COLUMNS].reshape(-1, _COLUMNS)
-    stamps = table[table[:, -1] == mode, :-1]
+    stamps = _stamps(cycle, mode)
     whole = Figure("tick compute", spread(stamps[:, -1] - stamps[:, 0]), "us", COMPUTE)
     stages = np.diff(stamps, axis=1).T
     return [
         whole,
         *(Figure(f"  {name}", spread(ns), "us") for name, ns in zip(STAGES, stages, strict=True)),
     ]
+
+
+def quietest_figure(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> Figure:
+    """Return the step in the block of ticks with the smallest median: without a neighbour on the core."""
+    stamps = _stamps(cycle, mode)
+    whole = stamps[:, -1] - stamps[:, 0]
+    blocks = whole[: len(whole) // BLOCK * BLOCK].reshape(-1, BLOCK)
+    medians = np.median(blocks, axis=1)
+    if not medians.size:
+        return Figure("  quietest block", note=f"fewer than {BLOCK} ticks")
+    within = int(np.count_nonzero(medians <= COMPUTE.limit * 1e3))
+    note = f"of {len(medians)} blocks of {BLOCK} ticks; the median of {within} is within the mark"
+    return Figure("  quietest block", spread(blocks[medians.argmin()]), "us", note=note)
+
+
+def _stamps(cycle: StagedCycle, mode: Mode) -> NDArray[np.int64]:
+    """Return the instants (ticks in `mode`, stages + 1), ns."""
+    table = np.array(cycle.stamps, np.int64)
+    table = table[: table.size // _COLUMNS * _COLUMNS].reshape(-1, _COLUMNS)
+    return table[table[:, -1] == mode, :-1]

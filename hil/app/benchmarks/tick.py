@@ -6,7 +6,7 @@ import gc
 
 from hil.app.benchmarks.bench import Bench
 from hil.app.benchmarks.figures import Figure
-from hil.app.benchmarks.stages import StagedCycle, stage_figures
+from hil.app.benchmarks.stages import StagedCycle, quietest_figure, stage_figures
 from hil.app.compose import build_cycle
 from hil.replay import replay
 
@@ -24,5 +24,6 @@ def tick(bench: Bench) -> list[Figure]:
     finally:
         gc.enable()
     different = "" if verdict.exact else f"{verdict.different_ticks} ticks came out differently"
-    figures = stage_figures(cycle)
+    whole, *stages = stage_figures(cycle)
+    figures = [whole, quietest_figure(cycle), *stages]
     return [*figures, Figure("result", note=different)] if different else figures

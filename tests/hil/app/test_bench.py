@@ -3,7 +3,10 @@
 import json
 import os
 import time
+from array import array
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +31,7 @@ from hil.app.benchmarks.plain import (
     joint_inverse_dynamics,
 )
 from hil.app.benchmarks.process import cpu_s, resident_kB
-from hil.app.benchmarks.stages import STAGES, StagedCycle, stage_figures
+from hil.app.benchmarks.stages import BLOCK, STAGES, StagedCycle, quietest_figure, stage_figures
 from hil.app.benchmarks.tick import tick
 from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration import load
@@ -209,6 +212,29 @@ def test_the_tick_part_gives_the_compute_mark(bench):
     figures = tick(bench)
     assert figures[0].mark == Mark(40.0)
     assert not [f for f in figures if f.name == "result"], "ticks came out differently"
+
+
+def stamped(steps_us: list[float], mode: Mode = Mode.TRACKING) -> Any:
+    """Return what a StagedCycle leaves of steps that take so long, all of it in the first stage."""
+    stamps = array("q")
+    for k, us in enumerate(steps_us):
+        begun = 1_000_000 * k
+        stamps.extend([begun, *[begun + round(us * 1e3)] * len(STAGES), mode])
+    return SimpleNamespace(stamps=stamps)
+
+
+def test_the_quietest_block_is_found_among_disturbed_ones():
+    steps = [70.0] * BLOCK + [38.0] * (BLOCK - 2) + [90.0] * 2 + [41.0] * BLOCK + [1.0] * (BLOCK - 1)
+    figure = quietest_figure(stamped(steps))
+    assert figure.values == {"median": 38.0, "p99": pytest.approx(90.0, abs=1.0)}
+    assert figure.note == f"of 3 blocks of {BLOCK} ticks; the median of 1 is within the mark"
+    assert figure.mark is None, "the mark is judged by all ticks"
+
+
+def test_fewer_ticks_than_a_block_have_no_quietest_one():
+    figure = quietest_figure(stamped([1.0] * (BLOCK - 1)))
+    assert not figure.values
+    assert "fewer" in figure.note
 
 
 # -- processes -----------------------------------------------------------------------------------------------

@@ -10,11 +10,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import select
-import signal
 import struct
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,6 +23,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
+from hil.record.child import answer, finish, set_up, spawn, write_all
 from hil.record.environment import environment
 from hil.record.ring import (
     DROPPED,
@@ -188,15 +186,15 @@ class Recording:
             },
         }
         ring = Ring.create(dtype, ring_ticks)
-        process = _spawn(ring)
+        process = spawn(ring)
         try:
-            _send(process, setup, [data for _, data in files])
-            reply = _reply(process, _START_S)
+            set_up(process, setup, [data for _, data in files])
+            reply = answer(process, _START_S)
         except OSError:
-            reply = _reply(process, 1.0)
+            reply = answer(process, 1.0)
         if "ready" not in reply:
             process.kill()
-            _finish(process)
+            finish(process)
             raise LogError(str(reply.get("error", f"{file}: the recorder process did not start")))
         return cls(ring, process, file, lockstep=lockstep)
 
@@ -299,9 +297,9 @@ class Recording:
         """
         if self._summary is None:
             with contextlib.suppress(OSError):
-                _write_all(self._process, json.dumps(_texts(summary or {})).encode() + b"\n")
-            reply = _reply(self._process, timeout_s)
-            _finish(self._process)
+                write_all(self._process, json.dumps(_texts(summary or {})).encode() + b"\n")
+            reply = answer(self._process, timeout_s)
+            finish(self._process)
             self._ring.close_fd()
             self._summary = self._summarise(reply)
         return self._summary
@@ -352,54 +350,3 @@ def _too_long(can_id: int, length: int) -> LogError:
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:
     return {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
-
-
-def _spawn(ring: Ring) -> subprocess.Popen[bytes]:
-    """Start the recorder with the ring and two pipes."""
-    root = str(Path(__file__).resolve().parents[2])
-    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    variables["PYTHONPATH"] = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
-    command = [sys.executable, "-P", "-m", "hil.record", str(ring.fd), str(os.getpid())]
-    # a Ctrl-C while the recorder starts must not end it: it inherits the mask and opens it when it is ready
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
-    try:
-        return subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(ring.fd,), env=variables
-        )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _send(
-    process: subprocess.Popen[bytes], setup: Mapping[str, object], attachments: Sequence[bytes]
-) -> None:
-    text = json.dumps(setup).encode()
-    _write_all(process, struct.pack("<Q", len(text)) + text)
-    for data in attachments:
-        _write_all(process, data)
-
-
-def _write_all(process: subprocess.Popen[bytes], data: bytes) -> None:
-    assert process.stdin is not None
-    process.stdin.write(data)
-    process.stdin.flush()
-
-
-def _reply(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, Any]:
-    """Return the recorder's next line, or {} when it is gone or does not answer in time."""
-    assert process.stdout is not None
-    if not select.select([process.stdout], [], [], timeout_s)[0]:
-        return {"error": f"the recorder did not answer within {timeout_s:g} s"}
-    line = process.stdout.readline()
-    reply: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {}
-    return reply
-
-
-def _finish(process: subprocess.Popen[bytes]) -> None:
-    """Close the pipes and reap."""
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(5.0)

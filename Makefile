@@ -5,6 +5,8 @@ MAKEFLAGS += --no-print-directory
 BIN := .venv/bin
 UV ?= uv
 PYTEST_FLAGS ?=
+# where it is set, each of some hundred processes of the tests compiles the project anew
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help run test lint bench docs format lock clean venv fmu
 

@@ -57,6 +57,7 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="hexapod-hil-"))
 
 
+@functools.cache
 def _file_of(module: str) -> Path | None:
     path = _ROOT.joinpath(*module.split("."))
     for candidate in (path.with_suffix(".py"), path / "__init__.py"):
@@ -88,11 +89,17 @@ def sources_of(source: Path) -> list[Path]:
 
 
 @functools.cache
+def _content(source: Path) -> bytes:
+    """Return what differs where the content of a file does."""
+    return hashlib.sha256(source.read_bytes()).digest()
+
+
+@functools.cache
 def folder_of(source: Path) -> Path:
     """Return the cache folder of the kernels of one source file."""
     digest = hashlib.sha256(sys.version.encode())
     for path in sources_of(source):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        digest.update(path.name.encode() + b"\0" + _content(path))
     return CACHE_FOLDER / f"{source.stem}-{digest.hexdigest()[:16]}"
 
 

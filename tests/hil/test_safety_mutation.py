@@ -189,19 +189,25 @@ def cases(function: Callable[..., None]) -> Iterator[dict[str, Any]]:
         yield {k: v for part in combination for k, v in part.items()}
 
 
-def noticed(module: ModuleType, prefix: str) -> bool:
-    """Tell whether one of the module's tests with that prefix fails."""
-    try:
-        for name, function in list(vars(module).items()):
-            if name.startswith(prefix):
-                for arguments in cases(function):
-                    function(**arguments)
-    except Exception:  # noqa: BLE001 - any failure is a notice
-        return True
-    except BaseException as error:
-        if type(error).__name__ == "Failed":  # pytest.fail, pytest.raises
+Test = tuple[Callable[..., None], dict[str, Any]]
+
+
+def claimed(module: ModuleType, prefix: str) -> list[Test]:
+    """Return the module's tests with that prefix, each with the arguments of one case."""
+    named = [function for name, function in vars(module).items() if name.startswith(prefix)]
+    return [(function, arguments) for function in named for arguments in cases(function)]
+
+
+def noticed(tests: list[Test]) -> bool:
+    """Tell whether one of the tests fails, and put it first: what notices one change notices the next."""
+    for place, (function, arguments) in enumerate(tests):
+        try:
+            function(**arguments)
+        except BaseException as error:
+            if not isinstance(error, Exception) and type(error).__name__ != "Failed":  # pytest.fail, raises
+                raise
+            tests.insert(0, tests.pop(place))
             return True
-        raise
     return False
 
 
@@ -210,8 +216,9 @@ def survivors(
 ) -> list[str]:
     links = plain_links()
     tree = source_of(name)
+    tests = claimed(module, prefix)
     exchange(load(name, tree, links))
-    assert not noticed(module, prefix), "the tests fail on the unchanged copy"
+    assert not noticed(tests), "the tests fail on the unchanged copy"
     left = []
     count = 0
     for label, mutated in mutants(tree):
@@ -221,7 +228,7 @@ def survivors(
         except Exception:  # noqa: BLE001 - does not even load
             continue
         exchange(changed)
-        if not noticed(module, prefix) and f"{name} {label.partition(': ')[2]}" not in EQUIVALENT:
+        if not noticed(tests) and f"{name} {label.partition(': ')[2]}" not in EQUIVALENT:
             left.append(f"{name}.py:{label}")
     assert count >= 2
     return left

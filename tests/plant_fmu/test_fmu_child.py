@@ -36,7 +36,7 @@ def altered(folder, code, line=STEP_LINE):
         assert line in text
         face.write_text("#include <stdlib.h>\n#include <unistd.h>\n" + text.replace(line, code))
         library = next(n for n in source.namelist() if n.startswith("binaries/"))
-        flags = ["-std=gnu99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden"]
+        flags = ["-std=gnu99", "-O0", "-fPIC", "-shared", "-fvisibility=hidden"]
         units = sorted(p.name for p in face.parent.glob("*.c"))
         command = [*find_compiler().command, *flags, "-o", str(folder / "x" / library), *units, "-lm"]
         subprocess.run(command, cwd=face.parent, check=True)
@@ -162,10 +162,9 @@ while True:
 
 def test_no_file_descriptor_is_left_open():
     before = len(list(Path("/proc/self/fd").iterdir()))
-    for _ in range(3):
-        host = ChildHost(spec(build("3.0")))
-        host.step(FORCE, OPEN, OPEN, 1e-3)
-        host.close()
+    host = ChildHost(spec(build("3.0")))
+    host.step(FORCE, OPEN, OPEN, 1e-3)
+    host.close()
     with pytest.raises(PlantError):
         ChildHost(spec("/nowhere/x.fmu"))
     assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -13,12 +13,12 @@ from fmpy.fmi3 import FMU3Slave
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
 from hil.dynamics import Model
 from hil.geometry import Platform
 from plant_fmu.config import StewartPlant
 from plant_fmu.fmu import stewart_parameters
 from plant_fmu.stewart.build import build
+from tests.loop import unrecorded
 
 TRUTH = json.loads((Path(__file__).parents[1] / "data" / "rigid_body_cases.json").read_text())
 LOW, HIGH = np.full(6, 1e-3), np.full(6, 1e3)
@@ -107,10 +107,8 @@ COULOMB_FRICTION = "coulomb_friction_N: 200"
         ("", COULOMB_FRICTION, 1.5, 2.0),  # 1.79
     ],
 )
-def test_the_error_is_that_of_sampling_if_the_model_knows_the_drives(
-    model, plant, least_mm, most_mm, tmp_path
-):
-    summary = simulate(bench(model, plant), log=tmp_path / "run.mcap", check_replay=False)
+def test_the_error_is_that_of_sampling_if_the_model_knows_the_drives(model, plant, least_mm, most_mm):
+    summary, _ = unrecorded.run(bench(model, plant))
     assert summary["success"], summary
     assert not any(summary["limited_ticks"].values()), summary["limited_ticks"]
     assert least_mm < summary["tracking"]["peak_leg_error_mm"] < most_mm

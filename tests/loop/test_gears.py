@@ -15,12 +15,12 @@ import pytest
 
 from hil.app.compose import build_nodes
 from hil.app.configuration import load, loads, platform_dict
-from hil.app.sim import simulate
 from hil.dynamics import Model
 from hil.geometry import Platform
 from hil.kinematics import jacobian
 from hil.reference import complete
 from hil.trajectory import build_trajectory
+from tests.loop import unrecorded
 
 W_N = 20.0
 SHARE_kg = 1000.0
@@ -74,12 +74,11 @@ def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
 
 
 @pytest.fixture(scope="module")
-def peaks_mm(tmp_path_factory):
+def peaks_mm():
     """Peak leg error in lockstep by reflected mass."""
-    folder = tmp_path_factory.mktemp("gears")
     found: dict[float, float] = {}
-    for n, factor in enumerate((0.5, 1.0, 2.0)):
-        summary = simulate(geared(factor * GEAR_kg), log=folder / f"{n}.mcap", check_replay=False)
+    for factor in (0.5, 1.0, 2.0):
+        summary, _ = unrecorded.run(geared(factor * GEAR_kg))
         assert summary["success"], summary
         assert not any(summary["limited_ticks"].values())
         found[factor] = summary["tracking"]["peak_leg_error_mm"]
@@ -102,9 +101,9 @@ def test_the_error_falls_as_the_inertia_of_the_motors_rises(peaks_mm):
     assert products == pytest.approx(products.mean(), rel=0.03)
 
 
-def test_without_a_gear_safety_stops_before_the_platform_falls_through_a_singularity(tmp_path):
+def test_without_a_gear_safety_stops_before_the_platform_falls_through_a_singularity():
     """Legs 37 mm short of the far point have no pose on this side of it."""
-    summary = simulate(geared(0.0), log=tmp_path / "a.mcap", check_replay=False)
+    summary, _ = unrecorded.run(geared(0.0))
     assert summary["faults"] == ["CONDITION"]
     assert 0.03 < 1e-3 * summary["tracking"]["peak_leg_error_mm"] < 0.0509
 

@@ -14,11 +14,10 @@ import pytest
 import yaml
 
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
-from hil.log import Log
 from hil.metrics import total_variation
 from hil.signals import Mode
 from plant_fmu.faults import FaultPlan, WrenchStep
+from tests.loop import unrecorded
 
 ROOT = Path(__file__).resolve().parents[2]
 LOAD_S = 2.0
@@ -42,18 +41,16 @@ def bench(controller, **changes):
     return loads(text, "hinf.yaml", ROOT)
 
 
-def tracked(configuration, path, faults=None):
-    summary = simulate(configuration, log=path, check_replay=False, faults=faults)
+def tracked(configuration, faults=None):
+    summary, rows = unrecorded.run(configuration, faults)
     assert summary["success"], summary
-    rows = Log.open(path).rows()
     return rows[rows["mode"] == Mode.TRACKING]
 
 
 @pytest.fixture(scope="module")
-def loaded(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("loaded")
+def loaded():
     return {
-        name: tracked(bench(law + LIGHT), folder / f"{name}.mcap", FaultPlan([LOAD]))
+        name: tracked(bench(law + LIGHT), FaultPlan([LOAD]))
         for name, law in (("plain", PLAIN), ("hinf", HINF))
     }
 
@@ -105,7 +102,7 @@ def crossover():
 
 @pytest.mark.parametrize(("frequency_Hz", "amplitude_m", "smaller"), [(1.0, 0.03, 4.0), (3.0, 0.01, 2.0)])
 def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
-    frequency_Hz, amplitude_m, smaller, tmp_path, capsys
+    frequency_Hz, amplitude_m, smaller, capsys
 ):
     w_c = crossover()
     wn = w_c / sqrt(2.0 + sqrt(5.0))  # |(2 wn j w + wn^2) / w^2| = 1
@@ -114,10 +111,7 @@ def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
         "pd": f"  law: inverse_dynamics\n  wn_rad_s: {wn!r}\n  damping_ratio: 1\n",
     }
     reference = small_motion(frequency_Hz, amplitude_m)
-    rms = {
-        name: rms_mm(tracked(bench(law + FROZEN, reference=reference), tmp_path / f"{name}.mcap"))
-        for name, law in laws.items()
-    }
+    rms = {name: rms_mm(tracked(bench(law + FROZEN, reference=reference))) for name, law in laws.items()}
     with capsys.disabled():
         print(f"\nconstant dynamics, {frequency_Hz:g} Hz, crossover {w_c:.1f} rad/s: H-infinity "
               f"{rms['hinf']:.4f} mm rms, PD of wn {wn:.1f} rad/s {rms['pd']:.4f} mm, "

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
-from hil.log import Log
 from hil.metrics import total_variation
 from hil.signals import Mode
 from plant_fmu.faults import FaultPlan, WrenchStep
+from tests.loop import unrecorded
 
 ROOT = Path(__file__).resolve().parents[2]
 LOAD_S = 2.0
@@ -38,14 +37,11 @@ def bench(law):
 
 
 @pytest.fixture(scope="module")
-def tracked(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("mu")
+def tracked():
     found = {}
     for name, law in LAWS.items():
-        path = folder / f"{name}.mcap"
-        summary = simulate(bench(law), log=path, check_replay=False, faults=FaultPlan([LOAD]))
+        summary, rows = unrecorded.run(bench(law), FaultPlan([LOAD]))
         assert summary["success"], summary
-        rows = Log.open(path).rows()
         found[name] = rows[rows["mode"] == Mode.TRACKING]
     return found
 

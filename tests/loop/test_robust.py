@@ -16,11 +16,10 @@ import pytest
 
 from hil.app.check import inspect
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
-from hil.log import Log
 from hil.metrics import total_variation
 from hil.signals import Mode
 from plant_fmu.faults import FaultPlan, WrenchStep
+from tests.loop import unrecorded
 
 LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
 """Tracking begins at 0.95 s."""
@@ -100,14 +99,11 @@ LAWS = {
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("robust")
+def runs():
     found: dict[str, Run] = {}
     for name, (law, limits) in LAWS.items():
-        path = folder / f"{len(found)}.mcap"
-        summary = simulate(bench(law, limits), log=path, check_replay=False, faults=FaultPlan([LOAD]))
+        summary, rows = unrecorded.run(bench(law, limits), FaultPlan([LOAD]))
         assert summary["success"], (name, summary)
-        rows = Log.open(path).rows()
         found[name] = Run(rows[rows["mode"] == Mode.TRACKING], any(summary["limited_ticks"].values()))
     return found
 

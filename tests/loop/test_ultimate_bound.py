@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
 from hil.app.stability import assess
-from hil.log import Log
 from hil.signals import Mode
 from plant_fmu.faults import FaultPlan, WrenchStep
+from tests.loop import unrecorded
 
 LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
 FORCE_N = sqrt(3.0) * 10e3
@@ -38,16 +37,13 @@ def bench(scale):
 
 
 @pytest.fixture(scope="module")
-def peaks(tmp_path_factory):
+def peaks():
     """Simulated peak leg errors (6,) in mm, by scale of the believed masses."""
-    folder = tmp_path_factory.mktemp("ultimate")
     found = {}
     for scale in SCALES:
-        path = folder / f"{scale}.mcap"
-        summary = simulate(bench(scale), log=path, check_replay=False, faults=FaultPlan([LOAD]))
+        summary, rows = unrecorded.run(bench(scale), FaultPlan([LOAD]))
         assert summary["success"], summary
         assert not any(summary["limited_ticks"].values())
-        rows = Log.open(path).rows()
         rows = rows[rows["mode"] == Mode.TRACKING]
         found[scale] = 1e3 * np.abs(rows["q_d"] - rows["q"]).max(axis=0)
     return found

@@ -1,0 +1,33 @@
+"""A run in lockstep whose rows stay in memory: what a test says of the loop alone needs no recorder and no log."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hil.app.compose import bit_timing, build_cycle, build_nodes, bus_budget, feedback_window_s
+from hil.app.configuration import Configuration
+from hil.app.lockstep import Lockstep
+from hil.clock import collector_paused
+from hil.report import figures
+from hil.signals import Mode
+from plant_fmu.faults import FaultPlan
+
+
+def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[dict[str, Any], np.ndarray]:
+    """Run to the end; return the figures of the run, with `success` as `hil sim` has it, and all rows."""
+    c = configuration
+    rate = c.loop.rate_Hz
+    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
+    nodes, plant = build_nodes(c, faults)
+    try:
+        timing = None if bus_budget(c, rate) is None else bit_timing(c)
+        lockstep = Lockstep(cycle, nodes, timing, feedback_window_s(c, rate))
+        kept: list[np.ndarray] = []
+        with collector_paused():
+            mode = lockstep.run(None, lambda inp, opening, out: kept.append(out.row))
+    finally:
+        plant.close()
+    rows = np.array(kept, kept[0].dtype)
+    return {"success": mode is Mode.PARKED and not cycle.faults, **figures(rows)}, rows

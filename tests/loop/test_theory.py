@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
 from hil.config import PDSettings
+from tests.loop import unrecorded
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_closed_loop.json").read_text())["rows"]
 
@@ -43,8 +43,8 @@ def assert_no_limit_acted(summary):
     assert not any(summary["limited_ticks"].values()), summary["limited_ticks"]
 
 
-def test_exact_inverse_dynamics_has_the_error_of_its_sampling_alone(ideal, tmp_path):
-    summary = simulate(ideal, log=tmp_path / "idc.mcap")
+def test_exact_inverse_dynamics_has_the_error_of_its_sampling_alone(ideal):
+    summary, _ = unrecorded.run(ideal)
     row = BOOK["joint_IDC_exact_wn20_1kHz_ZOH"]
     assert_no_limit_acted(summary)
     assert summary["tracking"]["peak_leg_error_mm"] == pytest.approx(row["peak_leg_err_mm"], rel=0.10)
@@ -52,10 +52,10 @@ def test_exact_inverse_dynamics_has_the_error_of_its_sampling_alone(ideal, tmp_p
     assert summary["tracking"]["peak_force_N"] == pytest.approx(row["peak_leg_force_N"], rel=0.01)
 
 
-def test_decentralised_pd_lags_by_what_the_book_says(ideal, tmp_path):
+def test_decentralised_pd_lags_by_what_the_book_says(ideal):
     configuration = with_pd(ideal)
     assert isinstance(configuration.controller, PDSettings)
-    summary = simulate(configuration, log=tmp_path / "pd.mcap")
+    summary, _ = unrecorded.run(configuration)
     row = BOOK["joint_PD_ch6_1kHz_ZOH"]
     assert_no_limit_acted(summary)
     assert summary["tracking"]["peak_leg_error_mm"] == pytest.approx(row["peak_leg_err_mm"], rel=0.03)

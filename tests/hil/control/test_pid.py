@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from hil.app.configuration import load, loads
-from hil.app.sim import simulate
 from hil.control.pd import JointPD
 from hil.control.pid import JointPID
-from hil.log import Log
 from hil.signals import Mode, Reference, State
+from tests.loop import unrecorded
 
 NONE = np.zeros(6)
 PERIOD = 1e-3
@@ -86,7 +85,7 @@ def test_a_tracking_time_is_taken_as_given_and_never_overshoots():
 
 
 @pytest.fixture(scope="module")
-def held(tmp_path_factory):
+def held():
     """2.5 s at home under PID on the virtual bus, from brakes shut to brakes shut."""
     text = load("virtual").text
     law = "law: pid\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n  ki_N_m_s: 2.0e+7\n  integral_limit_N: 8000\n\n"
@@ -96,10 +95,9 @@ def held(tmp_path_factory):
     ):
         a, b = text.index("\n" + first) + 1, text.index("\n" + last) + 1
         text = text[:a] + new + text[b:]
-    path = tmp_path_factory.mktemp("pid") / "hold.mcap"
-    summary = simulate(loads(text, "pid.yaml", Path()), log=path)
+    summary, rows = unrecorded.run(loads(text, "pid.yaml", Path()))
     assert summary["success"], summary
-    return Log.open(path).rows()
+    return rows
 
 
 def test_at_rest_under_gravity_no_error_is_left(held):

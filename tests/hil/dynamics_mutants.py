@@ -1,4 +1,6 @@
-"""Put classical mistakes into the sources of the model and print each one's worst relative error.
+"""Put classical mistakes into the sources of the model and print a relative error that each one makes.
+
+It is the worst of all cases, or of those up to the first in which the mistake is noticed.
 
 Runs as a script with Numba disabled: the mutated sources are plain Python then.
 """
@@ -15,6 +17,8 @@ from hil.geometry import Platform
 
 SPREAD = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5])
 HERE = Path(hil.__file__).parent
+NOTICED = 1e-6
+"""A mistake that makes an error above this needs no further case."""
 KERNELS, MODEL = "kernels/dynamics.py", "dynamics.py"
 
 MUTATIONS = {
@@ -100,6 +104,8 @@ def worst_error(model, cases):
             ):
                 scale = max(float(np.abs(want).max()), floor)
                 worst = max(worst, float(np.abs(np.asarray(value) - want).max()) / scale)
+            if worst > NOTICED:
+                return worst
     return worst
 
 

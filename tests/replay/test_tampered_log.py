@@ -19,7 +19,7 @@ RECEIVED = 1
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    result = CliRunner().invoke(main, ["sim", "--duration", "2", "--log", str(path)])
+    result = CliRunner().invoke(main, ["sim", "--duration", "1.3", "--log", str(path)])
     assert result.exit_code == 0, result.output
     return path
 
@@ -83,7 +83,7 @@ def test_one_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_pa
 
 
 def test_a_frame_taken_away_is_found(log, frame_type, tmp_path):
-    tick = 1500
+    tick = 1200
 
     def edit(topic, data, sequence):
         if topic == "/can":

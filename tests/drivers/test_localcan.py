@@ -389,17 +389,23 @@ def wait_for(condition):
 def test_python_can_logger_records_the_bus(join, tmp_path):
     node = join()
     path = tmp_path / "bus.log"
+    # where the tests run in the background SIGINT is ignored, and so it would be in here
+    start = (
+        "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "runpy.run_module('can.logger', run_name='__main__')"
+    )
     logger = subprocess.Popen(
-        [sys.executable, "-m", "can.logger", "-i", "localcan", "-c", "t", "-f", str(path)],
+        [sys.executable, "-c", start, "-i", "localcan", "-c", "t", "-f", str(path)],
         stdout=subprocess.DEVNULL,
     )
     try:
         wait_for(lambda: participants(node) == 2)
         node.send([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)])
         time.sleep(0.3)
-    finally:
         logger.send_signal(signal.SIGINT)
         assert logger.wait(10) == 0
+    finally:
+        logger.kill()
     with can.LogReader(path) as log:
         messages = list(log)
     assert [m.arbitration_id for m in messages] == list(range(0x100, 0x100 + 50))

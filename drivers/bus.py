@@ -1,28 +1,24 @@
 """Bus: the door to the CAN bus, whatever interface is behind it.
 
-Rule of the room: the only importer of python-can beside localcan's own interface. No thread; a call blocks
-only up to a deadline on CLOCK_MONOTONIC.
+Rule of the room: no thread; a call blocks only up to a deadline on CLOCK_MONOTONIC.
 Frames go out and come in as they are; what they mean is the protocol's.
 """
 
 from __future__ import annotations
 
-import select
 import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import suppress
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol, Self
-
-import can
+from typing import NamedTuple, Protocol, Self
 
 from drivers.bustime import BitTiming
+from drivers.collect import collect
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.localcan import Participant
-from drivers.localcan.interface import from_message, to_message
 from drivers.protocol import ERROR, Frame, Received
+from drivers.python_can import open_python_can
 from drivers.runtime import RoleLock
 from drivers.socketcan import SocketCan
 
@@ -98,7 +94,7 @@ class Bus:
             raise BusError("bus.layout: ideal takes no bus time and is for hil sim only; use classic or fd")
         lock = RoleLock(settings.interface, settings.channel, role) if role in EXCLUSIVE_ROLES else None
         try:
-            return cls(_LINKS.get(settings.interface, _open_python_can)(settings), lock)
+            return cls(_LINKS.get(settings.interface, open_python_can)(settings), lock)
         except BaseException:
             if lock is not None:
                 lock.close()
@@ -207,83 +203,6 @@ class LocalCan:
         self._node.flush_tx()
 
 
-class PythonCan:
-    """Any other interface of python-can.
-
-    Mutable state: the bus, whether its last call failed.
-    """
-
-    overflow = 0
-
-    def __init__(self, bus: can.BusABC) -> None:
-        self.off = False
-        self._bus = bus
-        self._held: list[Received] = []
-        try:
-            self._selectable = bus.fileno() >= 0
-        except NotImplementedError:
-            self._selectable = False
-
-    def send(self, frames: Sequence[Frame]) -> int:
-        """Send until the interface refuses one."""
-        now = Received(0, Frame(0, b""))
-        for i, frame in enumerate(frames):
-            try:
-                self._bus.send(to_message(now._replace(frame=frame), 0, ""), timeout=0)
-            except ValueError as error:
-                raise BusError(f"bus: frame 0x{frame.id:X} cannot be sent: {error}") from error
-            except (can.CanError, OSError):
-                return i
-        self.off = False
-        return len(frames)
-
-    def _take(self, timeout_s: float) -> bool:
-        try:
-            message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError):
-            self.off = True
-            return False
-        if message is None:
-            return False
-        now = time.monotonic_ns()
-        age = time.time_ns() - int(message.timestamp * 1e9)
-        # interfaces stamp in Unix time, or in a time of their own
-        self._held.append(Received(now - age if 0 <= age < 1_000_000_000 else now, from_message(message)))
-        return True
-
-    def receive(self) -> list[Received]:
-        """Return what is there."""
-        while self._take(0.0):
-            pass
-        received, self._held = self._held, []
-        return received
-
-    def _block(self, seconds: float) -> None:
-        if self.off:
-            time.sleep(min(seconds, 1e-3))
-        elif self._selectable:
-            select.select([self._bus], [], [], seconds)
-        else:
-            self._take(seconds)
-
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
-        """Receive until every wanted identifier has come or the deadline."""
-        return collect(self.receive, self._block, deadline_ns, wanted, first=False)
-
-    def wait(self, deadline_ns: int) -> list[Received]:
-        """Receive until anything has come or the deadline."""
-        return collect(self.receive, self._block, deadline_ns, frozenset(), first=True)
-
-    def flush_tx(self) -> None:
-        """Drop frames that wait to be sent, where the interface can."""
-        with suppress(NotImplementedError):
-            self._bus.flush_tx_buffer()
-
-    def close(self) -> None:
-        """Shut the bus down."""
-        self._bus.shutdown()
-
-
 class RawSocket:
     """SocketCAN, past python-can."""
 
@@ -312,59 +231,6 @@ class RawSocket:
     def wait(self, deadline_ns: int) -> list[Received]:
         """Receive until anything has come or the deadline."""
         return collect(self.receive, self._socket.block, deadline_ns, frozenset(), first=True)
-
-
-def collect(
-    receive: Callable[[], list[Received]],
-    block: Callable[[float], None],
-    deadline_ns: int,
-    wanted: AbstractSet[int],
-    *,
-    first: bool,
-) -> list[Received]:
-    """Receive until all of `wanted` (with `first`: anything) has come, or the monotonic deadline."""
-    received: list[Received] = []
-    missing = set(wanted)
-    while True:
-        new = receive()
-        received += new
-        if missing:
-            missing.difference_update([frame.id for _, frame in new if not frame.flags & ERROR])
-        if not missing and (received or not first):
-            return received
-        left = deadline_ns - time.monotonic_ns()
-        if left <= 0:
-            return received
-        block(left * 1e-9)
-
-
-def _open_python_can(settings: BusSettings) -> Link:
-    options: dict[str, Any] = dict(settings.options)
-    if settings.interface == "udp_multicast":
-        if options.setdefault("hop_limit", 0) != 0:
-            raise BusError(
-                "bus.options.hop_limit: must be 0 (or left out); with more, every frame goes out to the "
-                "local network, where others can read and send drive commands"
-            )
-    else:
-        options.setdefault("bitrate", settings.bitrate_bit_s)
-    if settings.layout == "fd":
-        options.setdefault("fd", True)
-        if settings.interface != "udp_multicast":
-            options.setdefault("data_bitrate", settings.data_bitrate_bit_s)
-    if settings.interface not in can.VALID_INTERFACES:
-        known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
-        raise BusError(
-            f"bus.interface: {settings.interface} is unknown; known are {known}; localcan needs no hardware"
-        )
-    try:
-        bus = can.Bus(settings.channel, settings.interface, ignore_config=True, **options)
-    except Exception as error:
-        raise BusError(
-            f"bus {settings.interface}:{settings.channel} does not open: {error}; "
-            "check bus.channel and bus.options, or use bus.interface: localcan, which needs no hardware"
-        ) from error
-    return PythonCan(bus)
 
 
 def _refuse_virtual(settings: BusSettings) -> Link:

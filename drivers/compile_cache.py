@@ -10,18 +10,26 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib
 import os
 import re
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Self, TypeVar, cast
 
 import numba
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+
+# Numba loads scipy.linalg for BLAS if it is there, a tenth of a command's start; no kernel may use BLAS.
+sys.modules.setdefault("scipy.linalg.cython_blas", cast("ModuleType", None))
+importlib.import_module("numba.np.arraymath")
+if sys.modules["scipy.linalg.cython_blas"] is None:
+    del sys.modules["scipy.linalg.cython_blas"]
 
 _ROOT = Path(__file__).resolve().parents[1]
 _EVERY_RUN = _ROOT / "hil" / "app" / "compose.py"

@@ -2,10 +2,9 @@
 
 No broker: the wire is a piece of shared memory under a file lock (`wire`), arbitration is advanced by whoever
 looks, and a participant (`participant`) sees a frame when its last bit would have been on a real wire.
-`LocalCanBus` is its face to python-can.
+`interface.LocalCanBus` is its face to python-can.
 """
 
-from drivers.localcan.interface import LocalCanBus
 from drivers.localcan.participant import Participant
 
-__all__ = ["LocalCanBus", "Participant"]
+__all__ = ["Participant"]

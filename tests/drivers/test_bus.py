@@ -14,10 +14,11 @@ import time
 import can
 import pytest
 
-from drivers.bus import Bus, LocalCan, PythonCan
+from drivers.bus import Bus, LocalCan
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.python_can import PythonCan
 from drivers.socketcan import pack, unpack
 
 LOCAL = BusSettings(interface="localcan", channel="t")

@@ -22,7 +22,8 @@ import pytest
 
 from drivers.bustime import BitTiming
 from drivers.errors import BusError
-from drivers.localcan import LocalCanBus, Participant
+from drivers.localcan import Participant
+from drivers.localcan.interface import LocalCanBus
 from drivers.localcan.participant import OWN
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.runtime import runtime_folder

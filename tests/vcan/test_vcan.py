@@ -16,7 +16,7 @@ from tests.vcan import uml
 from tests.vcan.listen import read_log
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.vcan, pytest.mark.realtime]
+pytestmark = [pytest.mark.vcan, pytest.mark.realtime(patient=True)]
 
 
 def beside_vcan(module: str, share: Path, limit_s: float) -> uml.Completed:

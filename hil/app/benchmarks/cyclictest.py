@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Sequence
+from typing import NamedTuple
 
 LONGEST_US = 20_000
 """Length of the histogram; later wake-ups count as this."""
 
 
-def cyclictest(priority: int, period_us: int, seconds: float) -> dict[str, float] | str:
-    """Return p50, p99 and max (us) of its wake-ups, or why there are none."""
+def cyclictest(priority: int, period_us: int, seconds: float) -> WakeUps | str:
+    """Return its wake-ups, or why there are none."""
     program = shutil.which("cyclictest")
     if program is None:
         return "cyclictest is not installed (Debian: rt-tests)"
@@ -23,11 +24,37 @@ def cyclictest(priority: int, period_us: int, seconds: float) -> dict[str, float
     done = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 60.0, check=False)
     if done.returncode:
         return f"cyclictest: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1:]}"
-    return percentiles(done.stdout.splitlines()) or "cyclictest gave no histogram"
+    return read(done.stdout.splitlines()) or "cyclictest gave no histogram"
 
 
-def percentiles(lines: Sequence[str]) -> dict[str, float]:
-    """Return p50, p99 and max from a histogram: lines `latency count`, and `# Max Latencies: n`."""
+class WakeUps(NamedTuple):
+    """How late its wake-ups were."""
+
+    counts: dict[int, int]
+    """us -> how many."""
+    largest_us: float
+
+    def percentiles(self) -> dict[str, float]:
+        """Return p50, p99 and max, us."""
+        total = sum(self.counts.values())
+        found = {}
+        for name, share in (("p50", 0.5), ("p99", 0.99)):
+            seen = 0
+            for latency in sorted(self.counts):
+                seen += self.counts[latency]
+                if seen >= share * total:
+                    found[name] = float(latency)
+                    break
+        return found | {"max": self.largest_us}
+
+    def later_than(self, us: float) -> float:
+        """Return the share that was later, %."""
+        late = sum(count for latency, count in self.counts.items() if latency > us)
+        return 100.0 * late / sum(self.counts.values())
+
+
+def read(lines: Sequence[str]) -> WakeUps | None:
+    """Return what a histogram says: lines `latency count`, and `# Max Latencies: n`; None without counts."""
     counts: dict[int, int] = {}
     largest = 0.0
     for line in lines:
@@ -38,15 +65,4 @@ def percentiles(lines: Sequence[str]) -> dict[str, float]:
             counts[int(words[0])] = int(words[1])
         elif line.startswith("# Histogram Overflows:"):
             counts[LONGEST_US] = counts.get(LONGEST_US, 0) + int(words[-1])
-    total = sum(counts.values())
-    if not total:
-        return {}
-    found = {}
-    for name, share in (("p50", 0.5), ("p99", 0.99)):
-        seen = 0
-        for latency in sorted(counts):
-            seen += counts[latency]
-            if seen >= share * total:
-                found[name] = float(latency)
-                break
-    return found | {"max": largest}
+    return WakeUps(counts, largest) if sum(counts.values()) else None

@@ -263,7 +263,7 @@ def test_a_watch_of_ten_minutes_is_judged_as_it_is():
     assert not any("EXTRAPOLATED" in f.note for f in figures)
 
 
-def test_percentiles_of_a_histogram_of_cyclictest():
+def test_percentiles_and_shares_of_a_histogram_of_cyclictest():
     text = """# /dev/cpu_dma_latency set to 0us
 # Histogram
 000001 000010
@@ -276,8 +276,11 @@ def test_percentiles_of_a_histogram_of_cyclictest():
 # Max Latencies: 00150
 # Histogram Overflows: 00000
 """
-    assert cyclictest.percentiles(text.splitlines()) == {"p50": 2.0, "p99": 3.0, "max": 150.0}
-    assert cyclictest.percentiles(["no histogram"]) == {}
+    found = cyclictest.read(text.splitlines())
+    assert found is not None
+    assert found.percentiles() == {"p50": 2.0, "p99": 3.0, "max": 150.0}
+    assert [found.later_than(us) for us in (0, 1, 2, 3, 149.5, 150)] == [100.0, 90.0, 5.0, 1.0, 1.0, 0.0]
+    assert cyclictest.read(["no histogram"]) is None
 
 
 def test_a_machine_without_cyclictest_is_told_where_it_comes_from(monkeypatch, tmp_path):

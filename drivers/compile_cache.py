@@ -182,7 +182,7 @@ CHECKED = bool(os.environ.get("HIL_CHECK_KERNELS"))
 
 
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
-    """Compile for exactly these argument types when the module is imported; other types are refused.
+    """Compile for exactly these argument types when the module is imported; others are refused, see `direct`.
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
     the interpreter run meanwhile.
@@ -202,12 +202,12 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 
 def direct(compiled: F) -> F:
-    """Return a kernel as the loop calls it: with arrays of the declared types, made by this project.
+    """Return a kernel as the loop calls it: with arrays of the declared types, which the caller answers for.
 
-    Their element type and contiguity are not looked at in each call, which takes 30 to 70 ns an argument,
-    unless CHECKED. Other kernels cannot call it.
+    Of an array only the size of an element is looked at, not type, dimensions or layout, unless CHECKED: the
+    look takes 30 to 70 ns an argument. Other kernels cannot call it.
     """
-    if CHECKED:
+    if CHECKED or not hasattr(compiled, "overloads"):  # the latter where Numba is disabled
         return compiled
     (only,) = cast("Any", compiled).overloads.values()
     return cast("F", only.entry_point)

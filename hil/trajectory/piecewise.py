@@ -64,8 +64,8 @@ class PiecewisePolynomial:
     """
 
     def __init__(self, knots: Array, coefficients: Array, periods: int | None = 1) -> None:
-        self._knots = np.array(knots, float)
-        self._coefficients = np.array(coefficients, float)
+        self._knots = np.array(knots, float, order="C")
+        self._coefficients = np.array(coefficients, float, order="C")
         self._periods = 0 if periods is None else periods
         self.period_s = float(self._knots[-1])
         self.duration_s = None if periods is None else periods * self.period_s

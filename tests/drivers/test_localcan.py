@@ -407,6 +407,7 @@ def test_python_can_logger_records_the_bus(join, tmp_path):
         assert logger.wait(10) == 0
     finally:
         logger.kill()
+        logger.wait()
     with can.LogReader(path) as log:
         messages = list(log)
     assert [m.arbitration_id for m in messages] == list(range(0x100, 0x100 + 50))

@@ -176,6 +176,7 @@ def test_twist_and_its_rate_are_the_derivatives_of_the_pose(kind):
         if min(abs(t - jump) for jump in jumps) < 2 * h:
             continue
         here = trajectory.sample(t)
+        assert all(x.dtype == np.float64 and x.flags.c_contiguous for x in here), "kernels do not look"
         moved = max(moved, np.abs(here.twist).max())
         v = richardson(lambda s: trajectory.sample(s).p, t, h)
         omega = richardson(turned_from(trajectory, here.R), t, h)

@@ -1,5 +1,6 @@
 """Time-optimal moves: durations in closed form, limits touched and never exceeded, straight lines, replay."""
 
+import io
 from itertools import pairwise
 
 import numpy as np
@@ -152,3 +153,14 @@ def test_periods_repeat_a_closed_list():
 def test_what_is_no_move_is_refused(points, periods, complaint):
     with pytest.raises(ConfigurationError, match=complaint):
         build(points, periods)
+
+
+def test_a_recorded_plan_is_read_in_whatever_order_its_file_holds_it():
+    """Kernels take the polynomials unseen."""
+    settings = {"type": "time_optimal", "limits": LIMITS, "periods": 1}
+    poses = [{"position_m": p, "rotation_vector_deg": r} for p, r in POINTS]
+    table = np.load(io.BytesIO(plan(TimeOptimalReference.model_validate({**settings, "points": poses}))))
+    file = io.BytesIO()
+    np.save(file, np.asfortranarray(table))
+    t = np.linspace(0.0, build().duration_s, 20)
+    np.testing.assert_array_equal(six_words(build(recorded=file.getvalue()), t), six_words(build(), t))

@@ -102,6 +102,9 @@ def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_th
     assert on_platform[0] == pytest.approx(-1000.0, abs=5.0)
     free = loaded[np.isin(loaded["mode"], [Mode.RELEASING, Mode.APPROACH, Mode.TRACKING])]
     assert np.abs(free["q_d"] - free["q"]).max() < 5e-6
+    moving = loaded[(loaded["mode"] >= Mode.LOADING) & (loaded["mode"] <= Mode.TRACKING)]
+    assert np.abs(np.diff(moving["tau"], axis=0)).max() < 50.0
+    assert np.abs(moving["q_d"] - moving["q"]).max() < 20e-6
 
 
 @pytest.mark.parametrize("source", ["observer", "sensor"])
@@ -159,10 +162,3 @@ def test_the_load_is_carried_until_the_brakes_are_shut_and_then_forgotten(held):
     assert not rows["wrench"][-1].any()
     loading = np.isin(rows["mode"], [Mode.WAITING, Mode.IDLE, Mode.LOADING])
     assert not rows["wrench"][loading].any()
-
-
-def test_a_load_that_the_sensor_sees_before_the_brakes_open_is_carried_without_a_bump(loaded):
-    """Each leg gives its share of it before the brakes open."""
-    moving = loaded[(loaded["mode"] >= Mode.LOADING) & (loaded["mode"] <= Mode.TRACKING)]
-    assert np.abs(np.diff(moving["tau"], axis=0)).max() < 50.0
-    assert np.abs(moving["q_d"] - moving["q"]).max() < 20e-6

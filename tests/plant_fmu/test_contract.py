@@ -80,6 +80,13 @@ def test_reset_gives_finite_lengths_and_rates_at_rest(plant):
     assert (dq == 0).all()
 
 
+def test_lengths_and_rates_are_what_kernels_take_unseen(plant):
+    moved = plant.step(np.zeros(6), np.zeros(6), np.zeros(6), plant.internal_step_s)
+    for x in (*plant.reset(), *moved):
+        assert x.dtype == np.float64
+        assert x.flags.c_contiguous
+
+
 def test_reset_brings_back_the_same_motion_to_the_bit(plant):
     plant.reset()
     first = run(plant)

@@ -87,10 +87,10 @@ def quietest_figure(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> Figure:
     blocks = whole[: len(whole) // BLOCK * BLOCK].reshape(-1, BLOCK)
     medians = np.median(blocks, axis=1)
     if not medians.size:
-        return Figure("  quietest block", note=f"fewer than {BLOCK} ticks")
+        return Figure("quietest block", note=f"fewer than {BLOCK} ticks")
     within = int(np.count_nonzero(medians <= COMPUTE.limit * 1e3))
     note = f"of {len(medians)} blocks of {BLOCK} ticks; the median of {within} is within the mark"
-    return Figure("  quietest block", spread(blocks[medians.argmin()]), "us", note=note)
+    return Figure("quietest block", spread(blocks[medians.argmin()]), "us", note=note)
 
 
 def _stamps(cycle: StagedCycle, mode: Mode) -> NDArray[np.int64]:

@@ -24,6 +24,5 @@ def tick(bench: Bench) -> list[Figure]:
     finally:
         gc.enable()
     different = "" if verdict.exact else f"{verdict.different_ticks} ticks came out differently"
-    whole, *stages = stage_figures(cycle)
-    figures = [whole, quietest_figure(cycle), *stages]
+    figures = [*stage_figures(cycle), quietest_figure(cycle)]
     return [*figures, Figure("result", note=different)] if different else figures

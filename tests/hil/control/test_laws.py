@@ -165,7 +165,10 @@ def test_finite_in_finite_out(name):
     for case in BOOK["states"]:
         state, reference = on_reference(sample(case))
         state = state._replace(q=state.q + random.normal(0, 0.01, 6), dq=state.dq + random.normal(0, 0.1, 6))
-        assert np.isfinite(law.effort(state, reference, NONE).tau).all()
+        tau = law.effort(state, reference, NONE).tau
+        assert np.isfinite(tau).all()
+        assert tau.dtype == np.float64, "safety's kernel does not look"
+        assert tau.flags.c_contiguous
 
 
 @laws

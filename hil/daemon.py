@@ -264,8 +264,7 @@ def fault_text(cycle: Cycle) -> str:
     names = ", ".join(str(fault.name) for fault in cycle.faults)
     legs: list[str] = []
     if cycle.faults & Fault.STALE:
-        ages = measurement.age.tolist()
-        legs += [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age > 0]
+        legs += _silent(measurement.age.tolist(), cycle.parts.rate_Hz)
     if cycle.faults & Fault.ENCODER:
         slipped = cycle.parts.fusion.slipped if cycle.parts.fusion else ()
         legs += [f"the encoder of leg {leg} contradicts the pose of the others" for leg in slipped]
@@ -274,6 +273,16 @@ def fault_text(cycle: Cycle) -> str:
             if state in (DriveState.FAULT, DriveState.BOOT):
                 legs.append(f"drive {leg} in {DriveState(state).name}{_because(fault)}")
     return f"latched fault {names}" + (f" ({'; '.join(legs)})" if legs else "")
+
+
+def _silent(ages: list[int], rate_Hz: float) -> list[str]:
+    """Say which legs have not been heard for how many ticks, and where to look if it is all of them."""
+    if min(ages) == 0:
+        return [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age > 0]
+    stall_ms = 1e3 * min(ages) / rate_Hz
+    why = f"the drives, the bus or this machine stalled for {stall_ms:.0f} ms"
+    mend = "a machine that does needs a lower loop.rate_Hz with a longer drives.watchdog_ms"
+    return [f"no leg heard for {min(ages)} ticks: {why}; {mend}"]
 
 
 def waiting_text(cycle: Cycle) -> str:

@@ -10,6 +10,7 @@ from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Feedback, 
 from drivers.signals import DriveMode, DriveState
 from hil.app.compose import build_cycle
 from hil.app.configuration import load
+from hil.daemon import fault_text
 from hil.kinematics import leg_lengths
 from hil.signals import Fault, Mode, Operator, TickInput, Warn
 
@@ -149,6 +150,18 @@ def test_a_silent_leg_is_carried_on_at_its_last_rate_then_faults(bench):
     assert warned == [False, True, True, True, True]
     assert bench.cycle.faults == Fault.STALE
     assert bench.drives.commands[-1].mode == DriveMode.OFF
+    assert fault_text(bench.cycle) == "latched fault STALE (leg 2 not heard for 5 ticks)"
+
+
+def test_legs_that_are_silent_together_are_called_a_stall_with_what_to_change(bench):
+    bench.until(Mode.APPROACH)
+    bench.drives.silent = set(range(6))
+    while bench.cycle.mode is Mode.APPROACH:
+        bench.step()
+    text = fault_text(bench.cycle)
+    assert "no leg heard for 5 ticks" in text
+    assert "stalled for 5 ms" in text
+    assert "loop.rate_Hz" in text
 
 
 def test_a_fault_latches_through_engage_and_leaves_by_reset(bench):

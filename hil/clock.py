@@ -150,7 +150,11 @@ def _mlockall(flags: int) -> None:
 
 
 STALL_S = 0.040
-"""Longest stall expected of a loaded machine without SCHED_FIFO (32 ms was seen)."""
+"""Longest stall expected of a machine that does not keep real time (32 ms was seen)."""
+LATE_PERIODS = 0.1
+"""A wake-up later than this part of the period is late."""
+LATE_SHARE = 0.01
+"""A machine with more late wake-ups under SCHED_FIFO does not keep real time."""
 SLOWEST_Hz = 100.0
 """No loop is slowed below this: the delay of a slower one takes the phase margin of a usual control law."""
 
@@ -169,6 +173,15 @@ def holdable_rate(rate_Hz: float, missed_in_a_row: int, seconds: float = 1.0) ->
     while missed_in_a_row / rate < max(STALL_S, 2.0 * worst) and rate / 2.0 >= SLOWEST_Hz:
         rate /= 2.0
     return rate, worst
+
+
+def late_share(rate_Hz: float, priority: int, seconds: float = 0.5) -> float:
+    """Return the share of late wake-ups under SCHED_FIFO, measured now, under the present load."""
+    with real_time(priority, None):
+        deadlines = Deadlines(rate_Hz, 0.0)
+        wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
+    limit_ns = LATE_PERIODS * deadlines.period_ns
+    return sum(w.lateness_ns > limit_ns or w.skipped > 0 for w in wakes) / len(wakes)
 
 
 def resident_MB() -> float:

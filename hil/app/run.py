@@ -19,7 +19,18 @@ from hil.app.controller_file import law_figures
 from hil.app.output import console, log_path
 from hil.app.replay import replay_log
 from hil.app.supervise import SupervisedPlant
-from hil.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time, resident_MB
+from hil.clock import (
+    LATE_PERIODS,
+    LATE_SHARE,
+    STALL_S,
+    Deadlines,
+    RealTime,
+    fifo_allowed,
+    holdable_rate,
+    late_share,
+    real_time,
+    resident_MB,
+)
 from hil.daemon import NO_DRIVES_S, Ending, OperatorPanel, run
 from hil.log import Log
 from hil.record import LogSummary, Recording
@@ -132,11 +143,11 @@ def _startable() -> Iterator[None]:
 
 
 def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
-    """Return rate (Hz) and drive watchdog (s): the configured ones, or what holds without SCHED_FIFO."""
+    """Return rate (Hz) and drive watchdog (s): the configured ones, or what holds without real time."""
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
-    if fifo_allowed(c.loop.priority):
+    lack = _lack(c, with_plant=with_plant)
+    if not lack:
         return rate, watchdog_s
-    lack = "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
     if c.loop.without_realtime == "refuse":
         raise RunError(f"{lack}, and loop.without_realtime is `refuse`: nothing was started")
     slow, worst_s = holdable_rate(rate, c.limits.missed_stop_ticks)
@@ -158,6 +169,26 @@ def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
         said += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
     console.print(said, style="bold yellow")
     return slow, watchdog_s
+
+
+def _lack(c: Configuration, *, with_plant: bool) -> str:
+    """Say why the loop has no real time; empty if it has, or if the limits outlast what may come.
+
+    With the plant on this machine, too, SCHED_FIFO has to be kept and not only granted: an answer that comes
+    later than the feedback window is a stale leg.
+    """
+    if not fifo_allowed(c.loop.priority):
+        return "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
+    limit_s = min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks) / c.loop.rate_Hz
+    if not with_plant or limit_s >= STALL_S:
+        return ""
+    late = late_share(c.loop.rate_Hz, c.loop.priority)
+    if late <= LATE_SHARE:
+        return ""
+    late_us = 1e6 * LATE_PERIODS / c.loop.rate_Hz
+    return (
+        f"this machine does not keep SCHED_FIFO, {100 * late:.1f} % of its wake-ups are {late_us:.0f} us late"
+    )
 
 
 def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) -> str:

@@ -23,7 +23,7 @@ class LoopSettings(Section):
     spin_us: NonNegative = 100.0
     """Busy-wait this long before each deadline."""
     without_realtime: Literal["slow", "refuse"] = "slow"
-    """Without SCHED_FIFO: drop to a rate that can be held, or refuse to run."""
+    """Without SCHED_FIFO, or where `--plant` finds it not kept: drop to a rate that holds, or refuse."""
 
     def window_s(self, rate_Hz: float) -> float:
         """Return the longest wait for the six feedbacks at a rate, s."""

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import time
 
 import pytest
 
-from hil.clock import STALL_S, Deadlines, SLOWEST_Hz, fifo_allowed, holdable_rate, real_time
+from hil.clock import (
+    STALL_S,
+    Deadlines,
+    SLOWEST_Hz,
+    Wake,
+    fifo_allowed,
+    holdable_rate,
+    late_share,
+    real_time,
+)
 
 
 def test_deadlines_are_absolute_and_keep_phase() -> None:
@@ -83,3 +93,10 @@ def test_the_rate_held_outlasts_the_longest_stall_expected() -> None:
 
 def test_a_loop_slow_enough_keeps_its_rate() -> None:
     assert holdable_rate(50.0, missed_in_a_row=5, seconds=0.1)[0] == 50.0
+
+
+def test_late_wake_ups_are_those_beyond_a_tenth_of_the_period_and_those_that_skip(monkeypatch):
+    wakes = itertools.cycle([(0, 0), (99_000, 0), (101_000, 0), (0, 1)])
+    monkeypatch.setattr(Deadlines, "wait", lambda _: Wake(0, 0, *next(wakes)))
+    assert late_share(1000.0, 1, seconds=0.4) == 0.5
+    assert late_share(500.0, 1, seconds=0.4) == 0.25

@@ -102,7 +102,7 @@ def bus_budget(configuration: Configuration, rate_Hz: float) -> BusBudget | None
 
 
 def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
-    """Return how long a tick waits for its six feedbacks; by default 65 % of the period."""
+    """Return how long a tick waits for its six feedbacks; by default 75 % of the period."""
     return configuration.loop.window_s(rate_Hz)
 
 

@@ -15,7 +15,7 @@ class LoopSettings(Section):
 
     rate_Hz: Positive = 1000.0
     feedback_window_us: Positive | None = None
-    """Longest wait for the six feedbacks after SYNC; default 65 % of the period."""
+    """Longest wait for the six feedbacks after SYNC; default 75 % of the period."""
     cpu: int | None = None
     """CPU to pin the loop to (only together with SCHED_FIFO)."""
     priority: Annotated[int, Field(ge=1, le=99)] = 80
@@ -27,4 +27,4 @@ class LoopSettings(Section):
 
     def window_s(self, rate_Hz: float) -> float:
         """Return the longest wait for the six feedbacks at a rate, s."""
-        return 0.65 / rate_Hz if self.feedback_window_us is None else self.feedback_window_us * 1e-6
+        return 0.75 / rate_Hz if self.feedback_window_us is None else self.feedback_window_us * 1e-6

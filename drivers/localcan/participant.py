@@ -180,12 +180,7 @@ class Participant:
         Returns at once. Raises BusError for a frame that this bus cannot carry.
         """
         timing = self.timing
-        known = self._known
-        packed = []
-        for frame in frames:
-            id_, data, flags = frame
-            cost = known.get((id_, flags, len(data)))
-            packed.append(self._check(frame, timing) if cost is None else (*cost, id_, flags & ~OWN, data))
+        packed = [self._check(frame, timing) for frame in frames]
         wire = self._wire
         wire.lock()
         try:
@@ -219,6 +214,9 @@ class Participant:
 
     def _check(self, frame: Frame, timing: BitTiming) -> tuple[int, int, int, int, bytes]:
         id_, data, flags = frame
+        known = self._known.get((id_, flags, len(data)))
+        if known is not None:
+            return *known, id_, flags & ~OWN, data
         if not 0 <= id_ <= (0x1FFFFFFF if flags & EXTENDED else 0x7FF):
             raise BusError(
                 f"localcan: identifier 0x{id_:X} does not fit a CAN frame; extended ones need the flag"

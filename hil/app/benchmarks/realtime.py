@@ -1,6 +1,6 @@
-"""The loop in real time against `hil plant`: wake-ups, latency, stale and skipped ticks, stages, recorder.
+"""The loop in real time against `hil plant`: wake-ups, latency, stale and skipped ticks, compute, recorder.
 
-Rule of the room: it runs `hil.daemon.run`; only its bus and its cycle look at a clock as well.
+Rule of the room: it runs `hil.daemon.run`; only its bus looks at a clock as well.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hil.app.benchmarks.cyclictest import cyclictest
 from hil.app.benchmarks.figures import EARLY, Figure, Mark, spread
 from hil.app.benchmarks.patience import patience_figures
 from hil.app.benchmarks.process import cpu_s
-from hil.app.benchmarks.stages import StagedCycle, stage_figures
+from hil.app.benchmarks.stages import compute_figure
 from hil.app.compose import attachments, build_cycle, build_scene, feedback_window_s
 from hil.app.configuration import Configuration
 from hil.app.run import RELAXED_WATCHDOG_S
@@ -78,7 +78,6 @@ class StampedBus(Bus):
 class Measured(NamedTuple):
     """What a run leaves."""
 
-    cycle: StagedCycle
     bus: StampedBus
     ending: Ending
     granted: RealTime
@@ -97,7 +96,7 @@ def measure(c: Configuration, bench: Bench) -> Measured:
     if not fifo_allowed(c.loop.priority):  # as `hil run` does
         rate = holdable_rate(rate, c.limits.missed_stop_ticks)[0]
         watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
-    cycle = StagedCycle(build_cycle(c, rate, watchdog_s).parts)
+    cycle = build_cycle(c, rate, watchdog_s)
     panel = OperatorPanel()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(StampedBus.open(c.bus, role="controller"))
@@ -128,7 +127,7 @@ def measure(c: Configuration, bench: Bench) -> Measured:
         plant.finish()
     if panel.interrupts:
         raise KeyboardInterrupt  # nothing else is to run, either
-    return Measured(cycle, bus, ending, granted, rate, closed, 100.0 * (closed.recorder_cpu_s - used) / wall)
+    return Measured(bus, ending, granted, rate, closed, 100.0 * (closed.recorder_cpu_s - used) / wall)
 
 
 def realtime(bench: Bench) -> list[Figure]:
@@ -168,7 +167,7 @@ def realtime(bench: Bench) -> list[Figure]:
         *patience_figures(rows, c, bench.configuration),
         Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
         Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
-        *stage_figures(m.cycle),
+        compute_figure(rows["compute_ns"][rows["mode"] == Mode.TRACKING]),
     ]
 
 

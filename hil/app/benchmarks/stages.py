@@ -1,6 +1,6 @@
-"""A Cycle that notes when each stage of its step begins: the same step, with eight looks at a clock.
+"""Cycles that look at a clock: around the whole step, or as each of its stages begins.
 
-Rule of the room: changes nothing that the cycle computes.
+Rule of the room: they change nothing that the cycle computes.
 """
 
 from __future__ import annotations
@@ -22,17 +22,44 @@ from hil.signals import Array, Effort, Estimate, Mode, TickInput, TickOutput
 COMPUTE = Mark(40.0)
 """us, decode to encode and row."""
 STAGES = ("decode", "estimate", "modes, reference", "law", "safety", "command", "row")
-_COLUMNS = len(STAGES) + 2
 BLOCK = 100
 """Ticks over which a neighbour of the core is looked for."""
 _now = time.perf_counter_ns
 
 
+class TimedCycle(Cycle):
+    """Cycle with a stop-watch around its step, which may sleep before it (outside the stop-watch).
+
+    Mutable state beside the cycle's: `stamps`, for each tick the step's beginning and end (ns), and the mode.
+    """
+
+    def __init__(self, parts: Parts, sleep_s: float | None = None) -> None:
+        self.stamps = array("q")
+        self._sleep_s = sleep_s
+        super().__init__(parts)
+
+    def step(self, inp: TickInput) -> TickOutput:
+        """As Cycle.step."""
+        if self._sleep_s is not None:
+            time.sleep(self._sleep_s)
+        begun = _now()
+        out = super().step(inp)
+        ended = _now()
+        self.stamps.extend((begun, ended, self.mode))
+        return out
+
+    def compute_ns(self, mode: Mode = Mode.TRACKING) -> NDArray[np.int64]:
+        """Return what each tick in `mode` took."""
+        table = np.array(self.stamps, np.int64).reshape(-1, 3)
+        taken: NDArray[np.int64] = (table[:, 1] - table[:, 0])[table[:, 2] == mode]
+        return taken
+
+
 class StagedCycle(Cycle):
-    """Cycle with a stop-watch.
+    """Cycle with a stop-watch at each stage, which makes the whole step some 5 us longer.
 
     Mutable state beside the cycle's: `stamps`, for each tick the beginning of each stage, the end of the
-    last one (ns), and the mode. It costs about 1 us a tick.
+    last one (ns), and the mode.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -69,32 +96,24 @@ class StagedCycle(Cycle):
         return frames
 
 
-def stage_figures(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> list[Figure]:
-    """Return median and p99 of the whole step and of each stage over the ticks in `mode`."""
-    stamps = _stamps(cycle, mode)
-    whole = Figure("tick compute", spread(stamps[:, -1] - stamps[:, 0]), "us", COMPUTE)
-    stages = np.diff(stamps, axis=1).T
-    return [
-        whole,
-        *(Figure(f"  {name}", spread(ns), "us") for name, ns in zip(STAGES, stages, strict=True)),
-    ]
+def compute_figure(ns: NDArray[np.int64]) -> Figure:
+    """Return median and p99 of the step, with its mark."""
+    return Figure("tick compute", spread(ns), "us", COMPUTE)
 
 
-def quietest_figure(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> Figure:
+def quietest_figure(ns: NDArray[np.int64]) -> Figure:
     """Return the step in the block of ticks with the smallest median: without a neighbour on the core."""
-    stamps = _stamps(cycle, mode)
-    whole = stamps[:, -1] - stamps[:, 0]
-    blocks = whole[: len(whole) // BLOCK * BLOCK].reshape(-1, BLOCK)
+    blocks = ns[: len(ns) // BLOCK * BLOCK].reshape(-1, BLOCK)
     medians = np.median(blocks, axis=1)
     if not medians.size:
-        return Figure("quietest block", note=f"fewer than {BLOCK} ticks")
+        return Figure("  quietest block", note=f"fewer than {BLOCK} ticks")
     within = int(np.count_nonzero(medians <= COMPUTE.limit * 1e3))
     note = f"of {len(medians)} blocks of {BLOCK} ticks; the median of {within} is within the mark"
-    return Figure("quietest block", spread(blocks[medians.argmin()]), "us", note=note)
+    return Figure("  quietest block", spread(blocks[medians.argmin()]), "us", note=note)
 
 
-def _stamps(cycle: StagedCycle, mode: Mode) -> NDArray[np.int64]:
-    """Return the instants (ticks in `mode`, stages + 1), ns."""
-    table = np.array(cycle.stamps, np.int64)
-    table = table[: table.size // _COLUMNS * _COLUMNS].reshape(-1, _COLUMNS)
-    return table[table[:, -1] == mode, :-1]
+def stage_figures(cycle: StagedCycle, mode: Mode = Mode.TRACKING) -> list[Figure]:
+    """Return median and p99 of each stage over the ticks in `mode`."""
+    table = np.array(cycle.stamps, np.int64).reshape(-1, len(STAGES) + 2)
+    stages = np.diff(table[table[:, -1] == mode, :-1], axis=1).T
+    return [Figure(f"  {name}", spread(ns), "us") for name, ns in zip(STAGES, stages, strict=True)]

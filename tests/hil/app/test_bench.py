@@ -3,9 +3,7 @@
 import json
 import os
 import time
-from array import array
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from drivers.bustime import BitTiming, frame_time_ns
 from drivers.signals import Command, DriveMode
 from hil.app.bench import PARTS, TITLES, main
 from hil.app.benchmarks import cyclictest, realtime
-from hil.app.benchmarks.bench import CHANNEL, Bench
+from hil.app.benchmarks.bench import CHANNEL, Bench, Held
 from hil.app.benchmarks.figures import Figure, Mark, lines, number, spread
 from hil.app.benchmarks.fmu import fmu
 from hil.app.benchmarks.laws import laws
@@ -31,13 +29,21 @@ from hil.app.benchmarks.plain import (
     joint_inverse_dynamics,
 )
 from hil.app.benchmarks.process import cpu_s, resident_kB
-from hil.app.benchmarks.stages import BLOCK, STAGES, StagedCycle, quietest_figure, stage_figures
+from hil.app.benchmarks.stages import (
+    BLOCK,
+    STAGES,
+    StagedCycle,
+    TimedCycle,
+    quietest_figure,
+    stage_figures,
+)
 from hil.app.benchmarks.tick import tick
 from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration import load
 from hil.app.sim import simulate
 from hil.control import LAWS, LawContext, build_law
 from hil.geometry import Platform
+from hil.parts import Parts
 from hil.replay import replay
 from hil.signals import Mode, Reference, State
 from hil.trajectory import hold
@@ -188,9 +194,13 @@ def test_the_model_for_mujoco_is_the_same_mechanism(case):
 # -- stages --------------------------------------------------------------------------------------------------
 
 
-def test_the_stop_watch_changes_nothing_and_sees_every_stage_of_every_tick(bench):
+def parts(bench) -> Parts:
     c = bench.configuration
-    cycle = StagedCycle(build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts)
+    return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
+
+
+def test_the_stop_watches_change_nothing_and_see_every_stage_of_every_tick(bench):
+    cycle = StagedCycle(parts(bench))
     begun = time.perf_counter_ns()
     verdict = replay(bench.held, cycle)
     wall = time.perf_counter_ns() - begun
@@ -201,38 +211,48 @@ def test_the_stop_watch_changes_nothing_and_sees_every_stage_of_every_tick(bench
     assert modes.tolist() == [int(entry.row["mode"]) for entry in bench.held.entries]
     assert (stamps[:, -1] - stamps[:, 0]).sum() < wall
     figures = stage_figures(cycle)
-    assert [f.name.strip() for f in figures] == ["tick compute", *STAGES]
+    assert [f.name.strip() for f in figures] == list(STAGES)
     tracking = stamps[modes == Mode.TRACKING]
-    assert figures[0].values["median"] == pytest.approx(np.median(tracking[:, -1] - tracking[:, 0]) / 1e3)
     law = tracking[:, STAGES.index("law") + 1] - tracking[:, STAGES.index("law")]
-    assert figures[1 + STAGES.index("law")].values["median"] == pytest.approx(np.median(law) / 1e3)
+    assert figures[STAGES.index("law")].values["median"] == pytest.approx(np.median(law) / 1e3)
+
+
+def test_the_stop_watch_around_the_step_leaves_a_sleep_out(bench):
+    entries = bench.held.entries[:300]
+    sleep_s = 2e-3
+    cycle = TimedCycle(parts(bench), sleep_s)
+    begun = time.perf_counter_ns()
+    verdict = replay(Held(entries), cycle)
+    wall = time.perf_counter_ns() - begun
+    assert verdict.exact
+    taken = sum(cycle.compute_ns(mode).sum() for mode in Mode)
+    assert sum(len(cycle.compute_ns(mode)) for mode in Mode) == len(entries)
+    assert 0 < taken < wall - len(entries) * sleep_s * 1e9
 
 
 def test_the_tick_part_gives_the_compute_mark(bench):
     figures = tick(bench)
     assert figures[0].mark == Mark(40.0)
     assert not [f for f in figures if f.name == "result"], "ticks came out differently"
+    assert [f.name.strip() for f in figures[1:3]] == ["quietest block", "after a sleep"]
+    assert [f.name.strip() for f in figures[4:]] == list(STAGES)
+    assert all(f.values["median"] > 0.0 for f in figures if f.name != "stages")
 
 
-def stamped(steps_us: list[float], mode: Mode = Mode.TRACKING) -> Any:
-    """Return what a StagedCycle leaves of steps that take so long, all of it in the first stage."""
-    stamps = array("q")
-    for k, us in enumerate(steps_us):
-        begun = 1_000_000 * k
-        stamps.extend([begun, *[begun + round(us * 1e3)] * len(STAGES), mode])
-    return SimpleNamespace(stamps=stamps)
+def nanoseconds(steps_us: list[float]) -> Any:
+    return np.round(np.array(steps_us) * 1e3).astype(np.int64)
 
 
 def test_the_quietest_block_is_found_among_disturbed_ones():
     steps = [70.0] * BLOCK + [38.0] * (BLOCK - 2) + [90.0] * 2 + [41.0] * BLOCK + [1.0] * (BLOCK - 1)
-    figure = quietest_figure(stamped(steps))
+    figure = quietest_figure(nanoseconds(steps))
     assert figure.values == {"median": 38.0, "p99": pytest.approx(90.0, abs=1.0)}
     assert figure.note == f"of 3 blocks of {BLOCK} ticks; the median of 1 is within the mark"
     assert figure.mark is None, "the mark is judged by all ticks"
 
 
 def test_fewer_ticks_than_a_block_have_no_quietest_one():
-    figure = quietest_figure(stamped([1.0] * (BLOCK - 1)))
+    figure = quietest_figure(nanoseconds([1.0] * (BLOCK - 1)))
     assert not figure.values
     assert "fewer" in figure.note
 

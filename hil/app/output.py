@@ -148,7 +148,7 @@ UNITS = {
     "_percent": "%",
 }
 """End of a key -> unit of its value, the longest first."""
-_SILENT = frozenset({"success", "kind", "last_ticks"})
+_SILENT = frozenset({"success", "kind", "last_ticks", "stalled"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 

@@ -17,20 +17,10 @@ from hil.app.compose import attachments, build_cycle, build_scene, bus_budget, f
 from hil.app.configuration import Configuration
 from hil.app.controller_file import law_figures
 from hil.app.output import console, log_path
+from hil.app.pace import pace, stalled
 from hil.app.replay import replay_log
 from hil.app.supervise import SupervisedPlant
-from hil.clock import (
-    LATE_PERIODS,
-    LATE_SHARE,
-    STALL_S,
-    Deadlines,
-    RealTime,
-    fifo_allowed,
-    holdable_rate,
-    late_share,
-    real_time,
-    resident_MB,
-)
+from hil.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.daemon import NO_DRIVES_S, Ending, OperatorPanel, run
 from hil.log import Log
 from hil.record import LogSummary, Recording
@@ -38,8 +28,6 @@ from hil.report import Rows, figures, picture
 from hil.setpoints import SetPointSocket
 from hil.signals import Mode
 
-RELAXED_WATCHDOG_S = 0.2
-"""Watchdog of emulated drives when the loop has no SCHED_FIFO. Real drives keep the configured one."""
 FAULT_TICKS_SHOWN = 50
 _ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault"}
 _TAIL_COLUMNS = (
@@ -56,9 +44,12 @@ def run_daemon(
     with_plant: bool = False,
     draw: bool = True,
     reset: bool = False,
+    slow: str = "",
 ) -> dict[str, Any]:
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
+    `slow` says why the loop is to run at the rate that this machine holds without real time. The key
+    `stalled` says that the machine did not keep the configured rate and that a slower loop outlasts more.
     Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
@@ -70,7 +61,7 @@ def run_daemon(
         stack.enter_context(_startable())
         stack.enter_context(panel.attached())
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
-        rate, watchdog_s = _pace(c, with_plant=with_plant)
+        rate, watchdog_s = pace(c, with_plant=with_plant, lack=slow)
         budget = bus_budget(c, rate)
         cycle = build_cycle(c, rate, watchdog_s)
         path = log_path(c.recording.folder, c.name, log)
@@ -121,6 +112,8 @@ def run_daemon(
             plant_summary = plant.finish()
     law = law_figures(c.controller, cycle.parts.law)
     result = _summary(c, law, ending, trouble, granted, rate, budget, closed)
+    held = slow or plant_trouble or panel.interrupts or not with_plant
+    result["stalled"] = not held and stalled(c, cycle, ending, rate)
     if "recorder" in result:
         console.print(f"hil: {result['recorder']}", style="bold yellow", soft_wrap=True)
     if plant_summary is not None:
@@ -140,55 +133,6 @@ def _startable() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise RunError("stopped on request before the loop began: nothing has moved") from None
-
-
-def _pace(c: Configuration, *, with_plant: bool) -> tuple[float, float]:
-    """Return rate (Hz) and drive watchdog (s): the configured ones, or what holds without real time."""
-    rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
-    lack = _lack(c, with_plant=with_plant)
-    if not lack:
-        return rate, watchdog_s
-    if c.loop.without_realtime == "refuse":
-        raise RunError(f"{lack}, and loop.without_realtime is `refuse`: nothing was started")
-    slow, worst_s = holdable_rate(rate, c.limits.missed_stop_ticks)
-    if with_plant:
-        watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
-    elif 3.0 / slow > watchdog_s:
-        raise RunError(
-            f"{lack}: this machine holds {slow:g} Hz now, drives.watchdog_ms {watchdog_s * 1e3:g} needs at "
-            f"least {3.0 / watchdog_s:.0f} Hz; grant SCHED_FIFO or lengthen the watchdog"
-        )
-    consequences = []
-    if slow < rate:
-        consequences.append(f"the loop runs at {slow:g} Hz instead of {rate:g} Hz")
-    if with_plant:
-        consequences.append(f"emulated drives' watchdog {watchdog_s * 1e3:g} ms")
-    said = lack + (f": {', '.join(consequences)}" if consequences else "")
-    if worst_s * slow > c.limits.missed_stop_ticks:
-        stall_ms = worst_s * 1e3
-        said += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
-    console.print(said, style="bold yellow")
-    return slow, watchdog_s
-
-
-def _lack(c: Configuration, *, with_plant: bool) -> str:
-    """Say why the loop has no real time; empty if it has, or if the limits outlast what may come.
-
-    With the plant on this machine, too, SCHED_FIFO has to be kept and not only granted: an answer that comes
-    later than the feedback window is a stale leg.
-    """
-    if not fifo_allowed(c.loop.priority):
-        return "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
-    limit_s = min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks) / c.loop.rate_Hz
-    if not with_plant or limit_s >= STALL_S:
-        return ""
-    late = late_share(c.loop.rate_Hz, c.loop.priority)
-    if late <= LATE_SHARE:
-        return ""
-    late_us = 1e6 * LATE_PERIODS / c.loop.rate_Hz
-    return (
-        f"this machine does not keep SCHED_FIFO, {100 * late:.1f} % of its wake-ups are {late_us:.0f} us late"
-    )
 
 
 def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) -> str:

@@ -52,6 +52,9 @@ def run_command(
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
     with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png.
 
+    Where this machine stalls longer than the limits allow, --plant runs once more at a rate that outlasts
+    it, and says so. The files of the stalled run are kept as ...-stalled.
+
     \b
     Exit code:
       0  parked as planned or on request, and what was recorded replays exactly
@@ -59,9 +62,11 @@ def run_command(
       2  not begun: configuration, bus, plant or log file; the message says what
     """
     loaded = load(configuration, "run")
+    from hil.app.again import run_with_plant
     from hil.app.run import run_daemon
 
-    summary = run_daemon(loaded, log=log, duration_s=duration, with_plant=with_plant, reset=reset)
+    run = run_with_plant if with_plant else run_daemon
+    summary = run(loaded, log=log, duration_s=duration, reset=reset)
     if "last_ticks" in summary:
         from hil.app.output import last_ticks_table
 

@@ -26,7 +26,7 @@ from hil.app.benchmarks.process import cpu_s
 from hil.app.benchmarks.stages import compute_figure
 from hil.app.compose import attachments, build_cycle, build_scene, feedback_window_s
 from hil.app.configuration import Configuration
-from hil.app.run import RELAXED_WATCHDOG_S
+from hil.app.pace import RELAXED_WATCHDOG_S
 from hil.app.supervise import SupervisedPlant
 from hil.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time
 from hil.daemon import Ending, OperatorPanel, run

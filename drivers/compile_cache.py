@@ -1,9 +1,10 @@
 """How kernels are compiled: Numba, at import, into a cache folder named after the sources.
 
-Rule of the room: the only importer of Numba. Numba's own cache notices edits of the file that holds a
-function, but not of the files whose functions and constants it uses; so each source file has a folder of
-its own, keyed by the hash of that file and of all that it imports from this project. Where the file lies
-does not count: a second clone or an installed wheel with the same sources finds what is compiled.
+Rule of the room: with `drivers.borrowed` the only importer of Numba. Numba's own cache notices edits of the
+file that holds a function, but not of the files whose functions and constants it uses; so each source file
+has a folder of its own, keyed by the hash of that file and of all that it imports from this project. Where
+the file lies does not count: a second clone or an installed wheel with the same sources finds what is
+compiled.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import numba
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+
+from drivers.borrowed import borrowed, returns_array
 
 # Numba loads scipy.linalg for BLAS if it is there, a tenth of a command's start; no kernel may use BLAS.
 sys.modules.setdefault("scipy.linalg.cython_blas", cast("ModuleType", None))
@@ -116,7 +119,7 @@ def _has_to_compile() -> bool:
 
     What only an option needs is imported, and compiled, where that is taken.
     """
-    marked = re.compile(rb"^@kernel\(", re.MULTILINE)
+    marked = re.compile(rb"^@(kernel|direct)\(", re.MULTILINE)
     kernels = (path for path in sources_of(_EVERY_RUN) if marked.search(path.read_bytes()))
     return any(next(folder_of(path).glob("*.nbi"), None) is None for path in kernels)
 
@@ -177,12 +180,8 @@ BOOLEAN = types.boolean
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": False}
 
 
-CHECKED = bool(os.environ.get("HIL_CHECK_KERNELS"))
-"""Whether `direct` kernels look at the types of their arguments, too: set by the tests."""
-
-
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
-    """Compile for exactly these argument types when the module is imported; others are refused, see `direct`.
+    """Compile for exactly these argument types when the module is imported; others are refused.
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
     the interpreter run meanwhile.
@@ -201,16 +200,22 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     return decorate
 
 
-def direct(compiled: F) -> F:
-    """Return a kernel as the loop calls it: with arrays of the declared types, which the caller answers for.
+def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
+    """As `kernel`, for what the loop calls each tick: no dispatcher, arrays borrowed, see `drivers.borrowed`.
 
-    Of an array only the size of an element is looked at, not type, dimensions or layout, unless CHECKED: the
-    look takes 30 to 70 ns an argument. Other kernels cannot call it.
+    It returns numbers only, and other kernels cannot call it. An array of another type raises TypeError.
     """
-    if CHECKED or not hasattr(compiled, "overloads"):  # the latter where Numba is disabled
-        return compiled
-    (only,) = cast("Any", compiled).overloads.values()
-    return cast("F", only.entry_point)
+
+    def decorate(function: F) -> F:
+        compiled: Any = kernel(*map(borrowed, arguments), unlocked=unlocked)(function)
+        if not hasattr(compiled, "overloads"):  # where Numba is disabled
+            return cast("F", compiled)
+        (only,) = compiled.overloads.values()
+        if returns_array(only.signature.return_type):
+            raise TypeError(f"{function.__qualname__}: a direct kernel fills arrays and returns none")
+        return cast("F", only.entry_point)
+
+    return decorate
 
 
 def helper(function: F) -> F:

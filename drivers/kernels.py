@@ -88,8 +88,7 @@ def register_after(data: Any, start: int, end: int, register: int) -> int:
     return register
 
 
-@direct
-@kernel(
+@direct(
     DATA, INTEGER, INTEGER, INTEGER, INTEGERS, INTEGERS, VECTOR,
     OUT_VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, OUT_FLAGS,
 )  # fmt: skip

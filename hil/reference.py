@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from drivers.signals import LEGS
 from hil.geometry import Platform
 from hil.kernels.kinematics import reference_kernel
 from hil.signals import Reference
@@ -20,5 +23,6 @@ def complete(platform: Platform, sample: PoseSample, t: float = math.nan) -> Ref
     An unreachable pose gives lengths outside the hard ends, which `hil check` and safety refuse.
     """
     p, R, twist, dtwist = sample
-    motion = reference_kernel(platform.base_joints, platform.platform_joints, p, R, twist, dtwist)
-    return Reference(p, R, twist, dtwist, motion[0], motion[1], motion[2], t)
+    q, dq, ddq = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS)
+    reference_kernel(platform.base_joints, platform.platform_joints, p, R, twist, dtwist, q, dq, ddq)
+    return Reference(p, R, twist, dtwist, q, dq, ddq, t)

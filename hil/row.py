@@ -11,7 +11,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compile_cache import OUT_VECTOR, REAL, VECTOR, direct, helper, kernel
+from drivers.compile_cache import OUT_VECTOR, REAL, VECTOR, direct, helper
 from drivers.signals import LEGS, Command, Measurement
 from hil.kernels.signals import MEASUREMENT, REFERENCE, STATE
 from hil.signals import (
@@ -84,8 +84,7 @@ def _put(values: Array, cells: Array, at: int) -> int:
     return at
 
 
-@direct
-@kernel(
+@direct(
     OUT_VECTOR, REAL, *MEASUREMENT, *STATE, REAL, *REFERENCE, VECTOR, VECTOR, VECTOR, VECTOR,
     REAL, REAL, REAL, REAL,
 )  # fmt: skip

@@ -106,8 +106,7 @@ def _actuate(integers: Integers, reals: Array, stage: Array, length: Array, rate
     return controls
 
 
-@direct
-@kernel(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, INTEGERS, VECTOR, INTEGER, INTEGER, INTEGER)
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, INTEGERS, VECTOR, INTEGER, INTEGER, INTEGER)
 def obey(
     integers: Integers,
     reals: Array,
@@ -147,8 +146,7 @@ def obey(
     return fresh, controls, entered, integers[DEADLINE].min()
 
 
-@direct
-@kernel(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
 def read_encoders(
     integers: Integers,
     reals: Array,
@@ -171,8 +169,7 @@ def read_encoders(
         l[leg] = np.rint(at / quantum_m) * quantum_m if quantum_m > 0.0 else at
 
 
-@direct
-@kernel(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, BOOLEAN)
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, BOOLEAN)
 def actuate(integers: Integers, reals: Array, stage: Array, length: Array, rate: Array, lag: bool) -> bool:
     """Set FORCE and BRAKES from the drives' states; with `lag` over the next grid step.
 

@@ -89,8 +89,7 @@ def do_step(call: Integers, t_s: float, dt_s: float) -> int:
     return int(foreign(call[STEP], (call[INSTANCE], t_s, dt_s, never_back)))
 
 
-@direct
-@kernel(
+@direct(
     INTEGERS, VECTOR, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_INTEGERS, OUT_VECTOR, BYTES, unlocked=True
 )
 def exchange(

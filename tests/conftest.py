@@ -17,7 +17,6 @@ from typing import IO
 
 import pytest
 
-os.environ.setdefault("HIL_CHECK_KERNELS", "1")  # read as the first kernel is compiled
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it; the suite has a process a processor
 
 

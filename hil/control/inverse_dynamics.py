@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import INTEGER, VECTOR, direct, kernel
+from drivers.compile_cache import INTEGER, OUT_VECTOR, VECTOR, direct
+from drivers.signals import LEGS
 from hil.config import InverseDynamicsSettings
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
@@ -48,7 +49,9 @@ class JointInverseDynamics:
 
 def linearised_pd(model: Model, K_P: Array, K_D: Array, state: State, reference: Reference) -> Array:
     """Return tau (6,) N for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2; NaN where J is singular."""
-    return _linearised_pd(K_P, K_D, model.constants, model.code, *state, *reference)
+    tau = np.empty(LEGS)
+    _linearised_pd(K_P, K_D, model.constants, model.code, *state, *reference, tau)
+    return tau
 
 
 def linearising_tau(model: Model, state: State, ddq_star: Array, wrench: Array) -> Array:
@@ -58,16 +61,15 @@ def linearising_tau(model: Model, state: State, ddq_star: Array, wrench: Array) 
     )
 
 
-@direct
-@kernel(VECTOR, VECTOR, VECTOR, INTEGER, *STATE, *REFERENCE)
+@direct(VECTOR, VECTOR, VECTOR, INTEGER, *STATE, *REFERENCE, OUT_VECTOR)
 def _linearised_pd(
     K_P: Array, K_D: Array, c: Array, code: int,
     q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, _residual: float,
     wrench: Array,
     _p_d: Array, _R_d: Array, _twist_d: Array, _dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
-    _t: float,
-) -> Array:  # fmt: skip
+    _t: float, tau: Array,
+) -> None:  # fmt: skip
     ddq_star = np.empty(6)
     for i in range(6):
         ddq_star[i] = ddq_d[i] + K_D[i] * (dq_d[i] - dq[i]) + K_P[i] * (q_d[i] - q[i])
-    return joint_idc_kernel(c, code, p, R, twist, J, ddq_star, wrench)
+    tau[:] = joint_idc_kernel(c, code, p, R, twist, J, ddq_star, wrench)

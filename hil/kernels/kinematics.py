@@ -111,12 +111,11 @@ def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w:
     return dot(ds, u) + dot(s, cross(w, cross(w, r)))
 
 
-@direct
-@kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR)
-def reference_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array) -> Array:
-    """Return q, dq = J twist, ddq = J dtwist + (dJ/dt) twist as the rows of one array, (3, 6)."""
-    motion = np.empty((3, 6))
-    q, dq, ddq = motion[0], motion[1], motion[2]
+@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_VECTOR)
+def reference_kernel(
+    a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, q: Array, dq: Array, ddq: Array
+) -> None:
+    """Fill q, dq = J twist, ddq = J dtwist + (dJ/dt) twist, (6,)."""
     v = at(twist, 0)
     w = at(twist, 3)
     for i in range(6):
@@ -127,7 +126,6 @@ def reference_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwis
         q[i] = l
         dq[i] = dl
         ddq[i] = dot(ds, u) + dot(s, du)
-    return motion
 
 
 @helper
@@ -209,8 +207,7 @@ def forward_kinematics_kernel(
     return p, R, J, iterations, residual, hop
 
 
-@direct
-@kernel(
+@direct(
     MATRIX,
     MATRIX,
     REAL,

@@ -20,7 +20,6 @@ from drivers.compile_cache import (
     VECTOR,
     direct,
     helper,
-    kernel,
 )
 from hil.kernels.error_axes import error_axes
 from hil.kernels.signals import MEASUREMENT, REFERENCE, STATE
@@ -199,8 +198,7 @@ def judge_certificate(
     return _CERTIFICATE if action > 1.0 else 0, _WARN_CERTIFICATE
 
 
-@direct
-@kernel(
+@direct(
     INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
     *MEASUREMENT, *STATE, REAL, REAL, *REFERENCE, VECTOR,
     VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX,

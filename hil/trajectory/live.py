@@ -126,8 +126,7 @@ def way_to_rest(
     return chi
 
 
-@direct
-@kernel(TENSOR, INTEGER, WORDS, REAL, *SAMPLE)
+@direct(TENSOR, INTEGER, WORDS, REAL, *SAMPLE)
 def evaluate(
     history: Array, k: int, window: NDArray[np.int64], period: float,
     p: Array, R: Array, twist: Array, dtwist: Array,

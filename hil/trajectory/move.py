@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import MATRIX, REAL, VECTOR, direct, kernel
+from drivers.compile_cache import MATRIX, REAL, VECTOR, direct
 from hil.rotations import relative_rotation, rotation_motion
 from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, quintic
 from hil.vectors import at, scale
 
 
-@direct
-@kernel(REAL, VECTOR, MATRIX, VECTOR, VECTOR, REAL, *SAMPLE)
+@direct(REAL, VECTOR, MATRIX, VECTOR, VECTOR, REAL, *SAMPLE)
 def evaluate(
     t: float, p0: Array, R0: Array, dp: Array, phi: Array, duration: float,
     p: Array, R: Array, twist: Array, dtwist: Array,

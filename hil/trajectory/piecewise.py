@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import INTEGER, MATRIX, REAL, VECTOR, direct, kernel
+from drivers.compile_cache import INTEGER, MATRIX, REAL, VECTOR, direct
 from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift
 
 DEGREE = 5
 TENSOR = MATRIX.copy(ndim=3)
 
 
-@direct
-@kernel(REAL, VECTOR, TENSOR, INTEGER, *SAMPLE)
+@direct(REAL, VECTOR, TENSOR, INTEGER, *SAMPLE)
 def evaluate(
     t: float, knots: Array, coefficients: Array, periods: int, p: Array, R: Array, twist: Array, dtwist: Array
 ) -> None:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGERS, MATRIX, REAL, VECTOR, direct, helper, kernel
+from drivers.compile_cache import INTEGERS, MATRIX, REAL, VECTOR, direct, helper
 from drivers.errors import ConfigurationError
 from hil.config import Pose, SinusoidReference
 from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift, quintic, require_half_turn, six_words
@@ -32,8 +32,7 @@ def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
     return 1.0, 0.0, 0.0
 
 
-@direct
-@kernel(REAL, VECTOR, INTEGERS, MATRIX, REAL, REAL, *SAMPLE)
+@direct(REAL, VECTOR, INTEGERS, MATRIX, REAL, REAL, *SAMPLE)
 def evaluate(
     t: float, centre: Array, axis: NDArray[np.int64], wave: Array, duration: float, ramp: float,
     p: Array, R: Array, twist: Array, dtwist: Array,

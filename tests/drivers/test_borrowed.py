@@ -1,0 +1,148 @@
+"""Arrays that a kernel borrows: what it sees, what it refuses, and that it keeps nothing."""
+
+import gc
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.compile_cache import (
+    FLAGS,
+    INTEGER,
+    INTEGERS,
+    MATRIX,
+    OUT_FLAGS,
+    OUT_MATRIX,
+    OUT_VECTOR,
+    VECTOR,
+    direct,
+)
+
+
+@direct(VECTOR, MATRIX, INTEGERS, FLAGS, OUT_VECTOR, OUT_MATRIX, OUT_FLAGS)
+def _look(vector: Any, matrix: Any, integers: Any, flags: Any, out: Any, rows: Any, marks: Any) -> int:
+    """Copy the first four to the others and return how many elements there were."""
+    for i in range(vector.shape[0]):
+        out[i] = vector[i] + 1000.0 * integers[i]
+        marks[i] = flags[i]
+    for i in range(matrix.shape[0]):
+        rows[i] = matrix[i]
+    return int(vector.size + matrix.size + integers.size + flags.size)
+
+
+TENSOR = MATRIX.copy(ndim=3)
+
+
+@direct(TENSOR, INTEGER, INTEGER, INTEGER)
+def _element(tensor: Any, i: int, j: int, k: int) -> float:
+    return float(tensor[i, j, k])
+
+
+def arguments() -> dict[str, Any]:
+    return {
+        "vector": np.arange(4.0),
+        "matrix": np.arange(6.0).reshape(2, 3),
+        "integers": np.arange(4),
+        "flags": np.array([True, False, False, True]),
+        "out": np.zeros(4),
+        "rows": np.zeros((2, 3)),
+        "marks": np.zeros(4, np.bool_),
+    }
+
+
+def look(given: dict[str, Any]) -> int:
+    return _look(*given.values())
+
+
+def test_a_kernel_sees_its_arguments_and_fills_those_that_it_may():
+    given = arguments()
+    assert look(given) == 18
+    assert given["out"].tolist() == [0.0, 1001.0, 2002.0, 3003.0]
+    assert given["rows"].tolist() == given["matrix"].tolist()
+    assert given["marks"].tolist() == [True, False, False, True]
+
+
+def test_what_it_only_reads_may_be_read_only_and_a_part_of_something():
+    given = arguments()
+    whole = np.arange(40.0).reshape(5, 2, 4)
+    whole.flags.writeable = False
+    given["vector"] = whole[1, 1]
+    given["matrix"] = np.arange(12.0).reshape(4, 3)[1:3]
+    look(given)
+    assert (given["out"] - 1000.0 * given["integers"]).tolist() == whole[1, 1].tolist()
+    assert given["rows"].tolist() == [[3.0, 4.0, 5.0], [6.0, 7.0, 8.0]]
+
+
+def test_strides_follow_from_the_shape():
+    tensor = np.arange(24.0).reshape(2, 3, 4)
+    for at in np.ndindex(tensor.shape):
+        assert _element(tensor, *at) == tensor[at]
+
+
+class Other(np.ndarray):
+    """Not NumPy's own class."""
+
+
+def unaligned() -> Any:
+    return np.zeros(33, np.uint8)[1:].view(float)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("vector", np.arange(4.0, dtype=np.float32)),
+        ("vector", np.arange(4)),
+        ("vector", np.arange(4.0).astype(">f8")),
+        ("vector", np.arange(8.0)[::2]),
+        ("vector", np.arange(4.0).reshape(2, 2)),
+        ("vector", np.float64(1.0)),
+        ("vector", np.array(1.0)),
+        ("vector", [0.0, 1.0, 2.0, 3.0]),
+        ("vector", None),
+        ("vector", 1.0),
+        ("vector", np.arange(4.0).view(Other)),
+        ("vector", unaligned()),
+        ("matrix", np.asfortranarray(np.arange(6.0).reshape(2, 3))),
+        ("matrix", np.arange(4.0)),
+        ("integers", np.arange(4, dtype=np.int32)),
+        ("integers", np.arange(4, dtype=np.uint64)),
+        ("flags", np.zeros(4, np.uint8)),
+        ("out", np.broadcast_to(np.zeros(4), (4,))),
+        ("rows", np.zeros((3, 2)).T),
+        ("marks", np.zeros(4)),
+    ],
+)
+def test_anything_else_is_refused_and_nothing_is_filled(name, value):
+    given = arguments() | {name: value}
+    with pytest.raises(TypeError, match=r"argument of a kernel is no (readonly )?array"):
+        look(given)
+    if name != "out":
+        assert not given["out"].any()
+
+
+def test_a_read_only_array_is_not_filled():
+    given = arguments()
+    given["out"].flags.writeable = False
+    with pytest.raises(TypeError, match=r"no array\(float64, 1d, C\)"):
+        look(given)
+
+
+def test_nothing_is_kept_and_nothing_is_lost():
+    given = arguments()
+    counts = [sys.getrefcount(array) for array in given.values()]
+    for _ in range(100):
+        look(given)
+    for _ in range(100):
+        with pytest.raises(TypeError):
+            look(given | {"marks": None})
+    gc.collect()
+    assert [sys.getrefcount(array) for array in given.values()] == counts
+
+
+def test_a_kernel_that_returns_an_array_is_refused():
+    with pytest.raises(TypeError, match="_back: a direct kernel fills arrays and returns none"):
+
+        @direct(VECTOR)
+        def _back(vector: Any) -> Any:
+            return vector[1:]

@@ -26,7 +26,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from drivers.borrowed import borrowed, returns_array
+from drivers.borrowed import borrowed, only_numbers
 
 # Numba loads scipy.linalg for BLAS if it is there, a tenth of a command's start; no kernel may use BLAS.
 sys.modules.setdefault("scipy.linalg.cython_blas", cast("ModuleType", None))
@@ -211,8 +211,8 @@ def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
         if not hasattr(compiled, "overloads"):  # where Numba is disabled
             return cast("F", compiled)
         (only,) = compiled.overloads.values()
-        if returns_array(only.signature.return_type):
-            raise TypeError(f"{function.__qualname__}: a direct kernel fills arrays and returns none")
+        if not only_numbers(only.signature.return_type):
+            raise TypeError(f"{function.__qualname__}: a direct kernel fills arrays and returns numbers")
         return cast("F", only.entry_point)
 
     return decorate

@@ -159,18 +159,17 @@ SLOWEST_Hz = 100.0
 """No loop is slowed below this: the delay of a slower one takes the phase margin of a usual control law."""
 
 
-def holdable_rate(rate_Hz: float, missed_in_a_row: int, seconds: float = 1.0) -> tuple[float, float]:
+def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[float, float]:
     """Return the highest of rate, rate/2, rate/4 ... that is held without SCHED_FIFO, and the worst wake-up.
 
-    The worst wake-up (s) is measured now, under the present load. `missed_in_a_row` misses stop the platform:
-    as many periods must outlast the longest stall, twice the worst wake-up and never less than STALL_S. Not
-    below SLOWEST_Hz.
+    The worst wake-up (s) is measured now, under the present load. A stall of so many periods ends a run: they
+    must outlast the longest one, twice the worst wake-up and never less than STALL_S. Not below SLOWEST_Hz.
     """
     deadlines = Deadlines(rate_Hz, 0.0)
     wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
     worst = max(w.lateness_ns + w.skipped * deadlines.period_ns for w in wakes) * 1e-9
     rate = rate_Hz
-    while missed_in_a_row / rate < max(STALL_S, 2.0 * worst) and rate / 2.0 >= SLOWEST_Hz:
+    while periods / rate < max(STALL_S, 2.0 * worst) and rate / 2.0 >= SLOWEST_Hz:
         rate /= 2.0
     return rate, worst
 

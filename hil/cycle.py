@@ -33,6 +33,7 @@ from hil.signals import (
     Operator,
     Reference,
     State,
+    Stop,
     TickInput,
     TickOutput,
     Verdict,
@@ -103,7 +104,7 @@ class Cycle:
         self.mode = Mode.WAITING
         self.mode_tick = 0
         self.faults = Fault.NONE
-        self.stop_requested = False
+        self.stop_requested = Stop.NONE
         self.reset_tick: int | None = None
         """When the operator last asked to clear the drives' faults."""
         self.set_up = [0] * LEGS
@@ -226,7 +227,7 @@ class Cycle:
             self.reset_tick = tick
             self.set_up = [0] * LEGS
             self.faults = Fault.NONE
-            self.stop_requested = False
+            self.stop_requested = Stop.NONE
             self.located = self.fusing = False
             self.parts.wrench.forget()
             self.parts.safety.reset()
@@ -246,7 +247,7 @@ class Cycle:
             self.mode is Mode.WAITING and self._ready(),
             elapsed,
             motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
-            self.stop_requested,
+            self.stop_requested is not Stop.NONE,
         )
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
@@ -361,7 +362,8 @@ class Cycle:
             self.faults |= faults
             if self.mode is not Mode.FAULT:
                 self.mode, self.mode_tick = Mode.FAULT, inp.tick
-        self.stop_requested = self.stop_requested or verdict.stop
+        if verdict.stop is not Stop.NONE and self.stop_requested is Stop.NONE:
+            self.stop_requested = verdict.stop
 
     def _command(self, tick: int, verdict: Verdict) -> Command:
         if self.mode is Mode.WAITING and self._clears_drives(tick):

@@ -21,7 +21,7 @@ from hil.clock import Deadlines
 from hil.cycle import Cycle
 from hil.record import Recording
 from hil.setpoints import SetPointSocket
-from hil.signals import Fault, Mode, Operator, TickInput
+from hil.signals import Fault, Mode, Operator, Stop, TickInput
 from hil.steering import explain
 
 NO_DRIVES_S = 2.0
@@ -32,6 +32,10 @@ FAULT_TAIL_S = 0.25
 """After a fault the drives are told to switch off for this long before the run ends."""
 SAFE_FRAMES = 5
 """Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
+_STOPS = {
+    Stop.MISSED: "the loop missed limits.missed_stop_ticks periods in a row",
+    Stop.RECORDER: "the recorder was lost or lost ticks (recording.on_recorder_loss is `stop`)",
+}
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class Ending:
     fault_tick: int = -1
     requested: bool = False
     """The operator asked for the stop."""
+    missed: bool = False
+    """Safety asked for the stop because of missed periods."""
     unexpected: str = ""
     """Traceback of a defect of this program, for the log."""
 
@@ -223,13 +229,12 @@ def _run(
         if mode is Mode.PARKED:
             parked_tick = parked_tick if parked_tick >= 0 else tick
             if drives_off(cycle) or tick - parked_tick >= fault_ticks:
-                cause = (
-                    "the loop missed limits.missed_stop_ticks periods in a row"
-                    if recording.alive
-                    else "the recorder was lost"
+                why = cycle.stop_requested
+                reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
+                requested = stopped or panel.interrupts > 0
+                return Ending(
+                    mode, cycle.faults, reason, tick, requested=requested, missed=why is Stop.MISSED
                 )
-                reason = f"safety asked for a controlled stop: {cause}" if cycle.stop_requested else ""
-                return Ending(mode, cycle.faults, reason, tick, requested=stopped or panel.interrupts > 0)
         if mode is Mode.FAULT:
             if fault_tick < 0:
                 fault_tick, fault_detail = tick, fault_text(cycle)

@@ -244,6 +244,16 @@ class Effort(NamedTuple):
     """(6,) N, > 0 extends."""
 
 
+class Stop(IntEnum):
+    """Why safety asks for a controlled stop."""
+
+    NONE = 0
+    MISSED = 1
+    """Too many periods missed in a row."""
+    RECORDER = 2
+    """The recorder is dead or loses ticks, and the run may not go on without it."""
+
+
 class Verdict(NamedTuple):
     """What safety makes of it."""
 
@@ -251,8 +261,8 @@ class Verdict(NamedTuple):
     """(6,) N, limited."""
     warnings: Warn
     faults: Fault
-    stop: bool = False
-    """A controlled stop is asked for: ticks missed in a row, or no recorder."""
+    stop: Stop = Stop.NONE
+    """A controlled stop is asked for."""
     certificate: Sequence[float] = (math.nan,) * 4
     """Columns `lyapunov` to `lyapunov_share`; nan where nothing is watched."""
 

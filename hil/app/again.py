@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,6 @@ from drivers.errors import HilError
 from hil.app.configuration import Configuration
 from hil.app.output import console
 from hil.app.run import run_daemon
-
-_ENDS = (".mcap", "-plant.mcap", ".png")
-"""What a run's files add to its name."""
 
 
 def run_with_plant(
@@ -27,41 +23,53 @@ def run_with_plant(
 
     Returns the summary of the run that counts; with key `stalled_run`, what the summary of the stalled one
     said (trouble, rate_Hz, ticks) and where its log is kept. The log that was asked for is the second one's.
-    A configuration that cannot run slower leaves it at the first run. Raises as `hil.app.run.run_daemon`.
+    Where the second run does not begin, the first one counts. Raises as `hil.app.run.run_daemon`.
     """
     first = run_daemon(configuration, log=log, duration_s=duration_s, with_plant=True, reset=reset)
     if not first["stalled"]:
         return first
     path = Path(first["log"])
-    kept = _set_aside(path)
-    console.print(f"hil: {first['trouble']}; its log is {kept}", style="bold yellow", soft_wrap=True)
+    _set_aside(first)
+    console.print(f"hil: {first['trouble']}; its log is {first['log']}", style="bold yellow", soft_wrap=True)
     reason = f"this machine stalls at {first['rate_Hz']:g} Hz, once more from the start"
     try:
         second = run_daemon(
             configuration, log=path, duration_s=duration_s, with_plant=True, reset=reset, slow=reason
         )
     except HilError as error:
-        if path.exists():
-            raise
-        _move(kept, path)
-        console.print(
-            f"hil: not once more, the log is {path} again: {error}", style="bold yellow", soft_wrap=True
-        )
+        console.print(f"hil: not once more: {error}", style="bold yellow", soft_wrap=True)
         return first
-    said = {key: first.get(key) for key in ("trouble", "rate_Hz", "ticks")}
-    return second | {"stalled_run": said | {"log": str(kept)}}
+    return second | {"stalled_run": {key: first.get(key) for key in ("trouble", "rate_Hz", "ticks", "log")}}
 
 
-def _set_aside(log: Path) -> Path:
-    """Rename a run's files, NAME to NAME-stalled, and return the log's new path; nothing is overwritten."""
-    kept, number = log.with_name(f"{log.stem}-stalled.mcap"), 2
-    while any(os.path.lexists(kept.with_name(kept.stem + end)) for end in _ENDS):
-        kept, number = log.with_name(f"{log.stem}-stalled-{number}.mcap"), number + 1
-    _move(log, kept)
-    return kept
+def _set_aside(summary: dict[str, Any]) -> None:
+    """Rename the files of a run, NAME to NAME-stalled, here and in its summary; nothing is overwritten."""
+    number = 1
+    files = _files(summary)
+    new = _stalled(files, number)
+    while any(map(os.path.lexists, new.values())):
+        number += 1
+        new = _stalled(files, number)
+    for key, file in files.items():
+        file.rename(new[key])
+    summary["log"] = str(new["log"])
+    if "plant" in files:
+        summary["plant"] = summary["plant"] | {"log": str(new["plant"])}
+    if "picture" in files:
+        summary["picture"] = str(new["picture"])
 
 
-def _move(log: Path, to: Path) -> None:
-    for end in _ENDS:
-        with contextlib.suppress(FileNotFoundError):
-            log.with_name(log.stem + end).rename(to.with_name(to.stem + end))
+def _files(summary: dict[str, Any]) -> dict[str, Path]:
+    named = {
+        "log": summary["log"],
+        "plant": summary.get("plant", {}).get("log"),
+        "picture": summary.get("picture"),
+    }
+    return {key: Path(name) for key, name in named.items() if name}
+
+
+def _stalled(files: dict[str, Path], number: int) -> dict[str, Path]:
+    """Return the new names: what the log's own adds stands behind its stem in all of them."""
+    stem = files["log"].stem
+    new = f"{stem}-stalled" if number == 1 else f"{stem}-stalled-{number}"
+    return {key: file.with_name(file.name.replace(stem, new, 1)) for key, file in files.items()}

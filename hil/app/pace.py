@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from drivers.errors import RunError
-from drivers.signals import DriveFault
+from drivers.signals import DriveFault, Measurement
 from hil.app.configuration import Configuration
 from hil.app.output import console
-from hil.clock import LATE_PERIODS, LATE_SHARE, STALL_S, fifo_allowed, holdable_rate, late_share
-from hil.cycle import Cycle
+from hil.clock import (
+    LATE_PERIODS,
+    LATE_SHARE,
+    STALL_S,
+    SLOWEST_Hz,
+    fifo_allowed,
+    holdable_rate,
+    late_share,
+)
 from hil.daemon import Ending
 from hil.signals import Fault, Mode
 
@@ -26,7 +33,7 @@ def pace(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, 
         return rate, watchdog_s
     if c.loop.without_realtime == "refuse":
         raise RunError(f"{lack}, and loop.without_realtime is `refuse`: nothing was started")
-    slow, worst_s = holdable_rate(rate, c.limits.missed_stop_ticks)
+    slow, worst_s = holdable_rate(rate, patience(c))
     if with_plant:
         watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
     elif 3.0 / slow > watchdog_s:
@@ -40,7 +47,7 @@ def pace(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, 
     if with_plant:
         consequences.append(f"emulated drives' watchdog {watchdog_s * 1e3:g} ms")
     said = lack + (f": {', '.join(consequences)}" if consequences else "")
-    if worst_s * slow > c.limits.missed_stop_ticks:
+    if worst_s * slow > patience(c):
         stall_ms = worst_s * 1e3
         said += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
     console.print(said, style="bold yellow", soft_wrap=True)
@@ -66,20 +73,33 @@ def _lack(c: Configuration, *, with_plant: bool) -> str:
     )
 
 
+def patience(c: Configuration) -> int:
+    """Return how many periods a stall may last that ends no run."""
+    return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks)
+
+
 def _patience_s(c: Configuration) -> float:
     """Return the longest stall that ends no run at the configured rate."""
-    return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks) / c.loop.rate_Hz
+    return min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
-def stalled(c: Configuration, cycle: Cycle, ending: Ending, rate: float) -> bool:
+def stalled(c: Configuration, measurement: Measurement, ending: Ending, rate: float) -> bool:
     """Tell whether a run at the configured rate ended as a stall ends it that a slower loop outlasts.
 
-    That is: legs not heard in time, drives that missed their commands, or missed periods, and nothing else.
-    Only for a plant on this machine that still lives: silent drives elsewhere are no stall.
+    That is: legs not heard in time, drives that missed their commands (the reference may have left them
+    behind), or missed periods, and nothing else. `measurement` is the last one. Only on localcan, where all
+    that answers is a process of this machine.
     """
-    if rate < c.loop.rate_Hz or c.loop.without_realtime == "refuse" or _patience_s(c) >= STALL_S:
+    if c.bus.interface != "localcan" or c.loop.without_realtime == "refuse" or ending.unexpected:
+        return False
+    if rate < c.loop.rate_Hz or rate < 2.0 * SLOWEST_Hz or _patience_s(c) >= STALL_S:
         return False
     if ending.mode is not Mode.FAULT:
-        return cycle.stop_requested and not ending.requested
-    missed = set(cycle.measurement.fault.tolist()) <= {DriveFault.NONE, DriveFault.WATCHDOG}
-    return bool(ending.faults) and not ending.faults & ~(Fault.STALE | Fault.DRIVE) and missed
+        return ending.missed
+    reported = set(measurement.fault.tolist()) - {DriveFault.NONE}
+    of_a_stall = Fault.STALE
+    if reported == {DriveFault.WATCHDOG}:
+        of_a_stall |= Fault.DRIVE | Fault.FOLLOWING
+    elif reported:
+        return False
+    return bool(ending.faults) and not ending.faults & ~of_a_stall

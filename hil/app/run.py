@@ -113,7 +113,7 @@ def run_daemon(
     law = law_figures(c.controller, cycle.parts.law)
     result = _summary(c, law, ending, trouble, granted, rate, budget, closed)
     held = slow or plant_trouble or panel.interrupts or not with_plant
-    result["stalled"] = not held and stalled(c, cycle, ending, rate)
+    result["stalled"] = not held and stalled(c, cycle.measurement, ending, rate)
     if "recorder" in result:
         console.print(f"hil: {result['recorder']}", style="bold yellow", soft_wrap=True)
     if plant_summary is not None:

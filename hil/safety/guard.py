@@ -16,7 +16,7 @@ from hil.safety.certificate import ASKED, LAST_V, NO_WATCH, PAST, Watch
 from hil.safety.effort import BLOCK
 from hil.safety.kernels import DROPPED, MEMORY, judge_tick
 from hil.safety.recorder import recorder_stop
-from hil.signals import Effort, Estimate, Fault, Mode, Reference, TickInput, Verdict, Warn
+from hil.signals import Effort, Estimate, Fault, Mode, Reference, Stop, TickInput, Verdict, Warn
 
 WINDOW_S = 0.25
 """Length of the force window."""
@@ -128,6 +128,6 @@ class Safety:
             tau if powered else _ZEROS,
             Warn(warnings) if warnings else Warn.NONE,
             Fault(faults) if faults else Fault.NONE,
-            stop,
+            Stop(stop) if stop else Stop.NONE,
             figures,
         )

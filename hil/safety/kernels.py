@@ -51,7 +51,7 @@ from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
 from hil.safety.timing import is_degraded, is_late, late_history, missed_run, too_many_missed
-from hil.signals import Fault, Mode, Warn
+from hil.signals import Fault, Mode, Stop, Warn
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,6 +69,7 @@ _LAW, _STROKE, _SPEED, _FOLLOWING = int(Fault.LAW), int(Fault.STROKE), int(Fault
 _BUS, _CERTIFICATE, _WARN_CERTIFICATE = int(Fault.BUS), int(Fault.CERTIFICATE), int(Warn.CERTIFICATE)
 _WARN_STALE, _WARN_LATE, _WARN_DEGRADED = int(Warn.STALE), int(Warn.LATE), int(Warn.DEGRADED)
 _WARN_REJECTED, _WARN_RECORDER, _WARN_BUS = int(Warn.REJECTED), int(Warn.RECORDER), int(Warn.BUS)
+_NO_STOP, _STOP_MISSED, _STOP_RECORDER = int(Stop.NONE), int(Stop.MISSED), int(Stop.RECORDER)
 _FORCE_LIMIT, _FORCE_STEP, _FORCE_WINDOW = int(Warn.FORCE_LIMIT), int(Warn.FORCE_STEP), int(Warn.FORCE_WINDOW)
 
 
@@ -217,8 +218,8 @@ def judge_tick(
     limits: Array, period_ns: int, stop_on_loss: int,
     memory: Ints, history: Array, lows: Array, highs: Array,
     watched: Array, limited: Array,
-) -> tuple[int, int, bool, float, float, float, float]:  # fmt: skip
-    """Fill the limited forces (6,) N; return fault bits, warning bits, whether to stop, and four figures.
+) -> tuple[int, int, int, float, float, float, float]:  # fmt: skip
+    """Fill the limited forces (6,) N; return fault bits, warning bits, why to stop, and four figures.
 
     The tick as in hil.signals, in the order of its values; limits, watched: see `Safety`; the figures are
     those of `hil.safety.certificate`. Changes memory, the force window and what is watched. Fills nothing
@@ -258,7 +259,7 @@ def judge_tick(
         history[:] = 0.0
         lows[:] = 0.0
         highs[:] = 0.0
-        return faults, warnings, False, nan, nan, nan, nan
+        return faults, warnings, _NO_STOP, nan, nan, nan, nan
     if bus_down(bus_off != 0, memory[REFUSED]):
         faults |= _BUS
     law, more, memory[NEWEST] = limit_effort(
@@ -266,5 +267,7 @@ def judge_tick(
     )
     if watched.size:
         settle(watched[CONSTANTS:], more != 0)
-    stop = too_many_missed(memory[MISSED], limits[14]) or (losing and stop_on_loss != 0)
-    return faults | law, warnings | more, bool(stop), figures[V], figures[DV], figures[BOUND], figures[SHARE]
+    stop = _STOP_RECORDER if losing and stop_on_loss != 0 else _NO_STOP
+    if too_many_missed(memory[MISSED], limits[14]):
+        stop = _STOP_MISSED
+    return faults | law, warnings | more, stop, figures[V], figures[DV], figures[BOUND], figures[SHARE]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import TypingError
 
 from drivers.compile_cache import (
     FLAGS,
@@ -17,6 +18,7 @@ from drivers.compile_cache import (
     OUT_VECTOR,
     VECTOR,
     direct,
+    kernel,
 )
 
 
@@ -80,6 +82,28 @@ def test_strides_follow_from_the_shape():
         assert _element(tensor, *at) == tensor[at]
 
 
+def test_strides_of_a_dimension_of_one_do_not_count():
+    tensor = np.lib.stride_tricks.as_strided(np.arange(4.0), (1, 1, 4), (56, 40, 8))
+    assert tensor.flags.c_contiguous
+    assert [_element(tensor, 0, 0, k) for k in range(4)] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_arrays_may_be_empty():
+    given = {name: value[:0] for name, value in arguments().items()}
+    assert look(given) == 0
+
+
+@pytest.mark.parametrize("kind", [np.longlong, "<i8", ">i8"])
+def test_integers_of_the_same_bits_are_the_same(kind):
+    given = arguments() | {"integers": np.arange(4).astype(kind)}
+    if np.dtype(kind).isnative:
+        look(given)
+        assert given["out"].tolist() == [0.0, 1001.0, 2002.0, 3003.0]
+    else:
+        with pytest.raises(TypeError):
+            look(given)
+
+
 class Other(np.ndarray):
     """Not NumPy's own class."""
 
@@ -140,9 +164,39 @@ def test_nothing_is_kept_and_nothing_is_lost():
     assert [sys.getrefcount(array) for array in given.values()] == counts
 
 
-def test_a_kernel_that_returns_an_array_is_refused():
-    with pytest.raises(TypeError, match="_back: a direct kernel fills arrays and returns none"):
+def back(vector: Any) -> Any:
+    return vector[1:]
 
-        @direct(VECTOR)
-        def _back(vector: Any) -> Any:
-            return vector[1:]
+
+def one_of_two(vector: Any) -> Any:
+    return vector[1:] if vector[0] > 0.0 else None
+
+
+def deep(vector: Any) -> Any:
+    return 1, (2.0, (vector[1:], True))
+
+
+def several(vector: Any) -> Any:
+    return [vector, vector]
+
+
+@pytest.mark.parametrize("function", [back, one_of_two, deep, several])
+def test_a_kernel_that_returns_an_array_in_whatever_is_refused(function):
+    with pytest.raises(
+        TypeError, match=f"{function.__name__}: a direct kernel fills arrays and returns number"
+    ):
+        direct(VECTOR)(function)
+
+
+@kernel(OUT_VECTOR)
+def _change(vector: Any) -> None:
+    vector[0] = 1.0
+
+
+def test_a_kernel_that_only_reads_hands_nothing_on_to_one_that_writes():
+    def lends(vector: Any) -> None:
+        _change(vector)
+
+    direct(OUT_VECTOR)(lends)
+    with pytest.raises(TypingError):
+        direct(VECTOR)(lends)

@@ -84,7 +84,7 @@ def test_asking_for_fifo_leaves_the_scheduler_as_it_was() -> None:
 
 
 def test_the_rate_held_outlasts_the_longest_stall_expected() -> None:
-    rate, worst_s = holdable_rate(1000.0, missed_in_a_row=5, seconds=0.05)
+    rate, worst_s = holdable_rate(1000.0, periods=5, seconds=0.05)
     assert rate == 125.0, "5 / 125 Hz is the stall of 40 ms; the next half is below SLOWEST_Hz"
     assert 5 / rate >= STALL_S
     assert rate >= SLOWEST_Hz
@@ -92,7 +92,7 @@ def test_the_rate_held_outlasts_the_longest_stall_expected() -> None:
 
 
 def test_a_loop_slow_enough_keeps_its_rate() -> None:
-    assert holdable_rate(50.0, missed_in_a_row=5, seconds=0.1)[0] == 50.0
+    assert holdable_rate(50.0, periods=5, seconds=0.1)[0] == 50.0
 
 
 def test_late_wake_ups_are_those_beyond_a_tenth_of_the_period_and_those_that_skip(monkeypatch):

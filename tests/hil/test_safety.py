@@ -18,6 +18,7 @@ from hil.signals import (
     Mode,
     Reference,
     State,
+    Stop,
     TickInput,
     Warn,
 )
@@ -98,7 +99,7 @@ def test_guard_is_silent_in_a_healthy_tick(mode):
     verdict = Bench().tick(mode, 20.0)
     assert verdict.warnings == Warn.NONE
     assert verdict.faults == Fault.NONE
-    assert verdict.stop is False
+    assert verdict.stop is Stop.NONE
     np.testing.assert_array_equal(verdict.tau, np.full(6, 20.0 if mode in POWERED else 0.0))
 
 
@@ -236,7 +237,7 @@ def test_guard_waits_for_as_many_missed_periods_as_configured():
     bench = Bench()
     limits = LIMITS.model_copy(update={"missed_stop_ticks": 7})
     bench.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
-    assert [bench.tick(inp__skipped=n).stop for n in (6, 0, 5, 2)] == [False, False, False, True]
+    assert [bench.tick(inp__skipped=n).stop for n in (6, 0, 5, 2)] == [0, 0, 0, Stop.MISSED]
 
 
 def test_guard_warns_of_a_noisy_bus():
@@ -288,13 +289,13 @@ def test_guard_warns_of_a_lossy_recorder_and_stops_without_one_if_so_configured(
     assert bench.tick(inp__recorder_dropped=4).warnings == Warn.NONE
     assert bench.tick(inp__recorder_dropped=5).warnings == Warn.RECORDER
     dead = bench.tick(inp__recorder_alive=False, inp__recorder_dropped=5)
-    assert (dead.warnings, dead.stop, dead.faults) == (Warn.RECORDER, False, Fault.NONE)
+    assert (dead.warnings, dead.stop, dead.faults) == (Warn.RECORDER, Stop.NONE, Fault.NONE)
     strict = Bench(on_recorder_loss="stop")
-    assert strict.tick(inp__recorder_alive=False).stop
+    assert strict.tick(inp__recorder_alive=False).stop is Stop.RECORDER
     assert not strict.tick(inp__recorder_alive=True).stop
     assert strict.tick(inp__recorder_alive=True, inp__recorder_dropped=9).stop
     assert not strict.tick(Mode.PARKED, inp__recorder_alive=False).stop
-    assert Bench().tick(inp__recorder_alive=False).stop is False
+    assert Bench().tick(inp__recorder_alive=False).stop is Stop.NONE
 
 
 def test_guard_warns_of_rejected_frames():

@@ -16,8 +16,6 @@ from hil.app.configuration import load
 from hil.log import Log
 from tests.realtime.bench import Listener, Process, configuration
 
-pytestmark = pytest.mark.realtime(patient=True)
-
 FAST_m_s = 0.2
 STALL_S = 0.12
 TIMING = {
@@ -28,21 +26,27 @@ TIMING = {
 """A stall of 36 ms ends the run."""
 
 
-def stall(run: Process) -> None:
-    plant = run.find_family()["plant"]
-    os.kill(plant, signal.SIGSTOP)
-    time.sleep(STALL_S)
-    os.kill(plant, signal.SIGCONT)
+def stall(run: Process, name: str) -> None:
+    """Stop one of the run's processes for a while, unless this machine has done so by itself."""
+    if "once more" not in run.errors:
+        process = run.find_family()[name]
+        os.kill(process, signal.SIGSTOP)
+        time.sleep(STALL_S)
+        os.kill(process, signal.SIGCONT)
 
 
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["plant", "daemon"])
 def test_a_stall_is_followed_by_a_run_at_a_rate_that_outlasts_it(
-    tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener]
+    name: str, tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener]
 ) -> None:
     file = configuration(tmp_path, TIMING, short=True, patient=False)
-    asked = tmp_path / "asked.mcap"
+    asked = tmp_path / "asked.log"
+    older = tmp_path / "asked.mcap"
+    older.write_bytes(b"of somebody else")
     run = start("run", str(file), "--plant", "--log", str(asked), entry="tests.realtime.steady")
     listen(file).wait_for_motion(run, FAST_m_s)
-    stall(run)
+    stall(run, name)
 
     code, summary = run.wait(), run.summary
     assert code == 0, run.errors
@@ -51,7 +55,7 @@ def test_a_stall_is_followed_by_a_run_at_a_rate_that_outlasts_it(
     assert summary["log"] == str(asked)
     before = summary["stalled_run"]
     assert before["rate_Hz"] == 250.0
-    assert before["log"] == str(tmp_path / "asked-stalled.mcap")
+    assert before["log"] == str(tmp_path / "asked-stalled.log")
     assert before["trouble"] in run.errors
     assert "once more from the start: the loop runs at 125 Hz instead of 250 Hz" in run.errors
     assert Log.open(asked).metadata["hil"]["rate_Hz"] == "125.0"
@@ -60,8 +64,10 @@ def test_a_stall_is_followed_by_a_run_at_a_rate_that_outlasts_it(
     assert len(stalled.rows()) == before["ticks"]
     assert (tmp_path / "asked-plant.mcap").exists()
     assert (tmp_path / "asked-stalled-plant.mcap").exists()
+    assert older.read_bytes() == b"of somebody else"
 
 
+@pytest.mark.realtime
 def test_a_machine_that_may_not_be_slowed_ends_with_the_stall(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener]
 ) -> None:
@@ -69,30 +75,36 @@ def test_a_machine_that_may_not_be_slowed_ends_with_the_stall(
     file = configuration(tmp_path, changes, short=True, patient=False)
     run = start("run", str(file), "--plant", entry="tests.realtime.steady")
     listen(file).wait_for_motion(run, FAST_m_s)
-    stall(run)
+    stall(run, "plant")
 
     assert run.wait() == 1
     assert "stalled_run" not in run.summary
     assert len(list((tmp_path / "runs").glob("*.mcap"))) == 2
 
 
-def test_a_configuration_that_cannot_run_slower_leaves_it_at_the_stalled_run(tmp_path, monkeypatch):
-    log = tmp_path / "one.mcap"
-    calls = []
+def write(log: Path, text: bytes, **more: object) -> dict[str, object]:
+    """Leave the files of a run and return its summary."""
+    plant, picture = log.with_name(f"{log.stem}-plant.mcap"), log.with_suffix(".png")
+    for file in (log, plant, picture):
+        file.write_bytes(text)
+    return {
+        "stalled": True, "trouble": "latched fault STALE", "rate_Hz": 1000.0, "log": str(log),
+        "plant": {"log": str(plant)}, "picture": str(picture), **more,
+    }  # fmt: skip
 
+
+def test_where_the_second_run_does_not_begin_the_first_one_counts(tmp_path, monkeypatch):
     def run_daemon(configuration, *, log, slow="", **_):
-        calls.append(slow)
         if slow:
             raise ConfigurationError("the controller is made for 1000 Hz")
-        for end in (".mcap", "-plant.mcap"):
-            log.with_name(log.stem + end).write_bytes(b"first")
-        return {"stalled": True, "trouble": "latched fault STALE", "rate_Hz": 1000.0, "log": str(log)}
+        return write(log, b"first")
 
     monkeypatch.setattr(again, "run_daemon", run_daemon)
-    summary = again.run_with_plant(load("virtual"), log=log)
-    assert [bool(slow) for slow in calls] == [False, True]
+    summary = again.run_with_plant(load("virtual"), log=tmp_path / "one.mcap")
+    kept = [tmp_path / f"one-stalled{end}" for end in (".mcap", "-plant.mcap", ".png")]
+    assert [summary["log"], summary["plant"]["log"], summary["picture"]] == [str(file) for file in kept]
+    assert sorted(tmp_path.iterdir()) == sorted(kept)
     assert "stalled_run" not in summary
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["one-plant.mcap", "one.mcap"]
 
 
 def test_what_was_set_aside_before_is_not_overwritten(tmp_path, monkeypatch):
@@ -101,12 +113,12 @@ def test_what_was_set_aside_before_is_not_overwritten(tmp_path, monkeypatch):
 
     def run_daemon(configuration, *, log, slow="", **_):
         assert not log.exists()
-        log.write_bytes(b"second" if slow else b"first")
-        return {"stalled": not slow, "trouble": "latched fault STALE", "rate_Hz": 1000.0, "log": str(log)}
+        return write(log, b"second" if slow else b"first", stalled=not slow)
 
     monkeypatch.setattr(again, "run_daemon", run_daemon)
     summary = again.run_with_plant(load("virtual"), log=log)
+    assert summary["log"] == str(log)
     assert summary["stalled_run"]["log"] == str(tmp_path / "one-stalled-2.mcap")
-    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {
-        "one.mcap": b"second", "one-stalled-2.mcap": b"first", "one-stalled.png": b"older",
-    }  # fmt: skip
+    ends = (".mcap", "-plant.mcap", ".png")
+    expected = {f"one{end}": b"second" for end in ends} | {f"one-stalled-2{end}": b"first" for end in ends}
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == expected | {"one-stalled.png": b"older"}

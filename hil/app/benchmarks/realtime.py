@@ -26,7 +26,7 @@ from hil.app.benchmarks.process import cpu_s
 from hil.app.benchmarks.stages import compute_figure
 from hil.app.compose import attachments, build_cycle, build_scene, feedback_window_s
 from hil.app.configuration import Configuration
-from hil.app.pace import RELAXED_WATCHDOG_S
+from hil.app.pace import RELAXED_WATCHDOG_S, patience
 from hil.app.supervise import SupervisedPlant
 from hil.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time
 from hil.daemon import Ending, OperatorPanel, run
@@ -94,7 +94,7 @@ def measure(c: Configuration, bench: Bench) -> Measured:
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
     if not fifo_allowed(c.loop.priority):  # as `hil run` does
-        rate = holdable_rate(rate, c.limits.missed_stop_ticks)[0]
+        rate = holdable_rate(rate, patience(c))[0]
         watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
     cycle = build_cycle(c, rate, watchdog_s)
     panel = OperatorPanel()

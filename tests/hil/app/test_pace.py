@@ -1,13 +1,11 @@
 """What `hil run` says of its rate where it may not have SCHED_FIFO or that is not kept, and what it calls a stall."""
 
 from math import nan
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.signals import DriveFault
+from drivers.signals import DriveFault, no_measurement
 from hil.app import pace
 from hil.app.configuration import load
 from hil.app.output import console
@@ -83,35 +81,78 @@ def test_real_drives_and_limits_that_outlast_a_stall_leave_the_rate_as_it_is(fif
     assert said == []
 
 
-def stalled(mode, faults, drive=DriveFault.NONE, *, name="virtual", rate=1000.0, stop=False, requested=False):
-    cycle: Any = SimpleNamespace(
-        measurement=SimpleNamespace(fault=np.array([0] * 5 + [drive])), stop_requested=stop
-    )
-    return pace.stalled(load(name), cycle, Ending(mode, faults, "", 5000, requested=requested), rate)
+CLEAR, WATCHDOG, OVERFORCE = DriveFault.NONE, DriveFault.WATCHDOG, DriveFault.OVERFORCE
+
+
+def stalled(mode, faults, drive=CLEAR, *, name="virtual", rate=1000.0, changes=None, **ending):
+    c = load(name)
+    for section, values in (changes or {}).items():
+        c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})
+    measurement = no_measurement()._replace(fault=np.array([0] * 5 + [drive]))
+    return pace.stalled(c, measurement, Ending(mode, faults, "", 5000, **ending), rate)
 
 
 @pytest.mark.parametrize(
     ("faults", "drive", "expected"),
     [
-        (Fault.STALE, DriveFault.NONE, True),
-        (Fault.STALE | Fault.DRIVE, DriveFault.WATCHDOG, True),
-        (Fault.DRIVE, DriveFault.WATCHDOG, True),
-        (Fault.DRIVE, DriveFault.OVERFORCE, False),
-        (Fault.STALE | Fault.FOLLOWING, DriveFault.NONE, False),
-        (Fault.ESTOP, DriveFault.NONE, False),
-        (Fault.NONE, DriveFault.NONE, False),
+        (Fault.STALE, CLEAR, True),
+        (Fault.STALE | Fault.DRIVE, WATCHDOG, True),
+        (Fault.DRIVE, WATCHDOG, True),
+        (Fault.DRIVE | Fault.FOLLOWING, WATCHDOG, True),
+        (Fault.DRIVE, CLEAR, False),
+        (Fault.FOLLOWING, CLEAR, False),
+        (Fault.STALE | Fault.FOLLOWING, CLEAR, False),
+        (Fault.STALE, OVERFORCE, False),
+        (Fault.DRIVE, OVERFORCE, False),
+        (Fault.STALE | Fault.ESTOP, CLEAR, False),
+        (Fault.NONE, CLEAR, False),
     ],
 )
-def test_only_silence_and_a_watchdog_are_faults_of_a_stall(faults, drive, expected):
+def test_silence_a_watchdog_and_what_it_leaves_behind_are_faults_of_a_stall(faults, drive, expected):
     assert stalled(Mode.FAULT, faults, drive) is expected
 
 
-def test_missed_periods_are_a_stall_and_a_stop_on_request_is_none():
-    assert stalled(Mode.PARKED, Fault.NONE, stop=True)
-    assert not stalled(Mode.PARKED, Fault.NONE, stop=True, requested=True)
+def test_missed_periods_are_a_stall_and_another_stop_is_none():
+    assert stalled(Mode.PARKED, Fault.NONE, missed=True)
     assert not stalled(Mode.PARKED, Fault.NONE)
+
+
+def test_a_defect_of_the_program_is_no_stall_whatever_else_was_latched():
+    assert not stalled(Mode.FAULT, Fault.STALE, unexpected="Traceback")
 
 
 def test_a_loop_that_is_slow_or_patient_already_is_not_slowed_once_more():
     assert not stalled(Mode.FAULT, Fault.STALE, rate=125.0)
     assert not stalled(Mode.FAULT, Fault.STALE, name="vcan50", rate=50.0)
+    assert not stalled(Mode.FAULT, Fault.STALE, rate=150.0, changes={"loop": {"rate_Hz": 150.0}})
+
+
+def test_the_least_of_watchdog_and_limits_says_how_patient_a_loop_is():
+    patient = {"stale_fault_ticks": 60, "missed_stop_ticks": 60}
+    assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient})
+    changes = {"limits": patient, "drives": {"watchdog_ms": 60.0}}
+    assert not stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes=changes)
+
+
+def test_what_hangs_on_a_bus_beyond_this_machine_is_not_engaged_twice():
+    assert not stalled(Mode.FAULT, Fault.STALE, changes={"bus": {"interface": "socketcan"}})
+
+
+def test_a_loop_may_not_be_slowed_that_refuses_to_be():
+    assert not stalled(Mode.FAULT, Fault.STALE, changes={"loop": {"without_realtime": "refuse"}})
+
+
+def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):
+    asked = []
+
+    def holdable_rate(_rate, periods):
+        asked.append(periods)
+        return 125.0, 0.0
+
+    said = fifo(0.5)
+    monkeypatch.setattr(pace, "holdable_rate", holdable_rate)
+    c = load("virtual")
+    limits = c.limits.model_copy(update={"missed_stop_ticks": 50})
+    pace.pace(c.model_copy(update={"limits": limits}), with_plant=True)
+    assert asked == [5]
+    assert len(said) == 1

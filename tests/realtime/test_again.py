@@ -67,21 +67,6 @@ def test_a_stall_is_followed_by_a_run_at_a_rate_that_outlasts_it(
     assert older.read_bytes() == b"of somebody else"
 
 
-@pytest.mark.realtime
-def test_a_machine_that_may_not_be_slowed_ends_with_the_stall(
-    tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener]
-) -> None:
-    changes = {**TIMING, "without_realtime: slow ": "without_realtime: refuse "}
-    file = configuration(tmp_path, changes, short=True, patient=False)
-    run = start("run", str(file), "--plant", entry="tests.realtime.steady")
-    listen(file).wait_for_motion(run, FAST_m_s)
-    stall(run, "plant")
-
-    assert run.wait() == 1
-    assert "stalled_run" not in run.summary
-    assert len(list((tmp_path / "runs").glob("*.mcap"))) == 2
-
-
 def write(log: Path, text: bytes, **more: object) -> dict[str, object]:
     """Leave the files of a run and return its summary."""
     plant, picture = log.with_name(f"{log.stem}-plant.mcap"), log.with_suffix(".png")

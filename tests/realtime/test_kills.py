@@ -21,11 +21,13 @@ from hil.app.replay import replay_log
 from hil.log import Log
 from hil.salvage import salvage
 from hil.signals import Fault, Mode
-from tests.realtime.bench import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
+from tests.realtime.bench import FIFO, ROOT, Listener, Process, configuration, gone, wait_until_gone
 
 pytestmark = pytest.mark.realtime
 
 FAST_m_s = 0.7
+AS_TOLD = {"without_realtime: slow ": "without_realtime: refuse "}
+"""The loop is not slowed."""
 STROKE_m = (0.75, 2.2)
 """length_min_m and length_max_m of configs/virtual.yaml."""
 
@@ -34,9 +36,23 @@ Listen = Callable[[Path], Listener]
 
 
 def logs(folder: Path) -> tuple[Path, Path]:
-    """Return the daemon's log and the plant's."""
-    plant = next((folder / "runs").glob("*-plant.mcap"))
+    """Return the daemon's log and the plant's, of the last run."""
+    plant = max((folder / "runs").glob("*-plant.mcap"), key=lambda file: file.stat().st_ctime_ns)
     return plant.with_name(plant.name.replace("-plant", "")), plant
+
+
+def impatient(start: Start, listen: Listen, file: Path) -> Process:
+    """Return a run in motion whose limits this machine's own stalls may break: up to three are started."""
+    for attempt in range(3):
+        run = start("run", str(file), "--plant", entry="tests.realtime.steady")
+        try:
+            listen(file).wait_for_motion(run, FAST_m_s)
+        except AssertionError:
+            if attempt == 2 or not gone(run.pid):
+                raise
+        else:
+            break
+    return run
 
 
 def last_command(file: Path, log: Log) -> tuple[int, int]:
@@ -54,9 +70,8 @@ def last_command(file: Path, log: Log) -> tuple[int, int]:
 def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
-    file = configuration(tmp_path, {"watchdog_ms: 150 ": "watchdog_ms: 10 "})
-    run = start("run", str(file), "--plant")
-    listen(file).wait_for_motion(run, FAST_m_s)
+    file = configuration(tmp_path, {"watchdog_ms: 150 ": "watchdog_ms: 10 ", **AS_TOLD})
+    run = impatient(start, listen, file)
     family = run.find_family()
 
     os.kill(run.pid, signal.SIGKILL)
@@ -158,9 +173,8 @@ def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
 
 
 def test_a_killed_plant_faults_the_daemon_within_10_ms(tmp_path: Path, start: Start, listen: Listen) -> None:
-    file = configuration(tmp_path, {"stale_fault_ticks: 60": "stale_fault_ticks: 5"})
-    run = start("run", str(file), "--plant")
-    listen(file).wait_for_motion(run, FAST_m_s)
+    file = configuration(tmp_path, {"stale_fault_ticks: 60": "stale_fault_ticks: 5", **AS_TOLD})
+    run = impatient(start, listen, file)
     family = run.find_family()
     killed_ns = time.monotonic_ns()
 

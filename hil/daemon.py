@@ -52,6 +52,8 @@ class Ending:
     """The operator asked for the stop."""
     missed: bool = False
     """Safety asked for the stop because of missed periods."""
+    raised: bool = False
+    """The loop itself failed."""
     unexpected: str = ""
     """Traceback of a defect of this program, for the log."""
 
@@ -137,10 +139,12 @@ def run(
         switch_off(cycle, bus, deadlines)
         tick = deadlines.tick
         if isinstance(error, HilError):
-            return Ending(Mode.FAULT, cycle.faults, f"tick {tick}: {error}", tick, tick)
+            return Ending(Mode.FAULT, cycle.faults, f"tick {tick}: {error}", tick, tick, raised=True)
         what = f"{type(error).__name__}: {error}"
         reason = f"tick {tick}: defect of this program, {what}; the log has the details"
-        return Ending(Mode.FAULT, cycle.faults, reason, tick, tick, unexpected=traceback.format_exc())
+        return Ending(
+            Mode.FAULT, cycle.faults, reason, tick, tick, raised=True, unexpected=traceback.format_exc()
+        )
     except BaseException:
         switch_off(cycle, bus, deadlines)
         raise

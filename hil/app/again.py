@@ -29,7 +29,11 @@ def run_with_plant(
     if not first["stalled"]:
         return first
     path = Path(first["log"])
-    _set_aside(first)
+    try:
+        _set_aside(first)
+    except OSError as error:
+        console.print(f"hil: not once more: {error}", style="bold yellow", soft_wrap=True)
+        return first
     console.print(f"hil: {first['trouble']}; its log is {first['log']}", style="bold yellow", soft_wrap=True)
     reason = f"this machine stalls at {first['rate_Hz']:g} Hz, once more from the start"
     try:
@@ -44,32 +48,19 @@ def run_with_plant(
 
 def _set_aside(summary: dict[str, Any]) -> None:
     """Rename the files of a run, NAME to NAME-stalled, here and in its summary; nothing is overwritten."""
-    number = 1
-    files = _files(summary)
-    new = _stalled(files, number)
-    while any(map(os.path.lexists, new.values())):
-        number += 1
-        new = _stalled(files, number)
-    for key, file in files.items():
-        file.rename(new[key])
-    summary["log"] = str(new["log"])
-    if "plant" in files:
-        summary["plant"] = summary["plant"] | {"log": str(new["plant"])}
-    if "picture" in files:
-        summary["picture"] = str(new["picture"])
+    holders = [(summary, "log"), (summary.get("plant", {}), "log"), (summary, "picture")]
+    holders = [(holder, key) for holder, key in holders if holder.get(key)]
+    stem = Path(summary["log"]).stem
+    kept, number = f"{stem}-stalled", 2
+    while any(os.path.lexists(_named(holder[key], stem, kept)) for holder, key in holders):
+        kept, number = f"{stem}-stalled-{number}", number + 1
+    for holder, key in holders:
+        file = _named(holder[key], stem, kept)
+        Path(holder[key]).rename(file)
+        holder[key] = str(file)
 
 
-def _files(summary: dict[str, Any]) -> dict[str, Path]:
-    named = {
-        "log": summary["log"],
-        "plant": summary.get("plant", {}).get("log"),
-        "picture": summary.get("picture"),
-    }
-    return {key: Path(name) for key, name in named.items() if name}
-
-
-def _stalled(files: dict[str, Path], number: int) -> dict[str, Path]:
-    """Return the new names: what the log's own adds stands behind its stem in all of them."""
-    stem = files["log"].stem
-    new = f"{stem}-stalled" if number == 1 else f"{stem}-stalled-{number}"
-    return {key: file.with_name(file.name.replace(stem, new, 1)) for key, file in files.items()}
+def _named(file: str, stem: str, new: str) -> Path:
+    """Return a file of a run with another stem for the run's own."""
+    path = Path(file)
+    return path.with_name(path.name.replace(stem, new, 1))

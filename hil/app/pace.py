@@ -83,23 +83,26 @@ def _patience_s(c: Configuration) -> float:
     return min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
-def stalled(c: Configuration, measurement: Measurement, ending: Ending, rate: float) -> bool:
+def stalled(
+    c: Configuration, measurement: Measurement, ending: Ending, rate: float, watchdog_s: float
+) -> bool:
     """Tell whether a run at the configured rate ended as a stall ends it that a slower loop outlasts.
 
     That is: legs not heard in time, drives that missed their commands (the reference may have left them
-    behind), or missed periods, and nothing else. `measurement` is the last one. Only on localcan, where all
-    that answers is a process of this machine.
+    behind), or missed periods, and nothing else. `measurement` is the last one, `rate` (Hz) and `watchdog_s`
+    what was used. Only on localcan, where all that answers is a process of this machine.
     """
-    if c.bus.interface != "localcan" or c.loop.without_realtime == "refuse" or ending.unexpected:
+    if c.bus.interface != "localcan" or c.loop.without_realtime == "refuse" or ending.raised:
         return False
-    if rate < c.loop.rate_Hz or rate < 2.0 * SLOWEST_Hz or _patience_s(c) >= STALL_S:
+    if rate < c.loop.rate_Hz:
         return False
+    slower_outlasts_more = rate >= 2.0 * SLOWEST_Hz and patience(c) / rate < STALL_S
     if ending.mode is not Mode.FAULT:
-        return ending.missed
-    reported = set(measurement.fault.tolist()) - {DriveFault.NONE}
+        return ending.missed and slower_outlasts_more
     of_a_stall = Fault.STALE
-    if reported == {DriveFault.WATCHDOG}:
+    reported = set(measurement.fault.tolist()) - {DriveFault.NONE}
+    if reported == {DriveFault.WATCHDOG} and watchdog_s < STALL_S:
         of_a_stall |= Fault.DRIVE | Fault.FOLLOWING
-    elif reported:
+    elif reported or not slower_outlasts_more:
         return False
     return bool(ending.faults) and not ending.faults & ~of_a_stall

@@ -112,8 +112,8 @@ def run_daemon(
             plant_summary = plant.finish()
     law = law_figures(c.controller, cycle.parts.law)
     result = _summary(c, law, ending, trouble, granted, rate, budget, closed)
-    held = slow or plant_trouble or panel.interrupts or not with_plant
-    result["stalled"] = not held and stalled(c, cycle.measurement, ending, rate)
+    sound = plant_summary is not None and plant_summary["success"] and not panel.interrupts and not slow
+    result["stalled"] = sound and stalled(c, cycle.measurement, ending, rate, watchdog_s)
     if "recorder" in result:
         console.print(f"hil: {result['recorder']}", style="bold yellow", soft_wrap=True)
     if plant_summary is not None:

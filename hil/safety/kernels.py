@@ -267,7 +267,7 @@ def judge_tick(
     )
     if watched.size:
         settle(watched[CONSTANTS:], more != 0)
-    stop = _STOP_RECORDER if losing and stop_on_loss != 0 else _NO_STOP
-    if too_many_missed(memory[MISSED], limits[14]):
-        stop = _STOP_MISSED
+    stop = _STOP_MISSED if too_many_missed(memory[MISSED], limits[14]) else _NO_STOP
+    if losing and stop_on_loss != 0:
+        stop = _STOP_RECORDER
     return faults | law, warnings | more, stop, figures[V], figures[DV], figures[BOUND], figures[SHARE]

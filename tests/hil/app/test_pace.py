@@ -89,7 +89,8 @@ def stalled(mode, faults, drive=CLEAR, *, name="virtual", rate=1000.0, changes=N
     for section, values in (changes or {}).items():
         c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})
     measurement = no_measurement()._replace(fault=np.array([0] * 5 + [drive]))
-    return pace.stalled(c, measurement, Ending(mode, faults, "", 5000, **ending), rate)
+    watchdog_s = c.drives.watchdog_ms * 1e-3
+    return pace.stalled(c, measurement, Ending(mode, faults, "", 5000, **ending), rate, watchdog_s)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +118,8 @@ def test_missed_periods_are_a_stall_and_another_stop_is_none():
     assert not stalled(Mode.PARKED, Fault.NONE)
 
 
-def test_a_defect_of_the_program_is_no_stall_whatever_else_was_latched():
-    assert not stalled(Mode.FAULT, Fault.STALE, unexpected="Traceback")
+def test_a_loop_that_failed_itself_is_no_stall_whatever_else_was_latched():
+    assert not stalled(Mode.FAULT, Fault.STALE, raised=True)
 
 
 def test_a_loop_that_is_slow_or_patient_already_is_not_slowed_once_more():
@@ -127,8 +128,10 @@ def test_a_loop_that_is_slow_or_patient_already_is_not_slowed_once_more():
     assert not stalled(Mode.FAULT, Fault.STALE, rate=150.0, changes={"loop": {"rate_Hz": 150.0}})
 
 
-def test_the_least_of_watchdog_and_limits_says_how_patient_a_loop_is():
+def test_where_the_limits_are_patient_only_a_watchdog_can_be_lengthened():
     patient = {"stale_fault_ticks": 60, "missed_stop_ticks": 60}
+    assert not stalled(Mode.FAULT, Fault.STALE, changes={"limits": patient})
+    assert not stalled(Mode.PARKED, Fault.NONE, changes={"limits": patient}, missed=True)
     assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient})
     changes = {"limits": patient, "drives": {"watchdog_ms": 60.0}}
     assert not stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes=changes)

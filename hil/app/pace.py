@@ -101,7 +101,7 @@ def stalled(
         return ending.missed and slower_outlasts_more
     of_a_stall = Fault.STALE
     reported = set(measurement.fault.tolist()) - {DriveFault.NONE}
-    if reported == {DriveFault.WATCHDOG} and watchdog_s < STALL_S:
+    if reported == {DriveFault.WATCHDOG} and (slower_outlasts_more or watchdog_s < STALL_S):
         of_a_stall |= Fault.DRIVE | Fault.FOLLOWING
     elif reported or not slower_outlasts_more:
         return False

@@ -133,8 +133,9 @@ def test_where_the_limits_are_patient_only_a_watchdog_can_be_lengthened():
     assert not stalled(Mode.FAULT, Fault.STALE, changes={"limits": patient})
     assert not stalled(Mode.PARKED, Fault.NONE, changes={"limits": patient}, missed=True)
     assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient})
-    changes = {"limits": patient, "drives": {"watchdog_ms": 60.0}}
-    assert not stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes=changes)
+    long = {"watchdog_ms": 60.0}
+    assert not stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient, "drives": long})
+    assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"drives": long}), "the limits come first"
 
 
 def test_what_hangs_on_a_bus_beyond_this_machine_is_not_engaged_twice():

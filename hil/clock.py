@@ -160,7 +160,7 @@ SLOWEST_Hz = 100.0
 
 
 def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[float, float]:
-    """Return the highest of rate, rate/2, rate/4 ... that is held without SCHED_FIFO, and the worst wake-up.
+    """Return the highest of rate, rate/2, rate/4 ... that is held without real time, and the worst wake-up.
 
     The worst wake-up (s) is measured now, under the present load. A stall of so many periods ends a run: they
     must outlast the longest one, twice the worst wake-up and never less than STALL_S. Not below SLOWEST_Hz.

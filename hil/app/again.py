@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.errors import HilError
 from hil.app.configuration import Configuration
-from hil.app.output import console
+from hil.app.output import warn
 from hil.app.run import run_daemon
 
 
@@ -32,16 +32,16 @@ def run_with_plant(
     try:
         _set_aside(first)
     except OSError as error:
-        console.print(f"hil: not once more: {error}", style="bold yellow", soft_wrap=True)
+        warn(f"hil: not once more: {error}")
         return first
-    console.print(f"hil: {first['trouble']}; its log is {first['log']}", style="bold yellow", soft_wrap=True)
+    warn(f"hil: {first['trouble']}; its log is {first['log']}")
     reason = f"this machine stalls at {first['rate_Hz']:g} Hz, once more from the start"
     try:
         second = run_daemon(
             configuration, log=path, duration_s=duration_s, with_plant=True, reset=reset, slow=reason
         )
     except HilError as error:
-        console.print(f"hil: not once more: {error}", style="bold yellow", soft_wrap=True)
+        warn(f"hil: not once more: {error}")
         return first
     return second | {"stalled_run": {key: first.get(key) for key in ("trouble", "rate_Hz", "ticks", "log")}}
 

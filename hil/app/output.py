@@ -134,6 +134,12 @@ def _umask() -> int:
 
 # -- the terminal ------------------------------------------------------------------------------------------
 
+
+def warn(text: str) -> None:
+    """Print one message that deserves attention to standard error."""
+    console.print(text, style="bold yellow", soft_wrap=True)
+
+
 UNITS = {
     "_m2_s4": "(m/s^2)^2",
     "_m_s": "m/s",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.errors import RunError
 from drivers.signals import DriveFault, Measurement
 from hil.app.configuration import Configuration
-from hil.app.output import console
+from hil.app.output import warn
 from hil.clock import (
     LATE_PERIODS,
     LATE_SHARE,
@@ -19,7 +19,7 @@ from hil.daemon import Ending
 from hil.signals import Fault, Mode
 
 RELAXED_WATCHDOG_S = 0.2
-"""Watchdog of emulated drives when the loop has no SCHED_FIFO. Real drives keep the configured one."""
+"""Watchdog of emulated drives where the loop has no real time. Real drives keep the configured one."""
 
 
 def pace(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, float]:
@@ -50,7 +50,7 @@ def pace(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, 
     if worst_s * slow > patience(c):
         stall_ms = worst_s * 1e3
         said += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
-    console.print(said, style="bold yellow", soft_wrap=True)
+    warn(said)
     return slow, watchdog_s
 
 

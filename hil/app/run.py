@@ -16,7 +16,7 @@ from drivers.errors import LogError, RunError
 from hil.app.compose import attachments, build_cycle, build_scene, bus_budget, feedback_window_s
 from hil.app.configuration import Configuration
 from hil.app.controller_file import law_figures
-from hil.app.output import console, log_path
+from hil.app.output import console, log_path, warn
 from hil.app.pace import pace, stalled
 from hil.app.replay import replay_log
 from hil.app.supervise import SupervisedPlant
@@ -115,7 +115,7 @@ def run_daemon(
     sound = plant_summary is not None and plant_summary["success"] and not panel.interrupts and not slow
     result["stalled"] = sound and stalled(c, cycle.measurement, ending, rate, watchdog_s)
     if "recorder" in result:
-        console.print(f"hil: {result['recorder']}", style="bold yellow", soft_wrap=True)
+        warn(f"hil: {result['recorder']}")
     if plant_summary is not None:
         result["plant"] = plant_summary
         result["success"] = result["success"] and plant_summary["success"]

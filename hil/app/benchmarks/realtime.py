@@ -93,7 +93,7 @@ def measure(c: Configuration, bench: Bench) -> Measured:
     Raises HilError as `hil run` does, KeyboardInterrupt once it has parked after one.
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
-    if not fifo_allowed(c.loop.priority):  # as `hil run` does
+    if not fifo_allowed(c.loop.priority):  # as `hil run` slows down without the right
         rate = holdable_rate(rate, patience(c))[0]
         watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
     cycle = build_cycle(c, rate, watchdog_s)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # the processes that only log need no sections
 
 
 def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
-    from drivers.dbc import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
+    from drivers.legs.protocol import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
 
     return LegsProtocol(bus.layout, drives.node_ids)
 

@@ -6,10 +6,10 @@
     ├── ConfigurationError      configuration file or a value in it
     ├── BusError                the bus cannot be opened, is down or overloaded
     ├── ProtocolError           a frame or a signal that the protocol cannot carry
-    ├── ModelError              geometry, kinematics, dynamics (hil.geometry, hil.kinematics)
+    ├── ModelError              geometry, kinematics, dynamics (hil.robot.geometry, hil.robot.kinematics)
     │   ├── GeometryError
     │   ├── KinematicsError
-    │   ├── CalibrationError    measured pairs that cannot calibrate (hil.calibrate)
+    │   ├── CalibrationError    measured pairs that cannot calibrate (hil.robot.calibration)
     │   ├── IdentificationError a log that does not hold what is looked for (hil.identify)
     │   └── SynthesisError      a design that no controller fulfils (hil.synthesis.errors)
     ├── PlantError              plant, FMU, FMU hosting (plant_fmu)

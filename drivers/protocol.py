@@ -1,7 +1,6 @@
 """Frame, and DriveProtocol: the pure codec of one drive family, both ends of one table.
 
-Rule of the room: no bus library, no clock, no state. A new drive family is one file that
-implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
+A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 """
 
 from __future__ import annotations
@@ -10,9 +9,7 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Array, Ints
 from drivers.signals import Command, Measurement, Reaction
 
 EXTENDED = 1
@@ -66,7 +63,7 @@ class DeviceCommand(NamedTuple):
 
     legs: tuple[int, ...]
     mode: int
-    force: NDArray[np.float64]
+    force: Array
     """N, one per addressed leg."""
     counter: int
 
@@ -153,10 +150,10 @@ class DriveProtocol(Protocol):
 
     def feedbacks(
         self,
-        length: NDArray[np.float64],
-        rate: NDArray[np.float64],
-        force: NDArray[np.float64],
-        state: NDArray[np.int64],
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
         counter: int,
     ) -> list[Frame]:
         """Encode the six drives' answers to one SYNC, leg order.

@@ -1,7 +1,5 @@
 """Sensors beside the drives: tracker, IMU and wrench sensor, both ends of one table.
 
-Rule of the room: positions, scales and lengths come from legs.dbc alone. No state, no clock.
-
 A sample is stamped in the controller's own time: Offset after the end of the SYNC that carried Cycle. No
 clock has to be set, and a sample may be late by up to 127 ticks.
 """
@@ -12,12 +10,12 @@ from collections.abc import Sequence
 from math import ceil, isfinite, pi
 from typing import NamedTuple
 
-from drivers.codec import Codec, compile_message, in_range
 from drivers.config import BusSettings, SensorSettings
-from drivers.crc import crc8, identifier_state
-from drivers.dbc import legs_dbc, parsed
-from drivers.device_kernels import intact
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.legs.codec import Codec, compile_message, in_range
+from drivers.legs.crc import crc8, identifier_state
+from drivers.legs.device_kernels import intact
+from drivers.legs.protocol import legs_dbc, parsed
 from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
 
 KINDS = ("tracker", "imu", "wrench")

@@ -1,6 +1,6 @@
 """Measurement and Command: all that crosses the bus, in SI.
 
-Rule of the room: values only. Arrays are treated as read-only by every reader.
+Arrays are treated as read-only by every reader.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from drivers.arrays import Array, Flags, Ints
 
 LEGS = 6
 NEVER = 1_000_000
@@ -76,7 +77,7 @@ class Command(NamedTuple):
     """One tick's command to the six drives."""
 
     mode: DriveMode
-    force: NDArray[np.float64]
+    force: Array
     """(6,) N, > 0 extends the leg."""
 
 
@@ -87,23 +88,23 @@ NO_BLIND.flags.writeable = False
 class Measurement(NamedTuple):
     """What the six drives say, as of this tick."""
 
-    length: NDArray[np.float64]
+    length: Array
     """(6,) m, joint centre to joint centre, latched at the SYNC of the tick it was fresh."""
-    rate: NDArray[np.float64]
+    rate: Array
     """(6,) m/s."""
-    force: NDArray[np.float64]
+    force: Array
     """(6,) N, applied by the drive."""
-    state: NDArray[np.int64]
+    state: Ints
     """(6,) DriveState."""
-    fault: NDArray[np.int64]
+    fault: Ints
     """(6,) DriveFault from the last status message."""
-    age: NDArray[np.int64]
+    age: Ints
     """(6,) ticks since the leg's last fresh feedback: 0 is this tick's SYNC, NEVER is none yet."""
     rejected: int
     """Frames of this tick that were refused: CRC, length, counter, time, value not finite."""
     tick: int = -1
     """The tick of this measurement; -1 before the first."""
-    blind: NDArray[np.bool_] = NO_BLIND
+    blind: Flags = NO_BLIND
     """(6,) this tick's feedback calls its length and rate of no use; force and state are this tick's."""
 
 

@@ -1,7 +1,4 @@
-"""What flows through one tick, in that order: TickInput, State, Reference, Effort, Verdict, TickOutput.
-
-Rule of the room: values only; arrays are read-only to every reader.
-"""
+"""What flows through one tick, in that order: TickInput, State, Reference, Effort, Verdict, TickOutput."""
 
 from __future__ import annotations
 
@@ -11,11 +8,9 @@ from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Array, Ints, Rows
 from drivers.protocol import Frame, Received
-
-Array = NDArray[np.float64]
 
 
 class Mode(IntEnum):
@@ -78,6 +73,22 @@ class Refusal(IntFlag):
     FORCE = 16
     ON_THE_WAY = 32
     """It is good itself; what lies before it is not."""
+
+
+REASONS = {
+    Refusal.NOT_TRACKING: "the platform does not follow set-points now",
+    Refusal.NOT_A_POSE: "it is no pose: six finite numbers, at most 180 deg of turn",
+    Refusal.STROKE: "a leg would be outside the soft ends of its stroke",
+    Refusal.CONDITION: "it is too near to a singularity (limits.condition)",
+    Refusal.FORCE: "a leg could need more than limits.force_N",
+}
+ON_THE_WAY = "stopped on the way: beyond, "
+
+
+def explain(refusal: int) -> str:
+    """Say why a set-point was refused; empty for one that was taken."""
+    reasons = [text for bit, text in REASONS.items() if refusal & bit]
+    return (ON_THE_WAY if refusal & Refusal.ON_THE_WAY else "") + "; ".join(reasons)
 
 
 class Fault(IntFlag):
@@ -189,7 +200,7 @@ NOT_FUSED.flags.writeable = False
 
 
 class Fusion(NamedTuple):
-    """What the filter of `hil.fusion` says of its own work, where it gives the pose."""
+    """What the filter of `hil.estimation.fusion` says of its own work, where it gives the pose."""
 
     used: int = 0
     """Legs whose encoders were used, bit i for leg i."""
@@ -202,7 +213,7 @@ class Fusion(NamedTuple):
     figures: Array = NOT_FUSED
     """(18,): measured less predicted lengths m; measured less predicted pose of the tracker m, rad; the
     pose's own standard deviation m, rad."""
-    ages: NDArray[np.int64] | None = None
+    ages: Ints | None = None
     """(6,) ticks, as safety is to judge them: 0 for a leg that may be lost; None: those of the
     measurement."""
     warnings: Warn = Warn.NONE
@@ -271,7 +282,7 @@ class TickOutput(NamedTuple):
     """The frames to send and the record row."""
 
     frames: tuple[Frame, ...]
-    row: NDArray[np.void]
+    row: Rows
     """One element of ROW."""
 
 

@@ -1,22 +1,17 @@
-"""Six uncoupled legs, each a nonlinear mass-spring-damper: for commissioning drives without a platform.
-
-Rule of the room: no FMU, no platform; mathematics in one compiled kernel.
-"""
+"""Six uncoupled legs, each a nonlinear mass-spring-damper: for commissioning drives without a platform."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGER, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, REAL, VECTOR, helper, kernel
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
 from plant_fmu.plant import Truth
-
-Array = NDArray[np.float64]
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""

@@ -1,26 +1,22 @@
-"""The Plant protocol: physics behind six force inputs.
-
-Rule of the room: no clock, no bus, no controller code.
-"""
+"""The Plant protocol: physics behind six force inputs."""
 
 from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from drivers.arrays import Array
 
 
 class Truth(NamedTuple):
     """What the plant knows and the controller does not, for the plant's log."""
 
-    p: NDArray[np.float64]
+    p: Array
     """(3,) m, platform origin in the base frame."""
-    R: NDArray[np.float64]
+    R: Array
     """(3, 3) platform to base."""
-    twist: NDArray[np.float64]
+    twist: Array
     """(6,) m/s and rad/s, [v of the platform origin; omega], base frame."""
-    applied_force: NDArray[np.float64]
+    applied_force: Array
     """(6,) N, after the drives' force lag, without friction."""
 
 
@@ -33,16 +29,16 @@ class Plant(Protocol):
     internal_step_s: float
     """Every `dt_s` given to `step` is a whole multiple of this."""
 
-    def reset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def reset(self) -> tuple[Array, Array]:
         """Back to the initial state; return lengths (6,) m and rates (6,) m/s."""
 
     def step(
         self,
-        force: NDArray[np.float64],
-        brake: NDArray[np.float64],
-        wrench: NDArray[np.float64],
+        force: Array,
+        brake: Array,
+        wrench: Array,
         dt_s: float,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Array, Array]:
         """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
 
         force (6,) N commanded, > 0 extends; brake (6,) 1 engaged, 0 released;
@@ -53,7 +49,7 @@ class Plant(Protocol):
     def truth(self) -> Truth | None:
         """Pose and forces now; None for a plant without a platform."""
 
-    def applied_force(self) -> NDArray[np.float64] | None:
+    def applied_force(self) -> Array | None:
         """Return `applied_force` of the truth alone; None where the plant does not know it.
 
         It may be the plant's own memory: good until its next step.

@@ -1,7 +1,4 @@
-"""`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured pairs of pose and lengths.
-
-Rule of the room: reads a configuration and a CSV file; writes nothing but the fragment that is asked for.
-"""
+"""`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured poses and lengths."""
 
 from __future__ import annotations
 
@@ -13,12 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError, LogError
-from hil.app.configuration import Configuration, load, platform_dict
-from hil.app.problems import split_unit
-from hil.calibrate import (
+from hil.app.configuration.configuration import Configuration, load, platform_dict
+from hil.app.configuration.problems import split_unit
+from hil.robot.calibration import (
     NAMES,
     WEAK,
     Calibration,
@@ -30,9 +27,7 @@ from hil.calibrate import (
     start_offsets,
     suspicion,
 )
-from hil.geometry import Platform
-
-Array = NDArray[np.float64]
+from hil.robot.geometry import Platform
 
 POSE = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 LENGTHS = ("l1_m", "l2_m", "l3_m", "l4_m", "l5_m", "l6_m")

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers import PROTOCOLS
-from drivers.bustime import BitTiming, BusBudget
-from drivers.dbc import legs_dbc
+from drivers.arrays import Array
+from drivers.can.bus_time import BitTiming, BusBudget
 from drivers.errors import PlantError
+from drivers.legs.protocol import legs_dbc
 from drivers.protocol import DriveProtocol
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
-from hil.admission import Admission
-from hil.app import consistency
-from hil.app.configuration import Configuration, platform_dict
-from hil.app.controller_file import controller_of, controller_path
+from hil.app.configuration import consistency
+from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.config import (
     ControllerSettings,
     ForceDelay,
@@ -33,30 +33,30 @@ from hil.config import (
 )
 from hil.control import LawContext, build_law
 from hil.control.model import build_model
-from hil.cycle import Cycle
-from hil.dynamics import Model
-from hil.external_wrench import ExternalWrench
-from hil.force_path import ForcePath
-from hil.geometry import Platform
-from hil.kinematics import leg_lengths
-from hil.monitor import build_watch
-from hil.observer import WrenchObserver
-from hil.parts import Parts
-from hil.predict import Predictor
+from hil.estimation.external_wrench import ExternalWrench
+from hil.estimation.observer import WrenchObserver
+from hil.estimation.predictor import Predictor
+from hil.loop.admission import Admission
+from hil.loop.cycle import Cycle
+from hil.loop.parts import Parts
+from hil.loop.steering import Steering
+from hil.mathematics.rotations import rotation_from_vector
 from hil.record import Scene
-from hil.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.force_path import ForcePath
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import leg_lengths
 from hil.safety import Safety
-from hil.signals import Array
-from hil.steering import Steering
+from hil.stability.monitor import build_watch
 from hil.trajectory import LiveTrajectory, Trajectory, axis_limits, build_trajectory, plan
 from plant_fmu.config import BenchPlant
-from plant_fmu.faults import FaultPlan
-from plant_fmu.fmu import open_plant
-from plant_fmu.nodes import Nodes
+from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.nodes import Nodes
 from plant_fmu.plant import Plant
+from plant_fmu.plants import open_plant
 
 if TYPE_CHECKING:
-    from hil.fused_pose import PoseFusion
+    from hil.estimation.fused_pose import PoseFusion
 
 LENGTH_TOLERANCE_M = 1e-3
 """How far the plant's initial lengths may be from those of the section `platform`."""
@@ -194,8 +194,8 @@ def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> PoseFusion 
     if c.estimation.pose != "fused":
         return None
     # A third of all compilation, for the few who fuse.
-    from hil.fused_pose import PoseFusion  # noqa: PLC0415
-    from hil.fusion import FusedEstimator  # noqa: PLC0415
+    from hil.estimation.fused_pose import PoseFusion  # noqa: PLC0415
+    from hil.estimation.fusion import FusedEstimator  # noqa: PLC0415
 
     settings = c.estimation.fusion
     model = build_model(settings.model, platform, c.platform.leg_spin)
@@ -258,7 +258,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         sensors = build_sensors(c)
         if sensors is None:
             return Nodes(*drives), plant
-        from plant_fmu.sensor_nodes import SensedNodes  # noqa: PLC0415 - SciPy's rotations
+        from plant_fmu.drives.sensor_nodes import SensedNodes  # noqa: PLC0415 - SciPy's rotations
 
         gravity = c.platform.gravity_m_s2
         return SensedNodes(*drives, sensors, c.sensors, c.plant.sensors, gravity), plant

@@ -1,7 +1,4 @@
-"""Where results go: log names, the summary on the terminal, its JSON twin, the picture.
-
-Rule of the room: formats and writes; computes nothing about the platform.
-"""
+"""Where results go: log names, the summary on the terminal, its JSON twin, the picture."""
 
 from __future__ import annotations
 

@@ -17,16 +17,16 @@ from typing import Any, Self
 
 import numpy as np
 
-from drivers.bus import Bus
+from drivers.can.bus import Bus
 from drivers.errors import HilError, PlantError, RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_scene
-from hil.app.configuration import Configuration
+from hil.app.configuration.configuration import Configuration
 from hil.app.output import log_path
-from hil.clock import real_time
+from hil.loop.clock import real_time
 from hil.record import Recording
-from plant_fmu.nodes import Nodes, Snapshot
+from plant_fmu.drives.nodes import Nodes, Snapshot
 
 IDLE_NS = 2_000_000
 """The plant never lags the present by more than this. In a run the frames themselves wake it more

@@ -10,11 +10,11 @@ from typing import Any
 
 from drivers.errors import LogError
 from hil.app.compose import REFERENCE_PLAN, build_cycle, with_attachments
-from hil.app.configuration import loads
-from hil.clock import collector_paused
-from hil.log import Log
+from hil.app.configuration.configuration import loads
+from hil.loop.clock import collector_paused
+from hil.loop.replay import Verdict, replay
 from hil.record import environment
-from hil.replay import Verdict, replay
+from hil.record.log import Log
 
 
 def replay_log(path: Path, progress: Callable[[int], None] | None = None) -> tuple[Verdict, dict[str, Any]]:

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration import Configuration
+from hil.app.configuration.configuration import Configuration
 from hil.config import LiveReference
-from hil.setpoints import TAKEN, SetPointSender
+from hil.loop.setpoints import TAKEN, SetPointSender
 
 
 def send_setpoints(configuration: Configuration, lines: Iterable[str]) -> dict[str, Any]:

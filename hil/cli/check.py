@@ -31,13 +31,13 @@ def check_command(configuration: str, json_file: Path | None) -> None:
       2  not usable: all problems at once, each as FILE:LINE:COLUMN: path: what, allowed, given
     """
     from drivers.errors import ConfigurationError
-    from hil.app.configuration import load
+    from hil.app.configuration.configuration import load
     from hil.app.output import show_lines, write_json
 
     try:
         loaded = load(configuration)
         announce_compilation()
-        from hil.app.check import inspect
+        from hil.app.check.command import inspect
 
         report = inspect(loaded)
     except ConfigurationError as error:

@@ -110,7 +110,8 @@ def compare_command(
     loaded = load(configuration, "sim")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from hil.app.compare import compare, table, with_options
+    from hil.app.compare import table
+    from hil.app.compare.command import compare, with_options
     from hil.app.output import console
 
     loaded = with_options(loaded, inertia_scale=inertia_scale, wrench=wrench, wrench_at_s=wrench_at or 0.0)

@@ -48,7 +48,7 @@ METHODS = {
     looked at, at every frequency, and of the exact sampled loop at the corners of the uncertainty.""",
     ),
 }
-"""Name -> introduction; what it does is in the table of hil.app.design."""
+"""Name -> introduction; what it does is in the table of hil.app.design.command."""
 
 EXIT = """
 
@@ -93,9 +93,9 @@ def _command(name: str, method: _Method) -> click.Command:
     def command(
         design: str, model: Path | None, out: Path | None, plot: Path | None, json_file: Path | None
     ) -> None:
-        from hil.app import design as app
+        from hil.app.configuration.section_file import check_section_path
+        from hil.app.design import command as app
         from hil.app.output import console, picture_path, show_lines, write_json
-        from hil.app.section_file import check_section_path
         from hil.config.linear_controller import LinearController
 
         if out is not None:
@@ -108,7 +108,7 @@ def _command(name: str, method: _Method) -> click.Command:
             out.write_text(app.controller_text(controller, design), encoding="utf-8")
             click.echo(f"written: {out}")
         if picture is not None:
-            from hil.app.design_picture import draw
+            from hil.app.design.plot import draw
 
             click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
         if json_file is not None:

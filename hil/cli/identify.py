@@ -96,29 +96,30 @@ def identify_command(
       2  not measured: configuration, log, or too little excitation; the message says what
     """
     announce_compilation()
-    from hil.app import identify, identify_axes
+    from hil.app.identify import axes
+    from hil.app.identify import delay as delay_of
     from hil.app.output import log_path, show_lines, write_json
 
     if delay and model:
         raise click.UsageError("--model has no use with --delay, which prints what it finds")
     made = run = files = None
-    if identify.is_log(configuration):
+    if delay_of.is_log(configuration):
         if real_time or with_plant or force or duration or log:
             raise click.UsageError(
                 f"{configuration} is a log: --run, --plant, --force, --duration, --log have no use"
             )
         log = configuration
     else:
-        from hil.app.configuration import load
+        from hil.app.configuration.configuration import load
 
         loaded = load(configuration)
-        excite = identify.excited if delay else identify_axes.excited_axes
+        excite = delay_of.excited if delay else axes.excited_axes
         made = excite(loaded, force, duration)
         log = log_path(loaded.recording.folder, made.configuration.name, log)
     if not delay:
-        files = identify_axes.outputs(log, model)
+        files = axes.outputs(log, model)
     if made is not None:
-        run = identify.run_for(made, log, real_time=real_time, with_plant=with_plant)
+        run = delay_of.run_for(made, log, real_time=real_time, with_plant=with_plant)
         if not run["success"]:
             click.echo(
                 f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True
@@ -127,13 +128,13 @@ def identify_command(
                 write_json(json_file, run)
             sys.exit(1)
     if files is None:
-        result = identify.delay_of_log(log)
-        lines = identify.report(result)
+        result = delay_of.delay_of_log(log)
+        lines = delay_of.report(result)
     else:
-        found = identify_axes.axes_of_log(log)
-        identify_axes.save(found, files, log.stem)
-        result = identify_axes.summary(found, log, files)
-        lines = identify_axes.report(result, found.model)
+        found = axes.axes_of_log(log)
+        axes.save(found, files, log.stem)
+        result = axes.summary(found, log, files)
+        lines = axes.report(result, found.model)
     if made is not None:
         result |= {"excitation_N": made.force_N, "run": run}
     show_lines(lines)

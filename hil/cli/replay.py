@@ -37,13 +37,13 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
       1  differences, or ticks missing from the log
       2  not begun: no such file, no log, cut (then use --salvage)
     """
-    from hil.log import Log
+    from hil.record.log import Log
 
     if salvage is None:
         Log.open(log)
     announce_compilation()
     from hil.app.replay import replay_log
-    from hil.salvage import salvage as recover
+    from hil.record.salvage import salvage as recover
 
     if salvage is not None:
         report = recover(log, salvage)

@@ -62,8 +62,8 @@ def run_command(
       2  not begun: configuration, bus, plant or log file; the message says what
     """
     loaded = load(configuration, "run")
-    from hil.app.again import run_with_plant
-    from hil.app.run import run_daemon
+    from hil.app.run.command import run_daemon
+    from hil.app.run.retry import run_with_plant
 
     run = run_with_plant if with_plant else run_daemon
     summary = run(loaded, log=log, duration_s=duration, reset=reset)

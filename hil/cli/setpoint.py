@@ -46,7 +46,7 @@ def setpoint_command(
       1  some were refused, or there were none; the summary says why
       2  nothing was sent: no such configuration, its reference is not live, or no controller listens
     """
-    from hil.app.configuration import load
+    from hil.app.configuration.configuration import load
     from hil.app.setpoint import send_setpoints
 
     if position is None and rotation is not None:

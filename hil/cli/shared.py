@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 if TYPE_CHECKING:
-    from hil.app.configuration import Configuration
+    from hil.app.configuration.configuration import Configuration
 
 
 class FiniteRange(click.FloatRange):
@@ -85,7 +85,7 @@ def _refuse(message: str) -> None:
 
 def announce_compilation() -> None:
     """Say why the first start takes so long."""
-    from drivers.compile_cache import FIRST_COMPILATION
+    from drivers.compiled.compiler import FIRST_COMPILATION
 
     if FIRST_COMPILATION:
         click.echo("compiling the mathematics, once (about 45 s) ...", err=True)
@@ -96,12 +96,12 @@ def load(configuration: str, command: Literal["run", "plant", "sim"]) -> Configu
 
     Raises ConfigurationError.
     """
-    from hil.app.configuration import load
+    from hil.app.configuration.configuration import load
 
     loaded = load(configuration)
     loaded.require(command)
     announce_compilation()
-    from hil.app.check import refuse_unreachable
+    from hil.app.check.command import refuse_unreachable
 
     refuse_unreachable(loaded)
     return loaded

@@ -60,7 +60,7 @@ def sim_command(
       2  not begun: configuration, FMU or log file; the message says what
     """
     loaded = load(configuration, "sim")
-    from hil.app.sim import simulate
+    from hil.app.sim.command import simulate
 
     summary = simulate(loaded, log=log, duration_s=duration, live=sys.stderr.isatty(), setpoints=setpoints)
     if summary["trouble"]:

@@ -78,13 +78,13 @@ def stability_command(
       1  not proven, or unstable
       2  refused: the configuration, an option or the file
     """
-    from hil.app.configuration import load
+    from hil.app.configuration.configuration import load
     from hil.app.output import console, show_lines, write_json
 
     loaded = load(configuration)
     announce_compilation()
     with console.status("looking for a proof"):
-        from hil.app.stability import assess, shown
+        from hil.app.stability.command import assess, shown
 
         summary = assess(loaded, force_N=force, torque_N_m=torque, model_error=model_error)
     show_lines(shown(summary))

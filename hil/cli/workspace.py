@@ -89,13 +89,13 @@ def workspace_command(
       0  mapped
       2  not begun: configuration, home outside a limit, position not reached, file
     """
-    from hil.app.configuration import load
+    from hil.app.configuration.configuration import load
     from hil.app.output import console
 
     loaded = load(configuration)
     announce_compilation()
     with console.status("loading the mathematics") as status:
-        from hil.app.workspace import map_workspace, shown
+        from hil.app.workspace.command import map_workspace, shown
 
         summary = map_workspace(
             loaded,

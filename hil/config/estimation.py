@@ -13,7 +13,7 @@ from hil.config.wrench import WrenchSettings
 
 
 class FusionSettings(Section):
-    """The error-state Kalman filter of `hil.fusion`: what it believes of legs and motion."""
+    """The error-state Kalman filter of `hil.estimation.fusion`: what it believes of legs and motion."""
 
     model: ModelSettings = ModelSettings()
     """Turns leg forces into the acceleration that carries the pose from tick to tick."""

@@ -6,15 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.compile_cache import VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import VECTOR, kernel
 from hil.config import CartesianPDSettings
 from hil.control.law import LawContext, per_axis
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.kernels.dynamics import inverse_dynamics_kernel
-from hil.linalg import solve_transposed
-from hil.rotations import relative_rotation, rotation_vector_kernel
-from hil.signals import Array, Effort, Reference, State
+from hil.mathematics.linear_algebra import solve_transposed
+from hil.mathematics.rotations import relative_rotation, rotation_vector_kernel
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.signals import Effort, Reference, State
 
 _REST = np.zeros(6)
 _REST.flags.writeable = False

@@ -6,14 +6,15 @@ import math
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.config import FeedforwardPDSettings
 from hil.control.law import LawContext, per_leg
 from hil.control.model import build_model
 from hil.control.pd import JointPD
-from hil.dynamics import Model
-from hil.kernels.dynamics import inverse_dynamics_kernel
-from hil.signals import NO_WRENCH, Array, Effort, Reference, State
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.signals import NO_WRENCH, Effort, Reference, State
 from hil.trajectory import PoseSample
 
 ENDLESS = (

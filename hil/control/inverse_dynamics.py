@@ -2,22 +2,23 @@
 
 The notes drop the term J_dot twist when they pass from leg to pose accelerations; with it the error
 dynamics is linear: E'' + K_D E' + K_P E = 0 for a model that is exact. What the controller believes of
-the robot is the model's business (hil.dynamics.Model), not the law's.
+the robot is the model's business (hil.robot.dynamics.Model), not the law's.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import INTEGER, OUT_VECTOR, VECTOR, direct
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, direct
 from drivers.signals import LEGS
 from hil.config import InverseDynamicsSettings
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.kernels.dynamics import joint_idc_kernel
-from hil.kernels.signals import REFERENCE, STATE
-from hil.signals import Array, Effort, Reference, State
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import joint_idc_kernel
+from hil.signal_types import REFERENCE, STATE
+from hil.signals import Effort, Reference, State
 
 
 class JointInverseDynamics:

@@ -1,7 +1,7 @@
 """The contract of a control law.
 
-Rule of the room: a law turns State and Reference into leg forces. It knows no mode, no limit, no bus
-and no clock; the cycle adds the bumpless entry, safety limits the result.
+A law turns State and Reference into leg forces. It knows no mode, no limit, no bus and no clock; the cycle
+adds the bumpless entry, safety limits the result.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.config import LegSpin
 from hil.config.linear_controller import LinearController
-from hil.geometry import Platform
-from hil.signals import Array, Effort, Reference, State
+from hil.robot.geometry import Platform
+from hil.signals import Effort, Reference, State
 from hil.trajectory import Trajectory
 
 

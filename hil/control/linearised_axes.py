@@ -1,7 +1,5 @@
 """The axes that inverse dynamics leaves: error, force for a demanded acceleration, and what a force does.
 
-Rule of the room: no gains and no memory; a law puts its own between error and demand.
-
 An axis obeys ddy = ddy* where the model is exact: y the leg lengths, or position and rotation of the platform
 with the error of `hil.control.pose_inverse_dynamics`, e = [p_d - p; log(R_d R^T)]. A law asks for
 ddy* = ddy_d + u, so that the error obeys e'' = -u.
@@ -14,20 +12,21 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.compile_cache import INTEGER, MATRIX, VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, kernel
 from hil.config.axis_model import AxisSpace
 from hil.control.inverse_dynamics import linearising_tau
 from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
-from hil.dynamics import Model
-from hil.kernels.dynamics import (
+from hil.mathematics.linear_algebra import lu_factor, lu_solve
+from hil.mathematics.rotations import rotation_motion_kernel, rotation_vector_rate
+from hil.mathematics.vectors import at, rotate
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import (
     fill_jacobian,
     inverse_dynamics_kernel,
     model_inertia,
 )
-from hil.linalg import lu_factor, lu_solve
-from hil.rotations import rotation_motion_kernel, rotation_vector_rate
-from hil.signals import Array, Reference, State
-from hil.vectors import at, rotate
+from hil.signals import Reference, State
 
 
 class Axes(Protocol):

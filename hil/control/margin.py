@@ -1,7 +1,5 @@
 """What a delay costs a law whose error obeys e'' + K_D e' + K_P e = d.
 
-Rule of the room: pure functions of the gains; no law and no model.
-
 Opened at the leg's acceleration, the loop of such a law is L(s) = (K_D s + K_P) / s^2. With critical damping
 it crosses over at 2.058 wn, K_P = wn^2, and has a phase margin of 76.35 deg; a delay T (bus, hold, force
 loop) takes w_c T of it. Which gains a bus carries follows: at 30 deg margin wn T = 0.39.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config import LegSpin, ModelSettings
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.rotations import rotation_from_vector
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
 
 
 def build_model(settings: ModelSettings, platform: Platform, leg_spin: LegSpin) -> Model:

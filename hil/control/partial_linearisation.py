@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from drivers.arrays import Array
 from hil.config import ModelSettings, PartialLinearisationSettings
 from hil.control.inverse_dynamics import linearised_pd
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.signals import NO_WRENCH, Array, Effort, Reference, State
+from hil.robot.dynamics import Model
+from hil.signals import NO_WRENCH, Effort, Reference, State
 
 
 class PartialLinearisation:

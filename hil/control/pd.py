@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import VECTOR, kernel
 from hil.config import DriveGains
 from hil.control.law import LawContext, per_leg
-from hil.signals import Array, Effort, Reference, State
+from hil.signals import Effort, Reference, State
 
 
 class JointPD:

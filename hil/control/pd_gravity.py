@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.config import PDGravitySettings
 from hil.control.law import LawContext
 from hil.control.model import build_model
 from hil.control.pd import JointPD
-from hil.dynamics import Model
-from hil.kernels.dynamics import inverse_dynamics_kernel
-from hil.signals import NO_WRENCH, Array, Effort, Reference, State
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.signals import NO_WRENCH, Effort, Reference, State
 
 _REST = np.zeros(6)
 _REST.flags.writeable = False

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import VECTOR, kernel
 from hil.config import PIDSettings
 from hil.control.law import LawContext, per_leg
 from hil.control.pd import JointPD
-from hil.signals import Array, Effort, Reference, State
+from hil.signals import Effort, Reference, State
 
 
 class JointPID:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import MATRIX, VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import MATRIX, VECTOR, kernel
 from hil.config import PoseInverseDynamicsSettings
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.kernels.dynamics import inverse_dynamics_kernel
-from hil.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
-from hil.signals import Array, Effort, Reference, State
-from hil.vectors import add, at, cross, rotate, rotate_back, sub
+from hil.mathematics.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
+from hil.mathematics.vectors import add, at, cross, rotate, rotate_back, sub
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.signals import Effort, Reference, State
 
 
 class PoseInverseDynamics:
@@ -24,7 +25,7 @@ class PoseInverseDynamics:
 
     - position: dv* = dv_d + K_D (v_d - v) + K_P (p_d - p);
     - rotation: E = R_d R^T = exp([r]x) turns with Omega = omega_d - E omega, hence r' = L(r)^-1 Omega with
-      L = d Omega / d r' (``hil.rotations.rotation_vector_rate``), and
+      L = d Omega / d r' (``hil.mathematics.rotations.rotation_vector_rate``), and
       domega* = E^T (domega_d - Omega x E omega - Omega'*), Omega'* the Omega' of r'' = -K_D r' - K_P r.
 
     Often omega_d - omega is put for r'. It is no derivative of r, not even to first order, where

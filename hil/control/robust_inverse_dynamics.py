@@ -32,13 +32,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import REAL, VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import REAL, VECTOR, kernel
 from hil.config import RobustInverseDynamicsSettings
 from hil.control.inverse_dynamics import linearising_tau
 from hil.control.law import LawContext, error_gains
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.signals import Array, Effort, Reference, State
+from hil.robot.dynamics import Model
+from hil.signals import Effort, Reference, State
 
 
 class RobustInverseDynamics:

@@ -24,14 +24,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import MATRIX, OUT_MATRIX, VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import MATRIX, OUT_MATRIX, VECTOR, kernel
 from drivers.errors import ConfigurationError
 from hil.config import StateSpaceSettings
 from hil.config.linear_controller import LinearController
 from hil.control.law import LawContext
 from hil.control.linearised_axes import AXES, Axes
 from hil.control.model import build_model
-from hil.signals import Array, Effort, Reference, State
+from hil.signals import Effort, Reference, State
 
 _INPUTS = {"error": 0, "rate_error": 1}
 """Row of the axes' errors."""

@@ -1,7 +1,4 @@
-"""What a log tells of the loop: how long a force takes, and what the linearised axes are like.
-
-Rule of the room: arrays in, values out; offline, so scipy may be used.
-"""
+"""What a log tells of the loop: how long a force takes, and what the linearised axes are like."""
 
 from hil.identify.axis_fit import Fit, Uncertainty, fit_axes, uncertainty
 from hil.identify.delay import Delay, Motion, force_delay

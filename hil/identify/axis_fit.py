@@ -1,21 +1,16 @@
-"""From measured responses to the nominal axis and the bound of its error.
-
-Rule of the room: see `hil.identify`.
-"""
+"""From measured responses to the nominal axis and the bound of its error."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from drivers.arrays import Array, ComplexArray, Flags
 from hil.identify.errors import IdentificationError
 from hil.identify.nominal import axis_response
 from hil.identify.response import Response
-from hil.linear_system import ComplexArray
-from hil.signals import Array
 
 COHERENT = 0.9
 FEWEST_LINES = 6
@@ -40,7 +35,7 @@ class Fit(NamedTuple):
     total_s: float
     """Phase slope at low frequency: transport, lag and half a period."""
     total_std_s: float
-    used: NDArray[np.bool_]
+    used: Flags
     """(lines, 6) what the fit was made from: excited and coherent."""
 
 

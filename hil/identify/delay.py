@@ -1,10 +1,8 @@
 """How long a command takes to become a force.
 
-Rule of the room: see `hil.identify`.
-
 The forces in the legs are known twice: from the commands, through a transport delay and a first-order lag
-(`hil.force_path`), and from the motion, through the rigid-body model: the mean force over a period is what
-the change of the momentum in it took. The two are compared period by period and leg by leg,
+(`hil.robot.force_path`), and from the motion, through the rigid-body model: the mean force over a period is
+what the change of the momentum in it took. The two are compared period by period and leg by leg,
 
     needed = gain * force(transport, lag) + offset - viscous * rate - coulomb * sgn(rate),
 
@@ -27,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from hil.dynamics import SLIDING_SPEED, Model
+from drivers.arrays import Array, Flags
+from hil.estimation.observer import unexplained_kernel
 from hil.identify.errors import IdentificationError
-from hil.observer import unexplained_kernel
-from hil.signals import Array
+from hil.robot.dynamics import SLIDING_SPEED, Model
 
 BLOCKS = 10
 """Of the jackknife."""
@@ -56,7 +54,7 @@ class Motion(NamedTuple):
     """(n, 6)."""
     rate: Array
     """(n, 6) m/s, leg rates."""
-    usable: NDArray[np.bool_]
+    usable: Flags
     """(n - 1,): brakes open and all legs fresh at both ends of the period after each tick."""
 
 
@@ -142,7 +140,7 @@ def needed_forces(motion: Motion, model: Model) -> Array:
 
 
 def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -> Array:
-    """Return the mean force (n - 1, 6) N over the period after each tick; see `hil.force_path`.
+    """Return the mean force (n - 1, 6) N over the period after each tick; see `hil.robot.force_path`.
 
     tau (n, 6) N, commands; before the first one, the force was as that.
     """

@@ -1,6 +1,6 @@
 """A multisine about a pose that moves each linearised axis at lines of its own.
 
-Rule of the room: see `hil.identify`; gives a `reference` section, so that the run is an ordinary one.
+Gives a `reference` section, so that the run is an ordinary one.
 """
 
 from __future__ import annotations
@@ -9,16 +9,15 @@ from math import ceil, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Array, Ints
 from hil.config import Pose, Sinusoid, SinusoidReference
 from hil.config.axis_model import AxisSpace
-from hil.dynamics import Model
 from hil.identify.errors import IdentificationError
 from hil.identify.spectra import FEWEST_BLOCKS
-from hil.kinematics import jacobian
-from hil.rotations import rotation_from_vector, rotation_vector_rate
-from hil.signals import Array
+from hil.mathematics.rotations import rotation_from_vector, rotation_vector_rate
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
 
 WORDS = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 LINES = 12
@@ -105,12 +104,12 @@ def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid
     ]
 
 
-def _on_axes(waves: Array, axis: NDArray[np.int64]) -> Array:
+def _on_axes(waves: Array, axis: Ints) -> Array:
     """Return the sums (6, n) of the lines of each axis."""
     return np.array([waves[axis == j].sum(axis=0) for j in range(6)])
 
 
-def _harmonics(n: int, lowest: int, highest: int) -> NDArray[np.int64]:
+def _harmonics(n: int, lowest: int, highest: int) -> Ints:
     """Return n different harmonics, spread evenly on a logarithmic scale where there is room."""
     found = np.geomspace(lowest, highest, n).round().astype(np.int64)
     for k in range(1, n):

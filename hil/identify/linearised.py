@@ -1,7 +1,5 @@
 """The linearised axes in a log: the acceleration that was demanded of each, and where it was.
 
-Rule of the room: see `hil.identify`.
-
 A law that linearises sends tau = A(x) v + b(x), x the measured state, for a demanded acceleration v. So v
 follows from what was sent, limits included, whatever made v: reference, gains, a switching term.
 """
@@ -12,14 +10,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Array, Flags
 from hil.config.axis_model import AxisSpace
 from hil.control.inverse_dynamics import linearising_tau
-from hil.dynamics import Model
-from hil.kernels.dynamics import inverse_dynamics_kernel
-from hil.kernels.kinematics import jacobian_kernel
-from hil.signals import Array, State
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.kinematics_kernels import jacobian_kernel
+from hil.signals import State
 
 Law = Callable[[Model, State, Array], Array]
 
@@ -34,7 +32,7 @@ class AxisSignals(NamedTuple):
     """(n, 6) m, rad: measured position."""
     r: Array
     """(n, 6) m/s^2, rad/s^2: acceleration of the reference."""
-    good: NDArray[np.bool_]
+    good: Flags
     """(n,): tracking, recorded, and all six legs fresh."""
 
 

@@ -1,7 +1,4 @@
-"""The nominal axis: frequency response of a double integrator behind lag, delay and hold.
-
-Rule of the room: see `hil.identify`.
-"""
+"""The nominal axis: frequency response of a double integrator behind lag, delay and hold."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from hil.linear_system import ComplexArray
-from hil.signals import Array
+from drivers.arrays import Array, ComplexArray
 
 
 def axis_response(frequency_Hz: Array, period_s: float, transport_s: float, lag_s: float) -> ComplexArray:

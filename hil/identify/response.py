@@ -1,7 +1,5 @@
 """Frequency response of each axis, its coherence and its standard deviation.
 
-Rule of the room: see `hil.identify`.
-
 In a closed loop the noise of the measurement comes back in the demanded acceleration, and the quotient of
 their spectra is biased towards the inverse of the law. The reference is not correlated with any noise, so
 
@@ -23,12 +21,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
+from drivers.arrays import Array, ComplexArray, Flags
 from hil.identify.spectra import Spectra
-from hil.linear_system import ComplexArray
-from hil.signals import Array
 
 OWN = 0.3
 """An axis counts as excited at a line where its reference has this share of the axis that has most."""
@@ -51,7 +47,7 @@ class Response(NamedTuple):
     """Around G, relative to it, with 95 % confidence."""
     coherence: Array
     """Of the reference with position and demanded acceleration, the smaller one, 0 .. 1."""
-    excited: NDArray[np.bool_]
+    excited: Flags
     V: ComplexArray
     """Mean demanded acceleration, in phase with the reference; tells the direction of each line."""
     Y: ComplexArray

@@ -1,7 +1,5 @@
 """Spectra of a run, block by block: whole periods of an excitation that repeats, or windowed segments.
 
-Rule of the room: see `hil.identify`.
-
 A double integrator turns the slow part of any motion into most of the position, which must not leak into the
 rest: what repeats is cut into whole periods, less a drift; the rest is transformed as second
 differences, divided by what those do to a sinusoid.
@@ -12,12 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Array, ComplexArray, Flags, Ints
 from hil.identify.errors import IdentificationError
 from hil.identify.linearised import AxisSignals
-from hil.linear_system import ComplexArray
-from hil.signals import Array
 
 FEWEST_BLOCKS = 4
 """With fewer, noise alone is coherent too often."""
@@ -46,7 +42,7 @@ class Spectra(NamedTuple):
     """Acceleration of the reference."""
 
 
-def periodic(signals: AxisSignals, length: int, harmonics: NDArray[np.int64]) -> Spectra:
+def periodic(signals: AxisSignals, length: int, harmonics: Ints) -> Spectra:
     """Return the spectra of whole periods of `length` ticks, at multiples of 1/(length T).
 
     A whole period of what repeats needs no window and leaks nothing. A drift may lie underneath, its speed
@@ -121,12 +117,12 @@ def segmented(signals: AxisSignals) -> Spectra:
     return Spectra(T, frequency_Hz, V, Y, R)
 
 
-def _blocks(starts: list[int], length: int) -> NDArray[np.int64]:
+def _blocks(starts: list[int], length: int) -> Ints:
     """Return the ticks of each block (blocks, length)."""
     return np.array(starts, np.int64)[:, None] + np.arange(length)
 
 
-def _starts(good: NDArray[np.bool_], length: int, step: int) -> list[int]:
+def _starts(good: Flags, length: int, step: int) -> list[int]:
     """Return where blocks begin that are good throughout, as many as fit, `step` apart but for gaps."""
     starts, k = [], 0
     bad = np.flatnonzero(~good)

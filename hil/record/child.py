@@ -1,7 +1,4 @@
-"""The recorder as a child process: start it, set it up, hear its answer, reap it.
-
-Rule of the room: processes and pipes; knows nothing of ticks.
-"""
+"""The recorder as a child process: start it, set it up, hear its answer, reap it."""
 
 from __future__ import annotations
 

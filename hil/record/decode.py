@@ -1,8 +1,7 @@
 """From the messages of a log back to rows and frames.
 
-Rule of the room: bytes in, arrays out, no files. Messages as our recorder writes them are taken apart in
-whole batches; those of another layout (a file that went through another MCAP writer) by protobuf, with the
-same result.
+Messages as our recorder writes them are taken apart in whole batches; those of another layout (a file that
+went through another MCAP writer) by protobuf, with the same result.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from mcap.records import Channel
 from mcap.records import Schema as SchemaRecord
 from numpy.typing import NDArray
 
+from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 from hil.record.mcap_read import MessageTable
@@ -93,7 +93,7 @@ class Decoder:
                 f"{self._name}: a message of {self._channels[channel].topic} is damaged: {error}"
             ) from error
 
-    def rows(self, data: bytes, table: MessageTable) -> NDArray[np.void]:
+    def rows(self, data: bytes, table: MessageTable) -> Rows:
         """Return the rows in a buffer, in its order."""
         mine = self._of(table, self._topic)
         rows = np.zeros(len(mine), self._dtype)
@@ -122,7 +122,7 @@ class Decoder:
                     ) from error
         return rows
 
-    def frames(self, data: bytes, table: MessageTable) -> NDArray[np.void]:
+    def frames(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
         mine = self._of(table, CAN)
         items = np.zeros(len(mine), ITEM)
@@ -143,7 +143,7 @@ class Decoder:
                 items[i] = self._convert(self._protobuf(data, table, int(mine[i])))
         return items
 
-    def _unpack(self, frames: NDArray[np.void], length: int) -> NDArray[np.void]:
+    def _unpack(self, frames: Rows, length: int) -> Rows:
         items = np.zeros(len(frames), ITEM)
         seconds, nanos = unpack_varint5(frames["seconds"]), unpack_varint5(frames["nanos"])
         items["t_ns"] = seconds * 1_000_000_000 + nanos - self._epoch
@@ -156,7 +156,7 @@ class Decoder:
             items["data"][:, :length] = frames["data"]
         return items
 
-    def _convert(self, message: Any) -> NDArray[np.void]:
+    def _convert(self, message: Any) -> Rows:
         """Return the same from a parsed message."""
         item = np.zeros((), ITEM)
         stamp = message.header.stamp

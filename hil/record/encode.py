@@ -1,7 +1,4 @@
-"""From a batch of ticks in the ring to MCAP messages as bytes.
-
-Rule of the room: pure; the same ticks give the same messages, however they were batched.
-"""
+"""From a batch of ticks in the ring to MCAP messages as bytes."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
-from numpy.typing import NDArray
 
+from drivers.arrays import Ints, Rows
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 from hil.record import schema
 from hil.record.recording import Scene
@@ -34,19 +31,19 @@ class Messages(NamedTuple):
     """Complete MCAP Message records in file order, and what the index needs of them."""
 
     data: list[memoryview | bytes]
-    channel: NDArray[np.int64]
-    log_time: NDArray[np.int64]
-    length: NDArray[np.int64]
-    tick: NDArray[np.int64]
+    channel: Ints
+    log_time: Ints
+    length: Ints
+    tick: Ints
     """Position of the tick in the batch: chunks are cut between ticks."""
 
 
 class _Block(NamedTuple):
     """Messages of one channel and one length."""
 
-    key: NDArray[np.int64]
+    key: Ints
     channel: int
-    log_time: NDArray[np.int64]
+    log_time: Ints
     data: list[memoryview | bytes]
 
 
@@ -108,7 +105,7 @@ class Encoder:
             blocks.extend(self._views(rows[i], i * _LAST + _LAST - 3))
         return _in_order(blocks)
 
-    def _rows(self, rows: NDArray[np.void]) -> _Block:
+    def _rows(self, rows: Rows) -> _Block:
         records = self._row_layout.new(len(rows))
         for name in rows.dtype.names or ():
             records[name] = rows[name]
@@ -117,12 +114,12 @@ class Encoder:
 
     def _frames(
         self,
-        items: NDArray[np.void],
+        items: Rows,
         length: int,
-        ticks: NDArray[np.int64],
-        times: NDArray[np.int64],
-        index: NDArray[np.int64],
-        key: NDArray[np.int64],
+        ticks: Ints,
+        times: Ints,
+        index: Ints,
+        key: Ints,
     ) -> _Block:
         records = schema.frame_layout(length, self._bus).new(len(items))
         log_time = items["t_ns"] + self._epoch
@@ -143,12 +140,12 @@ class Encoder:
 
     @staticmethod
     def _block(
-        records: NDArray[np.void],
+        records: Rows,
         channel: int,
-        ticks: NDArray[np.int64],
-        log_time: NDArray[np.int64],
-        publish_time: NDArray[np.int64],
-        key: NDArray[np.int64],
+        ticks: Ints,
+        log_time: Ints,
+        publish_time: Ints,
+        key: Ints,
     ) -> _Block:
         records["@channel"] = channel
         records["@sequence"] = ticks & 0xFFFFFFFF
@@ -158,9 +155,7 @@ class Encoder:
         data = memoryview(records.tobytes())
         return _Block(key, channel, log_time, [data[i : i + size] for i in range(0, len(data), size)])
 
-    def _rare(
-        self, items: NDArray[np.void], i: int, tick: int, t_ns: int, index: int, key: NDArray[np.int64]
-    ) -> list[_Block]:
+    def _rare(self, items: Rows, i: int, tick: int, t_ns: int, index: int, key: Ints) -> list[_Block]:
         """Return the message of an operator command or of the last piece of an event."""
         item = items[i]
         time_ns = int(item["t_ns"]) + self._epoch
@@ -185,7 +180,7 @@ class Encoder:
         )
         return [_single(EVENTS, tick, time_ns, time_ns, message, key)]
 
-    def _views(self, row: NDArray[np.void], key: int) -> list[_Block]:
+    def _views(self, row: Rows, key: int) -> list[_Block]:
         tick, time_ns = int(row["tick"]), int(row["t_ns"]) + self._epoch
         stamp = _stamp(time_ns)
         messages = [(TF, data) for data in transforms(row, stamp)]
@@ -208,9 +203,7 @@ def _foxglove(message: Any) -> Schema:
     )
 
 
-def _single(
-    channel: int, tick: int, log_time: int, publish_time: int, message: Any, key: NDArray[np.int64]
-) -> _Block:
+def _single(channel: int, tick: int, log_time: int, publish_time: int, message: Any, key: Ints) -> _Block:
     payload = message if isinstance(message, bytes) else message.SerializeToString(deterministic=True)
     record = b"".join(
         (

@@ -1,7 +1,4 @@
-"""What a log says about the machine and the software that wrote it.
-
-Rule of the room: reads the system, changes nothing, never fails: what cannot be found out is left out.
-"""
+"""What a log says about the machine and the software that wrote it."""
 
 from __future__ import annotations
 

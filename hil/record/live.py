@@ -1,7 +1,4 @@
-"""The live status line of a run, drawn from the rows that the recorder drains.
-
-Rule of the room: it lives in the recorder's process, so that the loop writes to no terminal.
-"""
+"""The live status line of a run, drawn from the rows that the recorder drains."""
 
 from __future__ import annotations
 
@@ -9,8 +6,8 @@ import time
 from typing import Any, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Rows
 from hil.signals import Mode, Warn
 
 TERMINAL_S = 0.2
@@ -34,7 +31,7 @@ class LiveView:
         self._stale = self._skipped = 0
         self._late_us = 0.0
 
-    def show(self, rows: NDArray[np.void]) -> None:
+    def show(self, rows: Rows) -> None:
         """Take a batch of rows of dtype ROW into account, and draw if it is time."""
         if not len(rows):
             return

@@ -1,8 +1,8 @@
 """Writes an MCAP file chunk by chunk, from messages that are already bytes.
 
-Rule of the room: the container only; it knows no topic of ours. The `mcap` library's own writer takes one
-Python call per message and per index entry (about 5 µs each); here a chunk is one buffer and its message
-index one array. Records other than Message and MessageIndex are written by `mcap.records`.
+The `mcap` library's own writer takes one Python call per message and per index entry (about 5 µs each); here
+a chunk is one buffer and its message index one array. Records other than Message and MessageIndex are written
+by `mcap.records`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from numpy.typing import NDArray
+
+from drivers.arrays import Ints
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_SIZE = 256 * 1024
@@ -128,9 +129,7 @@ class McapFile:
         )
         self._write(record)
 
-    def add_chunk(
-        self, data: bytes, channel: NDArray[np.int64], log_time: NDArray[np.int64], offset: NDArray[np.int64]
-    ) -> None:
+    def add_chunk(self, data: bytes, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Compress and write the Message records in `data`; the arrays (n,) describe them in order."""
         chunk = Chunk(
             compression="zstd",
@@ -142,9 +141,7 @@ class McapFile:
         )
         self.add_compressed(chunk, channel, log_time, offset)
 
-    def add_compressed(
-        self, chunk: Chunk, channel: NDArray[np.int64], log_time: NDArray[np.int64], offset: NDArray[np.int64]
-    ) -> None:
+    def add_compressed(self, chunk: Chunk, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Write a chunk as it is, with the message index that the arrays give."""
         record = record_bytes(chunk)
         index_start = self.position + len(record)

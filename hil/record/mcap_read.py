@@ -1,7 +1,7 @@
 """Reads MCAP records in the order of the file, whoever wrote it and however it ends.
 
-Rule of the room: the container only. Unlike the `mcap` library's readers it goes through a file that has no
-summary or is cut, and gives a chunk's messages as positions in one buffer instead of one object each.
+Unlike the `mcap` library's readers it goes through a file that has no summary or is cut, and gives a chunk's
+messages as positions in one buffer instead of one object each.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
-from numpy.typing import NDArray
 
+from drivers.arrays import Ints
 from drivers.errors import LogError
 from hil.record.mcap_file import MAGIC
 
@@ -54,10 +54,10 @@ class Record(NamedTuple):
 class MessageTable(NamedTuple):
     """Where the messages of a buffer are, each (n,)."""
 
-    channel: NDArray[np.int64]
-    log_time: NDArray[np.int64]
-    offset: NDArray[np.int64]
-    length: NDArray[np.int64]
+    channel: Ints
+    log_time: Ints
+    offset: Ints
+    length: Ints
     """Of the whole record; the data begin 31 bytes after `offset`."""
 
 

@@ -1,9 +1,9 @@
 """The recorder process: drains the ring and writes the log.
 
-Rule of the room: the only process that writes log files. It lives as long as its producer does and ignores
-signals that ask it to end earlier: when the producer closes or dies it drains the ring, closes the file and
-leaves. Started as `python -m hil.record RING_FD PRODUCER_PID`; orders come on standard input (set-up as
-JSON and attachments, then the summary), answers go to standard output, one JSON object per line.
+The only process that writes log files. It lives as long as its producer does and ignores signals that ask it
+to end earlier: when the producer closes or dies it drains the ring, closes the file and leaves. Started as
+`python -m hil.record RING_FD PRODUCER_PID`; orders come on standard input (set-up as JSON and attachments,
+then the summary), answers go to standard output, one JSON object per line.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Ints
 from hil.record.encode import Encoder, Messages
 from hil.record.environment import product_version
 from hil.record.live import LiveView
@@ -50,7 +50,7 @@ class Histogram:
     def __init__(self) -> None:
         self._counts = np.zeros(self.BINS, np.int64)
 
-    def add(self, lateness_ns: NDArray[np.int64]) -> None:
+    def add(self, lateness_ns: Ints) -> None:
         """Count a batch."""
         us = np.maximum(lateness_ns, 0) // 1000
         bins = np.minimum(np.frexp(us.astype(float))[1], self.BINS - 1)

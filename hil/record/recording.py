@@ -1,8 +1,7 @@
 """The producer's end of a recording: what the loop calls, once per tick.
 
-Rule of the room: `tick` writes to shared memory and does nothing else: no file, no lock, no system call.
-In real time it never waits: when the ring is full the tick is dropped and counted. In lockstep it waits
-for room.
+`tick` writes to shared memory and does nothing else: no file, no lock, no system call. In real time it never
+waits: when the ring is full the tick is dropped and counted. In lockstep it waits for room.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, set_up, spawn, write_all
@@ -215,7 +214,7 @@ class Recording:
 
     def tick(
         self,
-        row: NDArray[np.void] | np.void,
+        row: Rows | np.void,
         received: Sequence[Received],
         sent: Sequence[Frame],
         operator: Sequence[int] = (),

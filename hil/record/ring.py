@@ -1,9 +1,9 @@
 """One-producer one-consumer ring in shared memory: rows of ticks, and what belongs to them.
 
-Rule of the room: memory only; no files, no waiting, no clock. Two rings side by side: `rows`, one
-element per tick, and `items`, one element per frame, operator command or piece of an event's text;
-`ends` says where a tick's items end. Each side stores only its own counters, as aligned eight-byte
-words, after the data they speak of; a producer that dies in the middle of a tick leaves it unpublished.
+Memory only; no files, no waiting, no clock. Two rings side by side: `rows`, one element per tick, and
+`items`, one element per frame, operator command or piece of an event's text; `ends` says where a tick's items
+end. Each side stores only its own counters, as aligned eight-byte words, after the data they speak of; a
+producer that dies in the middle of a tick leaves it unpublished.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.arrays import Ints, Rows
 
 ITEM = np.dtype(
     [
@@ -64,9 +66,9 @@ fence = _no_fence if platform.machine() in {"x86_64", "AMD64", "i686"} else _loc
 class Batch(NamedTuple):
     """A run of ticks, possibly with events that follow the last of them."""
 
-    rows: NDArray[np.void]
-    items: NDArray[np.void]
-    tick: NDArray[np.int64]
+    rows: Rows
+    items: Rows
+    tick: Ints
     """For each item the position of its row in `rows`; len(rows) for events after the last row."""
 
 
@@ -88,9 +90,9 @@ class Ring:
         self._view = memoryview(self._map)
         self.counters = self._view[:_HEADER].cast("q")
         self.ends = self._view[ends : ends + 8 * capacity].cast("q")
-        self._ends_array: NDArray[np.int64] = np.ndarray(capacity, np.int64, self._map, ends)
-        self.rows: NDArray[np.void] = np.ndarray(capacity, dtype, self._map, rows)
-        self._items: NDArray[np.void] = np.ndarray(self.item_capacity, ITEM, self._map, items)
+        self._ends_array: Ints = np.ndarray(capacity, np.int64, self._map, ends)
+        self.rows: Rows = np.ndarray(capacity, dtype, self._map, rows)
+        self._items: Rows = np.ndarray(self.item_capacity, ITEM, self._map, items)
         self.item_bytes = self._view[items:size]
         self._end = 0
 

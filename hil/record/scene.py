@@ -1,6 +1,6 @@
 """The moving platform for 3D views: foxglove.FrameTransform and foxglove.SceneUpdate from rows.
 
-Rule of the room: pictures only, at a low rate; nothing here is read back.
+Pictures only, at a low rate; nothing here is read back.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
-from numpy.typing import NDArray
 
+from drivers.arrays import Array, Rows
 from hil.record.recording import Scene
 
-Array = NDArray[np.float64]
 BASE = "base"
 _POSES = (("platform", "p", "R"), ("reference", "p_d", "R_d"))
 _GREY = Color(r=0.45, g=0.48, b=0.52, a=1.0)
@@ -48,7 +47,7 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
     return sign * v[0], sign * v[1], sign * v[2], sign * w
 
 
-def transforms(row: NDArray[np.void], stamp: Timestamp) -> list[bytes]:
+def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
     """Return the serialised FrameTransforms of one row: platform, and reference where there is one."""
     messages = []
     for name, p_column, R_column in _POSES:
@@ -76,7 +75,7 @@ class SceneDrawer:
         self._b = np.array(scene.platform_joints, float)
         self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
 
-    def update(self, row: NDArray[np.void], stamp: Timestamp) -> bytes | None:
+    def update(self, row: Rows, stamp: Timestamp) -> bytes | None:
         """Return a serialised SceneUpdate, or None while there is no pose."""
         pose = _pose(row, "p", "R")
         if pose is None:
@@ -135,7 +134,7 @@ class SceneDrawer:
         )
 
 
-def _pose(row: NDArray[np.void], p_column: str, R_column: str) -> tuple[Array, Array] | None:
+def _pose(row: Rows, p_column: str, R_column: str) -> tuple[Array, Array] | None:
     """Return p (3,), R (3, 3) of a row, or None where there is no pose in it."""
     names = row.dtype.names or ()
     if p_column not in names or R_column not in names:

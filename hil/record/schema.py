@@ -1,9 +1,9 @@
 """The messages of the log in protobuf, and their wire layout as NumPy structured types.
 
-Rule of the room: descriptions only, no files, no processes. Every field of our own messages has a
-fixed size on the wire (fixed64, fixed32, double, one-byte varints, varints padded to five bytes), so
-that a batch of messages is one structured array: written and read with one NumPy copy per column.
-Any protobuf parser reads them; `hil.log` checks the layout of what it reads and falls back to one.
+Descriptions only, no files, no processes. Every field of our own messages has a fixed size on the wire
+(fixed64, fixed32, double, one-byte varints, varints padded to five bytes), so that a batch of messages is one
+structured array: written and read with one NumPy copy per column. Any protobuf parser reads them;
+`hil.record.log` checks the layout of what it reads and falls back to one.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Ints, Rows
 from hil.signals import Operator
 
 LIBRARY = "hexapod-hil"
@@ -87,7 +88,7 @@ class Schema(NamedTuple):
 class Layout(NamedTuple):
     """Constant wire layout of one message type, with the header of its MCAP Message record in front."""
 
-    template: NDArray[np.uint8]
+    template: Bytes
     """(size,) all constant bytes in place."""
     record: np.dtype[np.void]
     """Fields `@channel @sequence @log_time @publish_time` and the message's own."""
@@ -96,13 +97,13 @@ class Layout(NamedTuple):
     constant: NDArray[np.intp]
     """Positions in the payload that are the same in every message."""
 
-    def new(self, count: int) -> NDArray[np.void]:
+    def new(self, count: int) -> Rows:
         """Return `count` records, constants filled in."""
         block = np.empty((count, self.template.size), np.uint8)
         block[:] = self.template
         return block.view(self.record).reshape(count)
 
-    def fits(self, payloads: NDArray[np.uint8]) -> bool:
+    def fits(self, payloads: Bytes) -> bool:
         """Return whether all payloads (n, size) have exactly this layout."""
         if payloads.shape[1] != self.payload.itemsize:
             return False
@@ -172,14 +173,14 @@ def _varint(value: int) -> bytes:
     return bytes(out)
 
 
-def pack_varint5(values: NDArray[np.int64]) -> NDArray[np.uint8]:
+def pack_varint5(values: Ints) -> Bytes:
     """Encode values below 2^35 as varints padded to five bytes: (n,) -> (n, 5)."""
     return (values[:, None] >> _SHIFTS & 0x7F).astype(np.uint8) | _MORE
 
 
-def unpack_varint5(encoded: NDArray[np.uint8]) -> NDArray[np.int64]:
+def unpack_varint5(encoded: Bytes) -> Ints:
     """Decode five-byte varints: (n, 5) -> (n,)."""
-    values: NDArray[np.int64] = ((encoded & 0x7F).astype(np.int64) << _SHIFTS).sum(axis=1)
+    values: Ints = ((encoded & 0x7F).astype(np.int64) << _SHIFTS).sum(axis=1)
     return values
 
 

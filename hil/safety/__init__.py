@@ -1,6 +1,6 @@
 """Safety: what faults, what warns, and how far a force may go. One rule family per file.
 
-Rule of the room: every rule is a pure function of numbers and small arrays; only `Safety` remembers.
+Every rule is a pure function of numbers and small arrays; only `Safety` remembers.
 
 =========== ======================================================= ==========================
 family      rules                                                   acts as

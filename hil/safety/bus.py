@@ -1,11 +1,11 @@
 """Rules on the bus: off, or refusing frames too often.
 
-Rule of the room: see `hil.safety`. A full queue and a dead bus look the same; only time tells them apart.
+A full queue and a dead bus look the same; only time tells them apart.
 """
 
 from __future__ import annotations
 
-from drivers.compile_cache import helper
+from drivers.compiled.compiler import helper
 from hil.safety.history import HISTORY, ones
 
 IN_A_ROW = 5

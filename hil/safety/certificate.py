@@ -1,6 +1,6 @@
 """Rule on the certificate: V of the error dynamics grows no faster than a stated disturbance lets it.
 
-Rule of the room: see `hil.safety`. Derived in docs/theory/monitor.md.
+Derived in docs/theory/monitor.md.
 
 ::
 
@@ -18,16 +18,15 @@ from math import nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import helper
-
-Array = NDArray[np.float64]
+from drivers.arrays import Array
+from drivers.compiled.compiler import helper
 
 (
     K_P, K_D, P_11, P_12, P_22, DISTURBANCE, NOISE, RISE, DECAY, SLOPE, STEEPNESS, SCALARS, CONSTANTS,
 ) = range(13)  # fmt: skip
-"""Rows of the constants of a watch (CONSTANTS, 6), see `hil.monitor`: the certificate; the disturbance in
+"""Rows of the constants of a watch (CONSTANTS, 6), see `hil.stability.monitor`: the certificate; the
+disturbance in
 m/s^2 or rad/s^2, with what looking ahead makes of it; the noise of W; g T and exp(-2 alpha T); slope and
 steepness of a boundary layer."""
 POSE, SHARED, LAYER, ACTION, CONFIRM, PERIOD = range(6)
@@ -42,7 +41,7 @@ V, DV, BOUND, SHARE, FIGURES = range(5)
 
 
 class Watch(NamedTuple):
-    """What is watched, as `hil.monitor` makes it."""
+    """What is watched, as `hil.stability.monitor` makes it."""
 
     constants: Array
     """(CONSTANTS, 6); (0, 6): nothing."""
@@ -156,7 +155,7 @@ def watch(
 ) -> bool:  # fmt: skip
     """Fill the figures; tell whether an axis has broken its certificate for as long as is asked.
 
-    e, de, and rate and acceleration of the reference as of `hil.kernels.error_axes`. whole: since the last
+    e, de, and rate and acceleration of the reference as of `hil.control.error_axes`. whole: since the last
     tick nothing happened that the certificate knows nothing of; where it is false the watch starts anew.
     late_s: how late the encoders were read; periods: since the last tick.
     """

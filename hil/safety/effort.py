@@ -1,17 +1,13 @@
 """Limits on the forces: size, change per tick, change within 250 ms.
 
-Rule of the room: see `hil.safety`. Each limit works in place on tau (6,) N and tells whether it acted. All
-three allow the last force sent, so that any order of them leaves something to send.
+Each limit works in place on tau (6,) N and tells whether it acted. All three allow the last force sent, so
+that any order of them leaves something to send.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.compile_cache import helper
-
-Array = NDArray[np.float64]
+from drivers.arrays import Array
+from drivers.compiled.compiler import helper
 
 
 @helper

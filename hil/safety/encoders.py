@@ -1,6 +1,6 @@
 """Rules on encoders that the fused pose can do without, and on a pose that has become too uncertain.
 
-Rule of the room: see `hil.safety`. Written so that a value that is not a number faults.
+Written so that a value that is not a number faults.
 """
 
 from __future__ import annotations

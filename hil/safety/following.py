@@ -1,16 +1,9 @@
-"""Rule on tracking: the leg error against a limit that grows with the commanded speed.
-
-Rule of the room: see `hil.safety`.
-"""
+"""Rule on tracking: the leg error against a limit that grows with the commanded speed."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.compile_cache import helper
-
-Array = NDArray[np.float64]
+from drivers.arrays import Array
+from drivers.compiled.compiler import helper
 
 
 @helper

@@ -1,7 +1,4 @@
-"""Safety: all rules of one tick in a fixed order, between the law and the bus.
-
-Rule of the room: pure but for the state named in the class; no clock, no bus, no file.
-"""
+"""Safety: all rules of one tick in a fixed order, between the law and the bus."""
 
 from __future__ import annotations
 

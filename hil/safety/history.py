@@ -1,11 +1,8 @@
-"""What a rule remembers of past ticks, as bits of one integer.
-
-Rule of the room: see `hil.safety`.
-"""
+"""What a rule remembers of past ticks, as bits of one integer."""
 
 from __future__ import annotations
 
-from drivers.compile_cache import helper
+from drivers.compiled.compiler import helper
 
 HISTORY = 32
 """Ticks that are remembered."""

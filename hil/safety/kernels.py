@@ -1,17 +1,13 @@
-"""The rules of one tick fused into one kernel: what faults, and how far the forces may go.
-
-Rule of the room: fixed order, bits of `hil.signals.Fault` and `Warn`; the rules themselves are in the files
-beside this one.
-"""
+"""The rules of one tick fused into one kernel: what faults, and how far the forces may go."""
 
 from __future__ import annotations
 
 from math import nan
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import (
+from drivers.arrays import Array, Flags, Ints
+from drivers.compiled.compiler import (
     INTEGER,
     OUT_INTEGERS,
     OUT_MATRIX,
@@ -21,8 +17,7 @@ from drivers.compile_cache import (
     direct,
     helper,
 )
-from hil.kernels.error_axes import error_axes
-from hil.kernels.signals import MEASUREMENT, REFERENCE, STATE
+from hil.control.error_axes import error_axes
 from hil.safety.bus import bus_down, bus_noisy, refusals
 from hil.safety.certificate import (
     ACTION,
@@ -51,11 +46,8 @@ from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
 from hil.safety.timing import is_degraded, is_late, late_history, missed_run, too_many_missed
+from hil.signal_types import MEASUREMENT, REFERENCE, STATE
 from hil.signals import Fault, Mode, Stop, Warn
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 LATE, MISSED, REFUSED, DROPPED, RUNNING, NEWEST, MEMORY = range(7)
 """What is remembered: late ticks, periods missed in a row, ticks with refused frames (bits, see the rules),

@@ -1,14 +1,14 @@
 """Rules on the estimate: lengths that fit no pose, another assembly, a near singularity.
 
-Rule of the room: see `hil.safety`. Each rule is written so that a value that is not a number faults.
+Each rule is written so that a value that is not a number faults.
 """
 
 from __future__ import annotations
 
-from drivers.compile_cache import helper
+from drivers.compiled.compiler import helper
 
 HOP = 1.0
-"""Measure of a hop from which a pose cannot be told from another assembly's; see `hil.estimate`."""
+"""Measure of a hop from which a pose cannot be told from another assembly's; see `hil.estimation.pose`."""
 
 
 @helper

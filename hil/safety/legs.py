@@ -1,17 +1,10 @@
-"""Rules on what the drives say: how long ago, and in which state.
-
-Rule of the room: see `hil.safety`.
-"""
+"""Rules on what the drives say: how long ago, and in which state."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.compile_cache import helper
+from drivers.arrays import Ints
+from drivers.compiled.compiler import helper
 from drivers.signals import DriveState
-
-Ints = NDArray[np.int64]
 
 _BOOT, _RUN, _FAULT = int(DriveState.BOOT), int(DriveState.RUN), int(DriveState.FAULT)
 

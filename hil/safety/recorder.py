@@ -1,11 +1,8 @@
-"""Rule on the recorder: the run can go on without it, but not silently.
-
-Rule of the room: see `hil.safety`.
-"""
+"""Rule on the recorder: the run can go on without it, but not silently."""
 
 from __future__ import annotations
 
-from drivers.compile_cache import helper
+from drivers.compiled.compiler import helper
 
 
 @helper

@@ -1,18 +1,11 @@
-"""Rules on leg length and speed: hard ends, braking distance before the soft ends, top speed.
-
-Rule of the room: see `hil.safety`.
-"""
+"""Rules on leg length and speed: hard ends, braking distance before the soft ends, top speed."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.compile_cache import helper
-
-Array = NDArray[np.float64]
+from drivers.arrays import Array
+from drivers.compiled.compiler import helper
 
 CREEP = 1e-3
 """m/s towards an end that is always allowed: encoder noise at rest beyond a soft end is no motion."""

@@ -1,11 +1,11 @@
 """Rules on the loop's own time: late ticks, many late ticks, missed ticks.
 
-Rule of the room: see `hil.safety`. Integer arithmetic on what the tick says about itself.
+Integer arithmetic on what the tick says about itself.
 """
 
 from __future__ import annotations
 
-from drivers.compile_cache import helper
+from drivers.compiled.compiler import helper
 from hil.safety.history import HISTORY, ones
 
 DEGRADED_AT = 8

@@ -1,7 +1,6 @@
 """What can be proven of a loop: error dynamics, ultimate bounds, energy, reaching, the sampled loop.
 
-Rule of the room: pure mathematics of values, offline; no file, no bus, no clock. This file imports nothing
-before it is asked for: each question is a module of its own, and some are heavy.
+This file imports nothing before it is asked for: each question is a module of its own, and some are heavy.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The sampled loop of six axes whose forces move all of them: laws that do not linearise the robot.
 
-Rule of the room: pure; offline (LAPACK is used). Linear, so true for small errors around one pose.
+Linear, so true for small errors around one pose.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from math import inf, pi
 import numpy as np
 from scipy.optimize import brentq
 
-from hil.linear_system import ComplexArray, LinearSystem, lag, static
-from hil.sampled_loop import sampled_axis
-from hil.signals import Array
+from drivers.arrays import Array, ComplexArray
+from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.stability.sampled import Axis
+from hil.stability.sampled_loop import sampled_axis
 
 
 def proportional(K_p: Array, K_v: Array, period_s: float) -> LinearSystem:

@@ -1,7 +1,5 @@
 """What a linearising law does not know of its robot, as accelerations of the axes whose error it controls.
 
-Rule of the room: two models in, the robot and what the law believes of it; pure, no law and no limit.
-
 A law of this family asks its axes (the legs, or the pose) for an acceleration a* = a_d + u. At one state of
 the robot its forces are affine in a*, and the axes accelerate by Gamma u + a_d + d. So the error obeys
 
@@ -23,18 +21,19 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.dynamics import Model
-from hil.kernels.dynamics import (
+from drivers.arrays import Array
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import (
     FULL,
     forward_dynamics_kernel,
     inverse_dynamics_kernel,
     joint_idc_kernel,
     mass_matrix_kernel,
 )
-from hil.kernels.kinematics import jacobian_kernel, jacobian_rate_kernel
-from hil.linalg import condition_kernel
-from hil.rotations import rotation_from_vector
-from hil.signals import NO_WRENCH, Array
+from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel
+from hil.signals import NO_WRENCH
 from hil.trajectory import PoseSample
 
 

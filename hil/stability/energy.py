@@ -1,7 +1,5 @@
 """Energy as a Lyapunov function: PD laws that hold a pose (Takegaki and Arimoto, 1981; LaSalle).
 
-Rule of the room: pure; a potential energy in, its well out; offline (LAPACK is used).
-
 Springs and gravity together are one potential S of the pose: of the control law the springs of K_p and what
 it compensates, of the robot its weight. With the robot's kinetic energy
 
@@ -28,12 +26,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
+from drivers.arrays import Array
 from drivers.errors import ModelError
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kernels.kinematics import leg_lengths_kernel
-from hil.rotations import rotation_from_vector
-from hil.signals import Array
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics_kernels import leg_lengths_kernel
 
 Potential = Callable[[Array, Array], float]
 """S of p (3,) m and R (3, 3), J."""

@@ -1,8 +1,5 @@
 """The Lyapunov function of linear error dynamics, axis by axis, in closed form.
 
-Rule of the room: values and pure functions without LAPACK, so that what watches a loop may start from them
-and gets the same bits on every CPU.
-
 ::
 
     e'' + K_D e' + K_P e = d,   x = [e; de],   dx/dt = A x + B d,   A = [0 1; -K_P -K_D],   B = [0; 1]
@@ -19,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drivers.arrays import Array
 from drivers.errors import ModelError
-from hil.signals import Array
 
 
 class Certificate(NamedTuple):

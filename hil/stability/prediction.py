@@ -1,6 +1,6 @@
 """A law that looks ahead, as a controller of the sampled loop: it answers where the axis will be.
 
-Rule of the room: pure. What `hil.predict.Predictor` does to the whole state, here of one linearised axis.
+What `hil.estimation.predictor.Predictor` does to the whole state, here of one linearised axis.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from math import floor
 
 import numpy as np
 
-from hil.linear_system import LinearSystem
-from hil.sampled_loop import held
+from hil.mathematics.linear_system import LinearSystem
+from hil.stability.sampled_loop import held
 
 
 def predicting(

@@ -1,7 +1,5 @@
 """How far a bounded disturbance can bring the error: what no bound undercuts, and what norms make of it.
 
-Rule of the room: pure functions of the gains of one axis, e'' + K_D e' + K_P e = d.
-
 Three bounds on an output y = c_e e + c_de de under |d| <= d_max, from x(0) = 0 at all times and from
 anywhere in the end, the tightest first:
 
@@ -19,7 +17,7 @@ from math import atan2, cos, exp, expm1, log, pi, sin, sqrt
 
 import numpy as np
 
-from hil.signals import Array
+from drivers.arrays import Array
 from hil.stability.error_dynamics import decay_rate, lyapunov_matrix
 
 

@@ -1,7 +1,5 @@
 """Reaching and boundary layers: what sliding mode and the Lyapunov redesign promise, with the figures stated.
 
-Rule of the room: pure functions of gains and bounds.
-
 Under what the model does not know (hil.stability.disturbance: gamma, |d|) the sliding variable
 s = de + lambda e of a leg obeys
 

@@ -1,7 +1,5 @@
 """The loop as it runs: sampled, held, late. Eigenvalues, gain, phase and delay margin of one axis.
 
-Rule of the room: pure; an axis and a controller in, figures out; offline (LAPACK is used).
-
 The axis is gain exp(-transport s) / (lag s + 1) / s^2 behind a hold of one period, from demanded
 acceleration to position and rate at the instants of measurement: what a linearised robot looks like through
 bus, drives and sampling. The controller gives u from y = [e, de] and the loop is closed by e = -position:
@@ -15,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.arrays import ComplexArray
 from drivers.errors import ModelError
-from hil.linear_system import ComplexArray, LinearSystem, lag, static
-from hil.sampled_loop import Margins, disturbed, margins, sampled_axis
+from hil.mathematics.linear_system import LinearSystem, lag, static
+from hil.stability.sampled_loop import Margins, disturbed, margins, sampled_axis
 
 
 class Axis(NamedTuple):

@@ -1,7 +1,5 @@
 """The ultimate bound of a linearised robot: from a load in N and a model's error to mm of each axis.
 
-Rule of the room: pure; the loop along a reference in, bounds out.
-
 ::
 
     e'' + Gamma (K_D de + K_P e) = -d      (hil.stability.disturbance)
@@ -26,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.signals import Array
+from drivers.arrays import Array
 from hil.stability.disturbance import Linearised, Survey, along, around, summary
 from hil.stability.error_dynamics import Certificate, certificate
 from hil.stability.reachable import peak_gain

@@ -1,7 +1,4 @@
-"""What is said of a law in the end.
-
-Rule of the room: values.
-"""
+"""What is said of a law in the end."""
 
 from __future__ import annotations
 

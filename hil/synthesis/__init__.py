@@ -1,4 +1,4 @@
 """Controllers from weights: an axis, what is asked of it, and the controller that gives the most of it.
 
-Rule of the room: offline; SciPy's LAPACK is used freely, no file is opened, and no loop imports it.
+Offline; SciPy's LAPACK is used freely, no file is opened, and no loop imports it.
 """

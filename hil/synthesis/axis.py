@@ -1,7 +1,5 @@
 """The axis of the linearised loop, and the four-block problem around it.
 
-Rule of the room: a design in, `LinearSystem`s out; e = demanded - measured, positive u reduces e.
-
 The model and its feed-forward leave of each leg or pose axis a double integrator. What the law adds, u, acts
 on it late; what the model does not know, d, acts on it at once:
 
@@ -15,9 +13,9 @@ from math import comb, factorial
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.config.design import Design, DesignAxis
-from hil.linear_system import LinearSystem, lag, static
-from hil.signals import Array
+from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight, rational
 

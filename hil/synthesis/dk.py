@@ -1,7 +1,5 @@
 """D-K iteration: a controller for the worst of a structured uncertainty.
 
-Rule of the room: pure functions of `LinearSystem`; knows nothing of platforms and weights.
-
 mu of the closed loop cannot be minimised directly. The largest singular value of D M(K) D^-1 is above it, and
 convex in D for a given K, and an H-infinity problem in K for a given D. Each in turn, from the controller of
 the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996, section 11.4). The optimum that this ends in
@@ -16,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from hil.linear_system import ComplexArray, LinearSystem, static
-from hil.signals import Array
+from drivers.arrays import Array, ComplexArray
+from hil.mathematics.linear_system import LinearSystem, static
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.hinf import hinf
 from hil.synthesis.mu import Block, UpperBound, upper_bound

@@ -1,7 +1,5 @@
 """H-infinity synthesis: the controller that keeps the norm from w to z below gamma, by two Riccati equations.
 
-Rule of the room: pure functions of `LinearSystem`; knows nothing of platforms and weights.
-
 State-space solution of Doyle, Glover, Khargonekar and Francis (1989), in the general form of Glover and
 Doyle (1988), here in the notation of Zhou, Doyle and Glover, *Robust and Optimal Control* (1996), section
 17.1: D12 and D21 are brought to [0; I] and [0 I] by scaling, D22 is taken out and put back.
@@ -15,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack, matrix_balance, schur
 
-from hil.linear_system import LinearSystem
-from hil.signals import Array
+from drivers.arrays import Array
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.errors import SynthesisError
 
 RANK = 1e-9

@@ -1,6 +1,6 @@
 """H-infinity for a design: from what is asked of the loop to a controller that gives it, or why none does.
 
-Rule of the room: a design and an axis in, controller and figures out; no file.
+A design and an axis in, controller and figures out; no file.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.config.design import Design, DesignAxis
-from hil.linear_system import LinearSystem
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import generalised_plant
 from hil.synthesis.errors import SynthesisError, computable
 from hil.synthesis.hinf import Synthesis, hinf

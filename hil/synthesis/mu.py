@@ -1,7 +1,5 @@
 """The structured singular value of a complex matrix, from above and from below, frequency by frequency.
 
-Rule of the room: pure functions of arrays, offline (LAPACK is used), all frequencies at once.
-
     mu(M) = 1 / min { largest singular value of Delta : det(I - M Delta) = 0 },  Delta = diag(Delta_1 ...)
 
 The smallest structured perturbation that makes the loop around M singular has the size 1 / mu. A. Packard and
@@ -14,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.arrays import Array, ComplexArray
 from drivers.errors import ModelError
-from hil.linear_system import ComplexArray
-from hil.signals import Array
 
 ZERO = 1e-6
 """Share of the first bound below which mu is as good as 0: real blocks may leave nothing of it."""

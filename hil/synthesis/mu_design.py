@@ -1,6 +1,6 @@
 """mu for a design: from what is asked of an uncertain loop to a controller that gives it, or why none does.
 
-Rule of the room: a design and an axis in, controller and figures out; no file.
+A design and an axis in, controller and figures out; no file.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.config.design import Design, DesignAxis
 from hil.config.design_uncertainty import UncertaintyRanges
-from hil.linear_system import LinearSystem
-from hil.signals import Array
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.dk import (
     Bounds,
     bounds_over_frequency,

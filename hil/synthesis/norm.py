@@ -1,7 +1,4 @@
-"""The H-infinity norm, independently of any synthesis.
-
-Rule of the room: pure functions of `LinearSystem`; shares nothing with `hil.synthesis.hinf`.
-"""
+"""The H-infinity norm, independently of any synthesis."""
 
 from __future__ import annotations
 
@@ -9,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.linear_system import LinearSystem
-from hil.signals import Array
+from drivers.arrays import Array
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.errors import SynthesisError
 
 TOLERANCE = 1e-6

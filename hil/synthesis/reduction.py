@@ -1,7 +1,5 @@
 """A controller without the states that do nothing.
 
-Rule of the room: pure functions of `LinearSystem`.
-
 D-K iteration makes controllers whose poles and zeros all but cancel. In balanced coordinates, where a state
 is as easy to move by the inputs as to see in the outputs, its Hankel singular value says what it is worth.
 """
@@ -11,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import matrix_balance, solve_continuous_lyapunov
 
-from hil.linear_system import LinearSystem
-from hil.signals import Array
+from drivers.arrays import Array
+from hil.mathematics.linear_system import LinearSystem
 
 
 def reduced(K: LinearSystem, inputs: Array, share: float) -> tuple[LinearSystem, float]:

@@ -1,7 +1,4 @@
-"""What a synthesis hands over: the controller as the loop runs it, judged on the exact sampled loop.
-
-Rule of the room: numbers only; the file of it is written by `hil.app.design`.
-"""
+"""What a synthesis hands over: the controller as the loop runs it, judged on the exact sampled loop."""
 
 from __future__ import annotations
 
@@ -11,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
+from drivers.arrays import Array, ComplexArray
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
-from hil.linear_system import ComplexArray, LinearSystem
-from hil.sampled_loop import Margins, margins
-from hil.signals import Array
+from hil.mathematics.linear_system import LinearSystem
+from hil.stability.sampled_loop import Margins, margins
 from hil.synthesis.axis import actuator, four_block, lumped
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.sampled import loop_gain, sampled_axis

@@ -1,6 +1,6 @@
 """The problem of a design at the ticks, around the axis as the loop meets it: held, late, exact.
 
-Rule of the room: no approximation of the axis; the rational model of the synthesis is judged by it.
+No approximation of the axis; the rational model of the synthesis is judged by it.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.config.design import Design, DesignAxis
-from hil.linear_system import LinearSystem, static
-from hil.sampled_loop import disturbed
-from hil.sampled_loop import sampled_axis as exact_axis
+from hil.mathematics.linear_system import LinearSystem, static
+from hil.stability.sampled_loop import disturbed
+from hil.stability.sampled_loop import sampled_axis as exact_axis
 from hil.synthesis.axis import drive
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 

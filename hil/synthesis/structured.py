@@ -1,7 +1,5 @@
 """The axis whose inertia, delay and drives are known within limits only: M, and Delta around it.
 
-Rule of the room: a design in, `LinearSystem`s and weights out.
-
     e'' = -(v + d) / (1 + r delta),  v = gain (1 + W_lag Delta_lag) drive (1 + W_delay Delta_delay) delay u
 
 delta is the share of the inertia, and enters exactly; the bounds take it for complex. Delay and lag are
@@ -17,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.config.design import Design, DesignAxis
 from hil.config.design_uncertainty import UncertaintyRanges
-from hil.linear_system import LinearSystem
-from hil.signals import Array
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import drive, pade
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block

@@ -1,7 +1,4 @@
-"""Weights from physical numbers: what the loop has to stand, and what it may do.
-
-Rule of the room: sections of the design file in, stable and proper `LinearSystem`s out.
-"""
+"""Weights from physical numbers: what the loop has to stand, and what it may do."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import numpy as np
 from scipy.signal import tf2ss
 
 from hil.config.design import ControlWeight, Design, ErrorWeight, TransferFunction
-from hil.linear_system import LinearSystem, static
+from hil.mathematics.linear_system import LinearSystem, static
 from hil.synthesis.errors import SynthesisError
 
 BEYOND = 2.0 * pi

@@ -1,14 +1,11 @@
-"""A block diagram, written down by the names of its signals, as one linear system.
-
-Rule of the room: pure functions of `LinearSystem`; knows nothing of what the signals mean.
-"""
+"""A block diagram, written down by the names of its signals, as one linear system."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.linear_system import LinearSystem, static
-from hil.signals import Array
+from drivers.arrays import Array
+from hil.mathematics.linear_system import LinearSystem, static
 
 Sum = dict[str, float]
 """Signals and their factors; a signal is an external input, or the output of the part of that name."""

@@ -1,7 +1,7 @@
 """Reference trajectories: pure functions of time that give pose, twist and its rate.
 
-Rule of the room: deterministic to the bit, no clock; only `build` and `sampled` read the configuration or a
-file, and only while the trajectory is built. A new kind is one file and one row in `build.BUILDERS`.
+Deterministic to the bit, no clock; only `build` and `sampled` read the configuration or a file, and only
+while the trajectory is built. A new kind is one file and one row in `build.BUILDERS`.
 """
 
 from hil.trajectory.build import build_trajectory

@@ -1,7 +1,4 @@
-"""From the configuration's `reference` section to a trajectory.
-
-Rule of the room: a table of kinds; each kind is built in its own file.
-"""
+"""From the configuration's `reference` section to a trajectory."""
 
 from __future__ import annotations
 

@@ -1,14 +1,12 @@
-"""A trajectory that stays at one pose.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""A trajectory that stays at one pose."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.rotations import rotation_from_vector
-from hil.trajectory.path import Array, PoseSample
+from drivers.arrays import Array
+from hil.mathematics.rotations import rotation_from_vector
+from hil.trajectory.path import PoseSample
 
 
 class HoldTrajectory:

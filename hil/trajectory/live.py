@@ -1,6 +1,6 @@
 """Set-points that come while the platform moves, turned into motion within limits of each axis.
 
-Rule of the room: see `hil.trajectory`; the one trajectory that has a state, which goes from tick to tick.
+The one trajectory that has a state, which goes from tick to tick.
 
 Two stages on each of the six words. The first steers a point with bounded velocity V and acceleration A to
 the target in whole ticks, as fast as that can be, and lands on it exactly. The second is the mean of the
@@ -14,11 +14,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGER, OUT_MATRIX, REAL, VECTOR, direct, helper, kernel
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import INTEGER, OUT_MATRIX, REAL, VECTOR, direct, helper, kernel
 from drivers.errors import ConfigurationError
-from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift
+from hil.trajectory.path import SAMPLE, PoseSample, blank, lift
 from hil.trajectory.piecewise import TENSOR
 
 WORDS = VECTOR.copy(dtype=INTEGER)
@@ -100,7 +100,7 @@ def braked(s: float, x: float, v: float, n: float, period: float) -> float:
 
 @kernel(TENSOR, INTEGER, WORDS, VECTOR, VECTOR, VECTOR, REAL)
 def way_to_rest(
-    history: Array, k: int, window: NDArray[np.int64], x1: Array, v1: Array, step: Array, period: float
+    history: Array, k: int, window: Ints, x1: Array, v1: Array, step: Array, period: float
 ) -> Array:
     """Words (n, 6) at which the platform would be if it braked from x1, v1 (6,) at tick k + 1 on.
 
@@ -128,7 +128,7 @@ def way_to_rest(
 
 @direct(TENSOR, INTEGER, WORDS, REAL, *SAMPLE)
 def evaluate(
-    history: Array, k: int, window: NDArray[np.int64], period: float,
+    history: Array, k: int, window: Ints, period: float,
     p: Array, R: Array, twist: Array, dtwist: Array,
 ) -> None:  # fmt: skip
     """Fill p, R, twist, dtwist at tick k: the means over each word's window (6,) of ticks."""

@@ -1,13 +1,13 @@
 """Minimum-jerk paths: free velocities at the way-points, the least integrated squared jerk between the ends.
 
-Rule of the room: see `hil.trajectory`. No LAPACK: its kernels differ in the last bit.
+No LAPACK: its kernels differ in the last bit.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.trajectory.path import Array
+from drivers.arrays import Array
 from hil.trajectory.piecewise import DEGREE
 
 

@@ -1,16 +1,14 @@
-"""A rest-to-rest move between two poses.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""A rest-to-rest move between two poses."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import MATRIX, REAL, VECTOR, direct
-from hil.rotations import relative_rotation, rotation_motion
-from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, quintic
-from hil.vectors import at, scale
+from drivers.arrays import Array
+from drivers.compiled.compiler import MATRIX, REAL, VECTOR, direct
+from hil.mathematics.rotations import relative_rotation, rotation_motion
+from hil.mathematics.vectors import at, scale
+from hil.trajectory.path import SAMPLE, PoseSample, blank, quintic
 
 
 @direct(REAL, VECTOR, MATRIX, VECTOR, VECTOR, REAL, *SAMPLE)

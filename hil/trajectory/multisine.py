@@ -1,6 +1,6 @@
 """Multisines for identification: many lines on each axis, with phases that keep the peak low.
 
-Rule of the room: see `hil.trajectory`. Random phases are drawn once, from the configured seed.
+Random phases are drawn once, from the configured seed.
 """
 
 from __future__ import annotations
@@ -9,14 +9,13 @@ import math
 from random import Random
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGERS, VECTOR, kernel
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import INTEGERS, VECTOR, kernel
 from drivers.errors import ConfigurationError
 from hil.config import MultisineAxis, MultisineReference, Pose, Sinusoid, SinusoidReference
-from hil.trajectory.path import Array
+from hil.mathematics.trigonometry import sincos
 from hil.trajectory.sinusoids import AXES, SinusoidTrajectory
-from hil.trig import sincos
 
 POINTS_PER_CYCLE = 64
 """Of the highest line, where the peak is looked for: between two points it is at most 0.12 % higher."""
@@ -103,7 +102,7 @@ PHASES = {"schroeder": schroeder, "random": seeded}
 
 
 @kernel(INTEGERS, VECTOR)
-def peak(harmonics: NDArray[np.int64], phases: Array) -> float:
+def peak(harmonics: Ints, phases: Array) -> float:
     """Upper bound of |sum of sin(k w t + phase)| over a period, at most 0.12 % above it.
 
     A sum of degree n is nowhere larger than its largest value at N points of a period over cos(pi n/N).

@@ -1,7 +1,7 @@
 """What every trajectory gives, and the step from a six-word path to it.
 
-Rule of the room: values and pure kernels. The six words chi = (x, y, z, rx, ry, rz) are the position in m and
-the rotation vector in rad of the platform frame in the base frame.
+The six words chi = (x, y, z, rx, ry, rz) are the position in m and the rotation vector in rad of the platform
+frame in the base frame.
 """
 
 from __future__ import annotations
@@ -9,15 +9,14 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import OUT_MATRIX, OUT_VECTOR, helper
+from drivers.arrays import Array
+from drivers.compiled.compiler import OUT_MATRIX, OUT_VECTOR, helper
 from drivers.errors import ConfigurationError
 from hil.config import AxisLimits, Pose
-from hil.rotations import rotation_motion
-from hil.vectors import at
+from hil.mathematics.rotations import rotation_motion
+from hil.mathematics.vectors import at
 
-Array = NDArray[np.float64]
 SAMPLE = (OUT_VECTOR, OUT_MATRIX, OUT_VECTOR, OUT_VECTOR)
 """The arguments of a kernel that fills p, R, twist, dtwist: returning them would cost 0.3 us each."""
 

@@ -1,14 +1,12 @@
-"""Piecewise polynomial paths: way-points and splines are both one of these.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""Piecewise polynomial paths: way-points and splines are both one of these."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from drivers.compile_cache import INTEGER, MATRIX, REAL, VECTOR, direct
-from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct
+from hil.trajectory.path import SAMPLE, PoseSample, blank, lift
 
 DEGREE = 5
 TENSOR = MATRIX.copy(ndim=3)

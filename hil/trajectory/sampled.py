@@ -1,7 +1,4 @@
-"""A path from a CSV file: one cubic spline per word through all rows.
-
-Rule of the room: reads its file once, while it is built; see `hil.trajectory`.
-"""
+"""A path from a CSV file: one cubic spline per word through all rows."""
 
 from __future__ import annotations
 
@@ -11,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.config import SampledReference
-from hil.trajectory.path import Array, require_half_turn
+from hil.trajectory.path import require_half_turn
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import require_closed
 

@@ -1,20 +1,17 @@
-"""Sums of sinusoids about a centre, faded in and out.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""Sums of sinusoids about a centre, faded in and out."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.compile_cache import INTEGERS, MATRIX, REAL, VECTOR, direct, helper
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import INTEGERS, MATRIX, REAL, VECTOR, direct, helper
 from drivers.errors import ConfigurationError
 from hil.config import Pose, SinusoidReference
-from hil.trajectory.path import SAMPLE, Array, PoseSample, blank, lift, quintic, require_half_turn, six_words
-from hil.trig import sincos
+from hil.mathematics.trigonometry import sincos
+from hil.trajectory.path import SAMPLE, PoseSample, blank, lift, quintic, require_half_turn, six_words
 
 AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 _TURN = 2.0 * math.pi
@@ -34,7 +31,7 @@ def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
 
 @direct(REAL, VECTOR, INTEGERS, MATRIX, REAL, REAL, *SAMPLE)
 def evaluate(
-    t: float, centre: Array, axis: NDArray[np.int64], wave: Array, duration: float, ramp: float,
+    t: float, centre: Array, axis: Ints, wave: Array, duration: float, ramp: float,
     p: Array, R: Array, twist: Array, dtwist: Array,
 ) -> None:  # fmt: skip
     """Fill p, R, twist, dtwist at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase).

@@ -1,12 +1,10 @@
-"""A controlled stop: the same path, its time slowed to rest.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""A controlled stop: the same path, its time slowed to rest."""
 
 from __future__ import annotations
 
-from drivers.compile_cache import REAL, VECTOR, kernel
-from hil.trajectory.path import Array, PoseSample, Trajectory
+from drivers.arrays import Array
+from drivers.compiled.compiler import REAL, VECTOR, kernel
+from hil.trajectory.path import PoseSample, Trajectory
 
 
 @kernel(REAL, REAL, REAL)

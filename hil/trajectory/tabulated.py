@@ -1,7 +1,4 @@
-"""A trajectory evaluated before the run, at the loop's ticks.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""A trajectory evaluated before the run, at the loop's ticks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Way-points in the shortest time within limits of velocity, acceleration and jerk, at rest at each.
 
-Rule of the room: Ruckig plans while the trajectory is built; what runs in the cycle are its polynomials.
+Ruckig plans while the trajectory is built; what runs in the cycle are its polynomials.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import numpy as np
 from ruckig import InputParameter, Profile, Result, Ruckig, Synchronization
 from ruckig import Trajectory as Plan
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.config import TimeOptimalReference
-from hil.trajectory.path import Array, axis_limits, require_half_turn, six_words
+from hil.trajectory.path import axis_limits, require_half_turn, six_words
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import SAME, require_closed
 

@@ -1,7 +1,4 @@
-"""Paths through way-points at given times.
-
-Rule of the room: see `hil.trajectory`.
-"""
+"""Paths through way-points at given times."""
 
 from __future__ import annotations
 
@@ -11,10 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.config import Pose, WaypointReference
 from hil.trajectory.minimum_jerk import minimum_jerk_coefficients
-from hil.trajectory.path import Array, require_half_turn, six_words
+from hil.trajectory.path import require_half_turn, six_words
 from hil.trajectory.piecewise import PiecewisePolynomial
 
 CUBIC = (0.0, 0.0, 3.0, -2.0, 0.0, 0.0)

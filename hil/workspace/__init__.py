@@ -1,8 +1,7 @@
 """Which poses the platform can reach, and how well it moves and carries there.
 
-Rule of the room: mathematics; no file, no clock, no screen. A pose counts as reachable if it can be reached
-from home, on the path that each file names, without leaving the limits: a pose on the far side of a
-singularity or of a gap does not count, however good its lengths are.
+A pose counts as reachable if it can be reached from home, on the path that each file names, without leaving
+the limits: a pose on the far side of a singularity or of a gap does not count, however good its lengths are.
 """
 
 from hil.workspace.explore import Workspace, explore

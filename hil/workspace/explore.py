@@ -1,7 +1,4 @@
-"""All maps of a workspace at once.
-
-Rule of the room: as in hil.workspace.
-"""
+"""All maps of a workspace at once."""
 
 from __future__ import annotations
 

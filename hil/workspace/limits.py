@@ -1,6 +1,6 @@
 """The limits of a pose: stroke, joint angles, static force, singularity, distance of the legs.
 
-Rule of the room: as in hil.workspace. All other files ask a `Surveyor` whether a pose is inside.
+All other files ask a `Surveyor` whether a pose is inside.
 """
 
 from __future__ import annotations
@@ -9,19 +9,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from drivers.arrays import Array, Flags, Ints
 from drivers.errors import ModelError
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kernels import workspace as kernels
-from hil.kernels.kinematics import jacobian_kernel
-from hil.kernels.workspace import survey_kernel
-from hil.kinematics import check_rotation, check_vector
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import check_rotation, check_vector
+from hil.robot.kinematics_kernels import jacobian_kernel
+from hil.workspace import kernels
+from hil.workspace.kernels import survey_kernel
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 Progress = Callable[[str, float], None]
 """Called with what is done and the share of it that is done, 0 to 1."""
 
@@ -59,8 +57,8 @@ class Limits:
     force: float | None = None
     """N, each leg, to hold platform, legs and payload still."""
     condition: float = 1e9
-    """Bound on the condition of J as `hil.linalg.condition_kernel` has it, which is what the controller
-    watches. Crossing a singularity (det J = 0) counts as leaving at any value."""
+    """Bound on the condition of J as `hil.mathematics.linear_algebra.condition_kernel` has it, which is what
+    the controller watches. Crossing a singularity (det J = 0) counts as leaving at any value."""
     base_angle: float | None = None
     """rad, of each leg to the axis of its base joint."""
     platform_angle: float | None = None
@@ -124,7 +122,7 @@ class Surveyor:
             raise WorkspaceError(f"home, p = {self.p.tolist()} m, is outside the limits", problems)
 
     def survey(self, P: Array, R: Array) -> Array:
-        """Return the figures of poses, (n, 27): columns of `hil.kernels.workspace`.
+        """Return the figures of poses, (n, 27): columns of `hil.workspace.kernels`.
 
         P (n, 3) or (3,) m; R (n, 3, 3), or (3, 3) for all.
         """

@@ -1,6 +1,6 @@
 """Rotations at one position: how far the platform tilts in each direction, and turns about its own axis.
 
-Rule of the room: as in hil.workspace. Path: turn by the torsion without tilt, then tilt.
+Path: turn by the torsion without tilt, then tilt.
 
 Tilt and torsion (Bonev and Ryu, 2001): R = R_home Rz(phi) Ry(theta) Rz(sigma - phi). The platform's z axis
 leans by the tilt theta towards the azimuth phi, with the torsion sigma about it; all zero at home.
@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hil.kinematics import check_vector
-from hil.workspace.limits import KINDS, Array, Ints, Surveyor, WorkspaceError
+from drivers.arrays import Array, Ints
+from hil.robot.kinematics import check_vector
+from hil.workspace.limits import KINDS, Surveyor, WorkspaceError
 from hil.workspace.position import PositionMap
 from hil.workspace.rays import FREE, first_exit
 

@@ -1,7 +1,6 @@
 """Translations at home's orientation: a grid flooded from home, its boundary, its volume, its sections.
 
-Rule of the room: as in hil.workspace. Path: along the grid, from node to neighbour; a step counts if its
-middle and its end keep all limits.
+Path: along the grid, from node to neighbour; a step counts if its middle and its end keep all limits.
 """
 
 from __future__ import annotations
@@ -13,7 +12,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from hil.workspace.limits import CHUNK, KINDS, Array, Flags, Ints, Progress, Surveyor, WorkspaceError
+from drivers.arrays import Array, Flags, Ints
+from hil.workspace.limits import CHUNK, KINDS, Progress, Surveyor, WorkspaceError
 
 PLANES = (("x", "z"), ("y", "z"), ("x", "y"))
 ZOOMS = 6

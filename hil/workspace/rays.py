@@ -1,7 +1,4 @@
-"""Paths out of the workspace: followed in small steps to the first that fails, then bisected.
-
-Rule of the room: as in hil.workspace.
-"""
+"""Paths out of the workspace: followed in small steps to the first that fails, then bisected."""
 
 from __future__ import annotations
 
@@ -9,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.workspace.limits import Array, Ints, Surveyor
+from drivers.arrays import Array, Ints
+from hil.workspace.limits import Surveyor
 
 Paths = Callable[[Array, Ints], tuple[Array, Array]]
 """(t (n,), which (n,)) -> poses P (n, 3), R (n, 3, 3) or (3, 3): path which[k] at t[k]; t = 0 is inside."""

@@ -1,6 +1,6 @@
 """The largest sphere and cylinder of translations about home: room that is free in every direction.
 
-Rule of the room: as in hil.workspace. Paths: straight lines from home, or from the cylinder's axis.
+Paths: straight lines from home, or from the cylinder's axis.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.workspace.limits import Array, Ints, Surveyor
+from drivers.arrays import Array, Ints
+from hil.workspace.limits import Surveyor
 from hil.workspace.rays import first_exit
 
 DIRECTIONS = 1000

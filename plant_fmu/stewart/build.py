@@ -1,7 +1,4 @@
-"""Makes the .fmu: finds a compiler, compiles the C sources, packs and caches.
-
-Rule of the room: the only place that runs a compiler or writes the cache.
-"""
+"""Makes the .fmu: finds a compiler, compiles the C sources, packs and caches."""
 
 from __future__ import annotations
 

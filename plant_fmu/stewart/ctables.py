@@ -1,7 +1,4 @@
-"""C tables from the variable table: offsets, start values, ranges and the instantiation token.
-
-Rule of the room: text in, text out.
-"""
+"""C tables from the variable table: offsets, start values, ranges and the instantiation token."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Model descriptions for FMI 2.0 and 3.0, build description and terminals, from the variable table.
-
-Rule of the room: XML out; no files, no compiler.
-"""
+"""Model descriptions for FMI 2.0 and 3.0, build description and terminals, from the variable table."""
 
 from __future__ import annotations
 

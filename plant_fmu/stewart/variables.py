@@ -1,6 +1,6 @@
 """The plant's variables: one table behind both model descriptions and the C tables.
 
-Rule of the room: data only. A new variable is one row here and its use in ``sources/plant.c``.
+A new variable is one row here and its use in ``sources/plant.c``.
 """
 
 from __future__ import annotations

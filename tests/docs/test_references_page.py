@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from hil.app.check import inspect
-from hil.app.configuration import load, loads
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import load, loads
 from hil.trajectory.build import BUILDERS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import TypingError
 
-from drivers.compile_cache import (
+from drivers.compiled.compiler import (
     FLAGS,
     INTEGER,
     INTEGERS,

@@ -14,12 +14,12 @@ import time
 import can
 import pytest
 
-from drivers.bus import Bus, LocalCan
+from drivers.can.bus import Bus, LocalCan
+from drivers.can.python_can import PythonCan
+from drivers.can.socketcan import pack, unpack
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from drivers.python_can import PythonCan
-from drivers.socketcan import pack, unpack
 
 LOCAL = BusSettings(interface="localcan", channel="t")
 GROUP = "239.74.163.2"
@@ -82,7 +82,7 @@ def test_a_busy_bus_refuses_frames_and_a_lasting_refusal_is_a_dead_bus():
 
 def test_second_controller_is_refused_with_the_others_process_number():
     code = (
-        "import time; from drivers.bus import Bus; from drivers.config import BusSettings\n"
+        "import time; from drivers.can.bus import Bus; from drivers.config import BusSettings\n"
         "bus = Bus.open(BusSettings(interface='localcan', channel='t'), 'controller')\n"
         "print('ready', flush=True); time.sleep(60)"
     )
@@ -105,7 +105,7 @@ def test_second_controller_is_refused_with_the_others_process_number():
 
 def test_a_forked_child_does_not_keep_the_role_of_its_dead_parent(runtime):
     code = (
-        "import os, time; from drivers.bus import Bus; from drivers.config import BusSettings\n"
+        "import os, time; from drivers.can.bus import Bus; from drivers.config import BusSettings\n"
         "bus = Bus.open(BusSettings(interface='localcan', channel='t'), 'controller')\n"
         "r, w = os.pipe(); child = os.fork()\n"
         "if not child: os.write(w, b'x'); time.sleep(60)\n"

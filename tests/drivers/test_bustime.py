@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.bustime import (
+from drivers.can.bus_time import (
     FD_LENGTHS,
     BitTiming,
     arbitrate,

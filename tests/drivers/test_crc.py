@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.crc import crc8, identifier_state
+from drivers.legs.crc import crc8, identifier_state
 
 
 def bitwise_crc8(data: bytes) -> int:

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 import drivers
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings
-from drivers.dbc import LAYOUTS, LegsProtocol, legs_dbc
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.legs.protocol import LAYOUTS, LegsProtocol, legs_dbc
 from drivers.protocol import (
     BRS,
     ERROR,

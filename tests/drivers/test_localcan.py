@@ -20,13 +20,13 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.bustime import BitTiming
+from drivers.can.bus_time import BitTiming
+from drivers.can.localcan import Participant
+from drivers.can.localcan.interface import LocalCanBus
+from drivers.can.localcan.participant import OWN
+from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import BusError
-from drivers.localcan import Participant
-from drivers.localcan.interface import LocalCanBus
-from drivers.localcan.participant import OWN
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
-from drivers.runtime import runtime_folder
 
 FAST = BitTiming(1_000_000, 5_000_000)
 SLOW = BitTiming(125_000, 125_000)
@@ -79,8 +79,8 @@ def end(child):
 
 PREAMBLE = """
 import os, sys, time
-from drivers.bustime import BitTiming
-from drivers.localcan.participant import Participant
+from drivers.can.bus_time import BitTiming
+from drivers.can.localcan.participant import Participant
 from drivers.protocol import Frame
 node = Participant("t", BitTiming({}), fd=True)
 print("ready", flush=True)

@@ -14,7 +14,7 @@ import pytest
 
 import drivers
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
-from drivers.dbc import LegsProtocol
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import (
     BRS,
     FD,

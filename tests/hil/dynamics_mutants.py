@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 import hil
-from hil.geometry import Platform
+from hil.robot.geometry import Platform
 
 SPREAD = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5])
 HERE = Path(hil.__file__).parent
 NOTICED = 1e-6
 """A mistake that makes an error above this needs no further case."""
-KERNELS, MODEL = "kernels/dynamics.py", "dynamics.py"
+KERNELS, MODEL = "robot/dynamics_kernels.py", "robot/dynamics.py"
 
 MUTATIONS = {
     "unchanged": (KERNELS, "", ""),
@@ -119,12 +119,12 @@ def main():
             raise SystemExit(f"{name}: {old!r} is no longer in {file}")
         if old:
             texts[file] = texts[file].replace(old, new)
-        hil.kernels.dynamics = load("hil.kernels.dynamics", KERNELS, texts[KERNELS])
-        result[name] = worst_error(load("hil.dynamics", MODEL, texts[MODEL]), cases)
+        hil.robot.dynamics_kernels = load("hil.robot.dynamics_kernels", KERNELS, texts[KERNELS])
+        result[name] = worst_error(load("hil.robot.dynamics", MODEL, texts[MODEL]), cases)
     print(json.dumps(result))
 
 
 if __name__ == "__main__":
-    import hil.kernels.dynamics
+    import hil.robot.dynamics_kernels
 
     main()

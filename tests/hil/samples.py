@@ -3,7 +3,7 @@
 import numpy as np
 
 from drivers.protocol import BRS, ESI, EXTENDED, FD, Frame, Received
-from hil.log import Tick
+from hil.record.log import Tick
 from hil.signals import ROW, SetPoint
 
 FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.admission import Admission
 from hil.app.compose import build_cycle
-from hil.app.configuration import load
-from hil.dynamics import Model
+from hil.app.configuration.configuration import load
+from hil.loop.admission import Admission
+from hil.robot.dynamics import Model
 from hil.signals import Refusal
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())

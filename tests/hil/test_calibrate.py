@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest, norm
 
-from hil import calibrate as module
-from hil.calibrate import CalibrationError, Measurements, calibrate, suspicion
-from hil.geometry import Platform
+from hil.robot import calibration as module
+from hil.robot.calibration import CalibrationError, Measurements, calibrate, suspicion
+from hil.robot.geometry import Platform
 
 HEXAGON = np.deg2rad([-10, 10, 110, 130, 230, 250])
 NOMINAL = Platform.from_dict(

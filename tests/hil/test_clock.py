@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from hil.clock import (
+from hil.loop.clock import (
     STALL_S,
     Deadlines,
     SLOWEST_Hz,

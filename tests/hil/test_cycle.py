@@ -9,9 +9,9 @@ from drivers.config import WrenchSensorSettings
 from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Feedback, Received
 from drivers.signals import DriveMode, DriveState
 from hil.app.compose import build_cycle
-from hil.app.configuration import load
-from hil.daemon import fault_text
-from hil.kinematics import leg_lengths
+from hil.app.configuration.configuration import load
+from hil.loop.daemon import fault_text
+from hil.robot.kinematics import leg_lengths
 from hil.signals import Fault, Mode, Operator, TickInput, Warn
 
 PERIOD_NS = 1_000_000

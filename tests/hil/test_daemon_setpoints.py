@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hil.daemon import _answer
+from hil.loop.daemon import _answer
+from hil.loop.steering import Steering
 from hil.signals import Refusal, SetPoint
-from hil.steering import Steering
 from hil.trajectory import LiveTrajectory
 
 START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

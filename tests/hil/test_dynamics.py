@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from drivers.errors import ModelError
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kernels.dynamics import forward_dynamics_kernel, inverse_dynamics_kernel, joint_idc_kernel
-from hil.kernels.kinematics import jacobian_kernel, leg_lengths_kernel, reference_kernel
-from hil.kinematics import KinematicsError, jacobian, jacobian_rate
-from hil.rotations import rotation_from_vector, rotation_motion_kernel
+from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kernel
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import forward_dynamics_kernel, inverse_dynamics_kernel, joint_idc_kernel
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import KinematicsError, jacobian, jacobian_rate
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel, reference_kernel
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from drivers.errors import ModelError
 from hil.config import InverseDynamicsSettings, ModelSettings
 from hil.control import LawContext, build_law
-from hil.dynamics import Model, Variant
-from hil.geometry import Platform
-from hil.kernels.dynamics import joint_idc_kernel
-from hil.kinematics import KinematicsError
-from hil.reference import complete
+from hil.loop.reference import complete
+from hil.robot.dynamics import Model, Variant
+from hil.robot.dynamics_kernels import joint_idc_kernel
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import KinematicsError
 from hil.signals import State
 from hil.trajectory import PoseSample, hold
 

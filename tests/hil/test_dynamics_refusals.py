@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import (
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import (
     KinematicsError,
     condition,
     continue_kinematics,
@@ -18,7 +19,6 @@ from hil.kinematics import (
     jacobian_rate,
     leg_lengths,
 )
-from hil.rotations import rotation_from_vector
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())["geometry"]
 PLATFORM = Platform.from_dict(BOOK)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.estimate import Estimator
-from hil.geometry import Platform
-from hil.kernels.kinematics import forward_kinematics_kernel, jacobian_kernel, leg_lengths_kernel
-from hil.kinematics import KinematicsError, leg_lengths
+from hil.estimation.pose import Estimator
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import KinematicsError, leg_lengths
+from hil.robot.kinematics_kernels import forward_kinematics_kernel, jacobian_kernel, leg_lengths_kernel
 
 DATA = Path(__file__).parents[1] / "data"
 BOOK = json.loads((DATA / "book_platform.json").read_text())

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.signal import lfilter
 
-from hil.force_path import ForcePath, decay
+from hil.robot.force_path import ForcePath, decay
 
 T = 1e-3
 COMMANDS = np.random.default_rng(3).normal(0.0, 1e4, (12, 6))

@@ -13,9 +13,9 @@ from drivers.config import ImuSettings, TrackerSettings
 from drivers.sensors import Readings, Sample
 from drivers.signals import Measurement, no_measurement
 from hil.config import FusionSettings
-from hil.dynamics import Model
-from hil.fusion import LEFT_OUT_TICKS, SLIP_TICKS, FusedEstimator
-from hil.geometry import Platform
+from hil.estimation.fusion import LEFT_OUT_TICKS, SLIP_TICKS, FusedEstimator
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())["geometry"]
 PLATFORM = Platform.from_dict(BOOK)

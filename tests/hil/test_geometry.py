@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ModelError
-from hil.geometry import GeometryError, Platform
+from hil.robot.geometry import GeometryError, Platform
 
 DATA = Path(__file__).parents[1] / "data"
 BOOK = json.loads((DATA / "book_platform.json").read_text())["geometry"]

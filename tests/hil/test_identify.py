@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.force_path import ForcePath
 from hil.identify.delay import mean_forces
+from hil.robot.force_path import ForcePath
 
 T = 1e-3
 COMMANDS = np.random.default_rng(5).normal(0.0, 500.0, (50, 6))

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import tplquad
 from scipy.spatial.transform import Rotation
 
-from hil import inertia
-from hil.geometry import Body, GeometryError
+from hil.robot import inertia
+from hil.robot.geometry import Body, GeometryError
 
 DIAGONAL = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 

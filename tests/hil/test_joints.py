@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil import joints
+from hil.robot import joints
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())["geometry"]
 

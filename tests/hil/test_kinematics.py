@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hil.geometry import Platform
-from hil.kernels.kinematics import forward_kinematics_kernel, leg_lengths_kernel, reference_kernel
-from hil.kinematics import (
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import (
     KinematicsError,
     condition,
     continue_kinematics,
@@ -20,6 +19,7 @@ from hil.kinematics import (
     jacobian_rate,
     leg_lengths,
 )
+from hil.robot.kinematics_kernels import forward_kinematics_kernel, leg_lengths_kernel, reference_kernel
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hil.linalg import condition_kernel, solve, solve_transposed
-from hil.rotations import rotation_from_vector, rotation_motion_kernel, rotation_vector
+from hil.mathematics.linear_algebra import condition_kernel, solve, solve_transposed
+from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kernel, rotation_vector
 
 DATA = Path(__file__).parents[1] / "data"
 VECTOR = st.lists(st.floats(-1.7, 1.7), min_size=3, max_size=3).map(np.array)
@@ -105,11 +105,11 @@ def test_motion_of_a_rotation_vector_by_differences(r, dr, ddr):
 BITS = """
 import hashlib, json, sys
 import numpy as np
-from hil.dynamics import Model
-from hil.estimate import Estimator
-from hil.geometry import Platform
-from hil.kernels.dynamics import joint_idc_kernel
-from hil.rotations import rotation_motion_kernel, rotation_vector
+from hil.robot.dynamics import Model
+from hil.estimation.pose import Estimator
+from hil.robot.geometry import Platform
+from hil.robot.dynamics_kernels import joint_idc_kernel
+from hil.mathematics.rotations import rotation_motion_kernel, rotation_vector
 truth = json.load(open(sys.argv[1]))
 digest = hashlib.sha256()
 for case in truth["cases"]:

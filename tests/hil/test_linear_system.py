@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ModelError
-from hil.linear_system import LinearSystem, static
+from hil.mathematics.linear_system import LinearSystem, static
 
 OMEGA = np.geomspace(0.1, 1e3, 40)
 S = 1j * OMEGA

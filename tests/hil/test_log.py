@@ -6,8 +6,8 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.errors import LogError
-from hil.log import Log
 from hil.record import Recording
+from hil.record.log import Log
 from hil.record.schema import FRAME, frame_schema, message_class
 from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, random_ticks, record

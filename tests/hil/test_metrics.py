@@ -10,9 +10,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from hil.config import WaypointReference
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.metrics import (
+from hil.record.metrics import (
     bandwidth_Hz,
     force_shares,
     peak,
@@ -21,6 +19,8 @@ from hil.metrics import (
     step_response,
     total_variation,
 )
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
 from hil.trajectory import waypoint_trajectory
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.signals import DriveMode, DriveState
-from hil.modes import Durations, Facts, drive_mode, next_mode, overdue
+from hil.loop.modes import Durations, Facts, drive_mode, next_mode, overdue
 from hil.signals import Mode, Operator
 
 DURATIONS = Durations(load=0.3, release=0.1)

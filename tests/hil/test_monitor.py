@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from drivers.signals import DriveState, Measurement
-from hil.app.configuration import load
+from hil.app.configuration.configuration import load
 from hil.config import (
     DelayCompensation,
     InverseDynamicsSettings,
@@ -20,14 +20,14 @@ from hil.config import (
     UncertaintySettings,
 )
 from hil.control import LAWS
-from hil.geometry import Platform
-from hil.kernels.error_axes import error_axes as kernel
-from hil.kinematics import jacobian
-from hil.monitor import REASONS, build_watch, error_axes
-from hil.rotations import rotation_from_vector, rotation_vector
+from hil.control.error_axes import error_axes as kernel
+from hil.mathematics.rotations import rotation_from_vector, rotation_vector
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.safety import Safety
 from hil.safety.certificate import NO_WATCH
 from hil.signals import NO_FUSION, Effort, Estimate, Fusion, Mode, Reference, State, TickInput, Warn
+from hil.stability.monitor import REASONS, build_watch, error_axes
 
 T = 1e-3
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
@@ -37,7 +37,7 @@ PLAIN = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0)
 
 @pytest.fixture(scope="module")
 def platform():
-    from hil.app.configuration import platform_dict  # noqa: PLC0415
+    from hil.app.configuration.configuration import platform_dict  # noqa: PLC0415
 
     return Platform.from_dict(platform_dict(load("virtual").platform))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.motion import Motion
+from hil.loop.motion import Motion
 from hil.trajectory import PiecewisePolynomial, hold, quintic_move
 
 T = 1e-3

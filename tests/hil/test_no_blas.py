@@ -10,32 +10,19 @@ import pytest
 HIL = Path(__file__).parents[2] / "hil"
 FEEDS_THE_CYCLE = sorted(
     [
-        *(
-            HIL / name
-            for name in (
-                "cycle.py",
-                "estimate.py",
-                "fused_pose.py",
-                "fusion.py",
-                "motion.py",
-                "reference.py",
-                "rotations.py",
-                "row.py",
-                "trig.py",
-            )
-        ),
-        *(HIL / name for name in ("inertia.py", "joints.py", "rotations.py", "trig.py", "vectors.py")),
-        *(HIL / "kernels").glob("fusion*.py"),
-        HIL / "kernels/error_axes.py",
-        HIL / "monitor.py",
-        HIL / "stability/error_dynamics.py",
-        HIL / "app/platform.py",
         *(HIL / "control").glob("*.py"),
+        *(HIL / "estimation").glob("*.py"),
+        *(HIL / "mathematics" / name for name in ("rotations.py", "trigonometry.py", "vectors.py")),
+        *(HIL / "robot" / name for name in ("inertia.py", "joints.py")),
         *(HIL / "safety").glob("*.py"),
+        *(HIL / "loop" / name for name in ("cycle.py", "motion.py", "reference.py", "row.py")),
+        HIL / "stability/monitor.py",
+        HIL / "stability/error_dynamics.py",
+        HIL / "app/configuration/platform.py",
     ]
 )
 PRODUCTS = {"dot", "vdot", "inner", "matmul", "einsum", "tensordot", "linalg"}
-# hil.dynamics and hil.trajectory also hold what never reaches the cycle: energies, and checks that only refuse.
+# hil.robot.dynamics and hil.trajectory also hold what never reaches the cycle: energies, and checks that only refuse.
 ALLOWED = {"inertia.py": {"linalg"}}
 
 

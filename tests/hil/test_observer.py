@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from drivers.signals import DriveState
-from hil.dynamics import Model
-from hil.force_path import ForcePath
-from hil.geometry import Platform
-from hil.kinematics import jacobian, leg_lengths
-from hil.observer import WrenchObserver
+from hil.estimation.observer import WrenchObserver
+from hil.robot.dynamics import Model
+from hil.robot.force_path import ForcePath
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import State
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())

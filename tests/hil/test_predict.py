@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from hil.dynamics import Model
-from hil.force_path import ForcePath
-from hil.geometry import Platform
-from hil.kinematics import jacobian, leg_lengths
-from hil.predict import Predictor
-from hil.rotations import rotation_from_vector
+from hil.estimation.predictor import Predictor
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.force_path import ForcePath
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import State
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import LogError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
-from hil.log import Log
 from hil.record import Recording, Scene
+from hil.record.log import Log
 from hil.record.recorder import Histogram
+from hil.record.salvage import salvage
 from hil.record.scene import quaternion
-from hil.salvage import salvage
 from hil.signals import ROW
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, random_rows, random_ticks, record

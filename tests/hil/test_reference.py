@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.config import Pose, WaypointReference
-from hil.geometry import Platform
-from hil.reference import complete
+from hil.loop.reference import complete
+from hil.robot.geometry import Platform
 from hil.trajectory import build_trajectory
 
 BOOK = json.loads((Path(__file__).parent.parent / "data" / "book_platform.json").read_text())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.rotations import relative_rotation, rotation_vector_rate
+from hil.mathematics.rotations import relative_rotation, rotation_vector_rate
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-3, 0.5, 2.0, 3.1])

@@ -2,9 +2,9 @@ import pytest
 from mcap.reader import make_reader
 
 from drivers.errors import LogError
-from hil.log import Log
 from hil.record import Recording
-from hil.salvage import salvage
+from hil.record.log import Log
+from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, random_ticks, record
 

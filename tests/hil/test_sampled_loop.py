@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil.config.linear_controller import LinearController
-from hil.linear_system import LinearSystem, lag, static
-from hil.sampled_loop import margins, sampled_axis, sampled_controller
+from hil.mathematics.linear_system import LinearSystem, lag, static
+from hil.stability.sampled_loop import margins, sampled_axis, sampled_controller
 
 T = 1e-3
 W_N = 20.0

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import RunError
-from hil.setpoints import AT_MOST, SetPointSender, SetPointSocket, parse, socket_path
+from hil.loop.setpoints import AT_MOST, SetPointSender, SetPointSocket, parse, socket_path
 from hil.signals import Refusal, SetPoint
 
 
@@ -189,6 +189,6 @@ def test_without_a_controller_the_sender_says_so():
 
 
 def test_a_controller_that_ends_without_an_answer_is_said(channel, monkeypatch):
-    monkeypatch.setattr("hil.setpoints.ANSWER_S", 0.05)
+    monkeypatch.setattr("hil.loop.setpoints.ANSWER_S", 0.05)
     with SetPointSender("localcan", "hil/0") as sender, pytest.raises(RunError, match="did not answer"):
         sender.send("0 0 1")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.signals import Refusal, SetPoint
-from hil.steering import Counts, Steering, explain
+from hil.loop.steering import Counts, Steering
+from hil.signals import Refusal, SetPoint, explain
 from hil.trajectory import LiveTrajectory
 
 START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

@@ -16,7 +16,7 @@ from hil.config import (
     TimeOptimalReference,
     WaypointReference,
 )
-from hil.motion import Motion
+from hil.loop.motion import Motion
 from hil.trajectory import build_trajectory
 from hil.trajectory.tabulated import TabulatedTrajectory
 

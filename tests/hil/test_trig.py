@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hil.trig import sincos
+from hil.mathematics.trigonometry import sincos
 
 
 @pytest.mark.parametrize("reach", [0.8, 7.0, 100.0, 1e6])

@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear, minimize_scalar
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from hil.geometry import Platform
+from hil.robot.geometry import Platform
 from hil.workspace import (
     KINDS,
     Limits,

@@ -17,19 +17,19 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 from scipy.spatial.transform import Rotation
 
-from hil.app.check import inspect
+from hil.app.check.command import inspect
 from hil.app.compose import build_cycle, build_nodes, feedback_window_s, pose_arrays
-from hil.app.configuration import load, loads, platform_dict
-from hil.app.lockstep import Lockstep
+from hil.app.configuration.configuration import load, loads, platform_dict
+from hil.app.sim.lockstep import Lockstep
 from hil.control import LawContext, build_law
-from hil.estimate import Estimate
-from hil.geometry import Platform
-from hil.kinematics import jacobian, jacobian_rate, leg_lengths
-from hil.reference import complete
+from hil.estimation.pose import Estimate
+from hil.loop.reference import complete
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
 from hil.signals import NO_WRENCH, Fault, Mode, Operator, State, Verdict, Warn
 from hil.trajectory import build_trajectory
-from plant_fmu.faults import FaultPlan, WrenchStep
-from plant_fmu.fmu import stewart_parameters
+from plant_fmu.drives.faults import FaultPlan, WrenchStep
+from plant_fmu.plants import stewart_parameters
 from plant_fmu.stewart.build import build
 
 ROWS = json.loads((Path(__file__).parents[1] / "data" / "book_closed_loop.json").read_text())["rows"]

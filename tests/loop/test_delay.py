@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.app.configuration import load, loads
-from hil.app.sim import simulate
-from hil.log import Log
+from hil.app.configuration.configuration import load, loads
+from hil.app.sim.command import simulate
+from hil.record.log import Log
 from hil.signals import Mode
 from tests.loop import unrecorded
 

@@ -8,10 +8,10 @@ import pytest
 
 from drivers.signals import DriveState
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
-from hil.app.configuration import load, loads
-from hil.app.lockstep import Lockstep
-from hil.app.sim import simulate
-from hil.log import Log
+from hil.app.configuration.configuration import load, loads
+from hil.app.sim.command import simulate
+from hil.app.sim.lockstep import Lockstep
+from hil.record.log import Log
 from hil.signals import Mode, Operator
 from tests.loop import unrecorded
 

@@ -14,13 +14,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from hil.app.configuration import load, loads, platform_dict
-from hil.app.sim import simulate
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import jacobian, leg_lengths
-from hil.log import Log
-from hil.rotations import rotation_from_vector
+from hil.app.configuration.configuration import load, loads, platform_dict
+from hil.app.sim.command import simulate
+from hil.mathematics.rotations import rotation_from_vector
+from hil.record.log import Log
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import Mode
 
 HOME_m = np.array([0.0, 0.0, 1.0])

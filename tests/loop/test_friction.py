@@ -12,11 +12,11 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration import load, loads
-from hil.dynamics import Model
-from hil.geometry import Platform
+from hil.app.configuration.configuration import load, loads
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
 from plant_fmu.config import StewartPlant
-from plant_fmu.fmu import stewart_parameters
+from plant_fmu.plants import stewart_parameters
 from plant_fmu.stewart.build import build
 from tests.loop import unrecorded
 

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
-from hil.app.configuration import load, loads
-from hil.app.lockstep import Lockstep
-from hil.app.sim import simulate
-from hil.daemon import fault_text
-from hil.log import Log
+from hil.app.configuration.configuration import load, loads
+from hil.app.sim.command import simulate
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.daemon import fault_text
+from hil.record.log import Log
 from hil.signals import Fault, Mode, Operator, Warn
-from plant_fmu.faults import EncoderFreeze, EncoderLost, EncoderOffset, FaultPlan, Silence, WrenchStep
+from plant_fmu.drives.faults import EncoderFreeze, EncoderLost, EncoderOffset, FaultPlan, Silence, WrenchStep
 
 TRACKER = "  tracker: {rate_Hz: 200, position_std_m: 1e-3, orientation_std_deg: 0.1}\n"
 FUSED = "estimation:\n  pose: fused\n"

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from hil.app.compose import build_nodes
-from hil.app.configuration import load, loads, platform_dict
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import jacobian
-from hil.reference import complete
+from hil.app.configuration.configuration import load, loads, platform_dict
+from hil.loop.reference import complete
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.trajectory import build_trajectory
 from tests.loop import unrecorded
 

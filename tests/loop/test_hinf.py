@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.app.configuration import load, loads
-from hil.metrics import total_variation
+from hil.app.configuration.configuration import load, loads
+from hil.record.metrics import total_variation
 from hil.signals import Mode
-from plant_fmu.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults import FaultPlan, WrenchStep
 from tests.loop import unrecorded
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.app.configuration import load, loads
-from hil.app.identify_axes import axes_of_log, excited_axes
-from hil.app.section_file import read_section
-from hil.app.sim import simulate
+from drivers.arrays import Rows
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.section_file import read_section
+from hil.app.identify.axes import axes_of_log, excited_axes
+from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.config.axis_model import AxisModel
 from hil.identify import Fit
-from hil.log import Log
-from hil.report import Rows
+from hil.record.log import Log
 from hil.signals import Mode
 
 T = 1e-3

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.bustime import arbitrate, frame_time_ns, priority
+from drivers.can.bus_time import arbitrate, frame_time_ns, priority
 from drivers.protocol import Frame
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
-from hil.app.configuration import load, loads
-from hil.app.lockstep import Lockstep
-from hil.app.sim import simulate
-from hil.log import Log
+from hil.app.configuration.configuration import load, loads
+from hil.app.sim.command import simulate
+from hil.app.sim.lockstep import Lockstep
+from hil.record.log import Log
 from hil.signals import Mode, Operator
 
 

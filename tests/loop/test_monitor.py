@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from hil.app.compose import bit_timing, build_cycle, build_nodes, bus_budget, feedback_window_s
-from hil.app.configuration import load, loads
-from hil.app.lockstep import Lockstep
-from hil.app.sim import simulate
-from hil.log import Log
+from hil.app.configuration.configuration import load, loads
+from hil.app.sim.command import simulate
+from hil.app.sim.lockstep import Lockstep
+from hil.record.log import Log
 from hil.signals import ROW, Fault, Mode, Operator, Warn
-from plant_fmu.faults import FaultPlan, LegGain, WrenchStep
+from plant_fmu.drives.faults import FaultPlan, LegGain, WrenchStep
 
 SLIDING = """controller:
   law: sliding_mode

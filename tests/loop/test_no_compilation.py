@@ -7,8 +7,8 @@ import sys
 
 PROGRAM = """
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
-from hil.app.configuration import load
-from hil.app.lockstep import Lockstep
+from hil.app.configuration.configuration import load
+from hil.app.sim.lockstep import Lockstep
 from hil.signals import Mode, Operator
 from numba.core import dispatcher
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.app.configuration import load, loads
-from hil.app.platform import platform_dict
-from hil.app.sim import simulate
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import jacobian
-from hil.log import Log
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import platform_dict
+from hil.app.sim.command import simulate
+from hil.record.log import Log
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.signals import Mode
-from plant_fmu.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults import FaultPlan, WrenchStep
 from tests.loop import unrecorded
 
 HOLD = "reference: {type: hold, duration_s: 1.25}\n"

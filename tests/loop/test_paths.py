@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.app.configuration import load, loads
+from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
-from hil.app.sim import simulate
+from hil.app.sim.command import simulate
 from hil.cli import main
-from hil.log import Log
+from hil.record.log import Log
 from hil.signals import Mode
 from tests.loop import unrecorded
 

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from hil.app.check import inspect
-from hil.app.configuration import load, loads
-from hil.metrics import total_variation
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import load, loads
+from hil.record.metrics import total_variation
 from hil.signals import Mode
-from plant_fmu.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults import FaultPlan, WrenchStep
 from tests.loop import unrecorded
 
 LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))

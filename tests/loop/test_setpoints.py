@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.check import inspect
+from hil.app.check.command import inspect
 from hil.app.compose import build_cycle
-from hil.app.configuration import load, loads
+from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
-from hil.app.sim import simulate
-from hil.log import Log
-from hil.replay import replay
+from hil.app.sim.command import simulate
+from hil.loop.replay import replay
+from hil.record.log import Log
 from hil.signals import Mode, Refusal, SetPoint, Warn
 
 LIVE = """reference:

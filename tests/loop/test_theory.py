@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.app.configuration import load, loads
+from hil.app.configuration.configuration import load, loads
 from hil.config import PDSettings
 from tests.loop import unrecorded
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from hil.app.compose import bit_timing, build_cycle, build_nodes, bus_budget, feedback_window_s
-from hil.app.configuration import Configuration
-from hil.app.lockstep import Lockstep
-from hil.clock import collector_paused
-from hil.report import figures
+from hil.app.configuration.configuration import Configuration
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.clock import collector_paused
+from hil.record.figures import figures
 from hil.signals import Mode
-from plant_fmu.faults import FaultPlan
+from plant_fmu.drives.faults import FaultPlan
 
 
 def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[dict[str, Any], np.ndarray]:

@@ -70,7 +70,9 @@ def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
     assert [name for name, content in kept.items() if inside[name] != content] == []
 
 
-@pytest.mark.parametrize("pattern", ["drivers/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"])
+@pytest.mark.parametrize(
+    "pattern", ["drivers/legs/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"]
+)
 def test_data_is_inside(wheel, pattern):
     with zipfile.ZipFile(wheel) as archive:
         assert [name for name in archive.namelist() if Path(name).match(pattern)]
@@ -93,9 +95,9 @@ def test_what_is_compiled_is_found_by_the_same_sources_elsewhere_and_by_no_other
     importlib.import_module("hil.app.compose")  # compiles, in the repository, what is not compiled yet
     other = tmp_path / "other"
     shutil.copytree(installed, other)
-    source = other / "hil/kernels/kinematics.py"
+    source = other / "hil/robot/kinematics_kernels.py"
     source.write_bytes(source.read_bytes() + b"# as if edited\n")
-    script = "from drivers.compile_cache import FIRST_COMPILATION; print(FIRST_COMPILATION)"
+    script = "from drivers.compiled.compiler import FIRST_COMPILATION; print(FIRST_COMPILATION)"
     said = [outside(place, tmp_path, "-c", script).stdout for place in (installed, other)]
     assert said == ["False\n", "True\n"]
 

@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
-from plant_fmu.fmu import open_plant, stewart_plant
+from plant_fmu.plants import open_plant, stewart_plant
 from plant_fmu.stewart.build import build
 
 BOOK = {

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from drivers.protocol import Frame
-from plant_fmu.faults import (
+from plant_fmu.drives.faults import (
     EncoderFreeze,
     EncoderOffset,
     Fault,

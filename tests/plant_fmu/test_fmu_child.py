@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu_child import ChildHost
-from plant_fmu.fmu_host import FmuHost
-from plant_fmu.fmu_spec import FmuSpec
+from plant_fmu.fmu.child import ChildHost
+from plant_fmu.fmu.host import FmuHost
+from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.stewart.build import build, find_compiler
 
 FORCE, OPEN = np.full(6, 3600.0), np.zeros(6)
@@ -141,8 +141,8 @@ def test_the_child_never_outlives_its_parent_even_when_it_hangs(tmp_path, code):
     program = f"""
 import sys, numpy as np
 from pathlib import Path
-from plant_fmu.fmu_child import ChildHost
-from plant_fmu.fmu_spec import FmuSpec
+from plant_fmu.fmu.child import ChildHost
+from plant_fmu.fmu.spec import FmuSpec
 host = ChildHost(FmuSpec(Path({str(path)!r}), ("force",), ("length",), ("rate",), 1e-3), step_timeout_s=60)
 print(host._process.pid, flush=True)
 while True:

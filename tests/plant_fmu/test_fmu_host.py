@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu_archive import checked_members
-from plant_fmu.fmu_host import FmuHost
-from plant_fmu.fmu_spec import FmuSpec
+from plant_fmu.fmu.archive import checked_members
+from plant_fmu.fmu.host import FmuHost
+from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.stewart.build import build
 
 FORCE = np.array([3700.0, 3600.0, 3650.0, 3500.0, 3620.0, 3610.0])

@@ -7,11 +7,11 @@ from math import exp, pi
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from drivers.arrays import Array
 from drivers.config import DriveSettings
-from drivers.dbc import LegsProtocol
 from drivers.errors import PlantError
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
 from drivers.signals import (
     Command,
@@ -23,7 +23,7 @@ from drivers.signals import (
     no_measurement,
 )
 from plant_fmu.config import DriveEmulation
-from plant_fmu.faults import (
+from plant_fmu.drives.faults import (
     EncoderFreeze,
     EncoderLost,
     EncoderOffset,
@@ -36,7 +36,7 @@ from plant_fmu.faults import (
     StuckBrake,
     WrenchStep,
 )
-from plant_fmu.nodes import Nodes
+from plant_fmu.drives.nodes import Nodes
 from plant_fmu.plant import Truth
 
 MS = 1_000_000
@@ -54,13 +54,11 @@ class Masses:
         self.calls: list[tuple[float, list[float], list[float]]] = []
         self.reset()
 
-    def reset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def reset(self) -> tuple[Array, Array]:
         self.q, self.dq = REST.copy(), np.zeros(6)
         return self.q, self.dq
 
-    def step(
-        self, force: NDArray[np.float64], brake: NDArray[np.float64], wrench: NDArray[np.float64], dt_s: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         self.calls.append((dt_s, force.tolist(), brake.tolist()))
         ddq = (force + wrench) / MASS
         free = brake == 0
@@ -71,7 +69,7 @@ class Masses:
     def truth(self) -> Truth | None:
         return None
 
-    def applied_force(self) -> NDArray[np.float64] | None:
+    def applied_force(self) -> Array | None:
         return None
 
     def close(self) -> None:

@@ -14,14 +14,14 @@ from drivers.config import (
     TrackerSettings,
     WrenchSensorSettings,
 )
-from drivers.dbc import LegsProtocol
 from drivers.errors import PlantError
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
 from drivers.sensors import Readings, SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
-from plant_fmu.faults import FaultPlan, FrameCorruption, FrameLoss, WrenchStep
+from plant_fmu.drives.faults import FaultPlan, FrameCorruption, FrameLoss, WrenchStep
+from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.plant import Truth
-from plant_fmu.sensor_nodes import SensedNodes
 
 MS, US = 1_000_000, 1_000
 G = (0.0, 0.0, -9.81)

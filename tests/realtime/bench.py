@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from drivers.bus import Bus
+from drivers.can.bus import Bus
 from drivers.protocol import DeviceCommand, Sync
 from drivers.signals import LEGS, NEVER, DriveMode, no_measurement
 from hil.app.compose import build_protocol
-from hil.app.configuration import load
-from hil.clock import fifo_allowed
+from hil.app.configuration.configuration import load
+from hil.loop.clock import fifo_allowed
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = "test-" + os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))[:12]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from drivers.arrays import Array
 from hil.cli import main
 from hil.control.inverse_dynamics import JointInverseDynamics
-from hil.signals import Array, Effort, Reference, State
+from hil.signals import Effort, Reference, State
 
 _sound = JointInverseDynamics.effort
 _raised = False

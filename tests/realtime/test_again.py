@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app import again
-from hil.app.configuration import load
-from hil.log import Log
+from hil.app.configuration.configuration import load
+from hil.app.run import retry
+from hil.record.log import Log
 from tests.realtime.bench import Listener, Process, configuration
 
 FAST_m_s = 0.2
@@ -82,8 +82,8 @@ def test_where_the_second_run_does_not_begin_the_first_one_counts(tmp_path, monk
             raise ConfigurationError("the controller is made for 1000 Hz")
         return write(log, b"first")
 
-    monkeypatch.setattr(again, "run_daemon", run_daemon)
-    summary = again.run_with_plant(load("virtual"), log=tmp_path / "one.mcap")
+    monkeypatch.setattr(retry, "run_daemon", run_daemon)
+    summary = retry.run_with_plant(load("virtual"), log=tmp_path / "one.mcap")
     kept = [tmp_path / f"one-stalled{end}" for end in (".mcap", "-plant.mcap", ".png")]
     assert [summary["log"], summary["plant"]["log"], summary["picture"]] == [str(file) for file in kept]
     assert sorted(tmp_path.iterdir()) == sorted(kept)
@@ -98,8 +98,8 @@ def test_what_was_set_aside_before_is_not_overwritten(tmp_path, monkeypatch):
         assert not log.exists()
         return write(log, b"second" if slow else b"first", stalled=not slow)
 
-    monkeypatch.setattr(again, "run_daemon", run_daemon)
-    summary = again.run_with_plant(load("virtual"), log=log)
+    monkeypatch.setattr(retry, "run_daemon", run_daemon)
+    summary = retry.run_with_plant(load("virtual"), log=log)
     assert summary["log"] == str(log)
     assert summary["stalled_run"]["log"] == str(tmp_path / "one-stalled-2.mcap")
     ends = (".mcap", "-plant.mcap", ".png")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import LEGS, DriveFault
-from hil.log import Log
+from hil.record.log import Log
 from tests.realtime.bench import Process, configuration
 
 pytestmark = pytest.mark.realtime(patient=True)

@@ -16,10 +16,10 @@ import pytest
 from drivers.protocol import DeviceCommand
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from hil.app.compose import build_protocol
-from hil.app.configuration import load
+from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
-from hil.log import Log
-from hil.salvage import salvage
+from hil.record.log import Log
+from hil.record.salvage import salvage
 from hil.signals import Fault, Mode
 from tests.realtime.bench import FIFO, ROOT, Listener, Process, configuration, gone, wait_until_gone
 

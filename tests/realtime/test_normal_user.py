@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from drivers import compile_cache
+from drivers.compiled import compiler as compile_cache
 from plant_fmu.stewart import build
 from tests.realtime.bench import ROOT, Process, configuration
 
@@ -25,7 +25,9 @@ pytestmark = pytest.mark.realtime
 Start = Callable[..., Process]
 
 
-PROBE = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import hil.app.run'], check=True)"
+PROBE = (
+    "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import hil.app.run.command'], check=True)"
+)
 
 
 def without_rights() -> None:

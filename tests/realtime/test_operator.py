@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import LEGS, DriveFault, DriveState
-from hil.log import Log
+from hil.record.log import Log
 from hil.signals import Fault, Mode
 from tests.realtime.bench import FIFO, Listener, Process, configuration
 

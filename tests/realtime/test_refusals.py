@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.log import Log
+from hil.record.log import Log
 from hil.signals import Mode
 from tests.realtime.bench import CHANNEL, Listener, Process, configuration
 

@@ -6,11 +6,11 @@ import pytest
 
 from drivers.protocol import Received
 from hil.app.compose import build_cycle
-from hil.app.configuration import load
+from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
-from hil.app.sim import simulate
-from hil.log import Log
-from hil.replay import replay
+from hil.app.sim.command import simulate
+from hil.loop.replay import replay
+from hil.record.log import Log
 from hil.signals import Mode
 
 

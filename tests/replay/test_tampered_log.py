@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from hil.cli import main
-from hil.log import Log
+from hil.record.log import Log
 from hil.signals import Mode
 from tests.hil.rewrite import rewrite_log
 

@@ -1,7 +1,7 @@
 """The far side of `uml.py`: make vcan0, run one command, leave its exit code in the run folder.
 
-Rule of the room: standard library only, and this file alone. It runs either in a network namespace of its own
-or as process 1 of a user-mode kernel; what it says to the outside are files in the run folder.
+Standard library only, and this file alone. It runs either in a network namespace of its own or as process 1
+of a user-mode kernel; what it says to the outside are files in the run folder.
 """
 
 from __future__ import annotations

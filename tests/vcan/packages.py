@@ -1,7 +1,7 @@
 """The Debian packages of the user-mode kernel, unpacked into a cache folder of this user.
 
-Rule of the room: nothing is installed and no system folder is written; packages are downloaded by apt,
-which checks their signatures, and unpacked by dpkg-deb.
+Nothing is installed and no system folder is written; packages are downloaded by apt, which checks their
+signatures, and unpacked by dpkg-deb.
 """
 
 from __future__ import annotations

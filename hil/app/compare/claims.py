@@ -1,7 +1,6 @@
 """What the control chapter says of its laws, and whether it holds here.
 
-Rule of the room: a claim is a pure function of the measured rows. Sections are those of chapter 6, Control of
-Parallel Manipulators; docs/theory has its equations.
+Sections are those of chapter 6, Control of Parallel Manipulators; docs/theory has its equations.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 
 from hil.app.compare.measure import Outcome
 from hil.config import ControllerSettings
-from hil.metrics import Share
+from hil.record.metrics import Share
 
 POOR = 10.0
 """An error that is so many times another's is of another kind."""

@@ -1,7 +1,4 @@
-"""Which laws are compared: names and settings, the gains from the configuration's own.
-
-Rule of the room: values only; a new law needs no line here as long as its settings have the usual names.
-"""
+"""Which laws are compared: names and settings, the gains from the configuration's own."""
 
 from __future__ import annotations
 
@@ -11,17 +8,17 @@ from typing import Any, NamedTuple, TypeVar, get_args
 import numpy as np
 from pydantic import ValidationError
 
+from drivers.arrays import Array
 from drivers.config import Section
 from drivers.errors import ConfigurationError
 from hil.app.compose import pose_arrays
-from hil.app.configuration import Configuration, platform_dict
-from hil.app.controller_file import unusable
+from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.configuration.controller_file import unusable
 from hil.config import ControllerSettings, ModelSettings, Pose, StateSpaceSettings
 from hil.control import LAWS
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import jacobian
-from hil.signals import Array
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 
 Kind = TypeVar("Kind", bound=Section)
 

@@ -1,6 +1,6 @@
 """One law on one bench: along the reference, and a step of the set-point at home.
 
-Rule of the room: lockstep in memory, no log. What a law does wrong is a result: it never raises for it.
+What a law does wrong is a result: it never raises for it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Array, Rows
 from drivers.errors import HilError
 from hil.app.compose import (
     bit_timing,
@@ -21,19 +21,17 @@ from hil.app.compose import (
     feedback_window_s,
     pose_arrays,
 )
-from hil.app.configuration import Configuration
-from hil.app.lockstep import Lockstep
-from hil.clock import collector_paused
+from hil.app.configuration.configuration import Configuration
+from hil.app.sim.lockstep import Lockstep
 from hil.config import DisturbanceSettings, StepSettings
-from hil.daemon import NO_DRIVES_S
-from hil.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
-from hil.report import errors, limited_ticks, pose_errors
-from hil.rotations import rotation_from_vector
-from hil.signals import ROW, Array, Fault, Mode, Operator
+from hil.loop.clock import collector_paused
+from hil.loop.daemon import NO_DRIVES_S
+from hil.mathematics.rotations import rotation_from_vector
+from hil.record.figures import errors, limited_ticks, pose_errors
+from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
+from hil.signals import ROW, Fault, Mode, Operator
 from hil.trajectory import PoseSample, Trajectory
-from plant_fmu.faults import FaultPlan, WrenchStep
-
-Rows = NDArray[np.void]
+from plant_fmu.drives.faults import FaultPlan, WrenchStep
 
 AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 SETTLE_PERIODS = 30.0
@@ -133,7 +131,7 @@ def _run(
     budget = bus_budget(c, rate)
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
     nodes, physics = build_nodes(c, faults)
-    rows: list[NDArray[np.void]] = []
+    rows: list[Rows] = []
     begun: int | None = None
     ticks = math.floor(duration_s * rate + 1e-6)
     operator: tuple[Operator, ...] = ()

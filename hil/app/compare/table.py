@@ -1,7 +1,4 @@
-"""The comparison as tables on the terminal.
-
-Rule of the room: prints what it is given.
-"""
+"""The comparison as tables on the terminal."""
 
 from __future__ import annotations
 

@@ -1,20 +1,17 @@
-"""Verdict on a designed linear controller around inverse dynamics: eigenvalues, margins, peak gain.
-
-Rule of the room: as in `hil.app.stability.linearising`.
-"""
+"""Verdict on a designed linear controller around inverse dynamics: eigenvalues, margins, peak gain."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.app.controller_file import controller_of
+from hil.app.configuration.controller_file import controller_of
 from hil.app.stability.subject import Subject
-from hil.app.stability.words import beside, describe, unstable
+from hil.app.stability.wording import beside, describe, unstable
 from hil.config import ModelSettings, StateSpaceSettings
 from hil.config.linear_controller import LinearController
-from hil.sampled_loop import sampled_controller
 from hil.stability.disturbance import Linearised, along, summary
 from hil.stability.sampled import analyse
+from hil.stability.sampled_loop import sampled_controller
 from hil.stability.ultimate import EXACT
 from hil.stability.verdict import Verdict, unless
 

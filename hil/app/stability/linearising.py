@@ -1,7 +1,4 @@
-"""Verdicts on laws that linearise the robot: inverse dynamics in joint and pose space, without H, robust.
-
-Rule of the room: the theorems are in `hil.stability`; here they meet the settings of a law, and become words.
-"""
+"""Verdicts on laws that linearise the robot: inverse dynamics in joint and pose space, without H, robust."""
 
 from __future__ import annotations
 
@@ -9,8 +6,9 @@ from math import inf, isfinite
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.app.stability.subject import Subject
-from hil.app.stability.words import (
+from hil.app.stability.wording import (
     Axes,
     beside,
     bound_lines,
@@ -29,8 +27,7 @@ from hil.config import (
     SlidingModeSettings,
 )
 from hil.control.law import error_gains
-from hil.linear_system import LinearSystem
-from hil.signals import Array
+from hil.mathematics.linear_system import LinearSystem
 from hil.stability.disturbance import Linearised
 from hil.stability.error_dynamics import decay_rate
 from hil.stability.prediction import predicting

@@ -1,7 +1,4 @@
-"""From a configuration to what the theorems speak of: robot, belief, reference, loop.
-
-Rule of the room: reads the configuration, computes nothing about stability.
-"""
+"""From a configuration to what the theorems speak of: robot, belief, reference, loop."""
 
 from __future__ import annotations
 
@@ -9,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
-from hil.app.configuration import Configuration, platform_dict
-from hil.app.reach import span_s
+from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.reachability import span_s
 from hil.config import MechanicsSettings, ModelBasedSettings, ModelSettings
 from hil.control.law import per_leg
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kernels.kinematics import jacobian_kernel, leg_lengths_kernel
-from hil.linalg import condition_kernel
-from hil.signals import Array
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.stability.disturbance import Friction, Load
 from hil.stability.sampled import Axis
 from hil.trajectory import PoseSample, build_trajectory

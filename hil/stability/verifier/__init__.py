@@ -1,7 +1,7 @@
 """The verifier: given f and V, what V proves, and what is known of the equilibrium.
 
-Rule of the room: proofs are exact algebra and interval arithmetic; nothing is proven by samples, by
-floating point or by a solver's tolerance. In doubt a claim is undecided.
+Proofs are exact algebra and interval arithmetic; nothing is proven by samples, by floating point or by a
+solver's tolerance. In doubt a claim is undecided.
 
 ::
 

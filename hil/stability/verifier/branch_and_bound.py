@@ -1,7 +1,7 @@
 """Branch and bound: a property of every point of a region, shown cell by cell.
 
-Rule of the room: only enclosures decide. Cells are halved until an enclosure decides them or the budget of
-cells is spent; no clock, no chance, so a proof is found again wherever it was found once.
+Only enclosures decide. Cells are halved until an enclosure decides them or the budget of cells is spent; no
+clock, no chance, so a proof is found again wherever it was found once.
 """
 
 from __future__ import annotations

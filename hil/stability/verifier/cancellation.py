@@ -1,7 +1,7 @@
 """Exact algebra before any interval: what cancels in the derivative of V cancels here.
 
-Rule of the room: every step is an identity of real functions wherever f and V are defined. Decimal
-numbers mean what is written (0.1 is 1/10). Enclosures cannot show that b v - v b is zero; this can.
+Every step is an identity of real functions wherever f and V are defined. Decimal numbers mean what is written
+(0.1 is 1/10). Enclosures cannot show that b v - v b is zero; this can.
 """
 
 from __future__ import annotations

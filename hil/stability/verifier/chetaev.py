@@ -1,8 +1,7 @@
 """Instability by Chetaev's theorem: W grows wherever W > 0, however near to the equilibrium.
 
-Rule of the room: W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. Both are
-blown up like a lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W >
-0 on one at least.
+W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. Both are blown up like a
+lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W > 0 on one at least.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Counterexamples: points where a claim is false, each checked by interval arithmetic or exactly.
 
-Rule of the room: where to look is a guess, what is found is a proof. That nothing is found proves nothing.
+Where to look is a guess, what is found is a proof. That nothing is found proves nothing.
 """
 
 from __future__ import annotations

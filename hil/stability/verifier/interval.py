@@ -1,8 +1,8 @@
 """Interval arithmetic: an expression becomes a function from balls to a ball that holds all its values.
 
-Rule of the room: python-flint's arb rounds outward, so what an enclosure excludes is excluded. Where an
-expression is not defined on a ball (a pole, the logarithm of zero) the enclosure is not finite, and no
-comparison with it is true. arb's own power gives no enclosure for negative bases: powers are made here.
+Python-flint's arb rounds outward, so what an enclosure excludes is excluded. Where an expression is not
+defined on a ball (a pole, the logarithm of zero) the enclosure is not finite, and no comparison with it is
+true. arb's own power gives no enclosure for negative bases: powers are made here.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """LaSalle: no trajectory but the equilibrium stays where dV/dt = 0 (section 6.0, LaSalle's theorem).
 
-Rule of the room: a trajectory that stays in a set {h = 0} has dh/dt = 0 as well, and so on; what is
-solved for a state is put into the rest. Of several branches a trajectory may change from one to another.
-But the times it spends on each are closed sets that cover an interval, so on one of them it stays for an
-interval (Baire); there it is shown to be at the equilibrium, and f being locally Lipschitz it never was
-elsewhere.
+A trajectory that stays in a set {h = 0} has dh/dt = 0 as well, and so on; what is solved for a state is put
+into the rest. Of several branches a trajectory may change from one to another. But the times it spends on
+each are closed sets that cover an interval, so on one of them it stays for an interval (Baire); there it is
+shown to be at the equilibrium, and f being locally Lipschitz it never was elsewhere.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The sublevel set of V inside the box: what starts in it stays in it.
 
-Rule of the room: if V >= c on the whole boundary and dV/dt <= 0 in the box, no trajectory that starts in
-the box with V < c reaches the boundary.
+If V >= c on the whole boundary and dV/dt <= 0 in the box, no trajectory that starts in the box with V < c
+reaches the boundary.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The linearisation at the equilibrium: eigenvalues located, not computed.
 
-Rule of the room: a characteristic polynomial of fractions has its roots enclosed by flint; one with
-parameters has Routh's table, whose entries must have a proven sign. A root on the imaginary axis says
-nothing.
+A characteristic polynomial of fractions has its roots enclosed by flint; one with parameters has Routh's
+table, whose entries must have a proven sign. A root on the imaginary axis says nothing.
 """
 
 from __future__ import annotations

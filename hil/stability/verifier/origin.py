@@ -1,9 +1,8 @@
 """Positive near the origin: a lowest-order form, with a bound on all that follows it.
 
-Rule of the room: an enclosure of g is never positive on a cell that holds g's zero. So the zero is blown
-up: x_i = t^w_i u_i with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are
-exactly zero, Taylor's theorem has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is
-shown positive cell by cell.
+An enclosure of g is never positive on a cell that holds g's zero. So the zero is blown up: x_i = t^w_i u_i
+with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are exactly zero, Taylor's theorem
+has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell by cell.
 """
 
 from __future__ import annotations

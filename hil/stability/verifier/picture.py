@@ -1,7 +1,6 @@
 """A system of two states as a picture: V as a surface, its level sets, the sign of dV/dt, trajectories.
 
-Rule of the room: draws into a PNG file. What is drawn is floating point and proves nothing; the title is the
-verdict, which is proven.
+What is drawn is floating point and proves nothing; the title is the verdict, which is proven.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
+from drivers.arrays import Array
 from drivers.errors import ModelError
-from hil.signals import Array
 from hil.stability.verifier.cancellation import lie_derivative
 from hil.stability.verifier.report import Report
 

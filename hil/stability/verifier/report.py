@@ -1,7 +1,6 @@
 """What was found: one verdict on V, another on the equilibrium.
 
-Rule of the room: values only. A V that proves nothing says nothing of the system, so the two never speak
-for each other.
+A V that proves nothing says nothing of the system, so the two never speak for each other.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Signs of functions on a domain: definite, semidefinite with its zeros, positive.
 
-Rule of the room: exact structure first (squares, moduli, factors, a sum of what is not negative), then
-enclosures. True means proven. False means only that no proof was found.
+Exact structure first (squares, moduli, factors, a sum of what is not negative), then enclosures. True means
+proven. False means only that no proof was found.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The question in exact form: dx/dt = f(x) about an equilibrium, V, where, and for which parameters.
 
-Rule of the room: nothing is decided here but what has no meaning. States become real symbols, parameters
-without a range positive ones, the equilibrium the origin (the change of variable of section 6.0.1, note
-1).
+Nothing is decided here but what has no meaning. States become real symbols, parameters without a range
+positive ones, the equilibrium the origin (the change of variable of section 6.0.1, note 1).
 """
 
 from __future__ import annotations

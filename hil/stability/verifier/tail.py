@@ -1,9 +1,8 @@
 """Positive far away: x_i = u_i / s^w_i with u on the faces of the unit cube and 0 <= s <= 1/R.
 
-Rule of the room: "global" speaks of an unbounded set, and no number of cells covers it. What is a
-polynomial in the unbounded states, with sines and the like taken as unknown numbers of [-1, 1], becomes
-s^-D times a function that is defined at s = 0 as well; if that function is positive on all (u, s), so is
-g, and it grows like R^D.
+"global" speaks of an unbounded set, and no number of cells covers it. What is a polynomial in the unbounded
+states, with sines and the like taken as unknown numbers of [-1, 1], becomes s^-D times a function that is
+defined at s = 0 as well; if that function is positive on all (u, s), so is g, and it grows like R^D.
 """
 
 from __future__ import annotations

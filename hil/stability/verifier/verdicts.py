@@ -1,6 +1,6 @@
 """From claims to verdicts: the theorems of section 6.0, each with its conditions.
 
-Rule of the room: here no sign is decided (see signs); a verdict names the theorem that it rests on.
+Here no sign is decided (see signs); a verdict names the theorem that it rests on.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
 /* Forces that are laws of inequality: brakes, dry friction, end stops.
- *
- * Rule of the room: mathematics only, as in mechanics.h.
  */
 #ifndef STEWART_CONTACT_H
 #define STEWART_CONTACT_H

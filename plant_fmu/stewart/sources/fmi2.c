@@ -1,6 +1,4 @@
 /* FMI 2.0 face: every function of the standard, co-simulation. Value reference = place in Plant.v.
- *
- * Rule of the room: translate and delegate; no physics.
  */
 #include <string.h>
 

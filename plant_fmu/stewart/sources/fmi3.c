@@ -1,6 +1,4 @@
 /* FMI 3.0 face: every function of the standard, co-simulation. Value reference = row of VARIABLES.
- *
- * Rule of the room: translate and delegate; no physics.
  */
 #include <stdbool.h>
 #include <stdint.h>

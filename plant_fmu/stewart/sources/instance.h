@@ -1,6 +1,4 @@
 /* What the FMI 2 and FMI 3 faces share: an instance, its log, its memory.
- *
- * Rule of the room: no globals, so that any number of instances live in one process.
  */
 #ifndef STEWART_INSTANCE_H
 #define STEWART_INSTANCE_H

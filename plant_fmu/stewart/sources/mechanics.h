@@ -1,6 +1,6 @@
 /* Rigid-body equations of the platform and its six legs.
  *
- * Rule of the room: mathematics only. No FMI, no allocation, no state of its own, no library beyond sqrt.
+ * Mathematics only. No FMI, no allocation, no state of its own, no library beyond sqrt.
  *
  * Notation: x_base = p + R x_platform; twist = [v of the platform origin; omega], base frame;
  * leg i runs from base joint a_i to platform joint B_i = p + R b_i, l its length, s its direction, tau > 0 extends.

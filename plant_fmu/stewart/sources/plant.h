@@ -1,6 +1,6 @@
 /* The plant: parameters, state, fixed-step integration, outputs. Both FMI faces stand on this.
  *
- * Rule of the room: no FMI types, no allocation, no globals. A Plant is plain data: copying it copies the state.
+ * A Plant is plain data: copying it copies the state.
  */
 #ifndef STEWART_PLANT_H
 #define STEWART_PLANT_H

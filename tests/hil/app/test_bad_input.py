@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
-from hil.app.configuration import load
+from hil.app.configuration.configuration import load
 from hil.cli import main
 from plant_fmu.stewart.build import build
 

@@ -10,17 +10,26 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from drivers.bustime import BitTiming, frame_time_ns
+from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.signals import Command, DriveMode
-from hil.app.bench import PARTS, TITLES, main
-from hil.app.benchmarks import cyclictest, realtime
-from hil.app.benchmarks.bench import CHANNEL, Bench, Held
-from hil.app.benchmarks.figures import Figure, Mark, lines, number, spread
-from hil.app.benchmarks.fmu import fmu
-from hil.app.benchmarks.laws import laws
-from hil.app.benchmarks.lockstep import recorder, replaying, simulation
-from hil.app.benchmarks.memory import memory_figures
-from hil.app.benchmarks.plain import (
+from hil.app.compose import build_cycle, build_protocol
+from hil.app.configuration.configuration import load
+from hil.app.sim.command import simulate
+from hil.control import LAWS, LawContext, build_law
+from hil.loop.parts import Parts
+from hil.loop.replay import replay
+from hil.robot.geometry import Platform
+from hil.signals import Mode, Reference, State
+from hil.trajectory import hold
+from tools.benchmarks import cyclictest, realtime
+from tools.benchmarks.__main__ import PARTS, TITLES, main
+from tools.benchmarks.bench import CHANNEL, Bench, Held
+from tools.benchmarks.figures import Figure, Mark, lines, number, spread
+from tools.benchmarks.fmu import fmu
+from tools.benchmarks.laws import laws
+from tools.benchmarks.lockstep import recorder, replaying, simulation
+from tools.benchmarks.memory import memory_figures
+from tools.benchmarks.plain import (
     PlainPose,
     PlainRobot,
     cayley,
@@ -28,8 +37,8 @@ from hil.app.benchmarks.plain import (
     forward_kinematics,
     joint_inverse_dynamics,
 )
-from hil.app.benchmarks.process import cpu_s, resident_kB
-from hil.app.benchmarks.stages import (
+from tools.benchmarks.process import cpu_s, resident_kB
+from tools.benchmarks.stages import (
     BLOCK,
     STAGES,
     StagedCycle,
@@ -37,16 +46,7 @@ from hil.app.benchmarks.stages import (
     quietest_figure,
     stage_figures,
 )
-from hil.app.benchmarks.tick import tick
-from hil.app.compose import build_cycle, build_protocol
-from hil.app.configuration import load
-from hil.app.sim import simulate
-from hil.control import LAWS, LawContext, build_law
-from hil.geometry import Platform
-from hil.parts import Parts
-from hil.replay import replay
-from hil.signals import Mode, Reference, State
-from hil.trajectory import hold
+from tools.benchmarks.tick import tick
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
@@ -180,7 +180,7 @@ def test_plain_inverse_dynamics_agrees_with_the_engines_and_the_kernel(case):
 @pytest.mark.parametrize("case", CASES)
 def test_the_model_for_mujoco_is_the_same_mechanism(case):
     pytest.importorskip("mujoco", reason="optional extra `bench`")
-    from hil.app.benchmarks.mujoco_model import MujocoRobot  # noqa: PLC0415 - needs the extra
+    from tools.benchmarks.mujoco_model import MujocoRobot  # noqa: PLC0415 - needs the extra
 
     p, R, twist, dtwist = state_of(case)
     e = case["expected"]

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from hil.app.check import check, inspect
-from hil.app.configuration import load, loads
-from hil.app.reach import window_swing
+from hil.app.check.command import check, inspect
+from hil.app.configuration.configuration import load, loads
+from hil.app.reachability import window_swing
 
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
 STATES = {

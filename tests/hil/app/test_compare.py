@@ -10,13 +10,13 @@ from click.testing import CliRunner
 from matplotlib.image import imread
 
 from drivers.errors import ConfigurationError
-from hil.app.compare import _perform, compare, with_options
-from hil.app.compare.benches import paths, with_law, without_limits
+from hil.app.compare.command import _perform, compare, with_options
+from hil.app.compare.conditions import paths, with_law, without_limits
 from hil.app.compare.laws import SETTINGS, VARIANTS, chosen, figures, with_scale
 from hil.app.compare.measure import Job, measure
 from hil.app.compare.table import result, show, unrest
-from hil.app.configuration import load, loads
-from hil.app.controller_file import shipped_controllers
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.controller_file import shipped_controllers
 from hil.cli import main
 from hil.config import (
     DelayCompensation,

@@ -3,7 +3,7 @@
 from hil.app.compare.claims import Evidence, judge
 from hil.app.compare.measure import Outcome
 from hil.config import InverseDynamicsSettings
-from hil.metrics import Share
+from hil.record.metrics import Share
 
 WN = 20.0
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.app import schema
-from hil.app.configuration import load, platform_dict, shipped
+from hil.app.configuration import schema
+from hil.app.configuration.configuration import load, platform_dict, shipped
 
 ROOT = Path(__file__).parents[3]
 BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())
@@ -41,7 +41,7 @@ def test_a_shipped_file_names_its_schema_and_an_editor_accepts_it(name):
 
 
 def test_the_committed_schema_is_current():
-    """If not: python -c 'from hil.app import schema; print(schema.text(), end="")' > configs/hil.schema.json."""
+    """If not: python -c 'from hil.app.configuration import schema; print(schema.text(), end="")' > configs/hil.schema.json."""
     assert (ROOT / "configs/hil.schema.json").read_text() == schema.text()
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration import load, loads, platform_dict, shipped
-from hil.app.yaml_positions import Position, parse
-from hil.geometry import Platform
+from hil.app.configuration.configuration import load, loads, platform_dict, shipped
+from hil.app.configuration.yaml_positions import Position, parse
+from hil.robot.geometry import Platform
 
 VIRTUAL = load("virtual").text
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import brentq
 
 from drivers.errors import ConfigurationError
-from hil.app.check import inspect
-from hil.app.configuration import load, loads
-from hil.app.controller_file import controller_of, read_controller, spectral_radius
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.controller_file import controller_of, read_controller, spectral_radius
 
 GOOD = Path(__file__).parents[2] / "data" / "controller.yaml"
 

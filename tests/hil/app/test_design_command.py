@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hil.app.controller_file import read_controller
+from hil.app.configuration.controller_file import read_controller
 from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[3]

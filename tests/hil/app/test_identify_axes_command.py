@@ -9,15 +9,15 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, LogError
-from hil.app.configuration import load, loads
-from hil.app.identify_axes import excited_axes
-from hil.app.linearised_axes import linearised_law, repeating, settled, signals_of
-from hil.app.section_file import check_section_path, read_section, write_section
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.section_file import check_section_path, read_section, write_section
+from hil.app.identify.axes import excited_axes
+from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.cli import main
 from hil.config import MultisineAxis, MultisineReference, Pose, Sinusoid, SinusoidReference
 from hil.config.axis_model import AxisModel
 from hil.identify import IdentificationError
-from hil.kinematics import jacobian
+from hil.robot.kinematics import jacobian
 from hil.signals import ROW, Mode
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hil.app.configuration import load
+from hil.app.configuration.configuration import load
 from hil.cli import main
 
 TRANSPORT_MS = 0.5

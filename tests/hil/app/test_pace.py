@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.signals import DriveFault, no_measurement
-from hil.app import pace
-from hil.app.configuration import load
+from hil.app.configuration.configuration import load
 from hil.app.output import console
-from hil.daemon import Ending
+from hil.app.run import rate_selection
+from hil.loop.daemon import Ending
 from hil.signals import Fault, Mode
 
 
@@ -17,11 +17,11 @@ from hil.signals import Fault, Mode
 def ordinary(monkeypatch):
     """Deny SCHED_FIFO on a machine whose worst wake-up is as told; return what is printed."""
     said = []
-    monkeypatch.setattr(pace, "fifo_allowed", lambda _: False)
+    monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: False)
     monkeypatch.setattr(console, "print", lambda text, **_: said.append(text))
 
     def machine(rate_Hz, worst_s):
-        monkeypatch.setattr(pace, "holdable_rate", lambda *_: (rate_Hz, worst_s))
+        monkeypatch.setattr(rate_selection, "holdable_rate", lambda *_: (rate_Hz, worst_s))
         return said
 
     return machine
@@ -32,19 +32,19 @@ LACK = "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.co
 
 def test_a_rate_that_is_held_is_not_called_another(ordinary):
     said = ordinary(50.0, 0.001)
-    assert pace.pace(load("vcan50"), with_plant=False) == (50.0, 0.24)
+    assert rate_selection.pace(load("vcan50"), with_plant=False) == (50.0, 0.24)
     assert said == [LACK]
 
 
 def test_a_lower_rate_is_named_beside_the_configured_one(ordinary):
     said = ordinary(125.0, 0.001)
-    assert pace.pace(load("virtual"), with_plant=True) == (125.0, 0.2)
+    assert rate_selection.pace(load("virtual"), with_plant=True) == (125.0, 0.2)
     assert said == [f"{LACK}: the loop runs at 125 Hz instead of 1000 Hz, emulated drives' watchdog 200 ms"]
 
 
 def test_stalls_that_no_rate_outlasts_are_foretold(ordinary):
     said = ordinary(50.0, 0.241)  # twelve periods of 20 ms stop the platform
-    pace.pace(load("vcan50"), with_plant=False)
+    rate_selection.pace(load("vcan50"), with_plant=False)
     assert said == [f"{LACK}; stalls of 241 ms now: expect a controlled stop, or take load off this machine"]
 
 
@@ -53,8 +53,8 @@ def fifo(ordinary, monkeypatch):
     """Grant SCHED_FIFO on a machine with such a share of late wake-ups; return what is printed."""
 
     def machine(late):
-        monkeypatch.setattr(pace, "fifo_allowed", lambda _: True)
-        monkeypatch.setattr(pace, "late_share", lambda *_: late)
+        monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: True)
+        monkeypatch.setattr(rate_selection, "late_share", lambda *_: late)
         return ordinary(125.0, 0.001)
 
     return machine
@@ -62,13 +62,13 @@ def fifo(ordinary, monkeypatch):
 
 def test_a_machine_that_keeps_real_time_runs_at_the_configured_rate(fifo):
     said = fifo(0.01)
-    assert pace.pace(load("virtual"), with_plant=True) == (1000.0, 0.01)
+    assert rate_selection.pace(load("virtual"), with_plant=True) == (1000.0, 0.01)
     assert said == []
 
 
 def test_with_the_plant_on_a_machine_that_does_not_keep_it_the_loop_is_slowed(fifo):
     said = fifo(0.024)
-    assert pace.pace(load("virtual"), with_plant=True) == (125.0, 0.2)
+    assert rate_selection.pace(load("virtual"), with_plant=True) == (125.0, 0.2)
     lack = "this machine does not keep SCHED_FIFO, 2.4 % of its wake-ups are 100 us late"
     assert said == [f"{lack}: the loop runs at 125 Hz instead of 1000 Hz, emulated drives' watchdog 200 ms"]
 
@@ -77,7 +77,7 @@ def test_with_the_plant_on_a_machine_that_does_not_keep_it_the_loop_is_slowed(fi
 def test_real_drives_and_limits_that_outlast_a_stall_leave_the_rate_as_it_is(fifo, name, with_plant):
     said = fifo(nan)  # not measured
     c = load(name)
-    assert pace.pace(c, with_plant=with_plant) == (c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
+    assert rate_selection.pace(c, with_plant=with_plant) == (c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
     assert said == []
 
 
@@ -90,7 +90,7 @@ def stalled(mode, faults, drive=CLEAR, *, name="virtual", rate=1000.0, changes=N
         c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})
     measurement = no_measurement()._replace(fault=np.array([0] * 5 + [drive]))
     watchdog_s = c.drives.watchdog_ms * 1e-3
-    return pace.stalled(c, measurement, Ending(mode, faults, "", 5000, **ending), rate, watchdog_s)
+    return rate_selection.stalled(c, measurement, Ending(mode, faults, "", 5000, **ending), rate, watchdog_s)
 
 
 @pytest.mark.parametrize(
@@ -154,9 +154,9 @@ def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):
         return 125.0, 0.0
 
     said = fifo(0.5)
-    monkeypatch.setattr(pace, "holdable_rate", holdable_rate)
+    monkeypatch.setattr(rate_selection, "holdable_rate", holdable_rate)
     c = load("virtual")
     limits = c.limits.model_copy(update={"missed_stop_ticks": 50})
-    pace.pace(c.model_copy(update={"limits": limits}), with_plant=True)
+    rate_selection.pace(c.model_copy(update={"limits": limits}), with_plant=True)
     assert asked == [5]
     assert len(said) == 1

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hil.app.benchmarks.bench import Bench
-from hil.app.benchmarks.patience import missed, patience_figures, stale
 from hil.signals import Mode
+from tools.benchmarks.bench import Bench
+from tools.benchmarks.patience import missed, patience_figures, stale
 
 DTYPE = np.dtype([("mode", "i8"), ("skipped", "i8"), ("age", "i8", 6)])
 

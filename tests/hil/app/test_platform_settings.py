@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from hil.app.compose import build_scene
-from hil.app.configuration import load, loads, platform_dict
-from hil.app.platform import resolved_figures, resolved_lines
-from hil.geometry import Platform
+from hil.app.configuration.configuration import load, loads, platform_dict
+from hil.app.configuration.platform import resolved_figures, resolved_lines
+from hil.robot.geometry import Platform
 
 LAB = load("lab").text
 VIRTUAL = load("virtual").text

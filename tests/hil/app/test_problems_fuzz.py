@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration import load, loads
+from hil.app.configuration.configuration import load, loads
 
 TEXT = load("ideal").text
 LINES = TEXT.splitlines()

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.app.check import inspect
-from hil.app.configuration import load, loads
-from hil.app.stability import JUDGES, assess, judge, springs
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import load, loads
+from hil.app.stability import spring_models
+from hil.app.stability.command import JUDGES, assess, judge
 from hil.app.stability.designed import designed
 from hil.app.stability.subject import Stated, Subject
 from hil.cli import main
@@ -84,7 +85,7 @@ def test_the_verdict_on_a_law(law, rest, status, because):
 def test_a_level_is_a_length_only_where_it_is_that_of_the_legs_springs_alone(monkeypatch):
     """72 J over six springs of 400 kN/m are 7.75 mm; with weight or turns in S it is no length of the legs."""
     edge = Basin(72.0, np.zeros(3), np.eye(3), "somewhere")
-    monkeypatch.setattr(springs, "basin", lambda *_: edge)
+    monkeypatch.setattr(spring_models, "basin", lambda *_: edge)
     found = judge(bench(f"  law: pd_gravity\n{LEGS}", rest=True))
     assert found.figures["energy"]["start_mm"] == pytest.approx(1e3 * np.sqrt(2 * 72.0 / (6 * 4e5)))
     for law in (f"  law: pd\n{LEGS}", f"  law: cartesian_pd\n{POSE}"):

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from matplotlib.image import imread
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration import load, loads
-from hil.app.workspace import build_surveyor
+from hil.app.configuration.configuration import load, loads
+from hil.app.workspace.command import build_surveyor
 from hil.cli import main
 from hil.workspace import KINDS, map_positions
 

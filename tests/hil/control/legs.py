@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from hil.control import LawContext
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import jacobian
-from hil.reference import complete
+from hil.loop.reference import complete
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.signals import State
 from hil.trajectory import PoseSample, hold
 

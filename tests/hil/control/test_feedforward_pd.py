@@ -11,9 +11,9 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.config import FeedforwardPDSettings, ModelSettings, Waypoint, WaypointReference
 from hil.control import LawContext, build_law
-from hil.geometry import Platform
-from hil.kinematics import jacobian
-from hil.reference import complete
+from hil.loop.reference import complete
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.signals import State
 from hil.trajectory import PoseSample, hold, waypoint_trajectory
 

@@ -30,10 +30,10 @@ from hil.config import (
 from hil.config.axis_model import AxisSpace
 from hil.config.linear_controller import LinearController
 from hil.control import LAWS, LawContext, build_law
-from hil.geometry import Platform
-from hil.kinematics import jacobian, leg_lengths
-from hil.reference import complete
-from hil.rotations import rotation_from_vector
+from hil.loop.reference import complete
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import State
 from hil.trajectory import PoseSample, hold
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config import ModelSettings, Pose
 from hil.control.model import build_model
-from hil.geometry import Platform
+from hil.robot.geometry import Platform
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 CASE = next(c for c in TRUTH["cases"] if np.abs(c["state"]["omega"]).min() > 0)

@@ -10,8 +10,8 @@ import pytest
 
 from hil.config import ModelSettings, PDGravitySettings, Pose
 from hil.control import LawContext, build_law
-from hil.geometry import Platform
-from hil.reference import complete
+from hil.loop.reference import complete
+from hil.robot.geometry import Platform
 from hil.signals import State
 from hil.trajectory import PoseSample, hold
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.app.configuration import load, loads
+from hil.app.configuration.configuration import load, loads
 from hil.control.pd import JointPD
 from hil.control.pid import JointPID
 from hil.signals import Mode, Reference, State

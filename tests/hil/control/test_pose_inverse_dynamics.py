@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from hil.config import PoseInverseDynamicsSettings
 from hil.control import LawContext, build_law
 from hil.control.pose_inverse_dynamics import _dtwist
-from hil.geometry import Platform
-from hil.reference import complete
+from hil.loop.reference import complete
+from hil.robot.geometry import Platform
 from hil.signals import State
 from hil.trajectory import PoseSample, hold
 

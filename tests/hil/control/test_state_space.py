@@ -20,10 +20,10 @@ from hil.config.linear_controller import LinearController
 from hil.control import build_law
 from hil.control.linearised_axes import JointAxes, PoseAxes
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.kinematics import jacobian
-from hil.reference import complete
-from hil.rotations import rotation_from_vector, rotation_vector
+from hil.loop.reference import complete
+from hil.mathematics.rotations import rotation_from_vector, rotation_vector
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
 from hil.signals import State
 from hil.trajectory import PoseSample
 from tests.hil.control.legs import BOOK, CONTEXT, NONE, PLATFORM, at_rest

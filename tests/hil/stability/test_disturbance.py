@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.signal import impulse
 
-from hil.app.configuration import load, platform_dict
+from hil.app.configuration.configuration import load, platform_dict
 from hil.config import ModelSettings
 from hil.control.model import build_model
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kinematics import jacobian
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.stability.disturbance import Friction, Linearised, Load, Survey
 from hil.stability.ultimate import _bound
 from hil.trajectory import PoseSample

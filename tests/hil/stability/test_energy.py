@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from hil.app.configuration import load, platform_dict
-from hil.dynamics import Model
-from hil.geometry import Platform
-from hil.kernels.kinematics import jacobian_kernel, leg_lengths_kernel
-from hil.kinematics import jacobian, leg_lengths
-from hil.linalg import condition_kernel
-from hil.rotations import rotation_from_vector
+from hil.app.configuration.configuration import load, platform_dict
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian, leg_lengths
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.stability.energy import basin, displaced, leg_springs, stiffness_matrix, total, weight, well
 
 PLATFORM = Platform.from_dict(platform_dict(load("virtual").platform))

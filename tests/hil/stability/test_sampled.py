@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from drivers.errors import ModelError
-from hil.linear_system import LinearSystem, static
+from hil.mathematics.linear_system import LinearSystem, static
 from hil.stability.sampled import Axis, _closed, analyse, disturbed_axis, gains
 
 T = 1e-3

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.config.design import DesignAxis
-from hil.linear_system import LinearSystem, static
-from hil.sampled_loop import margins
+from hil.mathematics.linear_system import LinearSystem, static
+from hil.stability.sampled_loop import margins
 from hil.synthesis.axis import actuator, four_block, lumped, pade
 from hil.synthesis.sampled import loop_gain, sampled_axis
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.app.design import METHODS, run_design
+from hil.app.design.command import METHODS, run_design
 from hil.config.design import Design, DesignAxis, ErrorWeight
 from hil.config.linear_controller import LinearController
-from hil.linear_system import LinearSystem
-from hil.sampled_loop import grid
+from hil.mathematics.linear_system import LinearSystem
+from hil.stability.sampled_loop import grid
 from hil.synthesis.axis import generalised_plant
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.norm import gains, norm

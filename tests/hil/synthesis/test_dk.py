@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hil.linear_system import LinearSystem
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.dk import bounds_over_frequency, dk_iteration, inverse, minimum_phase, with_own
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block

@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from hil.linear_system import LinearSystem
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.hinf import central, hinf
 from hil.synthesis.norm import norm

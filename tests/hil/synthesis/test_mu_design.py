@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.app.design import load_design, run_design
+from hil.app.design.command import load_design, run_design
 from hil.config.design import DesignAxis
 from hil.config.design_uncertainty import UncertaintyRanges
 from hil.config.linear_controller import LinearController
-from hil.linear_system import LinearSystem
+from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block, upper_bound
 from hil.synthesis.mu_design import design_mu, sampled_corners

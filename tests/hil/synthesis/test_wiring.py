@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ModelError
-from hil.linear_system import LinearSystem, static
+from hil.mathematics.linear_system import LinearSystem, static
 from hil.synthesis.reduction import reduced
 from hil.synthesis.wiring import well_scaled, wired
 

@@ -1,0 +1,1 @@
+"""The CAN bus: interfaces, bit time, arbitration between processes."""

@@ -1,0 +1,262 @@
+"""Bus: the door to the CAN bus, whatever interface is behind it.
+
+Frames go out and come in as they are; what they mean is the protocol's.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from types import TracebackType
+from typing import NamedTuple, Protocol, Self
+
+from drivers.can.bus_time import BitTiming
+from drivers.can.collect import collect
+from drivers.can.localcan import Participant
+from drivers.can.python_can import open_python_can
+from drivers.can.runtime_folder import RoleLock
+from drivers.can.socketcan import SocketCan
+from drivers.config import BusSettings
+from drivers.errors import BusError
+from drivers.protocol import ERROR, Frame, Received
+
+EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
+"""At most one of each on a channel of this machine."""
+DEAD_AFTER_NS = 50_000_000
+"""A bus that takes no frame at all for this long is dead; for less, it is busy."""
+
+
+class BusEvents(NamedTuple):
+    """What happened on the bus beside frames since the last call."""
+
+    errors: int
+    """Error frames."""
+    off: bool
+    """The bus is off, down, or has taken no frame for `DEAD_AFTER_NS`, as of now."""
+    overflow: int
+    """Received frames that were lost because they were not read in time."""
+
+
+class Link(Protocol):
+    """One interface behind a Bus. Received frames may be error frames."""
+
+    @property
+    def off(self) -> bool:
+        """The interface says that the bus is off or down."""
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far."""
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Return how many frames were taken, from the first on."""
+
+    def receive(self) -> list[Received]:
+        """Return what is there."""
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Receive until every wanted identifier has come or the deadline."""
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Receive until anything has come or the deadline."""
+
+    def flush_tx(self) -> None:
+        """Drop frames that wait to be sent."""
+
+    def close(self) -> None:
+        """Free the interface."""
+
+
+class Bus:
+    """An open bus.
+
+    Mutable state: the link, the error count since the last `events`, and since when it refuses frames.
+    """
+
+    def __init__(self, link: Link, role: RoleLock | None = None) -> None:
+        self._link = link
+        self._role = role
+        self._errors = 0
+        self._overflow_seen = 0
+        self._refused_since = 0
+        self._dead = False
+
+    @classmethod
+    def open(cls, settings: BusSettings, role: str) -> Bus:
+        """Open the bus of the configuration.
+
+        role: `controller` and `plant` are exclusive on a channel of this machine, any other name is not.
+        Raises RunError when another process has the role, BusError when the bus cannot be opened.
+        """
+        if settings.layout == "ideal":
+            raise BusError("bus.layout: ideal takes no bus time and is for hil sim only; use classic or fd")
+        lock = RoleLock(settings.interface, settings.channel, role) if role in EXCLUSIVE_ROLES else None
+        try:
+            return cls(_LINKS.get(settings.interface, open_python_can)(settings), lock)
+        except BaseException:
+            if lock is not None:
+                lock.close()
+            raise
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Send frames and return the number of those that the bus did not take.
+
+        A refusal that passes is a busy bus; one that lasts makes `events().off`. Does not wait for
+        the bus, and raises only for frames that it cannot carry at all (BusError).
+        """
+        if not frames:
+            return 0
+        taken = self._link.send(frames)
+        if taken:
+            self._refused_since = 0
+            self._dead = False
+        else:
+            now = time.monotonic_ns()
+            self._refused_since = self._refused_since or now
+            self._dead = now - self._refused_since >= DEAD_AFTER_NS
+        return len(frames) - taken
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Return all frames in the order received, as soon as one of every wanted identifier has come.
+
+        Returns at the deadline with what is there. What came before the call counts: to wait for answers,
+        `drain_now` before asking. An empty `wanted` is fulfilled at once.
+        """
+        return self._sift(self._link.drain(deadline_ns, wanted))
+
+    def drain_now(self) -> list[Received]:
+        """Return what has been received. Does not block."""
+        return self._sift(self._link.receive())
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Return as soon as anything has come, or at the deadline with nothing."""
+        while True:
+            raw = self._link.wait(deadline_ns)
+            received = self._sift(raw)
+            if received or not raw or time.monotonic_ns() >= deadline_ns:
+                return received
+
+    def _sift(self, received: list[Received]) -> list[Received]:
+        """Count error frames and keep the rest."""
+        frames = [r for r in received if not r.frame.flags & ERROR]
+        self._errors += len(received) - len(frames)
+        return frames
+
+    def events(self) -> BusEvents:
+        """Return error frames and losses since the last call, and whether the bus is off now."""
+        overflow = self._link.overflow
+        events = BusEvents(self._errors, self._link.off or self._dead, overflow - self._overflow_seen)
+        self._errors = 0
+        self._overflow_seen = overflow
+        return events
+
+    def flush_tx(self) -> None:
+        """Drop frames that still wait to be sent. Raises BusError when the interface cannot."""
+        self._link.flush_tx()
+
+    def close(self) -> None:
+        """Leave the bus and give the role back."""
+        self._link.close()
+        if self._role is not None:
+            self._role.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class LocalCan:
+    """localcan without the detour over python-can's messages."""
+
+    off = False
+
+    def __init__(self, settings: BusSettings) -> None:
+        spin_us = _number(settings, "spin_us", 50.0)
+        tx_limit = int(_number(settings, "tx_limit", 64))
+        _refuse_options(settings, {"spin_us", "tx_limit"})
+        self._node = Participant(
+            settings.channel,
+            BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s),
+            fd=settings.layout == "fd",
+            spin_us=spin_us,
+            tx_limit=tx_limit,
+        )
+        self.send = self._node.send
+        self.receive = self._node.receive
+        self.drain = self._node.drain
+        self.wait = self._node.wait
+        self.close = self._node.close
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far, unsent ones that died with another participant included."""
+        return self._node.overflow + self._node.lost
+
+    def flush_tx(self) -> None:
+        """Drop this node's frames that have not started."""
+        self._node.flush_tx()
+
+
+class RawSocket:
+    """SocketCAN, past python-can."""
+
+    def __init__(self, settings: BusSettings) -> None:
+        _refuse_options(settings, set())
+        self._socket = SocketCan(settings.channel, fd=settings.layout == "fd")
+        self.send = self._socket.send
+        self.receive = self._socket.receive
+        self.flush_tx = self._socket.flush_tx
+        self.close = self._socket.close
+
+    @property
+    def off(self) -> bool:
+        """Bus off, or the interface is down."""
+        return self._socket.off
+
+    @property
+    def overflow(self) -> int:
+        """Frames that the kernel or the controller dropped so far."""
+        return self._socket.overflow
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Receive until every wanted identifier has come or the deadline."""
+        return collect(self.receive, self._socket.block, deadline_ns, wanted, first=False)
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Receive until anything has come or the deadline."""
+        return collect(self.receive, self._socket.block, deadline_ns, frozenset(), first=True)
+
+
+def _refuse_virtual(settings: BusSettings) -> Link:
+    raise BusError(
+        f"bus.interface: virtual ({settings.channel}) lives inside one process, "
+        "and controller and drives are two; use localcan, or hil sim for both in one process"
+    )
+
+
+def _number(settings: BusSettings, key: str, default: float) -> float:
+    value = settings.options.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 10_000:
+        raise BusError(f"bus.options.{key}: a number from 0 to 10000 is allowed, not {value!r}")
+    return float(value)
+
+
+def _refuse_options(settings: BusSettings, known: set[str]) -> None:
+    unknown = sorted(set(settings.options) - known)
+    if unknown:
+        allowed = ", ".join(sorted(known)) or "none"
+        raise BusError(
+            f"bus.options: {', '.join(unknown)} unknown for {settings.interface}; allowed: {allowed}"
+        )
+
+
+_LINKS: dict[str, Callable[[BusSettings], Link]] = {
+    "localcan": LocalCan,
+    "socketcan": RawSocket,
+    "virtual": _refuse_virtual,
+}

@@ -1,0 +1,263 @@
+"""Bus time: how long a frame occupies the wire, whether a tick fits, who wins arbitration.
+
+Worst-case frame lengths, ISO 11898-1, with interframe space (3 bits) and as many stuff bits as the
+stuffed region of g bits can hold, floor((g - 1) / 4):
+
+Classic, 11-bit identifier, n data bytes: 44 + 8n + 3 + floor((34 + 8n - 1) / 4)
+    n = 8: 44 + 64 + 3 + floor(97 / 4) = 111 + 24 = 135 bits
+    n = 4: 44 + 32 + 3 + floor(65 / 4) = 79 + 16 = 95 bits
+    at 1 Mbit/s: 12 x 135 us = 1620 us (617 Hz);  2 x 135 + 6 x 95 = 840 us
+Classic, 29-bit identifier: 64 + 8n + 3 + floor((54 + 8n - 1) / 4);  n = 8: 131 + 29 = 160 bits
+
+CAN FD with bit-rate switch, 11-bit identifier. At the arbitration rate: SOF 1, identifier 11, RRS, IDE, FDF,
+res, BRS = 17 bits (29-bit identifier: 36), at most floor(16 / 4) = 4 of the stuff bits (36: 8), then CRC
+delimiter, ACK, ACK delimiter, EOF 7, interframe 3 = 13. At the data rate: ESI 1, DLC 4, data 8n, the stuff
+bits that are left of floor((17 + 5 + 8n - 1) / 4), stuff count 4, CRC 17 (n <= 16) or 21, and the fixed
+stuff bits, one before the stuff count and one after every fourth bit: 1 + floor(21 / 4) = 6 or
+1 + floor(25 / 4) = 7.
+    n = 12: 34 bits + (5 + 96 + 25 + 4 + 17 + 6 = 153 bits);  at 1M/5M 34 + 30.6 = 64.6 us
+    n = 32: 34 bits + (5 + 256 + 65 + 4 + 21 + 7 = 358 bits);  at 1M/5M 34 + 71.6 = 105.6 us
+    one 32-byte command + six 12-byte feedbacks = 105.6 + 6 x 64.6 = 493.2 us (2028 Hz)
+BRS and CRC delimiter straddle the two rates; both are counted at the slow one. Without the switch all are.
+
+Error frame: two superposed flags 12, delimiter 8, interframe 3 = 23 bits.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from heapq import heappop, heappush
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeVar
+
+from drivers.errors import BusError, ConfigurationError
+from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Data lengths that CAN FD can carry, bytes."""
+INTERFRAME = 3
+"""Bits of interframe space after every frame."""
+ERROR_FRAME_BITS = 12 + 8 + INTERFRAME
+
+
+class BitTiming(NamedTuple):
+    """Bit rates of a bus."""
+
+    bitrate: int
+    """bit/s in the arbitration phase (and of all classic frames)."""
+    data_bitrate: int
+    """bit/s of the data phase of CAN FD frames with bit-rate switch."""
+
+
+def frame_bits(length: int, flags: int) -> tuple[int, int]:
+    """Count a frame's worst-case bits at the arbitration and at the data rate, interframe space included.
+
+    length in data bytes; flags as in `Frame`. Formulas: this module's docstring.
+    Raises BusError for a length that no CAN frame has.
+    """
+    if flags & ERROR:
+        return ERROR_FRAME_BITS, 0
+    extended = bool(flags & EXTENDED)
+    if not flags & FD:
+        if not 0 <= length <= 8:
+            raise BusError(f"a classic CAN frame carries 0 to 8 bytes, not {length}: use bus.layout: fd")
+        data = 0 if flags & REMOTE else 8 * length
+        stuffed = (54 if extended else 34) + data
+        return stuffed + (stuffed - 1) // 4 + 10 + INTERFRAME, 0
+    if not 0 <= length <= 64:
+        raise BusError(f"a CAN FD frame carries 0 to 64 bytes, not {length}: split it")
+    padded = FD_LENGTHS[bisect_left(FD_LENGTHS, length)]
+    slow = 36 if extended else 17
+    fast = 5 + 8 * padded
+    slow_stuff = (slow - 1) // 4
+    fast_stuff = (slow + fast - 1) // 4 - slow_stuff
+    check = 4 + (17 if padded <= 16 else 21)
+    slow += slow_stuff + 1 + 2 + 7 + INTERFRAME
+    fast += fast_stuff + check + 1 + check // 4
+    return (slow, fast) if flags & BRS else (slow + fast, 0)
+
+
+@lru_cache(maxsize=1024)
+def frame_time_ns(length: int, flags: int, timing: BitTiming) -> int:
+    """Return how long a frame holds the wire at worst, ns rounded up, interframe space included.
+
+    Raises BusError for a length that no CAN frame has.
+    """
+    slow, fast = frame_bits(length, flags)
+    f, fd = timing
+    return -(-(slow * fd + fast * f) * 1_000_000_000 // (f * fd))
+
+
+class BudgetRow(NamedTuple):
+    """All frames of one shape in a tick."""
+
+    frames: int
+    length: int
+    """Data bytes."""
+    flags: int
+    slow_bits: int
+    """Per frame, at the arbitration rate."""
+    fast_bits: int
+    """Per frame, at the data rate."""
+    time_ns: int
+    """Per frame."""
+
+
+class BusBudget(NamedTuple):
+    """What one tick's frames take of the bus."""
+
+    rows: tuple[BudgetRow, ...]
+    timing: BitTiming
+    rate_Hz: float
+    max_load_percent: float
+    total_ns: int
+    """All frames of one tick."""
+
+    @property
+    def load_percent(self) -> float:
+        """Share of the tick's period that the frames take."""
+        return self.total_ns * 1e-9 * self.rate_Hz * 100.0
+
+    @property
+    def highest_rate_Hz(self) -> float:
+        """Rate at which the frames fill the bus."""
+        return 1e9 / self.total_ns if self.total_ns else float("inf")
+
+    @property
+    def allowed_rate_Hz(self) -> float:
+        """Rate at which the frames reach the allowed load."""
+        return self.highest_rate_Hz * self.max_load_percent / 100.0
+
+    @property
+    def fits(self) -> bool:
+        """Whether the load is within what is allowed."""
+        return self.load_percent <= self.max_load_percent * (1 + 1e-12)
+
+    def table(self) -> str:
+        """Write the arithmetic out, one line per frame shape."""
+        lines = []
+        for row in self.rows:
+            kind = "CAN FD" if row.flags & FD else "classic"
+            fast = f" + {row.fast_bits} fast bit" if row.fast_bits else ""
+            lines.append(
+                f"  {row.frames:3d} x {kind:7s} {row.length:2d} byte: {row.slow_bits} bit{fast} = "
+                f"{row.time_ns / 1e3:.1f} us each, {row.frames * row.time_ns / 1e3:.1f} us"
+            )
+        lines.append(
+            f"  total {self.total_ns / 1e3:.1f} us of a {1e6 / self.rate_Hz:.1f} us period = "
+            f"{self.load_percent:.1f} % at {self.rate_Hz:g} Hz (allowed {self.max_load_percent:g} %)"
+        )
+        return "\n".join(lines)
+
+
+def budget(
+    frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
+) -> BusBudget:
+    """Add up the worst-case bus time of one tick's frames.
+
+    frames: one example of every frame sent in a tick, repeated as often as it is sent.
+    Raises BusError for a frame that cannot be on the bus.
+    """
+    shapes = Counter((len(frame.data), frame.flags) for frame in frames)
+    rows = tuple(
+        BudgetRow(count, length, flags, *frame_bits(length, flags), frame_time_ns(length, flags, timing))
+        for (length, flags), count in shapes.items()
+    )
+    total = sum(row.frames * row.time_ns for row in rows)
+    return BusBudget(rows, timing, rate_Hz, max_load_percent, total)
+
+
+def check(
+    frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
+) -> BusBudget:
+    """Return the budget, or refuse it with the arithmetic shown.
+
+    Raises ConfigurationError when the frames take more than `max_load_percent` of the period, BusError for
+    a frame that cannot be on the bus.
+    """
+    result = budget(frames, timing, rate_Hz, max_load_percent)
+    if not result.fits:
+        raise ConfigurationError(
+            f"bus: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
+            f"(data phase {timing.data_bitrate / 1e6:g} Mbit/s), worst-case stuffing:\n{result.table()}\n"
+            f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
+            "the bus): lower loop.rate_Hz, raise the bit rates, or use bus.layout: fd"
+        )
+    return result
+
+
+def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Frame
+    """Return the arbitration field as a number: of two frames the smaller wins the bus.
+
+    Bits in the order of the wire, dominant 0: identifier 28..18 | RTR or SRR | IDE | identifier 17..0 | RTR.
+    A standard frame beats the extended one with the same eleven leading bits, a data frame the remote one.
+    An error frame comes before everything.
+    """
+    if flags & ERROR:
+        return 0
+    remote = 1 if flags & REMOTE else 0
+    if flags & EXTENDED:
+        return 1 + ((id >> 18) << 21 | 3 << 19 | (id & 0x3FFFF) << 1 | remote)
+    return 1 + (id << 21 | remote << 20)
+
+
+Queued = tuple[int, int, int, int]
+"""(queued at ns, priority, number in order of queueing, duration ns): compares in this order."""
+
+Entry = TypeVar("Entry", bound=tuple[Any, ...])
+"""A `Queued`, followed by whatever belongs to the frame."""
+
+_RANK = itemgetter(1, 2)
+
+
+def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
+    """Return [(number, end ns)] of what `transmit` sends, and when the bus falls free after it."""
+    sent, _, free_ns = transmit(queued, free_ns, until_ns)
+    return [(entry[2], end) for end, entry in sent], free_ns
+
+
+def transmit(
+    queued: Sequence[Entry], free_ns: int, until_ns: int
+) -> tuple[list[tuple[int, Entry]], list[Entry], int]:
+    """Decide all transmissions that begin by `until_ns`.
+
+    The bus falls free at `free_ns`. Whenever it is free, the frame of the smallest priority among those
+    queued by then starts and holds it for its duration; if none is queued, the next one to come starts at
+    once. Equal priorities go in order of number. The end may lie after `until_ns`; a frame that answers one
+    is queued at that one's end.
+
+    queued need not be sorted; numbers differ. Returns [(end ns, entry)] in the order of the wire, the entries
+    that have not started, and when the bus falls free.
+    """
+    order = sorted(queued)
+    sent: list[tuple[int, Entry]] = []
+    waiting: list[
+        tuple[int, int, Entry]
+    ] = []  # a heap of what was queued by the time that the bus falls free
+    n = len(order)
+    i = 0
+    while i < n or waiting:
+        start = free_ns
+        if not waiting and order[i][0] > start:
+            start = order[i][0]
+        if start > until_ns:
+            break
+        if not waiting and order[-1][0] <= start:  # the usual case: all that are left are there
+            left = order[i:]
+            left.sort(key=_RANK)
+            for k, entry in enumerate(left):
+                if start > until_ns:
+                    return sent, left[k:], start
+                start += entry[3]
+                sent.append((start, entry))
+            return sent, [], start
+        while i < n and order[i][0] <= start:
+            heappush(waiting, (order[i][1], order[i][2], order[i]))
+            i += 1
+        entry = heappop(waiting)[2]
+        free_ns = start + entry[3]
+        sent.append((free_ns, entry))
+    return sent, [*order[i:], *(entry for _, _, entry in waiting)], free_ns

@@ -1,0 +1,148 @@
+"""LocalCanBus: localcan as a python-can interface, so that its viewer, logger and player work on it."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections import deque
+from typing import Any
+
+import can
+from can.typechecking import AutoDetectedConfig, CanFilters, Channel
+
+from drivers.can.bus_time import BitTiming
+from drivers.can.localcan.participant import DEFAULT_TIMING, OWN, Participant
+from drivers.can.localcan.wire import VERSION
+from drivers.can.runtime_folder import runtime_folder
+from drivers.errors import HilError
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+
+_FOREVER_NS = 1 << 62
+
+
+def to_message(received: Received, epoch_ns: int, channel: str) -> can.Message:
+    """Return python-can's Message; `epoch_ns` is Unix time minus CLOCK_MONOTONIC."""
+    t_ns, (id_, data, flags) = received
+    return can.Message(
+        timestamp=(t_ns + epoch_ns) * 1e-9,
+        arbitration_id=id_,
+        is_extended_id=bool(flags & EXTENDED),
+        is_remote_frame=bool(flags & REMOTE),
+        is_error_frame=bool(flags & ERROR),
+        is_fd=bool(flags & FD),
+        is_rx=not flags & OWN,
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
+        channel=channel,
+        data=data,
+    )
+
+
+def from_message(message: can.Message) -> Frame:
+    """Return python-can's Message as a Frame. A remote frame's length code is not kept."""
+    flags = (
+        EXTENDED * message.is_extended_id
+        | REMOTE * message.is_remote_frame
+        | ERROR * message.is_error_frame
+        | FD * message.is_fd
+        | BRS * message.bitrate_switch
+        | ESI * message.error_state_indicator
+    )
+    return Frame(message.arbitration_id, bytes(message.data), flags)
+
+
+class LocalCanBus(can.BusABC):
+    """python-can bus on a localcan channel.
+
+    channel: any name. bitrate, data_bitrate (bit/s), fd: the first participant that states them fixes them
+    for all; left out, they are taken as they are (1M/5M, CAN FD where nobody has stated any).
+    receive_own_messages: deliver what is sent here, too, with is_rx False.
+
+    Message.timestamp is Unix time of the frame's end. Filters are applied in software. Mutable state: the
+    participant and the messages received but not taken.
+    Raises can.CanInitializationError when the timing disagrees or the runtime folder cannot be used.
+    """
+
+    def __init__(
+        self,
+        channel: Channel = "hil0",
+        can_filters: CanFilters | None = None,
+        bitrate: int | None = None,
+        data_bitrate: int | None = None,
+        fd: bool | None = None,
+        receive_own_messages: bool = False,
+        timing: can.BitTiming | can.BitTimingFd | None = None,
+        **kwargs: Any,
+    ) -> None:
+        if isinstance(timing, can.BitTimingFd):
+            bitrate, data_bitrate, fd = timing.nom_bitrate, timing.data_bitrate, True
+        elif timing is not None:
+            bitrate, fd = timing.bitrate, False
+        rates = None
+        if bitrate is not None or data_bitrate is not None:
+            rates = BitTiming(
+                int(bitrate or DEFAULT_TIMING.bitrate), int(data_bitrate or DEFAULT_TIMING.data_bitrate)
+            )
+        try:
+            self._node = Participant(str(channel), rates, fd=fd, own=receive_own_messages)
+        except HilError as error:
+            raise can.CanInitializationError(str(error)) from error
+        self.channel_info = f"localcan {channel}"
+        self._channel = str(channel)
+        self._inbox: deque[Received] = deque()
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._can_protocol = can.CanProtocol.CAN_FD if self._node.fd else can.CanProtocol.CAN_20
+        super().__init__(channel, can_filters, **kwargs)
+
+    @property
+    def node(self) -> Participant:
+        """The participant beneath: frames, nanoseconds, error injection."""
+        return self._node
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        inbox = self._inbox
+        if not inbox:
+            deadline = _FOREVER_NS if timeout is None else time.monotonic_ns() + int(timeout * 1e9)
+            inbox.extend(self._node.wait(deadline))
+        message = to_message(inbox.popleft(), self._epoch_ns, self._channel) if inbox else None
+        # select() on fileno() has to return as long as there is something to take
+        if inbox:
+            self._node.ring()
+        else:
+            self._node.arm()
+        return message, False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Queue a message. Raises can.CanOperationError: ENOBUFS when `timeout` has not made room for it."""
+        frame = from_message(msg)
+        end = time.monotonic() + (timeout or 0.0)
+        try:
+            while not self._node.send((frame,)):
+                if time.monotonic() >= end:
+                    raise can.CanOperationError(
+                        f"localcan {self._channel}: no room in the transmit queue, the bus is too busy",
+                        error_code=errno.ENOBUFS,
+                    )
+                time.sleep(1e-4)
+        except HilError as error:
+            raise can.CanOperationError(str(error)) from error
+
+    def flush_tx_buffer(self) -> None:
+        """Drop the messages of this node that have not started."""
+        self._node.flush_tx()
+
+    def fileno(self) -> int:
+        """Return a file descriptor that is readable when `recv` may have something."""
+        return self._node.fileno()
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        super().shutdown()
+        if hasattr(self, "_node"):
+            self._node.close()
+
+    @staticmethod
+    def _detect_available_configs() -> list[AutoDetectedConfig]:
+        suffix = f".wire{VERSION}"
+        names = [path.name.removesuffix(suffix) for path in runtime_folder().glob(f"*{suffix}")]
+        return [{"interface": "localcan", "channel": name} for name in names]

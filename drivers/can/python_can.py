@@ -1,0 +1,128 @@
+"""Every interface of python-can that has no code of its own here.
+
+Beside localcan's own interface the only importer of python-can.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from typing import Any
+
+import can
+
+from drivers.can.collect import collect
+from drivers.can.localcan.interface import from_message, to_message
+from drivers.config import BusSettings
+from drivers.errors import BusError
+from drivers.protocol import Frame, Received
+
+
+class PythonCan:
+    """One bus of python-can.
+
+    Mutable state: the bus, whether its last call failed.
+    """
+
+    overflow = 0
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.off = False
+        self._bus = bus
+        self._held: list[Received] = []
+        try:
+            self._selectable = bus.fileno() >= 0
+        except NotImplementedError:
+            self._selectable = False
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Send until the interface refuses one."""
+        now = Received(0, Frame(0, b""))
+        for i, frame in enumerate(frames):
+            try:
+                self._bus.send(to_message(now._replace(frame=frame), 0, ""), timeout=0)
+            except ValueError as error:
+                raise BusError(f"bus: frame 0x{frame.id:X} cannot be sent: {error}") from error
+            except (can.CanError, OSError):
+                return i
+        self.off = False
+        return len(frames)
+
+    def _take(self, timeout_s: float) -> bool:
+        try:
+            message = self._bus.recv(timeout_s)
+        except (can.CanError, OSError):
+            self.off = True
+            return False
+        if message is None:
+            return False
+        now = time.monotonic_ns()
+        age = time.time_ns() - int(message.timestamp * 1e9)
+        # interfaces stamp in Unix time, or in a time of their own
+        self._held.append(Received(now - age if 0 <= age < 1_000_000_000 else now, from_message(message)))
+        return True
+
+    def receive(self) -> list[Received]:
+        """Return what is there."""
+        while self._take(0.0):
+            pass
+        received, self._held = self._held, []
+        return received
+
+    def _block(self, seconds: float) -> None:
+        if self.off:
+            time.sleep(min(seconds, 1e-3))
+        elif self._selectable:
+            select.select([self._bus], [], [], seconds)
+        else:
+            self._take(seconds)
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """Receive until every wanted identifier has come or the deadline."""
+        return collect(self.receive, self._block, deadline_ns, wanted, first=False)
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        """Receive until anything has come or the deadline."""
+        return collect(self.receive, self._block, deadline_ns, frozenset(), first=True)
+
+    def flush_tx(self) -> None:
+        """Drop frames that wait to be sent, where the interface can."""
+        with suppress(NotImplementedError):
+            self._bus.flush_tx_buffer()
+
+    def close(self) -> None:
+        """Shut the bus down."""
+        self._bus.shutdown()
+
+
+def open_python_can(settings: BusSettings) -> PythonCan:
+    """Open `bus.interface`. Raises BusError for one that is unknown or does not open."""
+    options: dict[str, Any] = dict(settings.options)
+    if settings.interface == "udp_multicast":
+        if options.setdefault("hop_limit", 0) != 0:
+            raise BusError(
+                "bus.options.hop_limit: must be 0 (or left out); with more, every frame goes out to the "
+                "local network, where others can read and send drive commands"
+            )
+    else:
+        options.setdefault("bitrate", settings.bitrate_bit_s)
+    if settings.layout == "fd":
+        options.setdefault("fd", True)
+        if settings.interface != "udp_multicast":
+            options.setdefault("data_bitrate", settings.data_bitrate_bit_s)
+    if settings.interface not in can.VALID_INTERFACES:
+        known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
+        raise BusError(
+            f"bus.interface: {settings.interface} is unknown; known are {known}; localcan needs no hardware"
+        )
+    try:
+        bus = can.Bus(settings.channel, settings.interface, ignore_config=True, **options)
+    except Exception as error:
+        raise BusError(
+            f"bus {settings.interface}:{settings.channel} does not open: {error}; "
+            "check bus.channel and bus.options, or use bus.interface: localcan, which needs no hardware"
+        ) from error
+    return PythonCan(bus)

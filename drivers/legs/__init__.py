@@ -1,0 +1,1 @@
+"""Our own protocol, told by legs.dbc: codec, both ends, compiled."""

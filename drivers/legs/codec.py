@@ -1,0 +1,103 @@
+"""Codec: one message of the DBC, compiled into `struct` calls."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from drivers.errors import ProtocolError
+from drivers.protocol import BRS, FD
+
+_CODES = {
+    (4, False, False): "B",
+    (8, False, False): "B",
+    (16, False, False): "H",
+    (16, True, False): "h",
+    (32, True, False): "i",
+    (32, False, False): "I",
+    (64, True, True): "d",
+}
+
+
+class Place(NamedTuple):
+    """Where a field lies in its message."""
+
+    start: int
+    """First byte."""
+    size: int
+    """Bytes, 1 for half a byte."""
+    is_float: bool
+
+
+class Codec(NamedTuple):
+    """One message of legs.dbc."""
+
+    id: int
+    length: int
+    flags: int
+    signals: tuple[str, ...]
+    places: tuple[Place, ...]
+    pack: Callable[..., bytes]
+    """All fields but the CRC."""
+    unpack: Callable[[bytes], tuple[Any, ...]]
+    """All fields but the CRC."""
+    scale: tuple[float, ...]
+    low: tuple[float, ...]
+    """Ranges in SI."""
+    high: tuple[float, ...]
+    exact: bool
+    """Its quantities are float64: they are not rounded, and their range has to be checked."""
+
+    def place(self, signal: str) -> Place:
+        """Return where a signal lies."""
+        return self.places[self.signals.index(signal)]
+
+
+def compile_message(message: Any, *signals: str) -> Codec:
+    """Turn a cantools message into a struct codec; `signals` are the names expected, in order of position."""
+    fields = sorted(message.signals, key=lambda s: s.start)
+    names = tuple(s.name for s in fields)
+    if names != signals:
+        raise ProtocolError(f"legs.dbc: {message.name} has the signals {names}, expected {signals}")
+    layout, at = "<", 0
+    for s in fields:
+        if s.start % 8 >= 4 and s.start // 8 == at - 1 and s.start % 8 + s.length <= 8:
+            continue  # upper half of the byte that the signal before it opened
+        key = (s.length, s.is_signed or s.is_float, s.is_float)
+        start = s.start // 8
+        if s.start % 8 or s.byte_order != "little_endian" or s.offset or key not in _CODES or start < at:
+            raise ProtocolError(f"legs.dbc: {message.name}.{s.name} is not a little-endian field on a byte")
+        layout += f"{start - at}x" + ("" if s.name == "CRC" else _CODES[key])
+        at = start + max(1, s.length // 8)
+    check = names[-1] == "CRC"
+    if at != message.length or (check and fields[-1].length != 8):
+        raise ProtocolError(f"legs.dbc: the last field of {message.name} is not its last byte")
+    brs = "CANFD_BRS" in message.dbc.attributes and str(message.dbc.attributes["CANFD_BRS"].value) == "1"
+    return Codec(
+        id=message.frame_id,
+        length=message.length,
+        flags=(FD if message.is_fd else 0) | (BRS if brs else 0),
+        signals=names,
+        places=tuple(Place(s.start // 8, max(1, s.length // 8), s.is_float) for s in fields),
+        pack=struct.Struct(layout).pack,
+        unpack=struct.Struct(layout + "x" * check).unpack,
+        scale=tuple(float(s.scale) for s in fields),
+        low=tuple(float(s.minimum) for s in fields),
+        high=tuple(float(s.maximum) for s in fields),
+        exact=fields[0].is_float,
+    )
+
+
+def in_range(codec: Codec, values: Sequence[float]) -> bool:
+    """Tell whether the leading fields are inside the DBC's ranges; a NaN is not."""
+    for value, low, high in zip(values, codec.low, codec.high, strict=False):  # noqa: SIM110 - all() takes twice as long
+        if not low <= value <= high:
+            return False
+    return True
+
+
+def check_range(codec: Codec, values: Sequence[float]) -> None:
+    """Raise ValueError unless `in_range`."""
+    if not in_range(codec, values):
+        raise ValueError

@@ -1,1 +1,0 @@
-"""The parts of the benchmark, one file each; `hil.app.bench` runs and prints them."""

@@ -1,0 +1,1 @@
+"""`hil check`: what a configuration means before anything moves."""

@@ -1,0 +1,252 @@
+"""`hil check CONFIG`: what bus, legs and limits say about a configuration before anything moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import PROTOCOLS
+from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.errors import ConfigurationError, HilError
+from hil.app.check.controller import report_controller
+from hil.app.check.findings import Report
+from hil.app.check.monitor import report_monitor
+from hil.app.compose import build_admission
+from hil.app.configuration.configuration import Configuration, load, platform_dict
+from hil.app.configuration.consistency import bus_budget
+from hil.app.configuration.yaml_positions import Problem, parse
+from hil.app.reachability import Walk, span_s, violations, walk, window_swing
+from hil.config import (
+    HoldReference,
+    LiveReference,
+)
+from hil.loop.clock import real_time
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import condition, jacobian, leg_lengths
+from hil.safety.guard import WINDOW_S
+from hil.signals import explain
+from hil.trajectory import axis_limits, build_trajectory, six_words
+
+
+def check(path: str | Path) -> Report:
+    """Load a configuration and walk its reference.
+
+    Raises ConfigurationError with all problems: those of the file, or the limits that the reference breaks,
+    each with its first instant.
+    """
+    return inspect(load(path))
+
+
+def inspect(c: Configuration) -> Report:
+    """Return the report on a loaded configuration. Raises ConfigurationError as `check`."""
+    report = Report(c.name)
+    platform = Platform.from_dict(platform_dict(c.platform))
+    model = Model(platform, leg_spin=c.platform.leg_spin)
+    _robot(report, c, platform, model)
+    _bus(report, c)
+    _drives(report, c)
+    report_controller(report, c)
+    report_monitor(report, c)
+    _reference(report, c, platform, model)
+    _permissions(report, c)
+    return report
+
+
+def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
+    home = build_trajectory(_hold(c), c.platform.home, c.folder).sample(0.0)
+    still = np.zeros(6)
+    q = leg_lengths(platform, home.p, home.R)
+    tau = model.inverse_dynamics(home.p, home.R, still, still)
+    number = condition(platform, home.p, home.R)
+    report.sections["robot at home"] = [
+        f"leg lengths    {_six(q, 4)} m (stroke {c.platform.length_min_m:g} to {c.platform.length_max_m:g})",
+        f"static forces  {_six(tau, 1)} N",
+        f"condition of J {number:.2f} (limit {c.limits.condition:g})",
+    ]
+    report.figures["home"] = {
+        "leg_lengths_m": q.tolist(),
+        "static_forces_N": tau.tolist(),
+        "condition": float(number),
+    }
+
+
+def _bus(report: Report, c: Configuration) -> None:
+    title = f"bus {c.bus.interface} {c.bus.channel}, layout {c.bus.layout}"
+    budget = bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    if budget is None:
+        report.sections[title] = ["no bus time: exists only in lockstep (hil sim)"]
+        return
+    lines = budget.table().splitlines()
+    lines.append(f"  highest rate at {c.bus.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
+    report.sections[title] = [line.removeprefix("  ") for line in lines]
+    report.figures["bus"] = {
+        "load_percent": budget.load_percent,
+        "total_us": budget.total_ns / 1e3,
+        "allowed_rate_Hz": budget.allowed_rate_Hz,
+    }
+    protocol = PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+    timing = BitTiming(c.bus.bitrate_bit_s, c.bus.data_bitrate_bit_s)
+    times = {
+        f.id: frame_time_ns(len(f.data), f.flags, timing)
+        for f in (*protocol.cyclic_frames(), *protocol.sync(0))
+        if f.id in protocol.feedback_ids or f.id == protocol.sync(0)[0].id
+    }
+    feedback_us = sum(times.values()) / 1e3
+    window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
+    report.sections[title].append(
+        f"SYNC to sixth feedback {feedback_us:.0f} us of a window of {window_us:.0f} us"
+    )
+    report.figures["bus"]["feedback_us"] = feedback_us
+    if feedback_us > window_us:
+        report.warnings.append(
+            f"SYNC and six feedbacks take {feedback_us:.0f} us of bus time and the window is "
+            f"{window_us:.0f} us (loop.feedback_window_us): legs will be stale"
+        )
+
+
+def _drives(report: Report, c: Configuration) -> None:
+    period_ms = 1e3 / c.loop.rate_Hz
+    periods = c.drives.watchdog_ms / period_ms
+    report.sections["drives"] = [
+        f"nodes {', '.join(map(str, c.drives.node_ids))}; rated force {c.drives.force_limit_N:g} N",
+        f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {c.drives.reaction}",
+    ]
+    report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.drives.reaction}
+
+
+def refuse_unreachable(c: Configuration) -> None:
+    """Refuse a reference that breaks a limit somewhere on its way; costs up to half a second.
+
+    Raises ConfigurationError with the first instant of each limit that it breaks.
+    """
+    platform = Platform.from_dict(platform_dict(c.platform))
+    _walk_within_limits(c, platform, Model(platform, leg_spin=c.platform.leg_spin))
+
+
+def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> tuple[Walk, float | None]:
+    """Return the walk along the reference and the duration of the whole."""
+    period = 1 / c.loop.rate_Hz
+    try:
+        trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+        w = walk(platform, model, trajectory, span_s(trajectory), period, c.plant)
+    except ConfigurationError:
+        raise
+    except HilError as error:
+        raise ConfigurationError(_line(c, str(error))) from error
+    found = violations(w, c.platform, c.limits, period)
+    if isinstance(c.reference, LiveReference) and not found:
+        against = build_admission(c, platform)(six_words(c.reference.start or c.platform.home))
+        if against:
+            raise ConfigurationError(_line(c, f"at its start, set-points are refused: {explain(against)}"))
+    if found:
+        raise ConfigurationError(*(_line(c, f"at t = {v.t:.3f} s: {v.message}") for v in found))
+    return w, trajectory.duration_s
+
+
+def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
+    w, whole = _walk_within_limits(c, platform, model)
+    step, swing = _changes(w, 1 / c.loop.rate_Hz)
+    peak = float(np.abs(w.tau).max())
+    change = f"not seen: {len(w.t)} samples are fewer than ticks"
+    if w.every_tick:
+        change = (
+            f"{step:.0f} N from tick to tick (limit {c.limits.force_step_N:g}), "
+            f"{swing:.0f} N within 250 ms (limit {c.limits.force_window_N:g})"
+        )
+    report.sections[
+        f"reference {c.reference.type}, {'until stopped' if whole is None else f'{whole:g} s'}"
+    ] = [
+        f"leg lengths    {w.q.min():.4f} to {w.q.max():.4f} m",
+        f"leg rates      up to {np.abs(w.dq).max():.3f} m/s (limit {c.limits.speed_m_s:g})",
+        f"accelerations  up to {np.abs(w.ddq).max():.3f} m/s^2 (limit {_limit(c.limits.acceleration_m_s2)})",
+        f"leg forces     {w.tau.min():.0f} to {w.tau.max():.0f} N (limit {c.limits.force_N:g})",
+        f"force change   {change}",
+        f"condition of J up to {w.condition.max():.2f} (limit {c.limits.condition:g})",
+    ]
+    report.figures["reference"] = {
+        "duration_s": whole,
+        "length_min_m": float(w.q.min()),
+        "length_max_m": float(w.q.max()),
+        "rate_max_m_s": float(np.abs(w.dq).max()),
+        "acceleration_max_m_s2": float(np.abs(w.ddq).max()),
+        "force_min_N": float(w.tau.min()),
+        "force_max_N": float(w.tau.max()),
+        "force_step_N": step if w.every_tick else None,
+        "force_window_N": swing if w.every_tick else None,
+        "condition_max": float(w.condition.max()),
+    }
+    if isinstance(c.reference, LiveReference):
+        _live(report, c, c.reference, platform)
+    if peak > 0.9 * c.limits.force_N:
+        report.warnings.append(
+            f"the reference needs {peak:.0f} N of limits.force_N {c.limits.force_N:g}: less than 10 % "
+            "is left for control"
+        )
+
+
+def _live(report: Report, c: Configuration, reference: LiveReference, platform: Platform) -> None:
+    """Say what the legs may have to do where all axes move at their limits at once, near the start."""
+    chi = six_words(reference.start or c.platform.home)
+    J = jacobian(platform, chi[:3], rotation_from_vector(chi[3:]))
+    legs = np.abs(J)
+    fastest, hardest = (float((legs @ words).max()) for words in axis_limits(reference.limits)[:2])
+    report.figures["reference"]["setpoint_rate_max_m_s"] = fastest
+    report.figures["reference"]["setpoint_acceleration_max_m_s2"] = hardest
+    if hardest > c.limits.deceleration_m_s2:
+        report.warnings.append(
+            f"set-points may brake a leg by {hardest:.2f} m/s^2 near the start, limits.deceleration_m_s2 is "
+            f"{c.limits.deceleration_m_s2:g}: before a soft end that is a fault; lower the accelerations of "
+            "reference.limits"
+        )
+    if fastest > c.limits.speed_m_s:
+        report.warnings.append(
+            f"set-points on all axes at once may ask for {fastest:.2f} m/s in a leg near the start, "
+            f"limits.speed_m_s is {c.limits.speed_m_s:g}: lower the velocities of reference.limits"
+        )
+
+
+def _changes(w: Walk, period: float) -> tuple[float, float]:
+    _, forces = w.forces()
+    ticks = max(1, round(WINDOW_S / period))
+    return float(np.abs(np.diff(forces, axis=0)).max()), float(window_swing(forces, ticks).max())
+
+
+def _permissions(report: Report, c: Configuration) -> None:
+    with real_time(c.loop.priority, c.loop.cpu) as granted:
+        lines = [f"granted: {', '.join(granted.granted) or 'nothing'}"]
+        lines.append(f"missing: {', '.join(granted.missing) or 'nothing'}")
+        fifo = granted.fifo
+    report.sections["real time on this machine"] = lines
+    report.figures["real_time"] = {"granted": granted.granted, "missing": granted.missing}
+    if not fifo and c.bus.layout != "ideal":
+        then = (
+            "`hil run` will refuse (loop.without_realtime)"
+            if c.loop.without_realtime == "refuse"
+            else "`hil run` will drop to a rate it can hold"
+        )
+        report.warnings.append(
+            f"no SCHED_FIFO: {then}. To get it: `ulimit -r {c.loop.priority}` from a limits.conf entry "
+            f"`@realtime - rtprio {c.loop.priority}` (and `- memlock unlimited`), or CAP_SYS_NICE"
+        )
+
+
+def _hold(c: Configuration) -> HoldReference:
+    return HoldReference(type="hold", pose=c.platform.home)
+
+
+def _line(c: Configuration, message: str) -> str:
+    """Point at the section `reference` of the file."""
+    document = parse(c.text)
+    return Problem(document.key_position(("reference",)), ("reference",), message).line(c.source)
+
+
+def _limit(value: float | None) -> str:
+    return "none" if value is None else f"{value:g}"
+
+
+def _six(x: Any, digits: int) -> str:
+    return " ".join(f"{v:.{digits}f}" for v in x)

@@ -1,0 +1,251 @@
+"""`hil compare CONFIG`: all laws on one platform, trajectory, disturbance and model mismatch."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from hil.app.compare.claims import Evidence, judge
+from hil.app.compare.conditions import paths, with_law, without_limits
+from hil.app.compare.laws import chosen, figures, with_scale
+from hil.app.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
+from hil.app.compare.plot import draw
+from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.output import picture_path
+from hil.app.reachability import span_s
+from hil.config import CompareSettings, ControllerSettings, DisturbanceSettings
+from hil.record.metrics import Share, force_shares
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.trajectory import build_trajectory
+from plant_fmu.config import BenchPlant
+
+OWN = "own"
+"""The configuration's path as it is: what the rows of the table are measured on."""
+Progress = Callable[[int, int], None]
+"""Called with how many runs are done, and of how many."""
+SHARE_SAMPLES = 2001
+"""Instants along the reference at which the terms of the force are looked at."""
+
+
+def compare(
+    c: Configuration,
+    *,
+    laws: Sequence[str] | None = None,
+    path_laws: Sequence[str] | None = None,
+    duration_s: float | None = None,
+    lift_limits: bool = False,
+    jobs: int | None = None,
+    picture: Path | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure laws along the reference of a configuration and at home, draw them, and return the summary.
+
+    laws : names, default those of section `compare`, else all.
+    path_laws : names of those that are also run with the losses taken out, or `all` or `none`; default the
+        configuration's own.
+    duration_s : along the reference; default one period of it.
+    lift_limits : run without the limits of error, force change and speed.
+    jobs : processes at once; default one a processor, 1 is this one.
+
+    A law that faults keeps its row. Raises ConfigurationError for what cannot run, LogError where the
+    picture cannot be written.
+    """
+    begun = time.perf_counter()
+    c.require("sim")
+    target = picture_path(c.recording.folder, f"{c.name}-compare", picture)
+    settings = chosen(c, laws)
+    extra = _path_laws(c, settings, path_laws)
+    believed = {name: with_scale(s, c.compare.inertia_scale) for name, s in settings.items()}
+    bench = without_limits(c) if lift_limits else c
+    duration = _duration(c, duration_s)
+    _refuse_late(c, duration)
+    work = _jobs(bench, believed, extra, duration)
+    done = {(o.law, o.path): o for o in _perform(work, jobs, progress)}
+    own = {name: done[name, OWN] for name in settings}
+    losses = {name: _along(name, work, done) for name in extra}
+    assert c.plant is not None
+    platform = not isinstance(c.plant.model, BenchPlant)  # six legs that carry none say nothing about one
+    shares = _shares(c, duration) if platform else {}
+    claims = judge(Evidence(own, believed, shares)) if platform else []
+    draw(own, losses, target, _title(c, lift_limits=lift_limits))
+    ours = own.get(c.controller.law)
+    return {
+        "success": not any(o.fault and not o.figures for o in done.values()) and not (ours and ours.fault),
+        "kind": "compare",
+        "configuration": c.source,
+        "duration_s": duration,
+        "limits": "lifted" if lift_limits else "as configured",
+        "inertia_scale": c.compare.inertia_scale,
+        "disturbance": None if c.compare.disturbance is None else c.compare.disturbance.model_dump(),
+        "step": c.compare.step.model_dump(),
+        "laws": {name: _plain(o, believed[name]) for name, o in own.items()},
+        "paths": {name: {path: _plain(o) for path, o in found.items()} for name, found in losses.items()},
+        "force_shares": {name: {"share": s.share, "force_N": s.force_N} for name, s in shares.items()},
+        "claims": claims,
+        "picture": str(target),
+        "wall_s": time.perf_counter() - begun,
+    }
+
+
+def with_options(
+    c: Configuration,
+    *,
+    inertia_scale: float | None = None,
+    wrench: tuple[float, float, float, float, float, float] | None = None,
+    wrench_at_s: float = 0.0,
+) -> Configuration:
+    """Return the configuration with what the command line says of its section `compare`; None leaves it."""
+    changes: dict[str, Any] = {}
+    if inertia_scale is not None:
+        changes["inertia_scale"] = inertia_scale
+    if wrench is not None:
+        changes["disturbance"] = DisturbanceSettings(
+            force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s
+        )
+    return c.model_copy(update={"compare": c.compare.model_copy(update=changes)})
+
+
+def _path_laws(
+    c: Configuration, settings: dict[str, ControllerSettings], names: Sequence[str] | None
+) -> list[str]:
+    match names:
+        case None:
+            return [c.controller.law] if c.controller.law in settings else []
+        case ("all",):
+            return list(settings)
+        case ("none",) | ():
+            return []
+    unknown = [name for name in names if name not in settings]
+    if unknown:
+        raise ConfigurationError(
+            f"--paths: {', '.join(unknown)} is not among the compared laws: {', '.join(settings)}"
+        )
+    return list(names)
+
+
+def _duration(c: Configuration, given: float | None) -> float:
+    trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+    whole, period = trajectory.duration_s, span_s(trajectory)
+    if given is not None:
+        return given if whole is None else min(given, whole)
+    if not period:
+        raise ConfigurationError(
+            f"{c.source}: reference: it has no end, and a comparison needs one: call with --duration"
+        )
+    return period
+
+
+def _refuse_late(c: Configuration, duration: float) -> None:
+    d = c.compare.disturbance
+    if d is not None and d.start_s >= duration:
+        raise ConfigurationError(
+            f"{c.source}: compare.disturbance.start_s (--wrench-at): the reference is over before the load "
+            f"comes, allowed: less than {duration:g}, given: {d.start_s:g}"
+        )
+
+
+def _jobs(
+    c: Configuration, settings: dict[str, ControllerSettings], extra: Iterable[str], duration: float
+) -> list[Job]:
+    settle = max(SETTLE_PERIODS / figures(c).wn, 0.3)
+    step, disturbance = c.compare.step, c.compare.disturbance
+    work = [
+        Job(name, OWN, with_law(c, s), duration, disturbance, step, settle) for name, s in settings.items()
+    ]
+    for name in extra:
+        own = with_law(c, settings[name])
+        for path, bench in paths(own).items():
+            if bench != own:  # the last one is the row of the table
+                work.append(Job(name, path, bench, duration, disturbance, None, settle))
+    return work
+
+
+def _along(name: str, work: Iterable[Job], done: dict[tuple[str, str], Outcome]) -> dict[str, Outcome]:
+    """Return what the law did path by path, the configuration's own last."""
+    found = {job.path: done[name, job.path] for job in work if job.law == name and job.path != OWN}
+    return found | {"as configured": done[name, OWN]}
+
+
+def _perform(work: list[Job], jobs: int | None, progress: Progress | None) -> Iterator[Outcome]:
+    """Yield every outcome, in the order in which they are ready; one more run is told before each."""
+    count = min(len(work), jobs or len(os.sched_getaffinity(0)))
+    outcomes = map(measure, work) if count <= 1 else _in_processes(work, count)
+    for n in range(len(work)):
+        if progress is not None:
+            progress(n, len(work))
+        yield next(outcomes)
+
+
+def _in_processes(work: list[Job], count: int) -> Iterator[Outcome]:
+    """Yield every outcome of `count` processes; if one dies, the lost jobs run again, each by itself."""
+    lost = []
+    with _pool(count) as pool:
+        try:
+            waiting = {pool.submit(measure, job): job for job in work}
+            for future in as_completed(waiting):
+                try:
+                    yield future.result()
+                except BrokenProcessPool:
+                    lost.append(waiting[future])
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    for job in lost:
+        with _pool(1) as pool:
+            try:
+                yield pool.submit(measure, job).result()
+            except BrokenProcessPool:
+                yield Outcome(job.law, job.path, "its process died", None, {}, {})
+
+
+def _pool(count: int) -> ProcessPoolExecutor:
+    """Return processes forked from a fresh interpreter: forked from this one they would hold its locks."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["hil.app.compare.measure"])
+    return ProcessPoolExecutor(count, mp_context=context)
+
+
+def _shares(c: Configuration, duration: float) -> dict[str, Share]:
+    """Return what terms of the exact model take of the force along the reference."""
+    trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+    model = Model(Platform.from_dict(platform_dict(c.platform)), leg_spin=c.platform.leg_spin)
+    # Just inside the end, where the path still moves: outside it rests.
+    times = np.linspace(0.0, duration * (1 - 1e-12), SHARE_SAMPLES)
+    return force_shares(model, map(trajectory.sample, times.tolist()))
+
+
+def _plain(o: Outcome, settings: ControllerSettings | None = None) -> dict[str, Any]:
+    found: dict[str, Any] = {"fault": o.fault, "fault_s": o.fault_s, **o.figures}
+    return found if settings is None else {"settings": settings.model_dump(), **found}
+
+
+def _title(c: Configuration, *, lift_limits: bool) -> str:
+    s: CompareSettings = c.compare
+    parts = [f"{c.name}: control laws along the reference"]
+    if s.inertia_scale != 1.0:
+        parts.append(f"masses believed to be {100 * s.inertia_scale:g} %")
+    if s.disturbance is not None:
+        parts.append(
+            f"load {_numbers(s.disturbance.force_N)} N, {_numbers(s.disturbance.moment_N_m)} N m "
+            f"from {s.disturbance.start_s:g} s"
+        )
+    if lift_limits:
+        parts.append("limits lifted")
+    return "; ".join(parts)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return f"({', '.join(f'{x:g}' for x in values)})"
+
+
+__all__ = ["compare", "with_options"]

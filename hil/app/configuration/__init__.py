@@ -1,0 +1,1 @@
+"""The configuration: one YAML file, composed of each package's own sections."""

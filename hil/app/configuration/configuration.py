@@ -1,0 +1,201 @@
+"""Configuration: one YAML file composed of each package's own sections.
+
+Every problem of a file is reported at once, each as `file:line:column: path: what, allowed, given`.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import PrivateAttr, ValidationError, create_model
+from pydantic.fields import FieldInfo
+
+from drivers.config import BusSettings, DriveSettings, Section, SensorSettings
+from drivers.errors import ConfigurationError
+from hil.app.configuration import problems as translate
+from hil.app.configuration.consistency import RULES
+from hil.app.configuration.platform import platform_dict
+from hil.app.configuration.section_file import read_text
+from hil.app.configuration.yaml_positions import Document, Position, Problem, parse
+from hil.config import (
+    CompareSettings,
+    ControllerSettings,
+    EngageSettings,
+    EstimationSettings,
+    LimitSettings,
+    LoopSettings,
+    MonitorSettings,
+    PlatformSettings,
+    RecordingSettings,
+    ReferenceSettings,
+)
+from plant_fmu.config import PlantSettings
+
+__all__ = ["Configuration", "load", "loads", "platform_dict", "shipped"]
+
+Command = Literal["run", "plant", "sim", "replay", "check"]
+
+
+class Configuration(Section):
+    """One bench: robot, bus, drives, controller, what to do, what to refuse."""
+
+    name: str = ""
+    """Short name, used in log file names; default is the file's name."""
+    description: str = ""
+    """What this bench is, in a sentence or two."""
+    platform: PlatformSettings
+    bus: BusSettings
+    drives: DriveSettings = DriveSettings()
+    sensors: SensorSettings = SensorSettings()
+    loop: LoopSettings = LoopSettings()
+    estimation: EstimationSettings = EstimationSettings()
+    controller: ControllerSettings
+    monitor: MonitorSettings = MonitorSettings()
+    engage: EngageSettings = EngageSettings()
+    reference: ReferenceSettings
+    limits: LimitSettings
+    recording: RecordingSettings = RecordingSettings()
+    plant: PlantSettings | None = None
+    """The other end of a virtual bus; left out for real drives."""
+    compare: CompareSettings = CompareSettings()
+    """What `hil compare` compares; no other command reads it."""
+
+    _text: str = PrivateAttr("")
+    _source: str = PrivateAttr("")
+    _folder: Path = PrivateAttr(Path())
+
+    @property
+    def text(self) -> str:
+        """The exact source text, for the log."""
+        return self._text
+
+    @property
+    def source(self) -> str:
+        """The file as the user named it."""
+        return self._source
+
+    @property
+    def folder(self) -> Path:
+        """Base of relative paths."""
+        return self._folder
+
+    def path(self, relative: str) -> Path:
+        """Return where a file named in this configuration is."""
+        return self._folder / relative
+
+    def require(self, command: Command) -> None:
+        """Refuse what cannot serve `command`.
+
+        Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus,
+        no section `plant` where one is needed.
+        """
+        found = []
+        if command in ("run", "plant") and self.bus.interface == "virtual":
+            found.append(
+                f"{self._source}: bus.interface: python-can's `virtual` bus lives inside one process, and "
+                f"`hil {command}` is one end of a bus between two; use localcan here, or `hil sim`"
+            )
+        if command in ("run", "plant") and self.bus.layout == "ideal":
+            found.append(
+                f"{self._source}: bus.layout: `ideal` is for theory: it takes no bus time and exists only in "
+                f"lockstep; use `hil sim`, or layout classic or fd for `hil {command}`"
+            )
+        if command in ("plant", "sim") and self.plant is None:
+            found.append(
+                f"{self._source}: plant: missing, and `hil {command}` needs one: this configuration is for "
+                "real drives (`hil run`)"
+            )
+        if found:
+            raise ConfigurationError(*found)
+
+
+SCHEMA = Configuration.model_json_schema()
+
+_ALONE: dict[str, type[Section]] = {
+    field: create_model(field, __base__=Section, **{field: (info.annotation, info)})  # type: ignore[call-overload]
+    for field, info in Configuration.model_fields.items()
+}
+"""Each section as a model of its own: one that is wrong must not hide what is wrong in another."""
+
+
+def shipped() -> tuple[str, ...]:
+    """Return the names of the configurations that come with the product."""
+    files = importlib.resources.files("configs").iterdir()
+    return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
+
+
+def load(path: str | Path) -> Configuration:
+    """Read a configuration from a file, or by the name of a shipped one (`virtual`).
+
+    Raises ConfigurationError with all problems found.
+    """
+    file = Path(path)
+    if not file.exists() and str(path) in shipped():
+        file = Path(str(importlib.resources.files("configs") / f"{path}.yaml"))
+    try:
+        text = read_text(file)
+    except FileNotFoundError:
+        names = ", ".join(shipped())
+        raise ConfigurationError(f"{path}: no such file; shipped configurations are: {names}") from None
+    return loads(text, str(file), file.parent)
+
+
+def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Configuration:
+    """Read a configuration from text; `name` stands for the file in messages.
+
+    Without `folder`, files that the configuration names (CSV, FMU) are not looked for.
+    Raises ConfigurationError with all problems found.
+    """
+    document = parse(text)
+    found = list(document.problems)
+    sections: dict[str, Any] = {}
+    if document.value is not None:
+        for field, info in Configuration.model_fields.items():
+            sections |= _section(field, info, document, found)
+        found += _unknown_sections(document)
+        for rule in RULES:
+            if all(need in sections for need in rule.needs):
+                for path, message in rule.check(*(sections[need] for need in rule.needs), folder):
+                    found.append(Problem(document.value_position(path), path, message))
+    if found:
+        raise ConfigurationError(*(p.line(name) for p in sorted(set(found), key=_order)))
+    configuration = Configuration(**({"name": Path(name).stem} | sections))
+    configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
+    return configuration
+
+
+def _section(field: str, info: FieldInfo, document: Document, found: list[Problem]) -> dict[str, Any]:
+    """Validate one section; a missing one with a default is not in the result's text but is valid."""
+    assert document.value is not None
+    if field not in document.value:
+        if not info.is_required():
+            return {} if field == "name" else {field: info.get_default()}
+        allowed = translate.describe(translate.at((field,), None, SCHEMA), SCHEMA)
+        found.append(Problem(Position(1, 1), (field,), f"missing, allowed: {allowed}"))
+        return {}
+    text = json.dumps({field: document.value[field]})
+    try:
+        # JSON, because its strict mode takes a list for a tuple but no text and no boolean for a number.
+        return {field: getattr(_ALONE[field].model_validate_json(text, strict=True), field)}
+    except ValidationError as error:
+        already = {p.path for p in document.problems}
+        for problem in translate.problems(error, document, SCHEMA):
+            if problem.path not in already:
+                found.append(problem)
+        return {}
+
+
+def _unknown_sections(document: Document) -> list[Problem]:
+    assert document.value is not None
+    return [
+        Problem(document.key_position((key,)), (key,), translate.unknown_key((key,), document, SCHEMA))
+        for key in document.value
+        if key not in Configuration.model_fields
+    ]
+
+
+def _order(problem: Problem) -> tuple[Position, str]:
+    return problem.position, problem.message

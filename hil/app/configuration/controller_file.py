@@ -1,0 +1,95 @@
+"""The controller of law `state_space`: where its file is, and whether the loop can run what it holds."""
+
+from __future__ import annotations
+
+import importlib.resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.section_file import read_section
+from hil.app.configuration.yaml_positions import Problem
+from hil.config import ControllerSettings, StateSpaceSettings
+from hil.config.linear_controller import LinearController
+from hil.control import Law
+from hil.control.state_space import StateSpace, require_rate
+
+ROUNDING = 1e-9
+"""An integrator's pole is at 1, give or take this much."""
+
+
+def shipped_controllers() -> tuple[str, ...]:
+    """Return the names of the controllers that come with the product."""
+    folder = importlib.resources.files("configs") / "controllers"
+    names = (file.name for file in folder.iterdir()) if folder.is_dir() else ()
+    return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))
+
+
+def controller_path(settings: StateSpaceSettings, folder: Path) -> Path:
+    """Return the controller's file: relative to `folder`, or a shipped one by its name."""
+    file = folder / settings.controller_file
+    if not file.exists() and settings.controller_file in shipped_controllers():
+        shipped = importlib.resources.files("configs") / "controllers" / f"{settings.controller_file}.yaml"
+        return Path(str(shipped))
+    return file
+
+
+def read_controller(path: Path) -> LinearController:
+    """Read a controller from its file.
+
+    Raises ConfigurationError with all problems found; also for a controller that is unstable by itself,
+    unless the file's `design` says so with `unstable_controller: true`.
+    """
+    controller, document = read_section(path, LinearController)
+    radius = spectral_radius(controller)
+    if radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True:
+        message = (
+            f"the sampled controller is unstable by itself, allowed: poles up to 1 in magnitude, given: "
+            f"{radius:.6g}; it runs away where a limit opens the loop. Design again with softer weights, or "
+            "state design.unstable_controller: true where only the closed loop is to be stable"
+        )
+        raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))
+    return controller
+
+
+def spectral_radius(controller: LinearController) -> float:
+    """Return the largest magnitude of the sampled controller's poles; 0 without a state."""
+    if not controller.A:
+        return 0.0
+    return float(np.abs(np.linalg.eigvals(np.array(controller.A, float))).max())
+
+
+def controller_of(settings: ControllerSettings, folder: Path) -> LinearController | None:
+    """Return the controller that a law's settings name; None for a law without one.
+
+    Raises ConfigurationError as `read_controller`.
+    """
+    if not isinstance(settings, StateSpaceSettings):
+        return None
+    path = controller_path(settings, folder)
+    if not path.exists():
+        names = ", ".join(shipped_controllers()) or "none"
+        raise ConfigurationError(
+            f"no such file, allowed: a file that `hil design` wrote, or a shipped controller ({names}), "
+            f"given: {settings.controller_file} (looked for {path})"
+        )
+    return read_controller(path)
+
+
+def unusable(settings: ControllerSettings, rate_Hz: float, folder: Path) -> str | None:
+    """Say why a loop at `rate_Hz` cannot run the controller that a law's settings name; None where it can."""
+    try:
+        controller = controller_of(settings, folder)
+        if controller is not None:
+            require_rate(controller, rate_Hz)
+    except ConfigurationError as error:
+        return str(error).removeprefix("controller.controller_file: ")
+    return None
+
+
+def law_figures(settings: ControllerSettings, law: Law) -> dict[str, Any]:
+    """Return what the summary of a run says of its law."""
+    order = law.order if isinstance(law, StateSpace) else None
+    return {"law": settings.law, "controller_order": order}

@@ -1,0 +1,161 @@
+"""Section `platform` resolved: joints from circles; CAD, shapes and payload as one rigid body."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.config import (
+    BoxShape,
+    CylinderShape,
+    Frame,
+    InertiaReference,
+    JointCircle,
+    LegBodySettings,
+    PlatformSettings,
+    RigidBodySettings,
+    Shape,
+    SphereShape,
+    Vector3,
+)
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot import inertia, joints
+from hil.robot.geometry import Body
+
+
+def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
+    """Return the argument of `Platform.from_dict` (SI, keys without unit).
+
+    Raises GeometryError for a tensor that no body has; `where` is the path below `platform`.
+    """
+
+    def leg(body: LegBodySettings) -> dict[str, Any]:
+        return {
+            "mass": body.mass_kg,
+            "com": body.com_m,
+            "inertia_axial": body.inertia_axial_kg_m2,
+            "inertia_transverse": body.inertia_transverse_kg_m2,
+        }
+
+    body = platform_body(settings)
+    result = {
+        "base_joints": joint_list(settings.base_joints_m),
+        "platform_joints": joint_list(settings.platform_joints_m),
+        "platform": {"mass": body.mass, "com": body.com.tolist(), "inertia": body.inertia.tolist()},
+        "cylinder": leg(settings.cylinder),
+        "rod": leg(settings.rod),
+        "gravity": settings.gravity_m_s2,
+    }
+    if settings.universal_joint_base_axes is not None:
+        result["universal_joint_base_axes"] = settings.universal_joint_base_axes
+    return result
+
+
+def joint_list(given: list[Vector3] | JointCircle) -> list[list[float]]:
+    """Return six joint centres in m, from the list or the circle."""
+    if not isinstance(given, JointCircle):
+        return [list(joint) for joint in given]
+    if given.angles_deg is not None:
+        return _lists(joints.on_circle(given.radius_m, given.angles_deg, given.z_m))
+    spacing = given.pair_spacing_m
+    if spacing is None:
+        assert given.pair_half_angle_deg is not None
+        spacing = joints.chord(given.radius_m, given.pair_half_angle_deg)
+    assert given.pair_centres_deg is not None
+    return _lists(
+        joints.in_pairs(given.radius_m, given.pair_centres_deg, spacing, given.z_m, given.pairs_begin)
+    )
+
+
+def platform_body(settings: PlatformSettings) -> Body:
+    """Return platform and payload as one body: about its centre of mass, platform axes.
+
+    Raises GeometryError as `platform_dict`.
+    """
+    own = rigid_body(settings.platform, "platform")
+    load = [rigid_body(body, f"platform.payload.{k}") for k, body in enumerate(settings.platform.payload)]
+    return inertia.combine([own, *load]) if load else own
+
+
+def rigid_body(settings: RigidBodySettings, where: str) -> Body:
+    """Return one body in the platform frame.
+
+    com = origin + R c; I = R I_c R^T, I_c about the centre of mass in the axes of the body's frame.
+    Raises GeometryError: no body has this tensor.
+    """
+    com = np.array(settings.com_m)
+    if settings.inertia_kg_m2 is None:
+        assert settings.shape is not None
+        I = _shape(settings.shape, settings.mass_kg)
+    else:
+        I = np.array(settings.inertia_kg_m2)
+        if settings.products == "positive_integral":
+            I = inertia.with_positive_products(I)
+        about = settings.inertia_about
+        if about.rotation_vector_deg != InertiaReference().rotation_vector_deg:
+            I = inertia.turned(I, _rotation(about.rotation_vector_deg))
+        I = inertia.about_centre_of_mass(f"{where}.inertia", settings.mass_kg, com, I, about.point_m)
+    frame = settings.frame
+    if frame.rotation_vector_deg != Frame().rotation_vector_deg:
+        R = _rotation(frame.rotation_vector_deg)
+        com, I = R[:, 0] * com[0] + R[:, 1] * com[1] + R[:, 2] * com[2], inertia.turned(I, R)
+    return Body(settings.mass_kg, com + np.array(frame.origin_m), I)
+
+
+def _shape(shape: Shape, mass: float) -> Array:
+    if isinstance(shape, BoxShape):
+        return inertia.box(mass, shape.size_m)
+    if isinstance(shape, CylinderShape):
+        return inertia.cylinder(mass, shape.radius_m, shape.length_m, shape.inner_radius_m)
+    if isinstance(shape, SphereShape):
+        return inertia.sphere(mass, shape.radius_m)
+    return np.zeros((3, 3))
+
+
+def _rotation(vector_deg: Vector3) -> Array:
+    return rotation_from_vector(np.deg2rad(np.array(vector_deg)))
+
+
+def _lists(rows: Array) -> list[list[float]]:
+    return [[float(x) for x in row] for row in rows]
+
+
+def resolved_figures(settings: PlatformSettings) -> dict[str, Any]:
+    """Return the resolved figures as plain values: joints, and platform and payload as one body."""
+    body = platform_body(settings)
+    return {
+        "base_joints_m": joint_list(settings.base_joints_m),
+        "platform_joints_m": joint_list(settings.platform_joints_m),
+        "mass_kg": body.mass,
+        "com_m": body.com.tolist(),
+        "inertia_kg_m2": body.inertia.tolist(),
+        "principal_moments_kg_m2": list(inertia.principal_moments(body.inertia)),
+        "bodies": 1 + len(settings.platform.payload),
+    }
+
+
+def resolved_lines(settings: PlatformSettings) -> list[str]:
+    """Return the resolved figures as lines for a report; joints only where a circle gave them."""
+    figures = resolved_figures(settings)
+    count = figures["bodies"]
+    I = figures["inertia_kg_m2"]
+    diagonal, products = [I[k][k] for k in range(3)], [I[0][1], I[0][2], I[1][2]]
+    rows = [
+        ("mass", f"{figures['mass_kg']:g} kg" + (f" ({count} bodies)" if count > 1 else "")),
+        ("com", f"{_row(figures['com_m'], '.4f')} m"),
+        ("inertia", f"xx yy zz {_row(diagonal, '.5g')} kg m^2 about the com"),
+    ]
+    if any(products):
+        rows.append(("", f"xy xz yz {_row(products, '.5g')} kg m^2 (minus the integral)"))
+        rows.append(("principal", f"{_row(figures['principal_moments_kg_m2'], '.5g')} kg m^2"))
+    for key in ("base_joints_m", "platform_joints_m"):
+        if isinstance(getattr(settings, key), JointCircle):
+            label = f"{key.partition('_')[0]} joints"
+            rows += [(label * (k == 0), f"{_row(row, '.6f')} m") for k, row in enumerate(figures[key])]
+    return [f"{label:<17}{text}" for label, text in rows]
+
+
+def _row(numbers: list[float], form: str) -> str:
+    return " ".join(f"{x:{form}}" for x in numbers)

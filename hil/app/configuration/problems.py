@@ -1,0 +1,253 @@
+"""Pydantic's errors as problems of a YAML text: path, what is wrong, what is allowed, what was given.
+
+What is allowed is read from the model's own JSON Schema, so it cannot drift from the check.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic import ValidationError
+
+from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
+
+Schema = dict[str, Any]
+
+UNITS = frozenset(
+    {
+        *(
+            "m",
+            "mm",
+            "um",
+            "m2",
+            "m3",
+            "s",
+            "s2",
+            "ms",
+            "us",
+            "ns",
+            "min",
+            "h",
+            "kg",
+            "g",
+            "t",
+            "N",
+            "kN",
+            "Nm",
+            "W",
+        ),
+        *("V", "A", "Hz", "kHz", "MHz", "rad", "deg", "percent", "bit", "ticks"),
+    }
+)
+"""Words that count as a unit at the end of a key."""
+
+
+def problems(error: ValidationError, document: Document, schema: Schema) -> list[Problem]:
+    """Translate every error; `schema` is the whole model's."""
+    found: dict[tuple[str, Path], Problem] = {}
+    for item in error.errors(include_url=False):
+        path = _path(item["loc"], document.value, missing=item["type"] == "missing")
+        kind, problem = _problem(item["type"], item, path, document, schema)
+        found.setdefault((kind, problem.path), problem)
+    # A union reports every alternative: when one of them objects to the value's content, what the others
+    # say of its type is noise.
+    content = {path[:n] for kind, path in found for n in range(len(path) + (kind != "type"))}
+    kept = [p for (kind, path), p in found.items() if not (kind == "type" and path in content)]
+    asked = {p.path for p in kept if p.message.startswith("missing")}
+    mended = {
+        (*p.path[:-1], name)
+        for p in kept
+        for name in re.findall(r"^(?:missing|wrong) unit: the key is (\w+)", p.message)
+    }
+    return [p for p in kept if p.path not in asked & mended]
+
+
+def describe(schema: Schema, root: Schema) -> str:
+    """Say in words what a schema allows."""
+    schema = _dereference(schema, root)
+    if "anyOf" in schema or "oneOf" in schema:
+        return " or ".join(dict.fromkeys(describe(s, root) for s in schema.get("anyOf") or schema["oneOf"]))
+    if "enum" in schema or "const" in schema:
+        return ", ".join(str(v) for v in schema.get("enum") or [schema["const"]])
+    kind = schema.get("type")
+    if kind in ("number", "integer"):
+        return _describe_number(schema, "a number" if kind == "number" else "a whole number")
+    if kind == "array":
+        low, high = schema.get("minItems"), schema.get("maxItems")
+        count = f"{low} " if low == high and low else f"at least {low} " if low else ""
+        items: Schema = schema.get("items") or next(iter(schema.get("prefixItems", [])), {})
+        entry = _dereference(items, root)
+        if entry.get("type") in ("number", "integer"):
+            return (
+                f"a list of {count}{describe(entry, root).removeprefix('a ').replace('number', 'numbers', 1)}"
+            )
+        if entry.get("type") == "array":
+            return f"a list of {count}lists, each {describe(entry, root)}"
+        return f"a list of {count}entries"
+    names = {"string": "text", "boolean": "true or false", "null": "null"}
+    if kind == "object" and "properties" in schema:
+        return "a section with the keys " + ", ".join(schema["properties"])
+    return names.get(str(kind), "a section")
+
+
+def at(path: Path, data: Value, root: Schema) -> Schema:
+    """Return the schema that holds for `path`, alternatives chosen by what the data says."""
+    schema = root
+    for item in path:
+        schema = _choose(_dereference(schema, root), data, root)
+        if isinstance(item, int):
+            prefix = schema.get("prefixItems", [])
+            schema = prefix[item] if item < len(prefix) else schema.get("items", {})
+            data = data[item] if isinstance(data, list) and item < len(data) else None
+        else:
+            extra = schema.get("additionalProperties")
+            schema = schema.get("properties", {}).get(item, extra if isinstance(extra, dict) else {})
+            data = data.get(item) if isinstance(data, dict) else None
+    return _choose(_dereference(schema, root), data, root)
+
+
+def _describe_number(schema: Schema, words: str) -> str:
+    bounds = {
+        "exclusiveMinimum": "greater than {}",
+        "minimum": "at least {}",
+        "exclusiveMaximum": "less than {}",
+        "maximum": "at most {}",
+    }
+    parts = [text.format(f"{schema[key]:g}") for key, text in bounds.items() if key in schema]
+    return words + (" " + " and ".join(parts) if parts else "")
+
+
+def _dereference(schema: Schema, root: Schema) -> Schema:
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
+    return schema
+
+
+def _choose(schema: Schema, data: Value, root: Schema) -> Schema:
+    """Pick the alternative that the data means: by discriminator, else by its kind."""
+    options = schema.get("oneOf") or schema.get("anyOf")
+    if not options:
+        return schema
+    if "discriminator" in schema:
+        name = schema["discriminator"]["propertyName"]
+        word = data.get(name) if isinstance(data, dict) else None
+        reference = schema["discriminator"]["mapping"].get(word) if isinstance(word, str) else None
+        return _dereference({"$ref": reference}, root) if reference else schema
+    kind = "object" if isinstance(data, dict) else "array" if isinstance(data, list) else None
+    for option in (_dereference(o, root) for o in options):
+        if kind and option.get("type") == kind:
+            return option
+        if kind == "object" and "discriminator" in option:
+            return _choose(option, data, root)
+    return schema
+
+
+def _path(loc: tuple[str | int, ...], data: Value, *, missing: bool) -> Path:
+    """Drop from pydantic's location the names of union alternatives, which are not in the text."""
+    path: list[str | int] = []
+    for item in loc:
+        try:
+            data = data[item]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError):
+            continue
+        path.append(item)
+    return (*path, loc[-1]) if missing else tuple(path)
+
+
+def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schema) -> tuple[str, Problem]:
+    """Return a class of problem, for the de-duplication of union alternatives, and the problem."""
+    if kind == "extra_forbidden":
+        message = unknown_key(path, document, schema)
+        return "key", Problem(document.key_position(path), path, message)
+    if kind == "missing" and isinstance(path[-1], int):
+        path = path[:-1]
+        allowed = describe(at(path, document.value, schema), schema)
+        message = f"wrong number of entries, allowed: {allowed}, given: {_entries(path, document)}"
+        return "value", Problem(document.value_position(path), path, message)
+    if kind == "missing":
+        allowed = describe(at(path, document.value, schema), schema)
+        return "key", Problem(document.key_position(path), path, f"missing, allowed: {allowed}")
+    if kind == "union_tag_not_found":
+        holder = at(path, document.value, schema)
+        name = holder["discriminator"]["propertyName"]
+        allowed = ", ".join(holder["discriminator"]["mapping"])
+        return "key", Problem(document.key_position(path), (*path, name), f"missing, allowed: {allowed}")
+    if kind == "union_tag_invalid":
+        holder = at(path, document.value, schema)
+        path = (*path, holder["discriminator"]["propertyName"])
+        allowed = ", ".join(holder["discriminator"]["mapping"])
+        given = _show(item["input"].get(path[-1]))
+        message = f"unknown value, allowed: {allowed}, given: {given}"
+        return "value", Problem(document.value_position(path), path, message)
+    position = document.value_position(path)
+    if kind in ("value_error", "assertion_error"):
+        return "value", Problem(position, path, str(item["ctx"]["error"]))
+    given = _show(item["input"])
+    allowed = describe(at(path, document.value, schema), schema)
+    if kind == "finite_number" or (isinstance(item["input"], float) and not math.isfinite(item["input"])):
+        return "value", Problem(position, path, f"not a finite number, allowed: {allowed}, given: {given}")
+    what = {
+        "literal_error": "unknown value",
+        "too_short": "wrong number of entries",
+        "too_long": "wrong number of entries",
+        "greater_than": "out of range",
+        "greater_than_equal": "out of range",
+        "less_than": "out of range",
+        "less_than_equal": "out of range",
+    }.get(kind)
+    if what == "wrong number of entries" and isinstance(item["input"], list):
+        given = f"{len(item['input'])} entries"
+    if what:
+        return "value", Problem(position, path, f"{what}, allowed: {allowed}, given: {given}")
+    if kind.endswith(("_type", "_parsing", "_from_float")) or kind == "missing":
+        return "type", Problem(position, path, f"wrong type, allowed: {allowed}, given: {given}")
+    return "value", Problem(position, path, f"{item['msg']}, allowed: {allowed}, given: {given}")
+
+
+def unknown_key(path: Path, document: Document, schema: Schema) -> str:
+    """Name the unit that is missing or wrong, else the nearest key, else all keys."""
+    known = list(at(path[:-1], document.value, schema).get("properties", {}))
+    key = str(path[-1])
+    free = [k for k in known if not document.has((*path[:-1], k))]
+    for name in free:
+        stem, unit = split_unit(name)
+        if unit and stem.lower() == split_unit(key)[0].lower():
+            if split_unit(key)[1]:
+                return f"wrong unit: the key is {name} (in {unit})"
+            return f"missing unit: the key is {name}"
+    near = get_close_matches(key, free or known, 1, 0.6)
+    if near:
+        return f"unknown key, did you mean {near[0]}?"
+    return f"unknown key, allowed: {', '.join(known)}"
+
+
+def split_unit(key: str) -> tuple[str, str]:
+    """Split `kp_N_m` into ("kp", "N_m"); the unit is empty for a key without one."""
+    words = key.split("_")
+    end = len(words)
+    while end > 1 and words[end - 1] in UNITS:
+        end -= 1
+    return "_".join(words[:end]), "_".join(words[end:])
+
+
+def _entries(path: Path, document: Document) -> str:
+    """Say how many entries the list at `path` has."""
+    data: Value = document.value
+    for item in path:
+        data = data[item]  # type: ignore[index]
+    return f"{len(data)} entries" if isinstance(data, list) else _show(data)
+
+
+def _show(value: object) -> str:
+    if isinstance(value, float) and math.isnan(value):
+        return ".nan"
+    if value in (float("inf"), float("-inf")):
+        return ".inf" if value == float("inf") else "-.inf"
+    if isinstance(value, dict):
+        return "a section"
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,68 @@
+"""The JSON Schema of a configuration, for editors."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+from collections.abc import Iterator
+from copy import deepcopy
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from drivers.config import Section
+from hil.app.configuration.configuration import SCHEMA
+
+FILE = "hil.schema.json"
+"""Beside the shipped configurations, which name it in their first line."""
+
+
+def schema() -> dict[str, Any]:
+    """Return the schema, JSON Schema draft 2020-12, with the docstrings of the keys as descriptions."""
+    whole = deepcopy(SCHEMA)
+    models = {model.__name__: model for model in _sections(Section)}
+    for name, section in (("Configuration", whole), *whole["$defs"].items()):
+        for key, words in _docstrings(models[name]).items():
+            section["properties"][key]["description"] = words
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "hexapod-hil configuration",
+        **{key: value for key, value in whole.items() if key != "title"},
+    }
+
+
+def text() -> str:
+    """Return the schema as the committed file has it."""
+    return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def write(folder: Path) -> Path:
+    """Write the schema into `folder` for configurations that stand there; return the file."""
+    path = folder / FILE
+    path.write_text(text(), encoding="utf-8")
+    return path
+
+
+def _sections(section: type[Section]) -> Iterator[type[Section]]:
+    """Return all sections that are derived from one."""
+    for derived in section.__subclasses__():
+        yield derived
+        yield from _sections(derived)
+
+
+def _docstrings(section: type[Section]) -> dict[str, str]:
+    """Return the string below each field, also of the bases.
+
+    pydantic can do it as each class is made (`use_attribute_docstrings`): a fifth of the start of every
+    command, for what only editors read.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(section.__mro__[: section.__mro__.index(Section)]):
+        (definition,) = ast.parse(inspect.getsource(base)).body
+        assert isinstance(definition, ast.ClassDef)
+        for field, below in pairwise(definition.body):
+            match field, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                    found[name] = inspect.cleandoc(words)
+    return {name: words for name, words in found.items() if name in section.model_fields}

@@ -1,0 +1,118 @@
+"""A YAML file that holds one section: what commands hand to each other.
+
+Every problem is reported at once, each as `file:line:column: path: what, allowed, given`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from drivers.config import Section
+from drivers.errors import ConfigurationError
+from hil.app.configuration import problems as translate
+from hil.app.configuration.yaml_positions import Document, Problem, parse
+
+Kind = TypeVar("Kind", bound=Section)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises FileNotFoundError where there is none, ConfigurationError where it cannot be read as UTF-8.
+    """
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
+        raise ConfigurationError(f"{path}:{line}:{column}: not UTF-8 text") from None
+
+
+def read_section(path: Path, kind: type[Kind]) -> tuple[Kind, Document]:
+    """Return the section that is the whole of a file, and where its keys and values stand.
+
+    Raises ConfigurationError with all problems found.
+    """
+    try:
+        document = parse(read_text(path))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such file") from None
+    found = list(document.problems)
+    if document.value is not None:
+        try:
+            section = kind.model_validate_json(json.dumps(document.value), strict=True)
+        except ValidationError as error:
+            found += translate.problems(error, document, kind.model_json_schema())
+    if found:
+        raise ConfigurationError(*(p.line(str(path)) for p in sorted(set(found), key=_order)))
+    return section, document
+
+
+def write_section(path: Path, section: Section, remark: str) -> None:
+    """Write a section as YAML under a line of remark, whole or not at all.
+
+    Raises ConfigurationError if it cannot be written.
+    """
+    text = f"# {remark}\n" + yaml.safe_dump(
+        section.model_dump(mode="json"),
+        sort_keys=False,
+        allow_unicode=True,
+        width=110,
+        default_flow_style=None,
+    )
+    try:
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".yaml", delete=False) as file:
+            file.write(text)
+        umask = os.umask(0)
+        os.umask(umask)
+        Path(file.name).chmod(0o666 & ~umask)
+        Path(file.name).replace(path)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def check_section_path(option: str, path: Path, kind: type[Section]) -> None:
+    """Refuse a file that could not be written in the end, before anything starts; an earlier one is replaced.
+
+    Raises ConfigurationError: no such folder, no right to write, or a file of another kind.
+    """
+    where = f"{option} {path}"
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"{where}: there is no folder {path.parent}; make it first")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigurationError(f"{where}: no right to write there")
+    if path.exists() and not _says(path, _name(kind)):
+        raise ConfigurationError(
+            f"{where}: exists, is no {_name(kind)} and is not overwritten; name another file"
+        )
+
+
+def _name(kind: type[Section]) -> str:
+    """Return what the key `kind` says in files of this kind."""
+    name: str = kind.model_json_schema()["properties"]["kind"]["const"]
+    return name
+
+
+def _says(path: Path, name: str) -> bool:
+    try:
+        document = parse(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return False
+    return document.value is not None and document.value.get("kind") == name
+
+
+def _order(problem: Problem) -> tuple[tuple[int, int], str]:
+    return problem.position, problem.message

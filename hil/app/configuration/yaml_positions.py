@@ -1,0 +1,232 @@
+"""YAML text to plain data, with the line and column of every key and value.
+
+Scalars follow the core schema of YAML 1.2 (https://yaml.org/spec/1.2.2/#103-core-schema), not PyYAML's
+YAML 1.1: ``1e3`` is a number, ``010`` is ten, ``no`` and ``12:30`` are text. What PyYAML accepts in silence
+and a reader of the file would not expect (two equal keys, aliases, tags) is a problem.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import yaml
+
+Path = tuple[str | int, ...]
+"""Keys and indices from the root to a value."""
+
+Value = None | bool | int | float | str | list["Value"] | dict[str, "Value"]
+
+
+class Position(NamedTuple):
+    """Where in the text, both counted from one."""
+
+    line: int
+    column: int
+
+
+class Problem(NamedTuple):
+    """What is wrong with one place of the text."""
+
+    position: Position
+    path: Path
+    message: str
+
+    def line(self, source: str) -> str:
+        """Return `file:line:column: path: message`."""
+        place = f"{source}:{self.position.line}:{self.position.column}: "
+        return f"{place}{path_text(self.path)}: {self.message}" if self.path else place + self.message
+
+
+class Document(NamedTuple):
+    """A parsed text. `value` is None when the text has no usable root."""
+
+    value: dict[str, Value] | None
+    keys: dict[Path, Position]
+    """Position of the key (or list item) at each path."""
+    values: dict[Path, Position]
+    """Position of the value at each path."""
+    problems: tuple[Problem, ...]
+
+    def key_position(self, path: Path) -> Position:
+        """Return where the key at `path` stands, or its nearest ancestor that is in the text."""
+        while path and path not in self.keys:
+            path = path[:-1]
+        return self.keys.get(path, Position(1, 1))
+
+    def value_position(self, path: Path) -> Position:
+        """Return where the value at `path` stands, or the key of its nearest ancestor in the text."""
+        return self.values[path] if path in self.values else self.key_position(path)
+
+    def has(self, path: Path) -> bool:
+        """Return whether the text gives a value at `path`."""
+        return path in self.values
+
+
+def path_text(path: Path) -> str:
+    """Return `platform.base_joints_m[2]` for ("platform", "base_joints_m", 2)."""
+    text = ""
+    for item in path:
+        text += f"[{item}]" if isinstance(item, int) else f".{item}" if text else item
+    return text
+
+
+def parse(text: str) -> Document:
+    """Parse one YAML document whose root is a mapping; all problems found are in the result."""
+    try:
+        loader = _Loader(text)
+        try:
+            root = loader.get_single_node()
+        finally:
+            loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        return Document(None, {}, {}, (_syntax_problem(error),))
+    except yaml.reader.ReaderError as error:
+        before = text[: error.position]
+        position = Position(before.count("\n") + 1, len(before) - before.rfind("\n"))
+        message = f"character U+{ord(text[error.position]):04X} is not allowed in YAML"
+        return Document(None, {}, {}, (Problem(position, (), message),))
+    except RecursionError:
+        return Document(None, {}, {}, (Problem(Position(1, 1), (), "nested too deeply"),))
+    if root is None:
+        return Document(None, {}, {}, (Problem(Position(1, 1), (), "the file is empty"),))
+    if not isinstance(root, yaml.MappingNode):
+        message = "expected sections (`platform:`, `bus:`, ...) at the top of the file"
+        return Document(None, {}, {}, (Problem(_position(root), (), message),))
+    walk = _Walk()
+    value = walk.mapping(root, ())
+    return Document(value, walk.keys, walk.values, tuple(walk.problems))
+
+
+class _Loader(
+    yaml.reader.Reader,
+    yaml.scanner.Scanner,
+    yaml.parser.Parser,
+    yaml.composer.Composer,
+    yaml.resolver.BaseResolver,
+):
+    """PyYAML up to its node tree: resolving and constructing are ours."""
+
+    def __init__(self, text: str) -> None:
+        yaml.reader.Reader.__init__(self, text)
+        yaml.scanner.Scanner.__init__(self)
+        yaml.parser.Parser.__init__(self)
+        yaml.composer.Composer.__init__(self)
+        yaml.resolver.BaseResolver.__init__(self)
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(
+                None, None, f"alias *{event.anchor} is not supported: write the value out", event.start_mark
+            )
+        return super().compose_node(parent, index)
+
+    def dispose(self) -> None:
+        """Break PyYAML's reference cycles (pure Python parser)."""
+        yaml.parser.Parser.dispose(self)
+
+
+class _Walk:
+    """Turns nodes into values. Mutable state: the tables it fills."""
+
+    def __init__(self) -> None:
+        self.keys: dict[Path, Position] = {}
+        self.values: dict[Path, Position] = {}
+        self.problems: list[Problem] = []
+
+    def problem(self, node: yaml.Node, path: Path, message: str) -> None:
+        self.problems.append(Problem(_position(node), path, message))
+
+    def value(self, node: yaml.Node, path: Path) -> Value:
+        self.values[path] = _position(node)
+        if isinstance(node, yaml.MappingNode):
+            self._tag(node, path, "tag:yaml.org,2002:map")
+            return self.mapping(node, path)
+        if isinstance(node, yaml.SequenceNode):
+            self._tag(node, path, "tag:yaml.org,2002:seq")
+            items: list[Value] = []
+            for index, item in enumerate(node.value):
+                self.keys[(*path, index)] = _position(item)
+                items.append(self.value(item, (*path, index)))
+            return items
+        assert isinstance(node, yaml.ScalarNode)
+        self._tag(node, path, "tag:yaml.org,2002:str")
+        return self._scalar(node, path)
+
+    def mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Value]:
+        result: dict[str, Value] = {}
+        for key_node, value_node in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                self.problem(key_node, path, "a key has to be a plain word")
+                continue
+            key: str = key_node.value
+            here = (*path, key)
+            if key in result:
+                first = self.keys[here]
+                self.problem(
+                    key_node, here, f"key given twice, first in line {first.line}: remove one of them"
+                )
+                continue
+            if key == "<<" and key_node.style is None:
+                self.problem(key_node, here, "merging (<<) is not supported: write the keys out")
+                continue
+            self.keys[here] = _position(key_node)
+            result[key] = self.value(value_node, here)
+        return result
+
+    def _tag(self, node: yaml.Node, path: Path, allowed: str) -> None:
+        if node.tag not in (allowed, "!"):
+            self.problem(node, path, f"tag {node.tag} is not supported: remove it")
+
+    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Value:
+        text: str = node.value
+        if node.style is not None or node.tag == "!":
+            return text
+        for pattern, convert in _SCALARS:
+            if pattern.fullmatch(text):
+                try:
+                    return convert(text)
+                except ValueError:
+                    self.problem(node, path, f"number of {len(text)} digits: too long")
+                    return None
+        return text
+
+
+def _integral(text: str) -> int | float:
+    """1e6 is as good an integer as 1000000."""
+    number = float(text)
+    return int(number) if number.is_integer() and abs(number) < 2**53 and "." not in text else number
+
+
+_SCALARS: tuple[tuple[re.Pattern[str], Callable[[str], Value]], ...] = (
+    (re.compile(r"null|Null|NULL|~|"), lambda _: None),
+    (re.compile(r"true|True|TRUE"), lambda _: True),
+    (re.compile(r"false|False|FALSE"), lambda _: False),
+    (re.compile(r"[-+]?[0-9]+"), int),
+    (re.compile(r"0o[0-7]+"), lambda text: int(text, 0)),
+    (re.compile(r"0x[0-9a-fA-F]+"), lambda text: int(text, 0)),
+    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), _integral),
+    (re.compile(r"[-+]?\.(inf|Inf|INF)"), lambda text: float(text.replace(".", ""))),
+    (re.compile(r"\.(nan|NaN|NAN)"), lambda _: float("nan")),
+)
+
+
+def _position(node: yaml.Node) -> Position:
+    return Position(node.start_mark.line + 1, node.start_mark.column + 1)
+
+
+def _syntax_problem(error: yaml.MarkedYAMLError) -> Problem:
+    mark = error.problem_mark or error.context_mark
+    position = Position(mark.line + 1, mark.column + 1) if mark else Position(1, 1)
+    message = error.problem or "not YAML"
+    if "'\\t'" in message:
+        message = "tab: YAML indents with spaces only"
+    elif "expected a single document" in str(error.context):
+        message = "a second document (`---`) is not allowed: one file is one configuration"
+    elif error.context:
+        message = f"not YAML: {error.context}, {message}"
+    else:
+        message = message if message.startswith("alias") else f"not YAML: {message}"
+    return Problem(position, (), message)

@@ -1,0 +1,1 @@
+"""`hil design`: a design file in, a controller file out."""

@@ -1,0 +1,126 @@
+"""A design as a picture: closed loop against its weights, open loop, what a step of the disturbance does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array, ComplexArray
+from hil.config.design import Design, DesignAxis
+from hil.mathematics.linear_system import LinearSystem
+from hil.stability.sampled_loop import grid
+from hil.synthesis.hinf_design import Designed
+from hil.synthesis.sampled import loop_gain, sampled_axis
+from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
+
+STEP_S = 0.3
+
+
+def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: str) -> Path:
+    """Draw a designed loop, exact and sampled, into a PNG file.
+
+    Raises OSError where it cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(13, 8.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2)
+    K, inputs = made.judged.sampled, design.inputs
+    legs = sampled_axis(axis, design.rate_Hz, inputs)
+    omega = grid(1.0 / design.rate_Hz)
+    omega = omega[(omega > 0.1) & (omega < omega[-1])]
+    L = loop_gain(K, legs).response(omega)[:, 0, 0]
+    _closed(axes[0, 0], design, omega, L)
+    _weighted(axes[0, 1], design, omega, K, legs, L, made.figures)
+    _open(axes[1, 0], omega, L, made.figures)
+    _step(axes[1, 1], design, K, legs)
+    figure.suptitle(title)
+    figure.savefig(path, dpi=100)
+    return path
+
+
+def _closed(axes: Any, design: Design, omega: Array, L: ComplexArray) -> None:
+    weights = design.weights
+    limit = 1.0 / np.abs(control_weight(weights.control, design.rate_Hz).response(omega)[:, 0, 0])
+    limit /= disturbance_weight(design).D[0, 0]
+    axes.loglog(omega, np.abs(1.0 / (1.0 + L)), label="S")
+    axes.loglog(omega, np.abs(L / (1.0 + L)), label="T, control over disturbance")
+    axes.loglog(omega, limit, "k--", linewidth=0.8, label="control allowed over disturbance")
+    axes.set(xlabel="rad/s", title="sensitivity and its complement", ylim=(1e-3, 10))
+    axes.legend()
+    axes.grid(alpha=0.3, which="both")
+
+
+def _weighted(
+    axes: Any,
+    design: Design,
+    omega: Array,
+    K: LinearSystem,
+    legs: LinearSystem,
+    L: ComplexArray,
+    figures: dict[str, Any],
+) -> None:
+    """Each path times its weights: below gamma all of them together, below 1 the design is met."""
+    S = 1.0 / (1.0 + L)
+    P = legs.response(omega)
+    k = K.response(omega)[:, 0, :]
+    W_e = error_weight(design.weights.error).response(omega)[:, 0, 0]
+    W_u = control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0]
+    W_d, noise = disturbance_weight(design).D[0, 0], np.diag(noise_weight(design).D)
+    axes.loglog(omega, np.abs(W_e * P[:, 0, 0] * S * W_d), label="disturbance to error")
+    axes.loglog(omega, np.abs(W_u * (k * P[:, 1:, 0]).sum(axis=1) * S * W_d), label="disturbance to control")
+    for column, name in enumerate(design.inputs):
+        K_S = k[:, column] * S * noise[column]
+        axes.loglog(omega, np.abs(W_u * K_S), "--", label=f"noise of {name} to control, K S")
+        axes.loglog(omega, np.abs(W_e * P[:, 0, 1] * K_S), ":", label=f"noise of {name} to error")
+    axes.axhline(1.0, color="black", linewidth=0.8)
+    if "gamma" in figures:
+        axes.axhline(figures["gamma"], color="black", linestyle="--", linewidth=0.8, label="gamma")
+    if "mu" in figures:
+        mu = figures["mu"]
+        axes.loglog(mu["omega_rad_s"], mu["upper"], "k", label="mu, upper bound")
+        axes.loglog(mu["omega_rad_s"], mu["lower"], "k.", markersize=4, label="mu, lower bound")
+    axes.set(xlabel="rad/s", title="share of the weights that each path takes", ylim=(1e-3, 2))
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3, which="both")
+
+
+def _open(axes: Any, omega: Array, L: ComplexArray, figures: dict[str, Any]) -> None:
+    axes.loglog(omega, np.abs(L), label="|L|")
+    axes.axhline(1.0, color="black", linewidth=0.8)
+    axes.axvline(figures["crossover_rad_s"], color="grey", linestyle="--", linewidth=0.8)
+    axes.set(xlabel="rad/s", ylabel="|L|", ylim=(1e-2, 1e4))
+    axes.grid(alpha=0.3, which="both")
+    phase = axes.twinx()
+    angle = np.rad2deg(np.unwrap(np.angle(L)))
+    phase.semilogx(omega, angle - 360.0 * np.ceil(angle[0] / 360.0), color="tab:orange")
+    phase.set(ylabel="deg")
+    phase.axhline(-180.0, color="tab:orange", linewidth=0.5, linestyle=":")
+    axes.set_title(
+        f"open loop: {figures['crossover_rad_s']:.0f} rad/s, {figures['phase_margin_deg']:.0f} deg, "
+        f"{figures['delay_margin_ms']:.1f} ms"
+    )
+
+
+def _step(axes: Any, design: Design, K: LinearSystem, legs: LinearSystem) -> None:
+    """Error and control after a step of the disturbance, to the full amplitude."""
+    d, h = disturbance_weight(design).D[0, 0], 1.0 / design.rate_Hz
+    x, x_k = np.zeros(legs.order), np.zeros(K.order)
+    e, u = [], []
+    for _ in range(int(STEP_S / h)):
+        y = legs.C @ x
+        demand = K.C @ x_k + K.D @ y[1:]
+        e.append(1e3 * y[0])
+        u.append(demand[0])
+        x, x_k = legs.A @ x + legs.B @ np.array([d, demand[0]]), K.A @ x_k + K.B @ y[1:]
+    t = h * np.arange(len(e))
+    axes.plot(t, e)
+    axes.set(xlabel="s", ylabel="error [mm or mrad]", title=f"step of {d:g} m/s$^2$ or rad/s$^2$")
+    axes.grid(alpha=0.3)
+    other = axes.twinx()
+    other.plot(t, u, color="tab:orange", linewidth=0.8)
+    other.set(ylabel="control")

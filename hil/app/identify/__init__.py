@@ -1,0 +1,1 @@
+"""`hil identify`: delay and linearised axes from runs and logs."""

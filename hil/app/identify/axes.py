@@ -1,0 +1,238 @@
+"""`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.errors import HilError
+from hil.app.compose import with_attachments
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.section_file import check_section_path, write_section
+from hil.app.identify.delay import (
+    Excited,
+    exact_model,
+    excitation_force,
+    excitation_pose,
+    excited_by,
+    recorded_run,
+)
+from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
+from hil.app.identify.plot import draw
+from hil.app.output import picture_path
+from hil.config import MultisineReference, SinusoidReference
+from hil.config.axis_model import (
+    AxisModel,
+    AxisResponse,
+    AxisSpace,
+    NominalAxis,
+    UncertaintyProfile,
+)
+from hil.identify import (
+    Fit,
+    Response,
+    Spectra,
+    Uncertainty,
+    axis_excitation,
+    estimate,
+    fit_axes,
+    periodic,
+    segmented,
+    uncertainty,
+)
+from hil.signals import Mode
+
+NAMES: dict[AxisSpace, tuple[str, ...]] = {
+    "joint": tuple(f"leg {k}" for k in range(6)),
+    "pose": ("x", "y", "z", "rx", "ry", "rz"),
+}
+REMARK = "Made by hil identify: the linearised axes from demanded acceleration to measured position."
+
+
+class Identified(NamedTuple):
+    """All that a log tells of its axes."""
+
+    model: AxisModel
+    response: Response
+    fit: Fit
+    uncertainty: Uncertainty
+    blocks: int
+    repeats: bool
+    motion_mm: float
+
+
+class Outputs(NamedTuple):
+    """Where the results go."""
+
+    model: Path
+    picture: Path
+
+
+def excited_axes(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
+    """Return the configuration with a multisine on each of its law's axes for its reference.
+
+    Raises ConfigurationError: a law that does not linearise, a force that the limits would cut, or a pose
+    that cannot be reached; IdentificationError: too short.
+    """
+    space = linearised_law(c).space
+    force = excitation_force(c, force_N)
+    made = axis_excitation(exact_model(c), excitation_pose(c), space, c.loop.rate_Hz, force, duration_s)
+    return excited_by(c, made, force)
+
+
+def outputs(log: Path, model: Path | None) -> Outputs:
+    """Return the files to write: the given one, else beside the log; the picture beside the model.
+
+    Raises ConfigurationError or LogError where they cannot be written.
+    """
+    path = model or log.with_name(f"{log.stem}-axes.yaml")
+    check_section_path("--model", path, AxisModel)
+    return Outputs(path, picture_path("", "", path.with_suffix(".png")))
+
+
+def axes_of_log(path: Path) -> Identified:
+    """Return the axes that a log of `hil run` or `hil sim` shows.
+
+    Raises LogError for what is no such log or tracks nothing, ConfigurationError for a law that does not
+    linearise, IdentificationError where the log does not hold enough; each names the log.
+    """
+    recorded = recorded_run(path)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            c = with_attachments(recorded.configuration, recorded.attachments, Path(folder))
+            return _identified(path, c, recorded.rows, recorded.rate_Hz)
+    except HilError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Identified:
+    law = linearised_law(c)
+    signals, t = signals_of(rows, law, rate_Hz)
+    spectra: Spectra | None = None
+    lines = repeating(c.reference, rate_Hz)
+    if lines is not None:
+        assert isinstance(c.reference, SinusoidReference | MultisineReference)
+        good = settled(signals.good, t, c.reference, lines.length)
+        spectra = periodic(signals._replace(good=good), *lines)
+    else:
+        spectra = segmented(signals)
+    response = estimate(spectra)
+    fit = fit_axes(response)
+    bound = uncertainty(response, fit)
+    model = AxisModel(
+        kind="axis-model",
+        source=str(path),
+        axes=law.space,
+        rate_Hz=rate_Hz,
+        nominal=NominalAxis(
+            gain=[_rounded(g) for g in fit.gain],
+            transport_ms=_rounded(1e3 * fit.transport_s),
+            lag_ms=_rounded(1e3 * fit.lag_s),
+        ),
+        uncertainty=UncertaintyProfile(
+            frequency_Hz=[_rounded(f) for f in bound.frequency_Hz],
+            bound=[_rounded(b) for b in bound.bound],
+        ),
+        measured=[_measured(response, axis) for axis in range(6)],
+    )
+    motion = 1e3 * float(np.ptp(rows["q"][rows["mode"] == Mode.TRACKING], axis=0).min())
+    return Identified(model, response, fit, bound, len(spectra.V), lines is not None, motion)
+
+
+def _measured(response: Response, axis: int) -> AxisResponse:
+    lines = np.flatnonzero(response.excited[:, axis] & np.isfinite(response.G[:, axis]))
+    G, std = response.G[lines, axis], response.std[lines, axis]
+    return AxisResponse(
+        frequency_Hz=[_rounded(f) for f in response.frequency_Hz[lines]],
+        magnitude=[_rounded(abs(g)) for g in G],
+        phase_deg=[_rounded(p) for p in np.rad2deg(_phase(G))],
+        coherence=[_rounded(c) for c in response.coherence[lines, axis]],
+        magnitude_std=[_rounded(s) for s in std * np.abs(G)],
+        phase_std_deg=[_rounded(s) for s in np.rad2deg(std)],
+    )
+
+
+def _phase(G: Any) -> Any:
+    """Return the phase in rad, -2 pi .. 0: a double integrator and its delay are around -pi."""
+    return np.angle(-G) - np.pi
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def save(identified: Identified, files: Outputs, title: str) -> None:
+    """Write the model and its picture."""
+    write_section(files.model, identified.model, REMARK)
+    draw(identified.model, files.picture, title)
+
+
+def summary(identified: Identified, path: Path, files: Outputs) -> dict[str, Any]:
+    """Return the result as plain values."""
+    fit, model = identified.fit, identified.model
+    coherent = [int(n) for n in fit.used.sum(axis=0)]
+    return {
+        "success": True,
+        "kind": "identify",
+        "log": str(path),
+        "model": str(files.model),
+        "picture": str(files.picture),
+        "axes": model.axes,
+        "total_ms": 1e3 * fit.total_s,
+        "total_std_ms": 1e3 * fit.total_std_s,
+        "transport_ms": 1e3 * fit.transport_s,
+        "transport_std_ms": 1e3 * fit.transport_std_s,
+        "lag_ms": 1e3 * fit.lag_s,
+        "lag_std_ms": 1e3 * fit.lag_std_s,
+        "hold_ms": 0.5e3 / model.rate_Hz,
+        "gain": fit.gain.tolist(),
+        "gain_std": fit.gain_std.tolist(),
+        "coherent_lines": coherent,
+        "blocks": identified.blocks,
+        "repeats": identified.repeats,
+        "coupled": identified.uncertainty.coupled,
+        "motion_mm": identified.motion_mm,
+        "bound": dict(zip(map(str, model.uncertainty.frequency_Hz), model.uncertainty.bound, strict=True)),
+    }
+
+
+def report(result: dict[str, Any], model: AxisModel) -> list[str]:
+    """Return what the user reads."""
+
+    def row(name: str, key: str, remark: str) -> str:
+        std = result.get(f"{key}_std_ms")
+        sure = "" if std is None else f" +- {2 * std:.4f}"
+        return f"  {name:12} {result[f'{key}_ms']:8.4f}{sure:11} ms   {remark}"
+
+    profile = model.uncertainty
+    f, bound = np.array(profile.frequency_Hz), np.array(profile.bound)
+    marks = [x for x in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if f[0] <= x <= f[-1]]
+    bounds = ", ".join(f"{100 * np.interp(np.log(x), np.log(f), bound):.2g} % at {x:g} Hz" for x in marks)
+    kind = "whole periods" if result["repeats"] else "half-overlapping segments"
+    least = min(range(6), key=lambda k: result["coherent_lines"][k])
+    gains = zip(NAMES[model.axes], result["gain"], result["gain_std"], strict=True)
+    of_gain = ", ".join(f"{name} {g:.4f} +- {2 * s:.4f}" for name, g, s in gains)
+    coupling = ", coupling included" if result["coupled"] else ""
+    fewest = f"{NAMES[model.axes][least]} has the fewest coherent lines, {result['coherent_lines'][least]}"
+    moved = f"legs moved by {result['motion_mm']:.2g} mm or more"
+    lines = [
+        f"From demanded acceleration to measured position, {model.axes} axes (+- two standard deviations):",
+        f"  gain         {of_gain}; 1 where model and robot agree",
+        row("transport", "transport", "SYNC to feedback, computing, command: pure delay"),
+        row("drive lag", "lag", "time constant of the drives' force loop"),
+        row("hold", "hold", "half a period, by design"),
+        row("total", "total", "slope of the phase"),
+        f"Bound of |P/P0 - 1|, 95 %: {bounds}{coupling}",
+        f"{result['blocks']} {kind}, {f[0]:g} to {f[-1]:g} Hz; {fewest}; {moved}",
+    ]
+    if not result["coupled"]:
+        lines.append(
+            "At some frequencies the axes moved together, by their reference or by friction, so that their "
+            "coupling is not in the bound there. `hil identify CONFIG` moves each by itself; "
+            "more --force drowns friction."
+        )
+    return [*lines, f"model    {result['model']}", f"picture  {result['picture']}"]

@@ -1,0 +1,233 @@
+"""`hil identify --delay`, and what all of `hil identify` shares: runs made for it, and logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from drivers.arrays import Rows
+from drivers.errors import ConfigurationError, LogError
+from drivers.signals import DriveState
+from hil.app.check.command import refuse_unreachable
+from hil.app.configuration.configuration import Configuration, loads, platform_dict
+from hil.app.configuration.yaml_positions import parse
+from hil.app.run.command import run_daemon
+from hil.app.sim.command import simulate
+from hil.config import Evaluated, HoldReference, ModelBasedSettings, ModelSettings, Pose
+from hil.control.model import build_model
+from hil.identify import Delay, Motion, force_delay
+from hil.identify.excitation import excitation
+from hil.record.log import Log
+from hil.record.mcap_file import MAGIC
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+
+DURATION_S = 4.0
+FORCE_SHARE = 0.02
+"""Excitation as a share of limits.force_N ..."""
+STEP_SHARE = 0.1
+"""... and at most of limits.force_step_N and limits.force_window_N."""
+
+
+class Excited(NamedTuple):
+    """A configuration with its reference replaced by an excitation."""
+
+    configuration: Configuration
+    force_N: float
+    """Largest leg force of the excitation."""
+
+
+class Recorded(NamedTuple):
+    """A log of a run."""
+
+    configuration: Configuration
+    rows: Rows
+    rate_Hz: float
+    attachments: dict[str, bytes]
+
+
+def is_log(source: Path) -> bool:
+    """Tell whether a file is a log (MCAP) rather than a configuration."""
+    try:
+        with source.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
+
+
+def excited(configuration: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
+    """Return the configuration with a small excitation about the held pose (else home) for its reference.
+
+    Raises ConfigurationError: a force that the limits would cut, or a pose that cannot be reached.
+    """
+    c = configuration
+    force = excitation_force(c, force_N)
+    reference = excitation(
+        exact_model(c), excitation_pose(c), c.loop.rate_Hz, force, duration_s or DURATION_S
+    )
+    return excited_by(c, reference, force)
+
+
+def excitation_force(c: Configuration, force_N: float | None) -> float:
+    """Return the largest leg force of an excitation: what was asked for, or what the limits leave room for.
+
+    Raises ConfigurationError: a force that the limits would cut.
+    """
+    most = STEP_SHARE * min(c.limits.force_step_N, c.limits.force_window_N)
+    force = min(FORCE_SHARE * c.limits.force_N, most) if force_N is None else force_N
+    if force > 5 * most:
+        raise ConfigurationError(
+            f"--force {force:g}: more than half of limits.force_step_N or limits.force_window_N, which would "
+            f"cut it, allowed: up to {5 * most:g}"
+        )
+    return force
+
+
+def excitation_pose(c: Configuration) -> Pose:
+    """Return the pose that is held, else home."""
+    held = c.reference.pose if isinstance(c.reference, HoldReference) else None
+    return held or c.platform.home
+
+
+def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excited:
+    """Return the configuration with another reference.
+
+    Raises ConfigurationError for one that cannot be reached.
+    """
+    document = dict(parse(c.text).value or {})
+    document["name"] = f"{c.name}-identify"
+    document["reference"] = reference.model_dump(mode="json")
+    text = "# Made by hil identify: the reference is an excitation.\n"
+    text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+    made = loads(text, c.source, c.folder)
+    refuse_unreachable(made)
+    return Excited(made, force_N)
+
+
+def exact_model(configuration: Configuration) -> Model:
+    """Return the full model with what the controller believes of friction and inertia, where it does."""
+    c = configuration
+    settings = c.controller.model if isinstance(c.controller, ModelBasedSettings) else ModelSettings()
+    full = settings.model_copy(update={"variant": "full", "frozen_at": None})
+    return build_model(full, Platform.from_dict(platform_dict(c.platform)), c.platform.leg_spin)
+
+
+def motion_of(rows: Rows, period_s: float) -> Motion:
+    """Return a log's ticks with open brakes as the estimator wants them; ticks that are missing are held."""
+    running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
+    if not running.any():
+        raise LogError("the brakes were never open in this log: nothing moved")
+    ticks = rows["tick"]
+    first, last = ticks[running][0], ticks[running][-1]
+    source = np.searchsorted(ticks, np.arange(first, last + 1), side="right") - 1
+    there = ticks[source] == np.arange(first, last + 1)
+    rows = rows[source]
+    good = there & running[source] & (rows["age"] == 0).all(axis=1) & np.isfinite(rows["twist"]).all(axis=1)
+    return Motion(
+        period_s,
+        np.ascontiguousarray(rows["tau"]),
+        np.ascontiguousarray(rows["p"]),
+        np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3),
+        np.ascontiguousarray(rows["twist"]),
+        np.ascontiguousarray(rows["dq"]),
+        good[1:] & good[:-1],
+    )
+
+
+def recorded_run(path: Path) -> Recorded:
+    """Return what a log of `hil run` or `hil sim` holds.
+
+    Raises LogError for what is no such log.
+    """
+    log = Log.open(path)
+    run = log.metadata.get("hil", {})
+    if run.get("kind") not in {"run", "sim"}:
+        raise LogError(
+            f"{path}: holds a log of kind {run.get('kind')!r}; only logs of `hil run` and `hil sim` tell"
+        )
+    configuration = loads(log.configuration, f"{path}:config.yaml")
+    return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
+
+
+def delay_of_log(path: Path) -> dict[str, Any]:
+    """Return the summary of the delay that a log of `hil run` or `hil sim` shows.
+
+    Raises LogError for what is no such log, IdentificationError where it does not hold enough.
+    """
+    recorded = recorded_run(path)
+    motion = motion_of(recorded.rows, 1.0 / recorded.rate_Hz)
+    delay = force_delay(motion, exact_model(recorded.configuration))
+    return {"success": True, "kind": "identify", "log": str(path)} | summary(delay)
+
+
+def summary(delay: Delay) -> dict[str, Any]:
+    """Return a delay as plain values, and the section of the configuration that compensates it."""
+    return {
+        "total_ms": 1e3 * delay.total_s,
+        "total_std_ms": 1e3 * delay.total_std_s,
+        "transport_ms": 1e3 * delay.transport_s,
+        "transport_std_ms": 1e3 * delay.transport_std_s,
+        "lag_ms": 1e3 * delay.lag_s,
+        "lag_std_ms": 1e3 * delay.lag_std_s,
+        "hold_ms": 1e3 * delay.hold_s,
+        "separable": delay.separable,
+        "explained_percent": 100.0 * delay.explained,
+        "gain": delay.gain.tolist(),
+        "viscous_friction_N_s_m": delay.viscous.tolist(),
+        "coulomb_friction_N": delay.coulomb.tolist(),
+        "periods": delay.periods,
+        "delay_compensation": {
+            "bus_ms": round(1e3 * delay.transport_s, 4),
+            "drive_lag_ms": round(1e3 * delay.lag_s, 4),
+            "hold_ms": round(1e3 * delay.hold_s, 4),
+        },
+    }
+
+
+def report(result: dict[str, Any]) -> list[str]:
+    """Return what the user reads: the delays, how sure they are, and what to write where."""
+
+    def row(name: str, key: str, remark: str) -> str:
+        std = result.get(f"{key}_std_ms")
+        sure = "" if std is None else f" +- {2 * std:.4f}"
+        return f"  {name:12} {result[f'{key}_ms']:8.4f}{sure:11} ms   {remark}"
+
+    lines = [
+        "From the measurement to the force that answers it (+- two standard deviations):",
+        row("transport", "transport", "SYNC to feedback, computing, command: pure delay"),
+        row("drive lag", "lag", "time constant of the drives' force loop"),
+        row("hold", "hold", "half a period, by design"),
+        row("total", "total", "what the law looks ahead by"),
+        f"{result['periods']} periods; the commands explain {result['explained_percent']:.2f} % of what "
+        "varies; gain of each leg " + " ".join(f"{g:.3f}" for g in result["gain"]),
+    ]
+    if not result["separable"]:
+        lines.append(
+            "Transport and lag could not be told apart: the motion was too slow for it. Their sum stands as "
+            "transport; the excitation of `hil identify CONFIG --delay` tells more."
+        )
+    worst = max(abs(g - 1.0) for g in result["gain"])
+    if worst > 0.05:
+        lines.append(
+            f"A leg's force is {100 * worst:.0f} % off the model's: wrong masses, or the scale of its drive."
+        )
+    values = ", ".join(f"{key}: {value:g}" for key, value in result["delay_compensation"].items())
+    return [*lines, "", "controller:", f"  delay_compensation: {{{values}}}"]
+
+
+def run_for(made: Excited, log: Path | None, *, real_time: bool, with_plant: bool) -> dict[str, Any]:
+    """Run an excited configuration, in lockstep or in real time; return the summary of that run.
+
+    Raises ConfigurationError for what cannot run: lockstep needs a plant.
+    """
+    if real_time:
+        return run_daemon(made.configuration, log=log, with_plant=with_plant, draw=False)
+    if made.configuration.plant is None:
+        raise ConfigurationError(
+            f"{made.configuration.source}: no section plant, so there is nothing to simulate: these are real "
+            "drives. Use --run, which moves them"
+        )
+    return simulate(made.configuration, log=log)

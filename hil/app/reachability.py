@@ -1,0 +1,204 @@
+"""Walk along the reference before anything moves: lengths, rates, forces, condition, against the limits."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Flags
+from hil.config import LimitSettings, PlatformSettings
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.geometry import Platform
+from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel, leg_lengths_kernel
+from hil.safety.guard import WINDOW_S
+from hil.trajectory import PiecewisePolynomial, Trajectory
+from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
+
+SAMPLES = 20_000
+"""Most samples of a walk; a longer path is walked in longer steps."""
+
+
+class Walk(NamedTuple):
+    """A reference, sampled. Rows are instants."""
+
+    t: Array
+    """(n,) s."""
+    q: Array
+    """(n, 6) m."""
+    dq: Array
+    """(n, 6) m/s."""
+    ddq: Array
+    """(n, 6) m/s^2."""
+    tau: Array
+    """(n, 6) N, what the drives have to give."""
+    rest: Array
+    """(2, 6) N, what holds the first and the last pose."""
+    condition: Array
+    """(n,) of J, lengths made comparable; inf where it is singular."""
+    sign: Array
+    """(n,) sign of det J: where it changes, the path has gone through a singularity."""
+    every_tick: bool
+    """Whether the step is one period of the loop: only then jumps of force are seen."""
+    repeats: bool
+    """Whether the path goes on where the walk ends, with its beginning."""
+
+    def forces(self) -> tuple[Array, Array]:
+        """Return instants (n,) s and forces (n, 6) N from rest to rest; two passes of a path that repeats."""
+        passes = 2 if self.repeats else 1
+        t = np.concatenate([self.t + k * self.t[-1] for k in range(passes)])
+        tau = np.vstack([self.rest[:1], *[self.tau] * passes, self.rest[1:]])
+        return np.concatenate([t[:1], t, t[-1:]]), tau
+
+
+class Violation(NamedTuple):
+    """The first instant at which one limit does not hold."""
+
+    t: float
+    message: str
+
+
+def span_s(trajectory: Trajectory) -> float:
+    """Return how long the walk has to be: one period of what repeats."""
+    if isinstance(trajectory, PiecewisePolynomial):
+        return trajectory.period_s
+    return trajectory.duration_s or 0.0
+
+
+def walk(
+    platform: Platform,
+    model: Model,
+    trajectory: Trajectory,
+    span: float,
+    period: float,
+    plant: PlantSettings | None = None,
+) -> Walk:
+    """Sample the reference over `span` s, once per `period` s where that gives at most SAMPLES samples.
+
+    Leg forces: inverse dynamics of `model`, plus friction and reflected mass of our own plant; the bench
+    plant's own equation where that is the plant; nan where the path meets a singularity. Raises ModelError
+    where it begins or ends in one.
+    """
+    steps = round(span / period)
+    n = min(steps, SAMPLES) + 1
+    t = np.linspace(0.0, steps * period, n) if steps else np.zeros(1)
+    q, dq, ddq, tau = (np.empty((n, 6)) for _ in range(4))
+    cond, sign = np.empty(n), np.empty(n)
+    a, b, no_wrench = platform.base_joints, platform.platform_joints, np.zeros(6)
+    for k in range(n):
+        # Just inside the end, where the path still moves: outside it rests.
+        p, R, twist, dtwist = trajectory.sample(min(t[k], span * (1 - 1e-12)))
+        J = jacobian_kernel(a, b, p, R)
+        q[k] = leg_lengths_kernel(a, b, p, R)
+        dq[k] = J @ twist
+        ddq[k] = J @ dtwist + jacobian_rate_kernel(a, b, p, R, twist) @ twist
+        cond[k] = condition_kernel(J, platform.radius)
+        sign[k] = np.linalg.slogdet(J)[0]
+        tau[k] = inverse_dynamics_kernel(model.constants, model.code, p, R, twist, dtwist, no_wrench)
+    still = np.zeros(6)
+    ends = (trajectory.sample(0.0), trajectory.sample(span))
+    rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
+    forces = _drive_forces(plant, q, dq, ddq, tau, rest)
+    repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
+    return Walk(t, q, dq, ddq, *forces, cond, sign, steps == n - 1, repeats)
+
+
+def _drive_forces(
+    plant: PlantSettings | None, q: Array, dq: Array, ddq: Array, tau: Array, rest: Array
+) -> tuple[Array, Array]:
+    """Add what the plant has and the rigid-body model has not; return tau and rest."""
+    if plant is not None and isinstance(plant.model, StewartPlant):
+        m = plant.model
+        friction = m.viscous_friction_N_s_m * dq + m.coulomb_friction_N * np.sign(dq)
+        return tau + friction + m.reflected_mass_kg * ddq, rest
+    if plant is not None and isinstance(plant.model, BenchPlant):
+        b = plant.model
+
+        def spring(length: Array) -> Array:
+            x: Array = length - b.rest_length_m
+            return b.stiffness_N_m * x + b.stiffness_N_m3 * x**3
+
+        return b.mass_kg * ddq + b.damping_N_s2_m2 * dq * np.abs(dq) + spring(q), spring(q[[0, -1]])
+    return tau, rest
+
+
+def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, period: float) -> list[Violation]:
+    """Return the first violation of each limit, in order of time."""
+    low = platform.length_min_m + limits.stroke_margin_m
+    high = platform.length_max_m - limits.stroke_margin_m
+    room = np.where(w.dq < 0, w.q - low, high - w.q)
+    cap = np.sqrt(2 * limits.deceleration_m_s2 * np.maximum(room, 0.0))
+    found = [
+        _first(
+            w,
+            np.maximum(low - w.q, w.q - high) > 0,
+            w.q,
+            f"length outside the soft ends {low:g} to {high:g} m",
+            "m",
+        ),
+        _first(
+            w,
+            np.abs(w.dq) > limits.speed_m_s,
+            w.dq,
+            f"rate above limits.speed_m_s {limits.speed_m_s:g}",
+            "m/s",
+        ),
+        _first(
+            w,
+            (np.abs(w.dq) > np.maximum(cap, 1e-3)) & (room > 0),
+            w.dq,
+            f"too fast to stop before a soft end with limits.deceleration_m_s2 {limits.deceleration_m_s2:g}",
+            "m/s",
+        ),
+        _first(
+            w, np.abs(w.tau) > limits.force_N, w.tau, f"force above limits.force_N {limits.force_N:g}", "N"
+        ),
+        _singularity(w, limits.condition),
+    ]
+    if limits.acceleration_m_s2 is not None:
+        text = f"acceleration above limits.acceleration_m_s2 {limits.acceleration_m_s2:g}"
+        found.append(_first(w, np.abs(w.ddq) > limits.acceleration_m_s2, w.ddq, text, "m/s^2"))
+    if w.every_tick:
+        t, forces = w.forces()
+        jumps = w._replace(t=t)
+        step = np.vstack([np.zeros((1, 6)), np.diff(forces, axis=0)])
+        text = f"force changes by more than limits.force_step_N {limits.force_step_N:g} in one tick, by"
+        found.append(_first(jumps, np.abs(step) > limits.force_step_N, step, text, "N"))
+        swing = window_swing(forces, max(1, round(WINDOW_S / period)))
+        text = f"force changes by more than limits.force_window_N {limits.force_window_N:g} within 250 ms, by"
+        found.append(_first(jumps, swing > limits.force_window_N, swing, text, "N"))
+    return sorted(v for v in found if v is not None)
+
+
+def _singularity(w: Walk, limit: float) -> Violation | None:
+    """Return where the path comes too near to a singularity, or has gone through one between two samples."""
+    turned = np.concatenate([[False], np.diff(w.sign) != 0])
+    far = (w.condition > limit) | turned
+    if not far.any():
+        return None
+    k = int(np.argmax(far))
+    t = float(w.t[k])
+    if turned[k] or not np.isfinite(w.condition[k]):
+        text = "the path goes through a singularity of J, where no leg forces can hold the platform"
+        return Violation(t, text)
+    return Violation(t, f"condition of J above limits.condition {limit:g}: {w.condition[k]:.1f}")
+
+
+def window_swing(forces: Array, ticks: int) -> Array:
+    """Return (n, 6) N, the largest change of each leg's force against any of the `ticks` rows before."""
+    swing = np.zeros_like(forces)
+    for lag in range(1, min(ticks, len(forces) - 1) + 1):
+        change = np.abs(forces[lag:] - forces[:-lag])
+        np.maximum(swing[lag:], change, out=swing[lag:])
+    return swing
+
+
+def _first(w: Walk, bad: Flags, value: Array, text: str, unit: str) -> Violation | None:
+    rows = bad.any(axis=1)
+    if not rows.any():
+        return None
+    k = int(np.argmax(rows))
+    leg = int(np.argmax(bad[k]))
+    return Violation(float(w.t[k]), f"leg {leg}: {text}: {value[k, leg]:.6g} {unit}")

@@ -1,0 +1,1 @@
+"""`hil run`: the daemon in real time, and the plant that it starts."""

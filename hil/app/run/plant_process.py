@@ -1,0 +1,131 @@
+"""`hil plant` as a child of `hil run --plant`: started, watched, told to end, never orphaned for long."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.errors import PlantError
+from hil.app.configuration.configuration import Configuration
+
+_PACKAGES = os.pathsep.join(
+    filter(None, (str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH")))
+)
+"""Where the child finds this program: with -P not in the user's working directory."""
+START_S = 60.0
+"""Building the FMU and compiling may come first, or a plant whose daemon was killed may have to leave."""
+END_S = 20.0
+"""Longest time to close the plant's log."""
+
+
+class SupervisedPlant:
+    """The other end of the bus in a process of its own.
+
+    It has its own session, so that Ctrl-C reaches the daemon alone and the platform is parked before the
+    plant ends. It notices the daemon's death by a closed pipe and then ends by itself. What it says comes
+    through a second pipe (an empty line when it serves, its summary at the end) and an unnamed file, so
+    that nothing is left behind whoever dies first.
+
+    Mutable state: the process, the pipes, how it was found when it was first asked about.
+    """
+
+    def __init__(self, configuration: Configuration, log: Path) -> None:
+        self._said = b""
+        self._trouble: str | None = None
+        alive_read, self._alive = os.pipe()
+        self._report, report_write = os.pipe()
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
+        command = [
+            sys.executable, "-P", "-m", "hil.cli", "plant", configuration.source, "--log", str(log),
+            "--supervisor", str(alive_read), "--report", str(report_write),
+        ]  # fmt: skip
+        self._process = subprocess.Popen(
+            command,
+            pass_fds=(alive_read, report_write),
+            env={**os.environ, "PYTHONPATH": _PACKAGES},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self._errors,
+            start_new_session=True,
+        )
+        os.close(alive_read)
+        os.close(report_write)
+
+    def __enter__(self) -> Self:
+        """Wait until the plant serves its drives.
+
+        Raises PlantError with the plant's own message if it does not start.
+        """
+        try:
+            readable, _, _ = select.select([self._report], [], [], START_S)
+            served = bool(readable) and os.read(self._report, 1) == b"\n"
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        if not served:
+            self._end()
+            message = self._message()
+            self.__exit__(None, None, None)
+            raise PlantError(f"the plant did not start: {message}")
+        return self
+
+    @property
+    def pid(self) -> int:
+        """Process number of the plant."""
+        return self._process.pid
+
+    def trouble(self) -> str:
+        """Say how the plant ended before it was told to; empty while it lives."""
+        if self._trouble is None and self._process.poll() is not None:
+            self._trouble = f"the plant, process {self.pid}, {self._message()}"
+        return self._trouble or ""
+
+    def finish(self) -> dict[str, Any]:
+        """End the plant and return its summary."""
+        before = self.trouble()
+        self._end()
+        while piece := os.read(self._report, 65536):
+            self._said += piece
+        try:
+            summary: dict[str, Any] = json.loads(self._said)
+        except ValueError:
+            return {"success": False, "trouble": before or self._message()}
+        return summary
+
+    def _end(self) -> None:
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+    def _message(self) -> str:
+        """Return what the plant said last, or how it ended."""
+        self._errors.seek(0)
+        text = self._errors.read().decode(errors="replace").strip()
+        code = self._process.returncode
+        how = (
+            f"was killed by {signal.Signals(-code).name}"
+            if code and code < 0
+            else f"ended with exit code {code}"
+        )
+        return f"{how}: {text}" if text else how
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._end()
+        if not self._errors.closed:
+            self._errors.close()
+            os.close(self._alive)
+            os.close(self._report)

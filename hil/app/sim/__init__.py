@@ -1,0 +1,1 @@
+"""`hil sim`: both ends of the bus in lockstep."""

@@ -1,0 +1,151 @@
+"""`hil sim`: both ends of the bus in lockstep, in simulated time, as fast as the machine allows."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConfigurationError, PlantError
+from drivers.protocol import Frame
+from hil.app.compose import (
+    attachments,
+    bit_timing,
+    build_cycle,
+    build_nodes,
+    build_scene,
+    bus_budget,
+    feedback_window_s,
+)
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import law_figures
+from hil.app.output import log_path
+from hil.app.replay import replay_log
+from hil.app.sim.lockstep import Lockstep
+from hil.config import LiveReference
+from hil.loop.clock import collector_paused
+from hil.loop.cycle import Cycle
+from hil.record import Recording
+from hil.record.figures import figures
+from hil.record.log import Log
+from hil.signals import Mode, SetPoint, TickInput, TickOutput
+from hil.trajectory.sampled import read_poses
+from plant_fmu.drives.faults import FaultPlan
+
+
+class Script:
+    """Set-points of a CSV file, each in the first tick at or after its time along the live reference.
+
+    Mutable state: how many have been given. Raises ConfigurationError for a reference that takes none, and
+    for what is wrong in the file.
+    """
+
+    def __init__(self, c: Configuration, cycle: Cycle, path: Path) -> None:
+        if not isinstance(c.reference, LiveReference):
+            raise ConfigurationError(
+                f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
+            )
+        t, chi = read_poses(path, at_least=1)
+        self._t = t.tolist()
+        self._setpoints = [SetPoint(*words) for words in chi.tolist()]
+        self._cycle = cycle
+        self._given = 0
+
+    @property
+    def left(self) -> int:
+        """How many have not been given."""
+        return len(self._t) - self._given
+
+    def __call__(self, tick: int) -> tuple[SetPoint, ...]:
+        """Return the set-points of a tick."""
+        if self._cycle.mode is not Mode.TRACKING:
+            return ()
+        now, first = self._cycle.motion.time(tick), self._given
+        while self._given < len(self._t) and self._t[self._given] <= now:
+            self._given += 1
+        return tuple(self._setpoints[first : self._given])
+
+
+def simulate(
+    configuration: Configuration,
+    *,
+    log: Path | None = None,
+    duration_s: float | None = None,
+    check_replay: bool = True,
+    faults: FaultPlan | None = None,
+    live: bool = False,
+    setpoints: Path | None = None,
+) -> dict[str, Any]:
+    """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
+
+    `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
+    their times along it.
+
+    Raises ConfigurationError for what cannot run, PlantError where the plant fails.
+    """
+    c = configuration
+    c.require("sim")
+    rate = c.loop.rate_Hz
+    budget = bus_budget(c, rate)
+    watchdog_s = c.drives.watchdog_ms * 1e-3
+    cycle = build_cycle(c, rate, watchdog_s)
+    if cycle.parts.trajectory.duration_s is None and duration_s is None:
+        raise ConfigurationError(
+            f"{c.source}: reference: it has no end, and a simulation needs one: set duration_s or "
+            "periods, or call with --duration"
+        )
+    script = None if setpoints is None else Script(c, cycle, setpoints)
+    path = log_path(c.recording.folder, c.name, log)
+    nodes, physics = build_nodes(c, faults)
+    try:
+        lockstep = Lockstep(
+            cycle, nodes, None if budget is None else bit_timing(c), feedback_window_s(c, rate)
+        )
+        recording = Recording.start(
+            path,
+            configuration=c.text,
+            attachments=attachments(c),
+            metadata={"kind": "sim", "rate_Hz": rate, "watchdog_s": watchdog_s},
+            scene=build_scene(c),
+            can_channel=c.bus.channel,
+            lockstep=True,
+            ring_ticks=c.recording.ring_ticks,
+            live=live,
+            reference_s=cycle.parts.trajectory.duration_s,
+        )
+
+        def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
+            recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
+
+        trouble = ""
+        with recording, collector_paused():
+            begun = time.perf_counter()
+            try:
+                mode = lockstep.run(duration_s, observe, script)
+            except PlantError as error:
+                mode, trouble = cycle.mode, str(error)
+            wall = time.perf_counter() - begun
+            recorder = recording.close({"ending": mode.name, "faults": int(cycle.faults)})
+    finally:
+        physics.close()
+    rows = Log.open(path).rows()
+    result: dict[str, Any] = {
+        "success": mode is Mode.PARKED and not cycle.faults and not trouble,
+        "kind": "sim",
+        "trouble": trouble or None,
+        "configuration": c.source,
+        "log": str(path),
+        "rate_Hz": rate,
+        **law_figures(c.controller, cycle.parts.law),
+        "bus_load_percent": None if budget is None else budget.load_percent,
+        "wall_s": wall,
+        "real_time_factor": (len(rows) - 1) / rate / wall,
+        **figures(rows),
+        "recorder_cpu_s": recorder.recorder_cpu_s,
+    }
+    if script is not None and script.left:
+        result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
+    if check_replay:
+        _, result["replay"] = replay_log(path)
+        result["success"] = result["success"] and result["replay"]["agrees"]
+    return result

@@ -1,0 +1,219 @@
+"""Both ends of the bus in one process, in simulated time, over the same bus arithmetic as the virtual bus.
+
+A frame takes its worst-case bit time and the lowest identifier wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from operator import itemgetter
+from typing import NamedTuple
+
+from drivers.can.bus_time import BitTiming, frame_time_ns, priority, transmit
+from drivers.protocol import ALWAYS, Frame, Received
+from hil.loop.cycle import Cycle
+from hil.loop.daemon import FAULT_TAIL_S, NO_DRIVES_S, drives_off
+from hil.signals import Mode, Operator, SetPoint, TickInput, TickOutput
+from plant_fmu.drives.nodes import Nodes
+
+Observer = Callable[[TickInput, tuple[Frame, ...], TickOutput], None]
+"""Called after every tick with its input, the opening frames and the output."""
+
+_new = tuple.__new__
+"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
+
+_frame_of = itemgetter(1)
+_ENDED = frozenset({Mode.PARKED, Mode.FAULT})
+
+COMPUTE_US = 60.0
+"""Simulated time from the last feedback to the command's entry into the bus."""
+
+
+Shape = tuple[int, int, int]
+"""(identifier, bytes, flags): decides a frame's priority and its time on the wire."""
+
+
+class Burst(NamedTuple):
+    """How frames of certain shapes, queued at one instant, follow each other on a bus that has no others."""
+
+    ends: tuple[tuple[int, int], ...]
+    """Which of them, and ns from the start of the first to its end, in the order of the wire."""
+    duration: int
+    """ns from the start of the first to the end of the last."""
+    answered: int
+    """How many of them, in that order, it takes to bring every feedback; 0 if one is not there."""
+
+
+@dataclass
+class Lockstep:
+    """The bus between a Cycle and Nodes, and the time that both share.
+
+    Mutable state: the transmit queue and when the bus falls free, the frames on their way to either end, the
+    tick; and the controller and the nodes themselves. One run per instance.
+    """
+
+    cycle: Cycle
+    nodes: Nodes
+    timing: BitTiming | None
+    """None is the ideal bus: no frame takes time, the force acts at the instant of the measurement."""
+    feedback_window_s: float
+    compute_us: float = COMPUTE_US
+    tick: int = -1
+    free_ns: int = ALWAYS
+    """When the bus falls free."""
+    _queued: list[tuple[int, int, int, int, bool, Frame]] = field(default_factory=list)
+    """Not started yet; see `bus_time.transmit`, then whether a drive sends it, and the frame."""
+    _number: int = 0
+    _late: list[Received] = field(default_factory=list)
+    """Frames for the controller that ended after its window."""
+    _commands: list[Received] = field(default_factory=list)
+    """Frames for the drives that ended since their last step."""
+    _shapes: dict[Shape, tuple[int, int]] = field(default_factory=dict)
+    """Priority and ns on the wire of every shape seen so far."""
+    _bursts: dict[tuple[Shape, ...], Burst] = field(default_factory=dict)
+    """What is known of frames of these shapes: the same few come together tick after tick."""
+
+    def __post_init__(self) -> None:
+        self.period_ns = round(1e9 / self.cycle.parts.rate_Hz)
+        self.window_ns = round(self.feedback_window_s * 1e9)
+        self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
+        self.wanted = self.cycle.parts.protocol.feedback_ids
+        self.nodes.start(0)
+
+    def step(
+        self, operator: tuple[Operator, ...] = (), setpoints: tuple[SetPoint, ...] = ()
+    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
+        """Advance both ends by one tick."""
+        self.tick = tick = self.tick + 1
+        t_ns = tick * self.period_ns
+        opening = self.cycle.begin(tick)
+        feedback, step_ns = self._exchange(t_ns, opening)
+        inp = TickInput(tick, t_ns, 0, 0, tuple(feedback), 0, 0, False, 0, True, 0, operator, 0, setpoints)
+        out = self.cycle.step(inp)
+        queued_ns = step_ns + self.compute_ns
+        # nothing else is queued before the next SYNC
+        if not self._send(queued_ns, out.frames, t_ns + self.period_ns - 1, self._commands):
+            self._queue([(queued_ns, frame) for frame in out.frames], from_drive=False)
+        return inp, opening, out
+
+    def _exchange(self, t_ns: int, opening: tuple[Frame, ...]) -> tuple[list[Received], int]:
+        """Let SYNC reach the drives and their answers the controller; return those and the step's time."""
+        deadline = t_ns + self.window_ns
+        if not self._send(t_ns, opening, deadline, self._commands):
+            self._queue([(t_ns, frame) for frame in opening], from_drive=False)
+            self._carry(t_ns)
+            if opening[-1] not in map(_frame_of, self._commands):  # SYNC waits for the frame on the wire
+                self._carry(self.free_ns)
+        synced = self._commands[-1].t_ns if self._commands else t_ns
+        commands, self._commands = self._commands, []
+        replies = self.nodes.step(max(synced, t_ns), commands)
+        early, self._late = self._late, []
+        answers: list[Received] = []
+        if replies and replies[0][0] == replies[-1][0]:
+            burst = self._send(replies[0][0], list(map(_frame_of, replies)), deadline, answers)
+            if burst:
+                taken = burst.answered
+                if not taken:
+                    return early + answers, deadline
+                self._late = answers[taken:]
+                return early + answers[:taken], answers[taken - 1].t_ns
+        self._queue(replies, from_drive=True)
+        self._carry(deadline)
+        answers, self._late = self._late, []
+        missing = set(self.wanted)
+        for n, (end_ns, frame) in enumerate(answers):
+            missing.discard(frame.id)
+            if end_ns > deadline or not missing:
+                taken = n if end_ns > deadline else n + 1
+                self._late = answers[taken:]
+                return early + answers[:taken], min(end_ns, deadline)
+        return early + answers, deadline
+
+    def _send(
+        self, t_ns: int, frames: Sequence[Frame], end_ns: int, receiver: list[Received]
+    ) -> Burst | None:
+        """Pass frames queued at `t_ns` over a bus that nobody else waits for.
+
+        Does nothing and returns None if a frame waits already or these are not through by `end_ns`.
+        """
+        if self._queued:
+            return None
+        shapes = tuple([(identifier, len(data), flags) for identifier, data, flags in frames])
+        burst = self._bursts.get(shapes)
+        if burst is None:
+            burst = self._bursts[shapes] = self._burst(shapes)
+        start = max(t_ns, self.free_ns)
+        if start + burst.duration > end_ns:
+            return None
+        self.free_ns = start + burst.duration
+        for k, end in burst.ends:
+            receiver.append(_new(Received, (start + end, frames[k])))
+        return burst
+
+    def _burst(self, shapes: tuple[Shape, ...]) -> Burst:
+        """Find out how frames of these shapes go."""
+        queued = [(0, rank, k, ns) for k, (rank, ns) in enumerate(map(self._wire, shapes))]
+        sent, _, duration = transmit(queued, 0, sum(ns for *_, ns in queued))
+        ends = tuple((k, end) for end, (_, _, k, _) in sent)
+        missing = set(self.wanted)
+        answered = 0
+        for n, (k, _) in enumerate(ends, 1):
+            if shapes[k][0] in missing:
+                missing.discard(shapes[k][0])
+                answered = n
+        return Burst(ends, duration, 0 if missing else answered)
+
+    def _wire(self, shape: Shape) -> tuple[int, int]:
+        """Return the priority of a frame and its ns on the wire."""
+        wire = self._shapes.get(shape)
+        if wire is None:
+            identifier, length, flags = shape
+            duration = 0 if self.timing is None else frame_time_ns(length, flags, self.timing)
+            wire = self._shapes[shape] = priority(identifier, flags), duration
+        return wire
+
+    def _queue(self, sends: Iterable[tuple[int, Frame]], *, from_drive: bool) -> None:
+        """Put frames into their nodes' transmit queues, each at its instant."""
+        for t_ns, frame in sends:
+            identifier, data, flags = frame
+            rank, duration = self._wire((identifier, len(data), flags))
+            self._number += 1
+            self._queued.append((t_ns, rank, self._number, duration, from_drive, frame))
+
+    def _carry(self, until_ns: int) -> None:
+        """Move every frame that starts by `until_ns` to its receiver's list."""
+        sent, self._queued, self.free_ns = transmit(self._queued, self.free_ns, until_ns)
+        for end_ns, (_, _, _, _, from_drive, frame) in sent:
+            (self._late if from_drive else self._commands).append(_new(Received, (end_ns, frame)))
+
+    def run(
+        self,
+        duration_s: float | None,
+        observe: Observer,
+        setpoints: Callable[[int], tuple[SetPoint, ...]] | None = None,
+    ) -> Mode:
+        """Engage, run the reference, park. `setpoints` gives those of a tick.
+
+        Ends when parked with all drives off, FAULT_TAIL_S after a fault or after parking drives that never
+        were on, or when the drives do not get ready.
+        """
+        rate = self.cycle.parts.rate_Hz
+        stop_tick = None if duration_s is None else round(duration_s * rate)
+        tail_ticks = max(5, round(FAULT_TAIL_S * rate))
+        ending = 0
+        operator: tuple[Operator, ...] = ()
+        engaged = False
+        while True:
+            observe(*self.step(operator, () if setpoints is None else setpoints(self.tick + 1)))
+            operator = ()
+            mode = self.cycle.mode
+            if not engaged and mode is Mode.IDLE:
+                operator, engaged = (Operator.ENGAGE,), True
+            if stop_tick is not None and self.tick + 1 == stop_tick:
+                operator = (*operator, Operator.STOP)
+            ending += mode in _ENDED
+            parked = mode is Mode.PARKED and drives_off(self.cycle)
+            waited = mode is Mode.WAITING and self.tick > NO_DRIVES_S * rate
+            if parked or ending > tail_ticks or waited:
+                return mode

@@ -1,0 +1,83 @@
+"""`hil stability CONFIG`: what can be proven of the configured law, with its figures and conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import Configuration
+from hil.app.stability import designed, linearising, spring_models
+from hil.app.stability.subject import Stated, Subject
+from hil.config import PDSettings
+from hil.stability.disturbance import Load
+from hil.stability.verdict import Verdict
+from plant_fmu.config import BenchPlant
+
+Judge = Callable[[Subject, Any, bool], Verdict]
+
+JUDGES: dict[str, Judge] = {
+    "pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
+    "pid": lambda subject, law, _: spring_models.pid(subject, law),
+    "pd_gravity": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
+    "cartesian_pd": lambda subject, law, quick: spring_models.cartesian(subject, law, quick=quick),
+    "feedforward_pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
+    "inverse_dynamics": lambda subject, law, _: linearising.linear(subject, law),
+    "pose_inverse_dynamics": lambda subject, law, _: linearising.linear(subject, law),
+    "partial_linearisation": lambda subject, law, _: linearising.linear(subject, law),
+    "sliding_mode": lambda subject, law, _: linearising.robust(subject, law),
+    "robust_inverse_dynamics": lambda subject, law, _: linearising.robust(subject, law),
+    "state_space": lambda subject, law, _: designed.configured(subject, law),
+}
+"""`controller.law` -> what judges it."""
+
+
+def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False) -> Verdict:
+    """Return the verdict on a configuration's law.
+
+    quick: without the search for the largest sublevel set, which costs seconds. Raises ConfigurationError
+    where the reference cannot be followed.
+    """
+    subject = Subject(c, Stated() if stated is None else stated)
+    if c.plant is not None and isinstance(c.plant.model, BenchPlant):
+        if isinstance(c.controller, PDSettings):
+            return spring_models.bench(subject, c.controller, c.plant.model)
+        return Verdict("not proven", "six uncoupled legs are not the robot of this law's model", [], [], {})
+    return JUDGES[c.controller.law](subject, c.controller, quick)
+
+
+def assess(
+    c: Configuration, *, force_N: float = 0.0, torque_N_m: float = 0.0, model_error: float = 0.0
+) -> dict[str, Any]:
+    """Return the summary of `hil stability`; `success` is whether something is proven, if conditionally.
+
+    Raises ConfigurationError.
+    """
+    if not 0.0 <= model_error < 1.0:
+        raise ConfigurationError(f"--model-error: a share, allowed: 0 to below 1, given: {model_error:g}")
+    verdict = judge(c, Stated(Load(force_N, torque_N_m), model_error))
+    return {
+        "success": verdict.status in {"proven", "conditional"},
+        "kind": "stability",
+        "configuration": c.source,
+        "law": c.controller.law,
+        "stated": {"force_N": force_N, "torque_N_m": torque_N_m, "model_error": model_error},
+        "verdict": verdict.status,
+        "claim": verdict.claim,
+        "conditions": verdict.conditions,
+        "lines": verdict.lines,
+        "figures": verdict.figures,
+    }
+
+
+def shown(summary: dict[str, Any]) -> list[str]:
+    """Return the summary as text."""
+    stated = summary["stated"]
+    lines = [f"law {summary['law']}", f"verdict        {summary['verdict']}: {summary['claim']}"]
+    lines += [f"  if           {condition}" for condition in summary["conditions"]]
+    if any(stated.values()):
+        lines.append(
+            f"unknown load   {stated['force_N']:g} N and {stated['torque_N_m']:g} N m in any direction, "
+            f"masses {100 * stated['model_error']:g} % wrong"
+        )
+    return [*lines, *summary["lines"]]

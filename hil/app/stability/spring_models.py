@@ -1,0 +1,259 @@
+"""Verdicts on laws that do not linearise the robot: PD on legs and on the pose, PID, feed-forward.
+
+What is proven of these laws is proven of a reference at rest; of a moving one nothing is, and the verdict
+says so.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ModelError
+from hil.app.stability.subject import Subject
+from hil.config import (
+    CartesianPDSettings,
+    FeedforwardPDSettings,
+    ModelSettings,
+    PDGravitySettings,
+    PDSettings,
+    PIDSettings,
+)
+from hil.control.law import per_axis, per_leg
+from hil.mathematics.linear_system import LinearSystem
+from hil.mathematics.rotations import relative_rotation
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian, leg_lengths
+from hil.stability.coupled import delay_margin_s, growth, integrating, proportional
+from hil.stability.energy import (
+    Potential,
+    Well,
+    basin,
+    leg_springs,
+    stiffness_matrix,
+    total,
+    weight,
+    well,
+)
+from hil.stability.verdict import Verdict, unless
+from plant_fmu.config import BenchPlant
+
+LegSettings = PDSettings | PDGravitySettings | FeedforwardPDSettings
+_STILL = np.zeros(6)
+
+
+class Held(NamedTuple):
+    """A law at the reference's start, at rest."""
+
+    S: Potential
+    exact: bool
+    """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
+    controller: LinearSystem
+    mobility: Array
+    damping: str
+    """By which V falls."""
+    stiffness: float | None = None
+    """N/m, of all legs' springs together where S is theirs alone: the level is a length."""
+
+
+def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Verdict:
+    """Judge a PD on leg lengths by its energy."""
+    p, R = subject.path[0].p, subject.path[0].R
+    q = leg_lengths(subject.platform, p, R)
+    K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
+    compensated = believed = None
+    tau = np.zeros(6)
+    if isinstance(law, PDGravitySettings):
+        compensated = believed = _weighing(subject, law.model)
+    elif isinstance(law, FeedforwardPDSettings):
+        believed = _weighing(subject, law.model)
+        tau = believed.inverse_dynamics(p, R, _STILL, _STILL)
+    S = total(leg_springs(subject.platform, q, K_p, tau), weight(subject.robot, compensated))
+    exact = compensated is not None and _same_weight(subject, compensated)
+    J, mobility = _mobility(subject, p, R)
+    controller = proportional(K_p, K_v, subject.axis.period_s)
+    stiffness = float(K_p.sum()) if exact else None
+    held = Held(S, exact, controller, J @ mobility @ J.T, "dq^T K_v dq", stiffness)
+    return _judge(subject, held, quick=quick)
+
+
+def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Verdict:
+    """Judge a PD on the pose by its energy, where it has one."""
+    p, R = subject.path[0].p, subject.path[0].R
+    K_p = per_axis(law.kp_position_N_m, law.kp_rotation_N_m_rad)
+    K_v = per_axis(law.kv_position_N_s_m, law.kv_rotation_N_m_s_rad)
+    _, mobility = _mobility(subject, p, R)
+    controller = proportional(K_p, K_v, subject.axis.period_s)
+    if law.rotation_error == "vector_difference" or len(set(K_p[3:])) > 1:
+        reason = (
+            "the stiffness of vector_difference is not symmetric"
+            if law.rotation_error == "vector_difference"
+            else "three stiffnesses of rotation have an energy to first order only"
+        )
+        lines, figures, radius = _sampled(subject, controller, mobility)
+        if radius >= 1.0:
+            return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
+        claim = f"{reason}: no energy function; small errors at the reference's start die out"
+        return Verdict("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
+    compensated = None if law.model is None else _weighing(subject, law.model)
+
+    def springs(at_p: Array, at_R: Array) -> float:
+        r = relative_rotation(at_R, R)
+        e = p - at_p
+        return float(0.5 * e @ (K_p[:3] * e) + 0.5 * K_p[3] * r @ r)
+
+    S = total(springs, weight(subject.robot, compensated))
+    exact = compensated is not None and _same_weight(subject, compensated)
+    return _judge(subject, Held(S, exact, controller, mobility, "t^T K_v t"), quick=quick)
+
+
+def pid(subject: Subject, law: PIDSettings) -> Verdict:
+    """Judge a PID by its eigenvalues at the reference's start (Lyapunov's indirect method)."""
+    p, R = subject.path[0].p, subject.path[0].R
+    K_p, K_v, K_i = (per_leg(gain) for gain in (law.kp_N_m, law.kv_N_s_m, law.ki_N_m_s))
+    J, mobility = _mobility(subject, p, R)
+    tau = subject.robot.inverse_dynamics(p, R, _STILL, _STILL)
+    q = leg_lengths(subject.platform, p, R)
+    stiffness = stiffness_matrix(
+        total(leg_springs(subject.platform, q, K_p, tau), weight(subject.robot)), p, R
+    )
+    nothing, unit = np.zeros((6, 6)), np.eye(6)
+    A = np.block(
+        [
+            [nothing, unit, nothing],
+            [-mobility @ stiffness, -mobility @ J.T @ (K_v[:, None] * J), mobility @ J.T],
+            [-K_i[:, None] * J, nothing, nothing],
+        ]
+    )
+    slowest = float(np.linalg.eigvals(A).real.max())
+    controller = integrating(K_p, K_v, K_i, subject.axis.period_s)
+    lines, figures, radius = _sampled(subject, controller, J @ mobility @ J.T)
+    lines.insert(0, f"eigenvalues    slowest exp({slowest:+.3g} t) of 18, the weight's stiffness included")
+    figures["slowest_eigenvalue_1_s"] = slowest
+    short = float((np.abs(tau) / per_leg(law.integral_limit_N)).max())
+    if slowest >= 0.0 or radius >= 1.0:
+        claim = (
+            _unstable(subject, radius) if radius >= 1.0 else f"an eigenvalue grows as exp({slowest:.3g} t)"
+        )
+        return Verdict("unstable", claim, [], lines, figures)
+    if short > 1.0:
+        claim = f"the integral cannot carry the weight: {100 * short:.0f} % of integral_limit_N"
+        return Verdict("not proven", claim, _motion(subject), lines, figures)
+    claim = f"at the reference's start small errors die out as exp({slowest:.3g} t)"
+    return Verdict("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
+
+
+def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Verdict:
+    """Judge a PD on six uncoupled legs with springs and dampers of their own."""
+    controller = proportional(per_leg(law.kp_N_m), per_leg(law.kv_N_s_m), subject.axis.period_s)
+    lines, figures, radius = _sampled(subject, controller, np.eye(6) / plant.mass_kg)
+    if radius >= 1.0:
+        return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
+    conditions = _motion(subject)
+    claim = (
+        "each leg's V = m dq^2 / 2 + K_p e^2 / 2 + its own springs falls by K_v dq^2 + b |dq|^3 and grows "
+        "without bound: its rest is globally asymptotically stable (LaSalle)"
+    )
+    return Verdict(unless(conditions), claim, conditions, lines, figures)
+
+
+def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
+    s = subject.path[0]
+    lines, figures, radius = _sampled(subject, held.controller, held.mobility)
+    if radius >= 1.0:
+        return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
+    conditions = _motion(subject)
+    try:
+        rest = well(held.S, s.p, s.R, subject.platform.radius)
+    except ModelError as error:
+        return Verdict("not proven", str(error), conditions, lines, figures)
+    sag = leg_lengths(subject.platform, rest.p, rest.R) - leg_lengths(subject.platform, s.p, s.R)
+    sag_mm = 1e3 * float(np.abs(sag).max())
+    lines.insert(
+        0, f"stiffness      {rest.stiffness[0]:.4g} to {rest.stiffness[-1]:.4g} N/m where it comes to rest"
+    )
+    figures["energy"] = {"stiffness_N_m": rest.stiffness.tolist(), "sag_mm": sag_mm}
+    if not rest.stable:
+        return Verdict(
+            "not proven", "the weight is stiffer than the springs: it falls over", conditions, lines, figures
+        )
+    if (met := subject.outside(rest.p, rest.R)) is not None:
+        return Verdict(
+            "not proven", f"it comes to rest outside its limits: {met}", conditions, lines, figures
+        )
+    if not quick:
+        _basin(subject, held, rest, lines, figures)
+    near = held.exact or sag_mm < 1e-3
+    where = "the set-point" if near else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
+    claim = f"V = t^T M t / 2 + S falls by {held.damping}: {where} is asymptotically stable (LaSalle)"
+    if not held.exact:
+        conditions.append("no other equilibrium lies in the sublevel set: not searched for")
+    return Verdict(unless(conditions), claim, conditions, lines, figures)
+
+
+def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: dict[str, Any]) -> None:
+    found = basin(held.S, rest, subject.platform.radius, subject.outside)
+    start_mm = None if held.stiffness is None else 1e3 * float(np.sqrt(2.0 * found.level_J / held.stiffness))
+    starts = "" if start_mm is None else f": every start at rest with all legs up to {start_mm:.3g} mm off"
+    lines.append(
+        f"sublevel set   V < {found.level_J:.4g} J stays within stroke and regular J (by search; its edge: "
+        f"{found.reason}){starts}"
+    )
+    figures["energy"] |= {
+        "level_J": found.level_J,
+        "edge": found.reason,
+        "edge_position_m": found.edge_p.tolist(),
+        "start_mm": start_mm,
+    }
+
+
+def _motion(subject: Subject) -> list[str]:
+    """Return what a proof of a set-point asks of the reference."""
+    conditions = [] if subject.rest else ["the reference rests; while it moves nothing is proven"]
+    if subject.c.plant is None:
+        conditions.append("the robot weighs what section platform says")
+    if not subject.stated.nothing:
+        conditions.append("no load: of these laws no ultimate bound is computed")
+    return conditions
+
+
+def _sampled(
+    subject: Subject, controller: LinearSystem, mobility: Array
+) -> tuple[list[str], dict[str, Any], float]:
+    radius = growth(subject.axis, controller, mobility)
+    figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
+    line = f"sampled loop   largest |z| {radius:.4f} at the reference's start, all axes together"
+    if radius < 1.0:
+        margin = delay_margin_s(subject.axis, controller, mobility)
+        figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
+        line += f"; bears {1e3 * margin:.3g} ms of further delay"
+    return [line], figures, radius
+
+
+def _unstable(subject: Subject, radius: float) -> str:
+    return (
+        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.trade}: lower the gains"
+    )
+
+
+def _mobility(subject: Subject, p: Array, R: Array) -> tuple[Array, Array]:
+    """Return J and M^-1."""
+    M = subject.robot.mass_matrix(p, R)
+    return jacobian(subject.platform, p, R), np.asarray(np.linalg.inv(M), float)
+
+
+def _weighing(subject: Subject, settings: ModelSettings) -> Model:
+    """Return what the law believes, in full: of the constant variants only the gravity would be another."""
+    variant = "massless_legs" if settings.variant == "massless_legs" else "full"
+    return subject.believed(settings.model_copy(update={"variant": variant, "frozen_at": None}))
+
+
+def _same_weight(subject: Subject, believed: Model) -> bool:
+    """Tell whether two models weigh the same along the reference."""
+    return all(
+        np.allclose(believed.gravity(s.p, s.R), subject.robot.gravity(s.p, s.R), rtol=1e-9, atol=1e-6)
+        for s in subject.path[::10]
+    )

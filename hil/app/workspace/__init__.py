@@ -1,0 +1,1 @@
+"""`hil workspace`: where the platform can go."""

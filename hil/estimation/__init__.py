@@ -1,0 +1,1 @@
+"""Where the platform is, what pushes it, and where it will be when the force acts."""

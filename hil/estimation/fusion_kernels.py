@@ -1,0 +1,136 @@
+"""One interval of the error-state Kalman filter of `hil.estimation.fusion`: predict, decide, update.
+
+All measurements are processed one number at a time, so nothing is inverted; every update of P is Joseph's
+(Bucy and Joseph, 1968), which keeps P symmetric and positive whatever the gain.
+
+State x (24,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 and accelerometer 21..23. Error
+(n,), n = 12 or 18: dp, dtheta, dv, domega, biases; p = p + dp, R = exp(dtheta) R: all in the base frame
+(the global perturbation of Sola, Deray and Atchuthan, A micro Lie theory, 2018), biases in the platform
+frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from hil.estimation.fusion_layout import (
+    DECIDED,
+    FADE,
+    FADES,
+    IMU,
+    KEPT,
+    LATCH,
+    LENGTH,
+    R_LENGTH,
+    R_RATE,
+    RATE,
+    TRACKER,
+    TRACKER_AT,
+    TWIST,
+    UNDECIDED,
+    USED,
+    T,
+)
+from hil.estimation.fusion_predict import predict
+from hil.estimation.fusion_update import beyond, correct, leg_rows, take, update_gyro, update_tracker
+from hil.mathematics.linear_algebra import condition_from_lu, lu_factor
+from hil.mathematics.vectors import row
+from hil.robot.kinematics_kernels import lengths_and_jacobian
+
+OUT_CUBE = OUT_MATRIX.copy(ndim=3)
+
+
+@helper
+def interval(
+    a: Array, b: Array, c: Array, u: Array, x0: Array, P0: Array, x: Array, P: Array, work: Array
+) -> None:
+    """Fill x and P at the end of the interval u from x0 and P0 at its beginning.
+
+    The first run decides which legs are used, how much process noise there was, and whether the tracker is
+    believed; later ones, for a sample that came late, keep to it.
+    """
+    n = P.shape[0]
+    F = work[0:n, 0:n]
+    W = work[n : 2 * n, 0:n]
+    dx, h, g, K, Ph = (
+        work[2 * n, 0:n], work[2 * n + 1, 0:n], work[2 * n + 2, 0:n], work[2 * n + 3, 0:n], work[2 * n + 4,
+        0:n]
+    )  # fmt: skip
+    dx[:] = 0.0
+    new = u[TRACKER] == UNDECIDED
+    for fades in range(FADES + 1):
+        if new:
+            u[TRACKER] = UNDECIDED
+        x[:] = x0
+        P[:, :] = P0
+        done = 0.0
+        if u[TRACKER] != 0.0:
+            done = u[TRACKER_AT] * u[T]
+            predict(x, P, u, c, done, u[FADE], F, W)
+            update_tracker(x, P, u, c, dx, h, K, Ph)
+        predict(x, P, u, c, u[T] - done, u[FADE], F, W)
+        count, last = beyond(a, b, x, P, u, c, h, g)
+        if u[DECIDED] != 0.0 or count == 0 or fades == FADES:
+            break
+        if count == 1 and u[USED + last] < KEPT:
+            u[USED + last] = 0.0
+            break
+        u[FADE] *= 100.0
+    u[DECIDED] = 1.0
+    for i in range(6):
+        if u[USED + i] != 0.0:
+            l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
+            take(P, h, c[R_LENGTH] + rate * rate * c[LATCH], u[LENGTH + i] - l, dx, K, Ph)
+            take(P, g, c[R_RATE], u[RATE + i] - rate, dx, K, Ph)
+    if u[IMU] != 0.0:
+        update_gyro(x, P, u, c, dx, h, K, Ph)
+    correct(x, dx)
+
+
+@kernel(MATRIX, MATRIX, VECTOR, OUT_MATRIX, OUT_MATRIX, OUT_CUBE, INTEGER, INTEGER)
+def rerun_kernel(
+    a: Array, b: Array, c: Array, intervals: Array, states: Array, covariances: Array, first: int, count: int
+) -> None:
+    """Run ``count`` intervals of the rings from ``first`` on, each from the state before it.
+
+    a, b (6, 3) joints; c (NOISE,); rings: intervals (N, INTERVAL), states (N, STATE), covariances (N, n, n).
+    """
+    size = intervals.shape[0]
+    n = covariances.shape[1]
+    work = np.empty((2 * n + 5, n))
+    for i in range(count):
+        k = (first + i) % size
+        before = (k + size - 1) % size
+        interval(a, b, c, intervals[k], states[before], covariances[before], states[k], covariances[k], work)
+
+
+@kernel(MATRIX, MATRIX, REAL, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_MATRIX)
+def observed_kernel(
+    a: Array, b: Array, radius: float, x: Array, u: Array, q: Array, dq: Array, J: Array
+) -> tuple[float, float]:
+    """Fill lengths q, rates dq and J of a state x; return the residual of the used legs and J's condition.
+
+    residual: largest |measured - q| in m, nan where x is not finite; condition as in
+    hil.mathematics.linear_algebra with radius.
+    """
+    p = x[0:3]
+    R = x[3:12].reshape(3, 3)
+    lengths_and_jacobian(a, b, p, R, q, J)
+    residual = 0.0
+    for i in range(6):
+        total = 0.0
+        for j in range(6):
+            total += J[i, j] * x[TWIST + j]
+        dq[i] = total
+        error = abs(u[LENGTH + i] - q[i])
+        if u[USED + i] != 0.0 and not error <= residual:
+            residual = error
+    work = np.empty((25, 6))
+    LU = work[0:6]
+    order = np.empty(6, np.int64)
+    condition = np.inf
+    if lu_factor(J, LU, order):
+        condition = condition_from_lu(J, radius, LU, order, work[6:25])
+    return residual, condition

@@ -1,0 +1,48 @@
+"""Where the state, an interval and the noise of the filter of `hil.estimation.fusion` keep what they hold."""
+
+from __future__ import annotations
+
+STATE = 24
+TWIST, GYRO_BIAS, FORCE_BIAS = 12, 18, 21
+
+# One interval, from the tick before to this one: what was measured, and what was decided about it.
+T = 0
+"""s."""
+DTWIST = 1
+"""6: acceleration of the model, mean over the interval."""
+LENGTH, RATE = 7, 13
+"""6 each: leg lengths m and rates m/s at its end."""
+USED = 19
+"""6: 0 the leg is not used, 1 unless it alone contradicts the prediction, KEPT whatever it says."""
+KEPT = 2.0
+FADE = 25
+"""Factor on the process noise that the decision found necessary."""
+DECIDED = 26
+"""1 once legs and noise are decided."""
+UNDECIDED = 2.0
+"""TRACKER of a sample that no run has seen yet."""
+TRACKER, TRACKER_AT, TRACKER_P, TRACKER_R = 27, 28, 29, 32
+"""0 none, 1 used, -1 refused; instant as a share of the interval; (3,) m; (3, 3)."""
+IMU, IMU_AT, GYRO, FORCE = 41, 42, 43, 46
+"""0 or 1; instant as a share of the interval; (3,) rad/s; (3,) m/s^2, both in the platform frame."""
+INNOVATION = 49
+"""6: measured less predicted length, m."""
+TRACKER_INNOVATION = 55
+"""6: measured less predicted pose, m and rad."""
+GRADIENT = 61
+"""(6, 6): how the model's acceleration changes with dp, dtheta."""
+INTERVAL = 97
+
+# Noise: variances of one sample, densities of what is white in time.
+(
+    Q_V, Q_W, R_LENGTH, R_RATE, R_POSITION, R_ROTATION, GATE, R_GYRO, R_FORCE, Q_GYRO_BIAS, Q_FORCE_BIAS,
+    LATCH, GRAVITY,
+) = range(13)  # fmt: skip
+"""GATE is the square of the allowed number of standard deviations; LATCH the variance of the
+instant of latching, s^2; GRAVITY the first of three, m/s^2."""
+NOISE = 16
+
+DIFFERENCE = 1e-6
+"""m or rad: step of the gradient."""
+FADES = 6
+"""Process noise is raised by 100 up to so often, before the measurements are taken as they are."""

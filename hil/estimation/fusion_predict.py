@@ -1,0 +1,177 @@
+"""The filter's prediction: state and covariance over a part of an interval."""
+
+from __future__ import annotations
+
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kernel
+from hil.estimation.fusion_layout import (
+    DIFFERENCE,
+    DTWIST,
+    FORCE,
+    FORCE_BIAS,
+    GRADIENT,
+    GRAVITY,
+    IMU,
+    Q_FORCE_BIAS,
+    Q_GYRO_BIAS,
+    Q_V,
+    Q_W,
+    R_FORCE,
+    TWIST,
+    T,
+)
+from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale, sub
+from hil.robot.dynamics_kernels import forward_dynamics_kernel
+
+
+@helper
+def exp_step(R: Array, w: Vector) -> None:
+    """Replace R by exp([w]x) R, |w| <= 0.5: series to the last bit for the rotations of one interval."""
+    x = dot(w, w)
+    A = 1.0 + x * (-1.0 / 6.0 + x * (1.0 / 120.0 + x * (-1.0 / 5040.0 + x / 362880.0)))
+    B = 0.5 + x * (-1.0 / 24.0 + x * (1.0 / 720.0 + x * (-1.0 / 40320.0 + x / 3628800.0)))
+    for j in range(3):
+        y = (R[0, j], R[1, j], R[2, j])
+        t = cross(w, y)
+        z = add(y, add(scale(A, t), scale(B, cross(w, t))))
+        R[0, j] = z[0]
+        R[1, j] = z[1]
+        R[2, j] = z[2]
+
+
+@helper
+def rotation_of(x: Array) -> Array:
+    """Return the view R (3, 3) of a state."""
+    return x[3:12].reshape(3, 3)
+
+
+@helper
+def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: Array, W: Array) -> None:
+    """Carry x and P on by dt (s) in place, with the acceleration of the interval u. F, W (n, n) are scratch.
+
+    Where the interval has a specific force f, the acceleration is the mean of the model's and R (f - bias) +
+    g, weighted by the inverse of their variances: two measurements of one acceleration.
+    """
+    n = P.shape[0]
+    R = rotation_of(x)
+    a = at(u, DTWIST)
+    turn = at(u, DTWIST + 3)
+    w = at(x, TWIST + 3)
+    q_v = c[Q_V]
+    F[:, :] = 0.0
+    for i in range(n):
+        F[i, i] = 1.0
+    share = 0.0
+    if u[IMU] != 0.0 and u[T] > 0.0:
+        share = q_v / u[T]
+        share = share / (share + c[R_FORCE])
+        f = at(u, FORCE)
+        if n > 12:
+            f = sub(f, at(x, FORCE_BIAS))
+        f = rotate(R, f)
+        a = add(a, scale(share, sub(add(f, at(c, GRAVITY)), a)))
+        q_v *= 1.0 - share
+        k = share * dt  # dv changes by dtheta x f share dt
+        F[6, 4], F[6, 5], F[7, 3] = k * f[2], -k * f[1], -k * f[2]
+        F[7, 5], F[8, 3], F[8, 4] = k * f[0], k * f[1], -k * f[0]
+        if n > 12:
+            for i in range(3):
+                for j in range(3):
+                    F[6 + i, 15 + j] = -k * R[i, j]
+    for i in range(6):
+        kept = dt * (1.0 - share) if i < 3 else dt
+        for j in range(6):
+            F[6 + i, j] += kept * u[GRADIENT + 6 * i + j]
+    for i in range(3):
+        for j in range(n):
+            if j != 6 + i:
+                F[i, j] += 0.5 * dt * F[6 + i, j]
+    phi = add(scale(dt, w), scale(0.5 * dt * dt, turn))
+    y = dot(phi, phi)
+    A = 1.0 - y / 6.0 + y * y / 120.0
+    B = 0.5 - y / 24.0 + y * y / 720.0
+    C = 1.0 / 6.0 - y / 120.0
+    for j in range(3):
+        e = (1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0)
+        once = cross(phi, e)
+        twice = cross(phi, once)
+        for i in range(3):
+            F[3 + i, 3 + j] = e[i] + A * once[i] + B * twice[i] + 0.5 * dt * F[9 + i, 3 + j]  # exp(phi)
+            F[3 + i, j] = 0.5 * dt * F[9 + i, j]
+            F[3 + i, 9 + j] = dt * (e[i] + B * once[i] + C * twice[i])  # its left Jacobian
+        F[j, 6 + j] = dt
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += F[i, k] * P[k, j]
+            W[i, j] = total
+    for i in range(n):
+        for j in range(i, n):
+            total = 0.0
+            for k in range(n):
+                total += W[i, k] * F[j, k]
+            P[i, j] = total
+    add_process_noise(P, q_v * fade, c[Q_W] * fade, c[Q_GYRO_BIAS], c[Q_FORCE_BIAS], dt)
+    for i in range(3):
+        x[i] += dt * (x[TWIST + i] + 0.5 * dt * a[i])
+        x[TWIST + i] += dt * a[i]
+        x[TWIST + 3 + i] += dt * turn[i]
+    exp_step(R, phi)
+
+
+@helper
+def add_process_noise(P: Array, q_v: float, q_w: float, q_gyro: float, q_force: float, dt: float) -> None:
+    """Add the noise of white accelerations and bias drifts over dt to P, and mirror its upper half."""
+    n = P.shape[0]
+    for i in range(3):
+        for at_pose, at_rate, q in ((i, 6 + i, q_v), (3 + i, 9 + i, q_w)):
+            P[at_pose, at_pose] += q * dt * dt * dt / 3.0
+            P[at_pose, at_rate] += q * dt * dt / 2.0
+            P[at_rate, at_rate] += q * dt
+        if n > 12:
+            P[12 + i, 12 + i] += q_gyro * dt
+            P[15 + i, 15 + i] += q_force * dt
+    for i in range(n):
+        for j in range(i):
+            P[i, j] = P[j, i]
+
+
+@helper
+def variance_of(P: Array, h: Array) -> float:
+    """Return h P h^T."""
+    n = P.shape[0]
+    total = 0.0
+    for i in range(n):
+        if h[i] != 0.0:
+            for j in range(n):
+                total += h[i] * P[i, j] * h[j]
+    return total
+
+
+@kernel(VECTOR, INTEGER, VECTOR, VECTOR, VECTOR, OUT_VECTOR)
+def accelerate_kernel(constants: Array, code: int, x: Array, tau: Array, wrench: Array, u: Array) -> None:
+    """Fill DTWIST and GRADIENT of u: the model's acceleration for forces tau (6,) N, its pose gradient.
+
+    A platform on legs that are given forces is an inverted pendulum: an error in a direction that no leg sees
+    grows by itself, about as fast as a tracker of 1 mm and 200 Hz corrects it. Forward differences.
+    """
+    p = x[0:3].copy()
+    R = x[3:12].copy().reshape(3, 3)
+    twist = x[12:18].copy()
+    there = forward_dynamics_kernel(constants, code, p, R, twist, tau, wrench)
+    for i in range(6):
+        u[DTWIST + i] = there[i]
+    for j in range(6):
+        pj = p.copy()
+        Rj = R.copy()
+        if j < 3:
+            pj[j] += DIFFERENCE
+        else:
+            turn = (
+                DIFFERENCE if j == 3 else 0.0, DIFFERENCE if j == 4 else 0.0, DIFFERENCE if j == 5 else 0.0
+            )  # fmt: skip
+            exp_step(Rj, turn)
+        moved = forward_dynamics_kernel(constants, code, pj, Rj, twist, tau, wrench)
+        for i in range(6):
+            u[GRADIENT + 6 * i + j] = (moved[i] - there[i]) / DIFFERENCE

@@ -1,0 +1,186 @@
+"""The measurements of the filter of `hil.estimation.fusion`, taken one number at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.compiled.compiler import helper
+from hil.estimation.fusion_layout import (
+    DTWIST,
+    FORCE_BIAS,
+    GATE,
+    GYRO,
+    GYRO_BIAS,
+    IMU_AT,
+    INNOVATION,
+    LATCH,
+    LENGTH,
+    R_GYRO,
+    R_LENGTH,
+    R_POSITION,
+    R_RATE,
+    R_ROTATION,
+    RATE,
+    TRACKER,
+    TRACKER_INNOVATION,
+    TRACKER_P,
+    TRACKER_R,
+    TWIST,
+    UNDECIDED,
+    USED,
+    T,
+)
+from hil.estimation.fusion_predict import exp_step, rotation_of, variance_of
+from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
+from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
+from hil.robot.kinematics_kernels import leg
+
+
+@helper
+def take(P: Array, h: Array, r: float, innovation: float, dx: Array, K: Array, Ph: Array) -> None:
+    """Use one number: z = h . error + noise of variance r; adds to the correction dx, and updates P.
+
+    innovation is that of the state before any correction. P = (I - K h) P (I - K h)^T + K r K^T.
+    """
+    n = P.shape[0]
+    s = r
+    predicted = 0.0
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * h[j]
+        Ph[i] = total
+    for i in range(n):
+        s += h[i] * Ph[i]
+        predicted += h[i] * dx[i]
+    for i in range(n):
+        K[i] = Ph[i] / s
+        dx[i] += K[i] * (innovation - predicted)
+    for i in range(n):
+        for j in range(n):
+            P[i, j] -= K[i] * Ph[j]
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * h[j]
+        Ph[i] = total
+    for i in range(n):
+        for j in range(i, n):
+            P[i, j] += (r * K[i] - Ph[i]) * K[j]
+            P[j, i] = P[i, j]
+
+
+@helper
+def correct(x: Array, dx: Array) -> None:
+    """Apply the correction dx (n,) to x, and clear it."""
+    for i in range(3):
+        x[i] += dx[i]
+        x[TWIST + i] += dx[6 + i]
+        x[TWIST + 3 + i] += dx[9 + i]
+        if dx.shape[0] > 12:
+            x[GYRO_BIAS + i] += dx[12 + i]
+            x[FORCE_BIAS + i] += dx[15 + i]
+    R = rotation_of(x)
+    exp_step(R, at(dx, 3))
+    orthonormalise(R)
+    dx[:] = 0.0
+
+
+@helper
+def leg_rows(a: Vector, b: Vector, x: Array, h: Array, g: Array) -> tuple[float, float]:
+    """Return length and rate of one leg, and fill their rows h and g (n,) of the measurement matrix.
+
+    With r = R b, u = v + omega x r: dl = s . (dp + dtheta x r); the rate s . u changes with the pose by
+    ds . (dp + dtheta x r) + s . (omega x (dtheta x r)), ds = (u - s s.u) / l, and with the twist like dl.
+    """
+    R = rotation_of(x)
+    r = rotate(R, b)
+    l, s = leg(a, r, at(x, 0))
+    v = at(x, TWIST)
+    w = at(x, TWIST + 3)
+    u = add(v, cross(w, r))
+    rate = dot(s, u)
+    ds = scale(1.0 / l, sub(u, scale(rate, s)))
+    m = cross(r, s)
+    turned = add(cross(r, ds), cross(r, cross(s, w)))
+    h[:] = 0.0
+    g[:] = 0.0
+    for i in range(3):
+        h[i] = s[i]
+        h[3 + i] = m[i]
+        g[i] = ds[i]
+        g[3 + i] = turned[i]
+        g[6 + i] = s[i]
+        g[9 + i] = m[i]
+    return l, rate
+
+
+@helper
+def beyond(a: Array, b: Array, x: Array, P: Array, u: Array, c: Array, h: Array, g: Array) -> tuple[int, int]:
+    """Return how many legs contradict the prediction, and the last of them; fill INNOVATION of u."""
+    count = 0
+    last = 0
+    for i in range(6):
+        l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
+        u[INNOVATION + i] = u[LENGTH + i] - l
+        if u[USED + i] == 0.0:
+            continue
+        far = u[INNOVATION + i] ** 2 > c[GATE] * (variance_of(P, h) + c[R_LENGTH] + rate * rate * c[LATCH])
+        fast = (u[RATE + i] - rate) ** 2 > c[GATE] * (variance_of(P, g) + c[R_RATE])
+        if far or fast:
+            count += 1
+            last = i
+    return count, last
+
+
+@helper
+def update_tracker(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: Array, Ph: Array) -> None:
+    """Use the tracker's pose at the state's instant, unless a number of it lies beyond the gate."""
+    R = rotation_of(x)
+    Z = u[TRACKER_R : TRACKER_R + 9].reshape(3, 3)
+    turned = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            turned[i, j] = Z[i, 0] * R[j, 0] + Z[i, 1] * R[j, 1] + Z[i, 2] * R[j, 2]
+    angle = rotation_vector_kernel(turned)
+    for i in range(3):
+        u[TRACKER_INNOVATION + i] = u[TRACKER_P + i] - x[i]
+        u[TRACKER_INNOVATION + 3 + i] = angle[i]
+    if u[TRACKER] == UNDECIDED:
+        u[TRACKER] = 1.0
+        for i in range(6):
+            r = c[R_POSITION] if i < 3 else c[R_ROTATION]
+            if u[TRACKER_INNOVATION + i] ** 2 > c[GATE] * (P[i, i] + r):
+                u[TRACKER] = -1.0
+    if u[TRACKER] < 0.0:
+        return
+    for i in range(6):
+        h[:] = 0.0
+        h[i] = 1.0
+        take(P, h, c[R_POSITION] if i < 3 else c[R_ROTATION], u[TRACKER_INNOVATION + i], dx, K, Ph)
+    correct(x, dx)
+
+
+@helper
+def update_gyro(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: Array, Ph: Array) -> None:
+    """Use the angular rate R^T omega + bias, carried to the interval's end by the model's acceleration.
+
+    R^T changes by -R^T [dtheta]x: d(R^T omega) = R^T (domega + omega x dtheta).
+    """
+    R = rotation_of(x)
+    w = at(x, TWIST + 3)
+    left = (1.0 - u[IMU_AT]) * u[T]
+    expected = rotate_back(R, sub(w, scale(left, at(u, DTWIST + 3))))
+    for i in range(3):
+        column = (R[0, i], R[1, i], R[2, i])
+        turned = cross(column, w)  # column . (omega x dtheta) = dtheta . (column x omega)
+        h[:] = 0.0
+        bias = 0.0
+        for j in range(3):
+            h[3 + j] = turned[j]
+            h[9 + j] = column[j]
+        if P.shape[0] > 12:
+            h[12 + i] = 1.0
+            bias = x[GYRO_BIAS + i]
+        take(P, h, c[R_GYRO], u[GYRO + i] - expected[i] - bias, dx, K, Ph)

@@ -1,0 +1,1 @@
+"""One tick and what drives it: cycle, modes, motion, daemon, replay."""

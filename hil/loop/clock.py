@@ -1,0 +1,184 @@
+"""Fixed-rate deadlines and the operating system's real-time settings."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import resource
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+
+
+class Wake(NamedTuple):
+    """One wake-up of the loop."""
+
+    tick: int
+    t_ns: int
+    """Scheduled time."""
+    lateness_ns: int
+    skipped: int
+    """Whole periods that were over before the loop came back."""
+
+
+class Deadlines:
+    """Absolute deadlines t0 + k T that keep phase: periods that are over are skipped, never caught up.
+
+    Mutable state: the last tick. Times are CLOCK_MONOTONIC in ns.
+    """
+
+    def __init__(self, rate_Hz: float, spin_us: float, start_ns: int | None = None) -> None:
+        self.period_ns = round(1e9 / rate_Hz)
+        self.spin_ns = round(spin_us * 1e3)
+        self.start_ns = time.monotonic_ns() + 2 * self.period_ns if start_ns is None else start_ns
+        self.tick = -1
+
+    def wait(self) -> Wake:
+        """Sleep, then spin, until the next deadline that is still ahead."""
+        tick = self.tick + 1
+        now = time.monotonic_ns()
+        skipped = max(0, (now - self.start_ns) // self.period_ns - tick)
+        tick += skipped
+        due = self.start_ns + tick * self.period_ns
+        rest = due - now - self.spin_ns
+        if rest > 0:
+            time.sleep(rest * 1e-9)
+        while (now := time.monotonic_ns()) < due:
+            pass
+        self.tick = tick
+        return Wake(tick, due, now - due, skipped)
+
+
+@dataclass
+class RealTime:
+    """What the kernel granted, and what it did not."""
+
+    granted: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def fifo(self) -> bool:
+        """Whether the loop has SCHED_FIFO."""
+        return "SCHED_FIFO" in self.granted
+
+
+@contextlib.contextmanager
+def collector_paused() -> Iterator[None]:
+    """Keep the garbage collector out of a loop that makes no cycles: a full collection takes milliseconds."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+@contextlib.contextmanager
+def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
+    """Ask for real-time scheduling of this process, each part only as far as the rights go.
+
+    SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep,
+    garbage collector frozen and off. Undone on exit. Compile and allocate before entering.
+    """
+    report = RealTime()
+    latency = None
+    before = os.sched_getaffinity(0)
+    _attempt(report, "SCHED_FIFO", lambda: _fifo(priority))
+    if report.fifo and cpu is not None:
+        _attempt(report, f"CPU {cpu}", lambda: os.sched_setaffinity(0, {cpu}))
+    _attempt(report, "locked memory", lambda: _mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT))
+    try:
+        latency = os.open("/dev/cpu_dma_latency", os.O_WRONLY)
+        os.write(latency, struct.pack("i", 0))
+        report.granted.append("cpu_dma_latency 0")
+    except OSError as error:
+        report.missing.append(f"cpu_dma_latency ({error.strerror})")
+    gc.collect()
+    gc.freeze()
+    try:
+        with collector_paused():
+            yield report
+    finally:
+        gc.unfreeze()
+        if latency is not None:
+            os.close(latency)
+        if report.fifo:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, before)
+        with contextlib.suppress(OSError):
+            _mlockall(0)
+
+
+def fifo_allowed(priority: int) -> bool:
+    """Say whether this process may have SCHED_FIFO at this priority; leaves it as it was."""
+    try:
+        _fifo(priority)
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+def _attempt(report: RealTime, name: str, action: Callable[[], None]) -> None:
+    try:
+        action()
+    except OSError as error:
+        report.missing.append(f"{name} ({error.strerror})")
+    else:
+        report.granted.append(name)
+
+
+def _fifo(priority: int) -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _mlockall(flags: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    result = libc.mlockall(flags) if flags else libc.munlockall()
+    if result != 0:
+        error = ctypes.get_errno()
+        raise OSError(error, os.strerror(error))
+
+
+STALL_S = 0.040
+"""Longest stall expected of a machine that does not keep real time (32 ms was seen)."""
+LATE_PERIODS = 0.1
+"""A wake-up later than this part of the period is late."""
+LATE_SHARE = 0.01
+"""A machine with more late wake-ups under SCHED_FIFO does not keep real time."""
+SLOWEST_Hz = 100.0
+"""No loop is slowed below this: the delay of a slower one takes the phase margin of a usual control law."""
+
+
+def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[float, float]:
+    """Return the highest of rate, rate/2, rate/4 ... that is held without real time, and the worst wake-up.
+
+    The worst wake-up (s) is measured now, under the present load. A stall of so many periods ends a run: they
+    must outlast the longest one, twice the worst wake-up and never less than STALL_S. Not below SLOWEST_Hz.
+    """
+    deadlines = Deadlines(rate_Hz, 0.0)
+    wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
+    worst = max(w.lateness_ns + w.skipped * deadlines.period_ns for w in wakes) * 1e-9
+    rate = rate_Hz
+    while periods / rate < max(STALL_S, 2.0 * worst) and rate / 2.0 >= SLOWEST_Hz:
+        rate /= 2.0
+    return rate, worst
+
+
+def late_share(rate_Hz: float, priority: int, seconds: float = 0.5) -> float:
+    """Return the share of late wake-ups under SCHED_FIFO, measured now, under the present load."""
+    with real_time(priority, None):
+        deadlines = Deadlines(rate_Hz, 0.0)
+        wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
+    limit_ns = LATE_PERIODS * deadlines.period_ns
+    return sum(w.lateness_ns > limit_ns or w.skipped > 0 for w in wakes) / len(wakes)
+
+
+def resident_MB() -> float:
+    """Return the peak resident memory of this process, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -1,0 +1,51 @@
+"""What a cycle is made of.
+
+It only names the parts, `hil.app.compose` makes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from drivers.arrays import Array
+from drivers.protocol import DriveProtocol
+from drivers.sensors import SensorProtocol
+from drivers.signals import Reaction
+from hil.config import EngageSettings, LegSpin
+from hil.control.law import Law
+from hil.estimation.external_wrench import ExternalWrench
+from hil.estimation.predictor import Predictor
+from hil.loop.steering import Steering
+from hil.robot.geometry import Platform
+from hil.safety import Safety
+from hil.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from hil.estimation.fused_pose import PoseFusion  # its kernels are compiled only for who fuses
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a cycle is made of."""
+
+    platform: Platform
+    leg_spin: LegSpin
+    protocol: DriveProtocol
+    law: Law
+    trajectory: Trajectory
+    safety: Safety
+    engage: EngageSettings
+    home_p: Array
+    home_R: Array
+    rate_Hz: float
+    watchdog_s: float
+    reaction: Reaction
+    wrench: ExternalWrench
+    steering: Steering | None = None
+    """What takes set-points, where the reference is live."""
+    sensors: SensorProtocol | None = None
+    fusion: PoseFusion | None = None
+    """Gives the pose once the legs have; None: the legs alone do."""
+    predictor: Predictor | None = None
+    """For a law that is told state and reference of the instant at which its force acts."""

@@ -1,0 +1,74 @@
+"""Set-points on their way into motion: which are taken, which are refused, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.signals import Refusal, SetPoint
+from hil.trajectory import LiveTrajectory
+
+
+class Counts(NamedTuple):
+    """How many set-points have been taken and refused so far, and why in this tick."""
+
+    taken: int
+    refused: int
+    refusal: int
+
+
+NO_SETPOINTS = Counts(0, 0, 0)
+
+
+class Steering:
+    """Sends a live trajectory where the set-points ask it to go.
+
+    Mutable state: the trajectory's own, the counts, and the answers to the set-points of the last tick.
+    `reset` restores the initial one.
+    """
+
+    def __init__(self, trajectory: LiveTrajectory, admission: Callable[[Array], int]) -> None:
+        """Take the judge of poses (6,) m, rad: bits of Refusal against them; see `hil.loop.admission`."""
+        self.trajectory = trajectory
+        self._admission = admission
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the start, with nothing counted."""
+        self.restart()
+        self.counts = NO_SETPOINTS
+        self.answers: list[int] = []
+        """Bits of Refusal for each set-point of the last tick, in their order."""
+
+    def restart(self) -> None:
+        """Put the trajectory back to its start."""
+        self.trajectory.reset()
+
+    def step(self, setpoints: Sequence[SetPoint], tick: int | None, tracking: bool) -> None:
+        """Take this tick's set-points, and move on to `tick` of the trajectory where it is under way.
+
+        Set-points count only while `tracking`; of several good ones the last is followed.
+        """
+        taken, refused, refusal = self.counts
+        refusal = 0
+        if setpoints or self.answers:
+            self.answers = []
+        for setpoint in setpoints:
+            chi = np.array(setpoint)
+            against = self._admission(chi) if tracking else int(Refusal.NOT_TRACKING)
+            self.answers.append(against)
+            refusal |= against
+            if against:
+                refused += 1
+            else:
+                taken += 1
+                self.trajectory.aim(chi)
+        if tick is not None:
+            against = self.trajectory.advance(tick, self._admission)
+            if against:
+                refused += 1
+                refusal |= against | int(Refusal.ON_THE_WAY)
+        self.counts = Counts(taken, refused, refusal)

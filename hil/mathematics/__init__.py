@@ -1,0 +1,1 @@
+"""Vectors, rotations, linear algebra, linear systems."""

@@ -1,0 +1,180 @@
+"""Six by six linear algebra by hand: LU with partial pivoting, and a bound on the condition number.
+
+LAPACK's answer depends on the kernel that OpenBLAS picks for the processor; this one's does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import MATRIX, REAL, VECTOR, helper, kernel
+
+
+@helper
+def lu_factor(A: Array, LU: Array, order: Ints) -> bool:
+    """Factor P A = L U into ``LU`` (unit diagonal of L not stored), row ``order[i]`` of A first.
+
+    False where a pivot is zero or not finite; ``LU`` is then of no use.
+    """
+    for i in range(6):
+        order[i] = i
+        for j in range(6):
+            LU[i, j] = A[i, j]
+    for k in range(6):
+        pivot = k
+        largest = abs(LU[k, k])
+        for i in range(k + 1, 6):
+            size = abs(LU[i, k])
+            if size > largest:
+                largest = size
+                pivot = i
+        if not (largest > 0.0 and largest < np.inf):
+            return False
+        if pivot != k:
+            order[k], order[pivot] = order[pivot], order[k]
+            for j in range(6):
+                LU[k, j], LU[pivot, j] = LU[pivot, j], LU[k, j]
+        inverse = 1.0 / LU[k, k]
+        for i in range(k + 1, 6):
+            factor = LU[i, k] * inverse
+            LU[i, k] = factor
+            for j in range(k + 1, 6):
+                LU[i, j] -= factor * LU[k, j]
+    return True
+
+
+@helper
+def lu_solve(LU: Array, order: Ints, b: Array, x: Array) -> None:
+    """Solve A x = b into ``x`` (another array than b)."""
+    for i in range(6):
+        total = b[order[i]]
+        for j in range(i):
+            total -= LU[i, j] * x[j]
+        x[i] = total
+    for k in range(6):
+        i = 5 - k
+        total = x[i]
+        for j in range(i + 1, 6):
+            total -= LU[i, j] * x[j]
+        x[i] = total / LU[i, i]
+
+
+@helper
+def lu_solve_transposed(LU: Array, order: Ints, b: Array, x: Array, work: Array) -> None:
+    """Solve A^T x = b into ``x``; ``work`` is scratch of six."""
+    for i in range(6):
+        total = b[i]
+        for j in range(i):
+            total -= LU[j, i] * work[j]
+        work[i] = total / LU[i, i]
+    for k in range(6):
+        i = 5 - k
+        total = work[i]
+        for j in range(i + 1, 6):
+            total -= LU[j, i] * work[j]
+        work[i] = total
+    for i in range(6):
+        x[order[i]] = work[i]
+
+
+@kernel(MATRIX, VECTOR)
+def solve(A: Array, b: Array) -> Array:
+    """Return the solution of A x = b, all nan where A is singular. A (6, 6), b (6,)."""
+    LU = np.empty((6, 6))
+    order = np.empty(6, np.int64)
+    x = np.empty(6)
+    if lu_factor(A, LU, order):
+        lu_solve(LU, order, b, x)
+    else:
+        x[:] = np.nan
+    return x
+
+
+@kernel(MATRIX, VECTOR)
+def solve_transposed(A: Array, b: Array) -> Array:
+    """Return the solution of A^T x = b, all nan where A is singular. A (6, 6), b (6,)."""
+    LU = np.empty((6, 6))
+    order = np.empty(6, np.int64)
+    x = np.empty(6)
+    if lu_factor(A, LU, order):
+        lu_solve_transposed(LU, order, b, x, np.empty(6))
+    else:
+        x[:] = np.nan
+    return x
+
+
+@helper
+def square_scaled(A: Array, B: Array) -> float:
+    """Fill B = (A / trace A)^2, which neither overflows nor vanishes; return the trace. A is symmetric."""
+    trace = A[0, 0] + A[1, 1] + A[2, 2] + A[3, 3] + A[4, 4] + A[5, 5]
+    k = 1.0 / trace
+    k = k * k
+    for i in range(6):
+        for j in range(i, 6):
+            total = 0.0
+            for m in range(6):
+                total += A[i, m] * A[j, m]
+            B[i, j] = total * k
+            B[j, i] = total * k
+    return float(trace)
+
+
+@helper
+def largest_eigenvalue_bound(A: Array, B: Array) -> float:
+    """Return trace(A^8)^(1/8) of a symmetric positive definite A (destroyed); ``B`` is scratch.
+
+    With eigenvalues lambda_i >= 0 the trace of A^8 is the sum of lambda_i^8, between lambda_max^8 and
+    6 lambda_max^8: the bound is never below lambda_max and at most 6^(1/8) = 1.251 times it.
+    """
+    t0 = square_scaled(A, B)
+    t1 = square_scaled(B, A)
+    t2 = square_scaled(A, B)
+    t3 = B[0, 0] + B[1, 1] + B[2, 2] + B[3, 3] + B[4, 4] + B[5, 5]
+    return float(t0 * np.sqrt(t1 * np.sqrt(t2 * np.sqrt(t3))))
+
+
+@helper
+def condition_from_lu(J: Array, r: float, LU: Array, order: Ints, work: Array) -> float:
+    """Return the bound of ``condition_kernel`` from J and its LU factors; ``work`` is scratch (19, 6)."""
+    A = work[0:6]
+    B = work[6:12]
+    K = work[12:18]
+    unit = work[18]
+    unit[:] = 0.0
+    for j in range(6):
+        unit[j] = 1.0
+        lu_solve(LU, order, unit, K[j])  # row j of K is column j of the inverse
+        unit[j] = 0.0
+    for i in range(6):
+        for j in range(i, 6):
+            total = 0.0
+            for m in range(6):
+                total += J[m, i] * J[m, j]
+            A[i, j] = total * (1.0 if i < 3 else 1.0 / r) * (1.0 if j < 3 else 1.0 / r)
+            A[j, i] = A[i, j]
+    largest = largest_eigenvalue_bound(A, B)
+    for i in range(6):
+        for j in range(i, 6):
+            total = 0.0
+            for m in range(6):
+                total += K[m, i] * K[m, j]
+            A[i, j] = total * (1.0 if i < 3 else r) * (1.0 if j < 3 else r)
+            A[j, i] = A[i, j]
+    return float(np.sqrt(largest * largest_eigenvalue_bound(A, B)))
+
+
+@kernel(MATRIX, REAL)
+def condition_kernel(J: Array, r: float) -> float:
+    """Return a bound on the 2-norm condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r).
+
+    Never below the condition number and at most 6^(1/8) = 1.251 times it (1.12 times close to a singular
+    pose); inf where J is singular.
+    J (6, 6), r the length in m that makes rotations comparable with displacements.
+    """
+    work = np.empty((25, 6))
+    LU = work[0:6]
+    order = np.empty(6, np.int64)
+    if not lu_factor(J, LU, order):
+        return np.inf
+    return condition_from_lu(J, r, LU, order, work[6:])

@@ -1,0 +1,225 @@
+"""Rotations: Cayley step, rotation vectors and their motion.
+
+Sine and cosine are power series, because those of the C library differ in the last bit from one processor to
+the next.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel
+from hil.mathematics.vectors import Vector, add, at, cross, dot, scale
+
+_TERMS = 24
+"""Enough for |r| <= 2 pi at rounding."""
+
+
+def _reciprocal_factorials(first: int) -> tuple[float, ...]:
+    """Return (-1)^k / (2 k + first)! for k = 0, 1, ... ."""
+    values = []
+    factorial = 1
+    for n in range(2, first + 1):
+        factorial *= n
+    for k in range(_TERMS):
+        values.append((-1) ** k / factorial)
+        factorial *= (2 * k + first + 1) * (2 * k + first + 2)
+    return tuple(values)
+
+
+_SINE = _reciprocal_factorials(1)
+_COSINE = _reciprocal_factorials(2)
+_REST = _reciprocal_factorials(3)
+_INVERSE = tuple(2 * (k + 1) * c for k, c in enumerate(_reciprocal_factorials(4)))
+"""(2 B - A) / x of ``rotation_vector_rate``."""
+
+
+@helper
+def _series(coefficients: tuple[float, ...], x: float) -> tuple[float, float]:
+    """Return the polynomial sum c_k x^k and its derivative (Horner)."""
+    value = 0.0
+    slope = 0.0
+    for k in range(_TERMS):
+        slope = slope * x + value
+        value = value * x + coefficients[_TERMS - 1 - k]
+    return value, slope
+
+
+@helper
+def cayley_step(R: Array, w: Vector) -> None:
+    """Replace R by C(w) R, C(w) = I + 2/(1 + a.a) ([a]x + [a]x^2), a = w/2.
+
+    C agrees with exp([w]x) up to w^2, which is what Newton's method asks for, and is orthogonal without
+    a sine (Cayley 1846).
+    """
+    a = scale(0.5, w)
+    k = 2.0 / (1.0 + dot(a, a))
+    for j in range(3):
+        x = (R[0, j], R[1, j], R[2, j])
+        t = cross(a, x)
+        y = add(x, scale(k, add(t, cross(a, t))))
+        R[0, j] = y[0]
+        R[1, j] = y[1]
+        R[2, j] = y[2]
+
+
+@helper
+def orthonormalise(R: Array) -> None:
+    """Replace R by R (3 I - R^T R) / 2: one Newton step towards the nearest rotation."""
+    x = (R[0, 0], R[1, 0], R[2, 0])
+    y = (R[0, 1], R[1, 1], R[2, 1])
+    z = (R[0, 2], R[1, 2], R[2, 2])
+    xy, yz, zx = -0.5 * dot(x, y), -0.5 * dot(y, z), -0.5 * dot(z, x)
+    xx, yy, zz = 1.5 - 0.5 * dot(x, x), 1.5 - 0.5 * dot(y, y), 1.5 - 0.5 * dot(z, z)
+    for i in range(3):
+        R[i, 0] = xx * x[i] + xy * y[i] + zx * z[i]
+        R[i, 1] = xy * x[i] + yy * y[i] + yz * z[i]
+        R[i, 2] = zx * x[i] + yz * y[i] + zz * z[i]
+
+
+@helper
+def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector, Vector]:
+    """Fill R = exp([r]x), return omega and alpha (base frame) of a rotation vector r(t) and its derivatives.
+
+    With x = r.r: R = I + A [r]x + B [r]x^2, omega = dr + B r x dr + C r x (r x dr), where
+    A = sin|r|/|r|, B = (1 - cos|r|)/|r|^2, C = (|r| - sin|r|)/|r|^3 as power series in x; alpha is the
+    time derivative of omega. All (3,), rad; for |r| <= 2 pi.
+    """
+    x = dot(rv, rv)
+    dx = 2.0 * dot(rv, v)
+    A, _ = _series(_SINE, x)
+    B, Bx = _series(_COSINE, x)
+    C, Cx = _series(_REST, x)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = B * rv[i] * rv[j]
+        R[i, i] += 1.0 - B * x
+    R[0, 1] -= A * rv[2]
+    R[1, 0] += A * rv[2]
+    R[0, 2] += A * rv[1]
+    R[2, 0] -= A * rv[1]
+    R[1, 2] -= A * rv[0]
+    R[2, 1] += A * rv[0]
+    rxv = cross(rv, v)
+    rxrxv = cross(rv, rxv)
+    w = add(v, add(scale(B, rxv), scale(C, rxrxv)))
+    rxa = cross(rv, a)
+    second = add(cross(v, rxv), cross(rv, rxa))
+    dw = add(a, add(scale(B, rxa), scale(C, second)))
+    dw = add(dw, scale(dx, add(scale(Bx, rxv), scale(Cx, rxrxv))))
+    return w, dw
+
+
+@kernel(VECTOR, VECTOR, VECTOR)
+def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
+    """Return R, omega and alpha as `rotation_motion`, as arrays."""
+    R, omega, alpha = np.empty((3, 3)), np.empty(3), np.empty(3)
+    w, dw = rotation_motion(at(r, 0), at(dr, 0), at(ddr, 0), R)
+    for i in range(3):
+        omega[i] = w[i]
+        alpha[i] = dw[i]
+    return R, omega, alpha
+
+
+@kernel(VECTOR, VECTOR)
+def rotation_vector_rate(r: Array, omega: Array) -> Array:
+    """Return dr/dt (3,) rad/s of the rotation vector r of exp([r]x), which turns with omega (base frame).
+
+    The inverse of omega(r, dr) of ``rotation_motion_kernel``: dr = omega - r x omega / 2 + D r x (r x omega),
+    D = (2 B - A) / (2 B x), its numerator as a power series in x, too (Bullo and Murray, 1995). |r| < 2 pi.
+    """
+    rv = (r[0], r[1], r[2])
+    w = (omega[0], omega[1], omega[2])
+    x = dot(rv, rv)
+    B, _ = _series(_COSINE, x)
+    N, _ = _series(_INVERSE, x)
+    rxw = cross(rv, w)
+    dr = add(w, add(scale(-0.5, rxw), scale(N / (2.0 * B), cross(rv, rxw))))
+    rate = np.empty(3)
+    for i in range(3):
+        rate[i] = dr[i]
+    return rate
+
+
+@kernel(MATRIX)
+def rotation_vector_kernel(R: Array) -> Array:
+    """Return r with exp([r]x) = R, |r| <= pi, from the unit quaternion and a halved arc tangent. R (3, 3)."""
+    # Largest of w, x, y, z first: no small divisor.
+    q = np.empty(4)
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    if trace > 0.0:
+        q[0] = 1.0 + trace
+        q[1] = R[2, 1] - R[1, 2]
+        q[2] = R[0, 2] - R[2, 0]
+        q[3] = R[1, 0] - R[0, 1]
+    elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
+        q[0] = R[2, 1] - R[1, 2]
+        q[1] = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
+        q[2] = R[0, 1] + R[1, 0]
+        q[3] = R[0, 2] + R[2, 0]
+    elif R[1, 1] >= R[2, 2]:
+        q[0] = R[0, 2] - R[2, 0]
+        q[1] = R[0, 1] + R[1, 0]
+        q[2] = 1.0 + R[1, 1] - R[0, 0] - R[2, 2]
+        q[3] = R[1, 2] + R[2, 1]
+    else:
+        q[0] = R[1, 0] - R[0, 1]
+        q[1] = R[0, 2] + R[2, 0]
+        q[2] = R[1, 2] + R[2, 1]
+        q[3] = 1.0 + R[2, 2] - R[0, 0] - R[1, 1]
+    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    sign = -1.0 if q[0] < 0.0 else 1.0
+    cosine = sign * q[0] / norm
+    sine = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) / norm  # of half the angle
+    r = np.zeros(3)
+    if sine == 0.0:
+        return r
+    # The angle is 2 * 8 * atan of the tangent of an eighth of the half angle, at most tan(pi/16).
+    s = sine
+    c = cosine
+    for _ in range(3):
+        h = np.sqrt(0.5 * (1.0 + c))
+        s = s / (2.0 * h)
+        c = h
+    t = s / c
+    x = t * t
+    total = 0.0
+    for k in range(13):
+        n = 12 - k
+        total = (-total) * x + 1.0 / (2 * n + 1)
+    angle = 16.0 * t * total
+    for i in range(3):
+        r[i] = sign * q[i + 1] / norm / sine * angle
+    return r
+
+
+@kernel(MATRIX, MATRIX)
+def relative_rotation(R0: Array, R1: Array) -> Array:
+    """Return the rotation vector (3,) rad, base frame, of the shortest turn from R0 to R1: log(R1 R0^T)."""
+    product = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = R1[i, 0] * R0[j, 0] + R1[i, 1] * R0[j, 1] + R1[i, 2] * R0[j, 2]
+    return rotation_vector_kernel(product)
+
+
+@kernel(MATRIX, VECTOR)
+def turned(R: Array, x: Array) -> Array:
+    """Return [R x[:3]; R x[3:]], (6,): a twist or wrench of the platform frame in the base frame."""
+    y = np.empty(6)
+    for i in range(3):
+        y[i] = R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
+        y[3 + i] = R[i, 0] * x[3] + R[i, 1] * x[4] + R[i, 2] * x[5]
+    return y
+
+
+def rotation_from_vector(r: Array) -> Array:
+    """Return R = exp([r]x), (3, 3). r (3,) rad, |r| <= 2 pi."""
+    zero = np.zeros(3)
+    return rotation_motion_kernel(np.array(r, np.float64), zero, zero)[0]
+
+
+def rotation_vector(R: Array) -> Array:
+    """Return r (3,) rad with exp([r]x) = R and |r| <= pi. R (3, 3) a rotation."""
+    return rotation_vector_kernel(np.ascontiguousarray(R, np.float64))

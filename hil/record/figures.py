@@ -1,0 +1,138 @@
+"""What a run was like: figures and a picture from its recorded rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array, Rows
+from hil.record.metrics import rotation_errors
+from hil.signals import Fault, Mode, Warn, explain
+
+
+def figures(rows: Rows) -> dict[str, Any]:
+    """Return the figures of a run: errors in mm over TRACKING, forces in N, wake-up in us, tick counts.
+
+    `rows` has dtype ROW, one element per tick.
+    """
+    tracking = rows["mode"] == Mode.TRACKING
+    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING)
+    result: dict[str, Any] = {
+        "ticks": len(rows),
+        "duration_s": _span_s(rows),
+        "final_mode": Mode(int(rows["mode"][-1])).name if len(rows) else None,
+        "faults": _names(Fault, np.bitwise_or.reduce(rows["faults"])) if len(rows) else [],
+        "tracking": {"ticks": int(tracking.sum())} | errors(rows[tracking]),
+        "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),
+        "limited_ticks": limited_ticks(rows),
+        "wake_up_us": _percentiles(rows["lateness_ns"] / 1e3),
+        "compute_us": _percentiles(rows["compute_ns"][1:] / 1e3),
+        "stale_ticks": int(np.count_nonzero((rows["age"] > 0).any(axis=1) & powered)),
+        "skipped_ticks": int(rows["skipped"][1:].sum()),
+        "rejected_frames": int(rows["rejected"].sum()),
+        "dropped_ticks": int(rows["recorder_dropped"][-1]) if len(rows) else 0,
+    }
+    if len(rows) and (rows["setpoints_taken"][-1] or rows["setpoints_refused"][-1]):
+        result["setpoints"] = {
+            "taken": int(rows["setpoints_taken"][-1]),
+            "refused": int(rows["setpoints_refused"][-1]),
+            "why": explain(int(np.bitwise_or.reduce(rows["setpoint_refusal"]))) or None,
+        }
+    if np.isfinite(rows["lyapunov"]).any():
+        result["certificate"] = certificate(rows)
+    if tracking.any() and len(rows) > 0:
+        result["first_motion_s"] = float((rows["t_ns"][tracking][0] - rows["t_ns"][0]) * 1e-9)
+    return result
+
+
+def _span_s(rows: Rows) -> float:
+    return float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0
+
+
+def limited_ticks(rows: Rows) -> dict[str, int]:
+    """Return at how many ticks each limit of the force acted."""
+    limits = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
+    return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
+
+
+def certificate(rows: Rows) -> dict[str, Any]:
+    """Return what the watch of the certificate found: V and its bound where V comes nearest to it, alarms.
+
+    The share is that of sqrt(V) of the worst axis, so it may be nearer to 100 % than the sum over all axes.
+    """
+    V, bound, share = (rows[name] for name in ("lyapunov", "lyapunov_bound", "lyapunov_share"))
+    alarm = (rows["warnings"] & Warn.CERTIFICATE) > 0
+    watched = np.isfinite(share)
+    result: dict[str, Any] = {"peak_V_m2_s4": float(np.nanmax(V)), "watched_ticks": int(watched.sum())}
+    if watched.any():
+        peak = int(np.nanargmax(np.where(watched, V, np.nan)))
+        result |= {
+            "bound_at_peak_m2_s4": float(bound[peak]),
+            "largest_share_percent": 100.0 * float(share[watched].max()),
+        }
+    return result | {"alarms": int(np.count_nonzero(alarm[1:] & ~alarm[:-1]) + alarm[0])}
+
+
+def pose_errors(rows: Rows) -> tuple[Array, Array]:
+    """Return the errors of position (n, 3) in mm and of rotation, a rotation vector (n, 3) in deg."""
+    return 1e3 * (rows["p_d"] - rows["p"]), np.rad2deg(rotation_errors(rows["R_d"], rows["R"]))
+
+
+def errors(rows: Rows) -> dict[str, float]:
+    """Return the figures of rows that follow a reference: leg error, distance, angle; empty without rows."""
+    if not len(rows):
+        return {}
+    e_mm = (rows["q_d"] - rows["q"]) * 1e3
+    p_mm, r_deg = pose_errors(rows)
+    return {
+        "peak_leg_error_mm": float(np.abs(e_mm).max()),
+        "rms_leg_error_mm": float(np.sqrt((e_mm**2).mean())),
+        "peak_position_error_mm": float(np.linalg.norm(p_mm, axis=1).max()),
+        "peak_rotation_error_deg": float(np.linalg.norm(r_deg, axis=1).max()),
+        "peak_force_N": float(np.abs(rows["tau"]).max()),
+        "peak_leg_rate_m_s": float(np.abs(rows["dq"]).max()),
+    }
+
+
+def _percentiles(values: Array) -> dict[str, float]:
+    if not len(values):
+        return {}
+    p50, p99 = np.percentile(values, [50, 99])
+    return {"p50": float(p50), "p99": float(p99), "max": float(values.max())}
+
+
+def _names(kind: type[Fault], bits: int) -> list[str]:
+    return [str(member.name) for member in kind if int(bits) & member]
+
+
+def picture(rows: Rows, path: Path, title: str) -> Path:
+    """Draw leg errors, leg forces, pose and wake-up lateness of a run into a PNG file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(12, 8), layout="constrained")
+    FigureCanvasAgg(figure)
+    (path_axes, error_axes), (force_axes, wake_axes) = figure.subplots(2, 2)
+    t = (rows["t_ns"] - rows["t_ns"][0]) * 1e-9
+    moving = rows["mode"] == Mode.TRACKING
+    for i, name in enumerate("xyz"):
+        path_axes.plot(t, rows["p"][:, i], label=name)
+        path_axes.plot(t, np.where(moving, rows["p_d"][:, i], np.nan), "k:", linewidth=0.8)
+    path_axes.set(title="platform origin, measured; dotted: reference", ylabel="m")
+    path_axes.legend(loc="upper right")
+    e_mm = np.where(moving[:, None], (rows["q_d"] - rows["q"]) * 1e3, np.nan)
+    error_axes.plot(t, e_mm, linewidth=0.8)
+    error_axes.set(title="leg error q_d - q while tracking", ylabel="mm")
+    force_axes.plot(t, rows["tau"] / 1e3, linewidth=0.8)
+    force_axes.set(title="leg forces sent", ylabel="kN", xlabel="s")
+    lateness = np.sort(rows["lateness_ns"] / 1e3)
+    share = 1.0 - np.arange(len(lateness)) / len(lateness)
+    wake_axes.semilogy(lateness, share)
+    wake_axes.set(title="wake-ups later than", xlabel="us", ylabel="share of ticks")
+    for axes in (path_axes, error_axes, force_axes, wake_axes):
+        axes.grid(alpha=0.3)
+    figure.suptitle(title)
+    figure.savefig(path, dpi=100)
+    return path

@@ -1,0 +1,176 @@
+"""What a run's samples amount to, as plain numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian, jacobian_rate
+from hil.trajectory import PoseSample
+
+
+def total_variation(x: Array) -> Array:
+    """Return sum |x_k - x_{k-1}| of each column of x (n, m): (m,), unit of x; 0 without two rows.
+
+    Of leg forces in N it measures chattering: a smooth rise and fall by A costs 2 A however long it takes,
+    a force that jumps by A at every tick costs A a tick.
+    """
+    variation: Array = np.abs(np.diff(x, axis=0)).sum(axis=0)
+    return variation
+
+
+def peak(x: Array) -> Array:
+    """Return the largest |x| of each column of x (n, m): (m,), unit of x; 0 without a row."""
+    largest: Array = np.abs(x).max(axis=0, initial=0.0)
+    return largest
+
+
+def rms(x: Array) -> Array:
+    """Return sqrt(mean x^2) of each column of x (n, m): (m,), unit of x; nan without a row."""
+    if not len(x):
+        return np.full(x.shape[1:], np.nan)
+    root: Array = np.sqrt((x**2).mean(axis=0))
+    return root
+
+
+def rotation_errors(R_d: Array, R: Array) -> Array:
+    """Return the rotation vector of R_d R^T, row by row: what turns the pose onto the reference.
+
+    R_d, R : (n, 3, 3) or (n, 9), x_base = p + R x_platform. Returns (n, 3) rad, base frame, for errors below
+    half a turn. The angle is taken from sine and cosine, so a small one keeps its digits.
+    """
+    E = np.einsum("nij,nkj->nik", R_d.reshape(-1, 3, 3), R.reshape(-1, 3, 3))
+    axis = np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], axis=1) / 2
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, (np.trace(E, axis1=1, axis2=2) - 1) / 2)
+    factor = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0)
+    errors: Array = axis * factor[:, None]
+    return errors
+
+
+# -- a step of the set-point ---------------------------------------------------------------------------------
+
+
+class StepResponse(NamedTuple):
+    """How a signal answers a step of its set-point."""
+
+    initial: float
+    """Before the step."""
+    final: float
+    """Mean of the last tenth of the record."""
+    rise_s: float
+    """From 10 to 90 % of the way from `initial` to `final`; nan where it does not get there."""
+    overshoot: float
+    """How far it goes beyond `final`, as a share of the way; 0 if it does not."""
+    settled: bool
+    """Whether the last tenth stays within 2 % of the way of `final`; else the figures are of a transient."""
+
+
+def step_response(t: Array, y: Array, initial: float) -> StepResponse:
+    """Return rise time and overshoot of y (n,) at the instants t (n,) s after a step, at `initial` before it.
+
+    The way is from where the signal was to where it came to rest, not to the set-point: a law with a
+    steady-state error has a rise time, too. Crossings are interpolated between samples.
+    """
+    tail = y[-max(1, len(y) // 10) :]
+    final = float(tail.mean())
+    way = final - initial
+    if way == 0.0:
+        return StepResponse(initial, final, np.nan, np.nan, False)
+    share = (y - initial) / way
+    rise = _first_above(t, share, 0.9) - _first_above(t, share, 0.1)
+    settled = bool(np.abs((tail - final) / way).max() <= 0.02)
+    return StepResponse(initial, final, rise, max(0.0, float(share.max()) - 1.0), settled)
+
+
+def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
+    """Return the frequency at which the closed loop passes 1 / sqrt(2) of its low-frequency gain, in Hz.
+
+    t (n,) s, at equal distances after a step of the set-point at t = 0; y (n,) the answer, `initial` before.
+    The answer to a step is the integral of the impulse response, so the frequency response is the Fourier
+    transform of its increments, G(f) = sum (y_k - y_{k-1}) exp(-2 pi i f t_k), each increment placed at the
+    middle of its sampling period; the bandwidth is the first frequency where |G(f)| < |G(0)| / sqrt(2).
+
+    It is the bandwidth of the *feedback* for a set-point that jumps without rates to feed forward: a law with
+    an exact feed-forward follows a smooth reference far beyond it. The law may be nonlinear: then it is a
+    figure of this size of step. nan where the record shows no such frequency below that of its samples / 2,
+    and inaccurate where the answer has not come to rest within it.
+    """
+    increments = np.diff(y, prepend=initial)
+    gain = abs(float(increments.sum()))
+    if len(t) < 3 or gain == 0.0:
+        return float("nan")
+    period = float(t[-1] - t[0]) / (len(t) - 1)
+    middle = t - period / 2
+
+    def response(f: float) -> float:
+        return float(abs((increments * np.exp(-2j * np.pi * f * middle)).sum())) / gain
+
+    lowest = 0.01 / (len(t) * period)
+    grid = np.geomspace(lowest, 0.5 / period, 600)
+    below = next((k for k, f in enumerate(grid) if response(f) < np.sqrt(0.5)), None)
+    if not below:
+        return float("nan")
+    low, high = grid[below - 1], grid[below]
+    for _ in range(40):
+        middle_f = (low + high) / 2
+        low, high = (low, middle_f) if response(middle_f) < np.sqrt(0.5) else (middle_f, high)
+    return float(high)
+
+
+def _first_above(t: Array, share: Array, level: float) -> float:
+    above = share >= level
+    if not above.any():
+        return float("nan")
+    k = int(np.argmax(above))
+    if k == 0:
+        return float(t[0])
+    weight = (level - share[k - 1]) / (share[k] - share[k - 1])
+    return float(t[k - 1] + weight * (t[k] - t[k - 1]))
+
+
+# -- what the force along a path is made of ------------------------------------------------------------------
+
+
+class Share(NamedTuple):
+    """What one term of the equation of motion takes of the leg forces along a path."""
+
+    share: float
+    """Largest leg force of the term over the largest leg force, both of one instant; the worst instant."""
+    force_N: float
+    """Largest leg force of the term along the whole path."""
+
+
+def force_shares(model: Model, samples: Iterable[PoseSample]) -> dict[str, Share]:
+    """Return what H, (dJ/dt) twist and G take of the leg forces that a motion needs.
+
+    With ddq = J dtwist + (dJ/dt) twist the forces are J^-T (M J^-1 (ddq - (dJ/dt) twist) + H + G): the terms
+    `H` J^-T H, `J_dot` J^-T M J^-1 (dJ/dt) twist, `G` J^-T G. Printed laws leave the first two out; whether
+    they may depends on robot and path. Samples where all leg forces vanish do not count.
+
+    Raises KinematicsError where J is singular.
+    """
+    worst = dict.fromkeys(TERMS, Share(0.0, 0.0))
+    for p, R, twist, dtwist in samples:
+        whole = float(np.abs(model.inverse_dynamics(p, R, twist, dtwist)).max())
+        J = jacobian(model.platform, p, R)
+        J_dot = jacobian_rate(model.platform, p, R, twist)
+        M = model.mass_matrix(p, R)
+        loads = {
+            "H": model.coriolis(p, R, twist),
+            "J_dot": M @ np.linalg.solve(J, J_dot @ twist),
+            "G": model.gravity(p, R),
+        }
+        for name, load in loads.items():
+            force = float(np.abs(np.linalg.solve(J.T, load)).max())
+            share = force / whole if whole > 0.0 else 0.0
+            worst[name] = Share(max(worst[name].share, share), max(worst[name].force_N, force))
+    return worst
+
+
+TERMS = ("H", "J_dot", "G")
+"""Keys of `force_shares`."""

@@ -1,0 +1,1 @@
+"""The robot: geometry, inertia, kinematics, dynamics, and the way of its leg forces."""

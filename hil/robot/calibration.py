@@ -1,0 +1,363 @@
+"""Joint centres and length offsets from measured pairs of pose and leg lengths, by least squares.
+
+Parameters of a leg stand in the order base x y z, platform x y z, offset, all in m; legs follow each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.optimize import least_squares
+from scipy.special import gammaincc
+
+from drivers.arrays import Array
+from drivers.errors import ModelError
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.geometry import Platform
+
+NAMES = ("base x", "base y", "base z", "platform x", "platform y", "platform z", "offset")
+"""Parameters of one leg."""
+MIN_POSES = 8
+"""Six equations a pose and seven unknowns a leg: seven poses leave no residual to judge by."""
+RANK = 1e-6
+"""Singular value of a leg's Jacobian, relative to the largest, below which nothing is determined."""
+NOISE = 5.0
+"""The same in multiples of what the noise of the measured poses alone would show."""
+SHARE = 0.02
+"""A parameter with more than this in what is not determined is not determined by itself."""
+WEAK = 1e-3
+"""m: a combination less certain than this is worth a warning."""
+
+
+class CalibrationError(ModelError):
+    """Measurements that cannot calibrate: too few, not finite, of another robot or another unit."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Measured pairs: platform poses and what the six legs read there.
+
+    Attributes
+    ----------
+    p : (n, 3) m
+        Platform origin in the base frame.
+    rotation_vector : (n, 3) rad
+        R = exp([r]x), x_base = p + R x_platform; at most half a turn.
+    q : (n, 6) m
+        Readings, joint centre to joint centre plus an unknown offset a leg.
+    length_std : (n,) m or None
+        Standard deviation of each reading; None: unknown, estimated from the residuals.
+    position_std, rotation_std : (n,) m, rad
+        Standard deviations of each coordinate of a measured pose; only with `length_std`.
+    """
+
+    p: Array
+    rotation_vector: Array
+    q: Array
+    length_std: Array | None = None
+    position_std: Array | None = None
+    rotation_std: Array | None = None
+
+    def rotations(self) -> Array:
+        """Return R, (n, 3, 3)."""
+        return np.array([rotation_from_vector(r) for r in self.rotation_vector])
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination of one leg's parameters that the poses do not determine, or hardly.
+
+    Attributes
+    ----------
+    leg : int
+        From 0.
+    coefficients : dict
+        Name of the parameter -> its share, the largest 1.
+    std : float or None
+        m; None where nothing is determined.
+    """
+
+    leg: int
+    coefficients: dict[str, float]
+    std: float | None
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the pairs say of the robot.
+
+    Attributes
+    ----------
+    base_joints, platform_joints : (6, 3) m
+        In the frames of the measured poses.
+    offsets : (6,) m
+        Reading less distance of the joint centres.
+    std : (6, 7) m
+        Standard deviation of each parameter; nan where it is not determined by itself.
+    covariance : (42, 42) m^2
+        Of all parameters, zero along what is not determined.
+    residuals : (n, 6) m
+        Reading less fitted reading.
+    standardised : (n, 6)
+        The same over their standard deviation.
+    dof : int
+        Equations less parameters determined.
+    chi_square : float or None
+        Sum of squares of the whitened residuals; about dof where the given deviations are right. None
+        without `length_std`.
+    p_value : float or None
+        Probability of a larger chi-square.
+    sigma : float
+        m, standard deviation of a reading: as estimated, or root mean square of the given ones.
+    undetermined, weak : tuple of Combination
+        Kept at the start values, and known to less than `WEAK`.
+    """
+
+    base_joints: Array
+    platform_joints: Array
+    offsets: Array
+    std: Array
+    covariance: Array
+    residuals: Array
+    standardised: Array
+    dof: int
+    chi_square: float | None
+    p_value: float | None
+    sigma: float
+    undetermined: tuple[Combination, ...]
+    weak: tuple[Combination, ...]
+
+
+def predicted(platform: Platform, measured: Measurements) -> Array:
+    """Leg lengths (n, 6) m that `platform` has at the measured poses: |p + R b_i - a_i|."""
+    theta = _start(platform)
+    return _model(theta, measured.p, measured.rotations())[0]
+
+
+def start_offsets(platform: Platform, measured: Measurements) -> Array:
+    """Return the offset (6,) m of each leg before any fit: median of reading less length of `platform`."""
+    return np.median(measured.q - predicted(platform, measured), axis=0)
+
+
+def suspicion(platform: Platform, measured: Measurements) -> str | None:
+    """Say which other unit or direction would explain the readings at least five times better, if any."""
+
+    def spread(m: Measurements) -> float:
+        return float(np.std(m.q - predicted(platform, m), axis=0).max())
+
+    p, r, q = measured.p, measured.rotation_vector, measured.q
+    back = -np.einsum("kji,kj->ki", measured.rotations(), p)
+    others = {
+        "positions and lengths in mm instead of m": Measurements(p / 1e3, r, q / 1e3),
+        "positions in mm instead of m": Measurements(p / 1e3, r, q),
+        "lengths in mm instead of m": Measurements(p, r, q / 1e3),
+        "the inverse poses (base in the platform's frame)": Measurements(back, -r, q),
+    }
+    if float(np.linalg.norm(r, axis=1).max()) <= np.pi**2 / 180:
+        others["rotation vectors in rad instead of deg"] = Measurements(p, np.rad2deg(r), q)
+    as_given = spread(measured)
+    found = {name: spread(other) for name, other in others.items()}
+    best = min(found, key=found.__getitem__)
+    scale = float(np.abs(platform.base_joints).max())
+    # Below a hundredth of the robot's size it may as well be the joints that are wrong.
+    return best if as_given > 0.01 * scale and found[best] < as_given / 5 else None
+
+
+def calibrate(platform: Platform, measured: Measurements) -> Calibration:
+    """Fit a_i, b_i and the offset o_i of six legs to measured pairs.
+
+    Minimises sum over poses of e_k^T C_k^-1 e_k, e_ki = q_ki - |p_k + R_k b_i - a_i| - o_i (Masory, Wang and
+    Zhuang 1993 fit the same 42), with C_k = sigma_l^2 1 + J_k diag(sigma_p^2, sigma_r^2) J_k^T, which legs
+    share through the error of their common pose. Without deviations C_k = 1, legs decouple, and the
+    covariance is scaled by the residuals. What the poses do not determine (singular values of each leg's
+    Jacobian) stays as it starts: the joints of `platform`, the median offset.
+
+    Parameters
+    ----------
+    platform : Platform
+        Start values; only its joints are used.
+    measured : Measurements
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than 8 poses, numbers that are not finite or deviations not positive, or no convergence.
+    """
+    _check(measured)
+    n, R = len(measured.p), measured.rotations()
+    theta = _start(platform)
+    theta[:, 6] = start_offsets(platform, measured)
+    _, slopes = _model(theta, measured.p, R)
+    kept, lost = _split(slopes, _floor(theta, measured))
+    basis = block_diag(*kept)
+    rank = basis.shape[1]
+    # Weights depend on the directions of the legs alone: a second pass settles them.
+    for _ in range(1 if measured.position_std is None and measured.rotation_std is None else 2):
+        theta, J, white = _solve(theta, measured, R, basis)
+    cov_z = cho_solve(cho_factor(J.T @ J), np.eye(rank))
+    chi_square, dof = float(white @ white), 6 * n - rank
+    given = measured.length_std is not None
+    scale = 1.0 if given else chi_square / dof
+    covariance = basis @ cov_z @ basis.T * scale
+    residuals = measured.q - _model(theta, measured.p, R)[0]
+    own = np.sqrt(np.einsum("kii->ki", _noise(theta, measured, R)) * scale)
+    share = np.array([np.sqrt((V**2).sum(axis=1)) for V in lost])
+    std = np.sqrt(np.diag(covariance)).reshape(6, 7)
+    return Calibration(
+        base_joints=theta[:, 0:3].copy(),
+        platform_joints=theta[:, 3:6].copy(),
+        offsets=theta[:, 6].copy(),
+        std=np.where(share > SHARE, np.nan, std),
+        covariance=covariance,
+        residuals=residuals,
+        standardised=residuals / np.where(own > 0, own, 1.0),
+        dof=dof,
+        chi_square=chi_square if given else None,
+        p_value=float(gammaincc(dof / 2, chi_square / 2)) if given else None,
+        sigma=float(np.sqrt(np.mean(measured.length_std**2)))
+        if measured.length_std is not None
+        else float(np.sqrt(scale)),
+        undetermined=tuple(c for leg in range(6) for c in _combinations(leg, lost[leg])),
+        weak=tuple(c for leg in range(6) for c in _weak(leg, covariance)),
+    )
+
+
+def _start(platform: Platform) -> Array:
+    return np.hstack([platform.base_joints, platform.platform_joints, np.zeros((6, 1))])
+
+
+def _model(theta: Array, p: Array, R: Array) -> tuple[Array, Array]:
+    """Return fitted readings (n, 6) and their slopes (n, 6, 7): -s, R^T s and 1, s the leg's direction."""
+    legs = p[:, None, :] + np.einsum("kij,lj->kli", R, theta[:, 3:6]) - theta[None, :, 0:3]
+    length = np.sqrt((legs**2).sum(axis=2))
+    s = legs / length[:, :, None]
+    slopes = np.concatenate([-s, np.einsum("kij,kli->klj", R, s), np.ones((*length.shape, 1))], axis=2)
+    return length + theta[:, 6], slopes
+
+
+def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
+    """Return C_k, (n, 6, 6): covariance of the readings at a pose, its own error included."""
+    n = len(measured.p)
+    if measured.length_std is None:
+        return np.tile(np.eye(6), (n, 1, 1))
+    _, slopes = _model(theta, measured.p, R)
+    s = -slopes[:, :, 0:3]
+    arm = np.einsum("kij,lj->kli", R, theta[:, 3:6])
+    zero = np.zeros(n)
+    var_p = (zero if measured.position_std is None else measured.position_std) ** 2
+    var_r = (zero if measured.rotation_std is None else measured.rotation_std) ** 2
+    turn = np.cross(arm, s)
+    C = np.einsum("kli,kmi->klm", s, s) * var_p[:, None, None]
+    C = C + np.einsum("kli,kmi->klm", turn, turn) * var_r[:, None, None]
+    return np.asarray(C + np.eye(6) * (measured.length_std**2)[:, None, None])
+
+
+def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tuple[Array, Array, Array]:
+    """Return parameters (6, 7), the whitened Jacobian in the basis, and the whitened residuals."""
+    W = np.linalg.inv(np.linalg.cholesky(_noise(theta, measured, R)))
+    rows, rank = measured.q.size, basis.shape[1]
+
+    def whitened(z: Array) -> Array:
+        e = measured.q - _model(theta + (basis @ z).reshape(6, 7), measured.p, R)[0]
+        return np.asarray(np.einsum("klm,km->kl", W, e).ravel())
+
+    def jacobian(z: Array) -> Array:
+        _, slopes = _model(theta + (basis @ z).reshape(6, 7), measured.p, R)
+        each = -W[:, :, :, None] * slopes[:, None, :, :]
+        return np.asarray(each.reshape(rows, 42) @ basis)
+
+    fit = least_squares(
+        whitened,
+        np.zeros(rank),
+        jacobian,
+        method="lm",
+        xtol=1e-12,
+        ftol=1e-14,
+        gtol=1e-12,
+        max_nfev=500,
+    )
+    if not fit.success:
+        raise CalibrationError(
+            f"no convergence in {fit.nfev} evaluations: {fit.message}. Are the readings those of this robot, "
+            "legs in the order of the joint lists?"
+        )
+    solution = theta + (basis @ fit.x).reshape(6, 7)
+    return solution, jacobian(fit.x), whitened(fit.x)
+
+
+def _floor(theta: Array, measured: Measurements) -> float:
+    """Return the relative singular value below which a direction counts as not determined."""
+    noise = 0.0
+    if measured.rotation_std is not None:
+        noise += float(np.sqrt(np.mean(measured.rotation_std**2)))
+    if measured.position_std is not None:
+        length = np.sqrt(((measured.p[:, None] - theta[None, :, 0:3]) ** 2).sum(axis=2)).mean()
+        noise += float(np.sqrt(np.mean(measured.position_std**2)) / length)
+    return max(RANK, NOISE * noise)
+
+
+def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
+    """Split each leg's parameter space into what the poses determine, scaled by its size, and the rest."""
+    kept, lost = [], []
+    for leg in range(6):
+        _, s, Vt = np.linalg.svd(slopes[:, leg, :], full_matrices=False)
+        good = s > floor * s[0]
+        kept.append(Vt[good].T / s[good])
+        lost.append(Vt[~good].T)
+    return kept, lost
+
+
+def _combinations(leg: int, V: Array) -> list[Combination]:
+    """Name a basis of a subspace (7, k) with as few parameters as possible a vector (Gauss-Jordan)."""
+    A = V.T.copy()
+    used: list[int] = []
+    for row in range(len(A)):
+        free = [c for c in range(7) if c not in used]
+        best = max(((r, c) for r in range(row, len(A)) for c in free), key=lambda rc: abs(A[rc]))
+        A[[row, best[0]]] = A[[best[0], row]]
+        A[row] /= A[row, best[1]]
+        for other in range(len(A)):
+            if other != row:
+                A[other] -= A[other, best[1]] * A[row]
+        used.append(best[1])
+    return [Combination(leg, _named(vector), None) for vector in A]
+
+
+def _weak(leg: int, covariance: Array) -> list[Combination]:
+    block = covariance[7 * leg : 7 * leg + 7, 7 * leg : 7 * leg + 7]
+    variance, V = np.linalg.eigh(block)
+    return [
+        Combination(leg, _named(V[:, j]), float(np.sqrt(variance[j])))
+        for j in range(6, -1, -1)
+        if variance[j] > WEAK**2
+    ]
+
+
+def _named(vector: Array) -> dict[str, float]:
+    """Name the parameters with a share of at least a tenth of the largest, whose share is 1."""
+    x = vector / vector[int(np.argmax(np.abs(vector)))]
+    return {name: float(v) for name, v in zip(NAMES, x, strict=True) if abs(v) >= 0.1}
+
+
+def _check(measured: Measurements) -> None:
+    n = len(measured.p)
+    if n < MIN_POSES:
+        raise CalibrationError(
+            f"{n} poses, allowed: at least {MIN_POSES}. Each leg has 7 unknowns (two joints and an offset) "
+            "and one equation a pose; take some 30, all over the workspace, tilted about all axes"
+        )
+    fields = ("p", "rotation_vector", "q", "length_std", "position_std", "rotation_std")
+    for name in fields:
+        value = getattr(measured, name)
+        if value is not None and not np.isfinite(value).all():
+            row = int(np.flatnonzero(~np.isfinite(value.reshape(n, -1)).all(axis=1))[0])
+            raise CalibrationError(f"{name}: row {row} is not finite: {value[row].tolist()}")
+        if value is not None and name.endswith("_std") and not (value >= 0).all():
+            raise CalibrationError(f"{name}: {value.min():g}, allowed: not negative")
+    if measured.length_std is None:
+        if measured.position_std is not None or measured.rotation_std is not None:
+            raise CalibrationError("deviations of poses without length_std: their weight is not known")
+    elif not (measured.length_std > 0).all():
+        raise CalibrationError(f"length_std: {measured.length_std.min():g}, allowed: greater than 0")

@@ -1,0 +1,150 @@
+"""Mass, centre of mass and inertia of rigid bodies: moved, turned, shaped, put together.
+
+Sums are written out, as in hil.mathematics.linear_algebra: BLAS differs in the last bit from one processor to
+the next. An inertia tensor is always the matrix of the equations of motion, I = integral of (r.r 1 - r r^T)
+dm: products of inertia stand in it with the minus sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.arrays import Array
+from hil.robot.geometry import TOLERANCE, Body, GeometryError
+
+
+def product(A: Array, B: Array) -> Array:
+    """Return A B for 3x3 matrices, term by term in a fixed order."""
+    return A[:, 0:1] * B[0:1] + A[:, 1:2] * B[1:2] + A[:, 2:3] * B[2:3]
+
+
+def turned(inertia: ArrayLike, R: ArrayLike) -> Array:
+    """Inertia in other axes about the same point: R I R^T.
+
+    Parameters
+    ----------
+    inertia : (3, 3) kg m^2, in its own axes.
+    R : (3, 3), x_new = R x_own.
+    """
+    turn = np.asarray(R, np.float64)
+    I = product(product(turn, np.asarray(inertia, np.float64)), turn.T)
+    return (I + I.T) / 2
+
+
+def steiner(mass: float, d: ArrayLike) -> Array:
+    """Parallel-axis term m (d.d 1 - d d^T), (3, 3) kg m^2 (Steiner 1840).
+
+    Inertia about a point at the distance d (3,) m from the centre of mass is the inertia about the centre of
+    mass plus this; never less.
+    """
+    x, y, z = (float(v) for v in np.asarray(d, np.float64))
+    return mass * np.array(
+        [
+            [y * y + z * z, -x * y, -x * z],
+            [-x * y, x * x + z * z, -y * z],
+            [-x * z, -y * z, x * x + y * y],
+        ]
+    )
+
+
+def with_positive_products(inertia: ArrayLike) -> Array:
+    """Return the tensor of a table that lists the products of inertia as +integral of x y dm, (3, 3)."""
+    table = np.asarray(inertia, np.float64)
+    return np.where(np.eye(3, dtype=bool), table, -table)
+
+
+def box(mass: float, size: ArrayLike) -> Array:
+    """Inertia of a homogeneous box about its centre: m/12 (b^2 + c^2) ...; size (3,) m along its axes."""
+    a, b, c = (float(v) ** 2 for v in np.asarray(size, np.float64))
+    return np.diag([b + c, a + c, a + b]) * (mass / 12)
+
+
+def cylinder(mass: float, radius: float, length: float, inner_radius: float = 0.0) -> Array:
+    """Inertia of a homogeneous cylinder or tube along z about its centre.
+
+    I_z = m/2 (R^2 + r^2), I_x = I_y = m/12 (3 (R^2 + r^2) + h^2), r the inner radius; all in m.
+    """
+    squares = radius**2 + inner_radius**2
+    across = (3 * squares + length**2) / 12
+    return np.diag([across, across, squares / 2]) * mass
+
+
+def sphere(mass: float, radius: float) -> Array:
+    """Inertia of a homogeneous sphere about its centre, 2/5 m r^2; radius in m."""
+    return np.eye(3) * (0.4 * mass * radius**2)
+
+
+def combine(bodies: Sequence[Body]) -> Body:
+    """Put bodies, all in the same frame, together into one rigid body.
+
+    m = sum m_k, com = sum m_k c_k / m, I = sum [I_k + m_k (d_k.d_k 1 - d_k d_k^T)], d_k = c_k - com.
+    """
+    mass, moment = 0.0, np.zeros(3)
+    for body in bodies:
+        mass += body.mass
+        moment = moment + body.mass * np.asarray(body.com, np.float64)
+    com = moment / mass
+    inertia = np.zeros((3, 3))
+    for body in bodies:
+        inertia = inertia + np.asarray(body.inertia, np.float64) + steiner(body.mass, body.com - com)
+    return Body(mass, com, inertia)
+
+
+def principal_moments(inertia: ArrayLike) -> tuple[float, float, float]:
+    """Return the three principal moments, kg m^2, ascending. For messages and reports."""
+    low, middle, high = np.linalg.eigvalsh(np.asarray(inertia, np.float64))
+    return float(low), float(middle), float(high)
+
+
+def physical(inertia: ArrayLike) -> bool:
+    """Whether a body can have this tensor about its centre of mass: 0 <= I_1, I_3 <= I_1 + I_2.
+
+    A point (three zeros) and a thin rod (one zero) count as bodies; relative tolerance 1e-9.
+    """
+    low, middle, high = principal_moments(inertia)
+    return low >= -TOLERANCE * abs(high) and low + middle >= high * (1 - TOLERANCE)
+
+
+def about_centre_of_mass(
+    where: str, mass: float, com: ArrayLike, inertia: ArrayLike, point: ArrayLike | None = None
+) -> Array:
+    """Inertia about the centre of mass, checked, from one about `point`: I - m (d.d 1 - d d^T).
+
+    Parameters
+    ----------
+    where : str
+        Name of the tensor in messages.
+    mass : float
+        kg
+    com, point : (3,) m
+        In the same axes as the tensor; without a point it is about the centre of mass already.
+    inertia : (3, 3) kg m^2
+
+    Raises
+    ------
+    GeometryError
+        The tensor is not symmetric, or no body has it. The message says what it is after the move, and
+        whether the other sign of the products would mend it.
+    """
+    I = np.asarray(inertia, np.float64)
+    if float(np.abs(I - I.T).max()) > TOLERANCE * float(np.abs(I).max()):
+        raise GeometryError(where, I.tolist(), "a symmetric matrix")
+    move = np.zeros((3, 3)) if point is None else steiner(mass, np.subtract(com, point))
+    moved = I - move
+    if physical(moved):
+        return moved
+    low, middle, high = principal_moments(moved)
+    given = f"principal moments {low:.9g}, {middle:.9g}, {high:.9g} kg m^2"
+    if point is not None:
+        given += f" once moved from {np.asarray(point).tolist()} to the centre of mass"
+    allowed = "the largest at most the sum of the others (about the centre of mass no body has more)"
+    if low < 0:
+        allowed = "three that are not negative" + (
+            "; is the tensor perhaps about the centre of mass already?" if point is not None else ""
+        )
+    if physical(with_positive_products(I) - move):
+        allowed += "; with the other sign of the products of inertia (key products) it would be"
+    raise GeometryError(where, given, allowed)

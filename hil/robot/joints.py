@@ -1,0 +1,61 @@
+"""Joint centres on a circle, from a radius and angles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.mathematics.rotations import rotation_from_vector
+
+PairsBegin = Literal["first_leg", "second_leg"]
+
+
+def _about_z(angle_deg: float) -> tuple[float, float]:
+    """Return cosine and sine."""
+    R = rotation_from_vector(np.array([0.0, 0.0, math.radians(math.remainder(angle_deg, 360.0))]))
+    return float(R[0, 0]), float(R[1, 0])
+
+
+def on_circle(radius: float, angles_deg: Sequence[float], z: float = 0.0) -> Array:
+    """Joint centres (n, 3) m at angles about z, counted from x towards y: (r cos, r sin, z)."""
+    return np.array([[radius * c, radius * s, z] for c, s in map(_about_z, angles_deg)])
+
+
+def chord(radius: float, half_angle_deg: float) -> float:
+    """Distance in m between two joints on a circle that stand at +-half_angle_deg: 2 r sin."""
+    return 2 * radius * _about_z(half_angle_deg)[1]
+
+
+def in_pairs(
+    radius: float,
+    centres_deg: Sequence[float],
+    spacing: float,
+    z: float = 0.0,
+    begin: PairsBegin = "first_leg",
+) -> Array:
+    """Joint centres of pairs on a circle, (2 n, 3) m in leg order.
+
+    The joints of a pair lie at exp(centre [z]x) (sqrt(r^2 - d^2/4), -+d/2, z), d the spacing, the one at the
+    smaller angle first.
+
+    Parameters
+    ----------
+    radius, spacing, z : float
+        m; spacing is the distance between the two joints of a pair, 0 where they coincide.
+    centres_deg : (n,) deg
+        Direction of each pair, from x towards y.
+    begin : str
+        `first_leg`: the pairs are legs 1 and 2, 3 and 4, 5 and 6 of the list. `second_leg`: they are 2 and
+        3, 4 and 5, 6 and 1, as on the platform of a robot whose base pairs begin with the first leg.
+    """
+    half = spacing / 2
+    depth = math.sqrt(radius**2 - half**2)
+    rows = []
+    for c, s in map(_about_z, centres_deg):
+        for side in (-half, half):
+            rows.append([c * depth - s * side, s * depth + c * side, z])
+    return np.array(rows if begin == "first_leg" else [rows[-1], *rows[:-1]])

@@ -1,0 +1,302 @@
+"""Leg lengths from a pose, rates through the Jacobian, and the pose from six lengths.
+
+Checked faces of ``hil.robot.kinematics_kernels``; the loop calls the kernels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.arrays import Array
+from drivers.errors import ModelError
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.robot import kinematics_kernels as kernels
+from hil.robot.geometry import Platform
+
+ROTATION_TOLERANCE = 1e-8
+"""Largest entry of R^T R - 1 that counts as rounding."""
+SINGULAR = 1e12
+"""Condition number of J above which a pose counts as singular."""
+
+
+class KinematicsError(ModelError):
+    """A pose or lengths that have no meaning, or a pose that cannot be found or used.
+
+    Attributes
+    ----------
+    values : dict
+        The quantities that the message speaks of (``p``, ``R``, ``q``, ``residual``, ``condition`` ...).
+    """
+
+    def __init__(self, message: str, **values: object) -> None:
+        super().__init__(message)
+        self.values = values
+
+
+class Pose(NamedTuple):
+    """Result of forward kinematics."""
+
+    p: Array
+    """(3,) m, platform origin in the base frame."""
+    R: Array
+    """(3, 3), x_base = p + R x_platform."""
+    iterations: int
+    """Newton steps taken."""
+    residual: float
+    """m, largest difference between a given length and that of the pose."""
+
+
+def check_vector(name: str, value: ArrayLike, size: int) -> Array:
+    """Return ``value`` as a contiguous float64 vector; KinematicsError if not finite or not of that size."""
+    try:
+        x = np.ascontiguousarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise KinematicsError(f"{name}: got {value!r}, allowed are {size} numbers", **{name: value}) from None
+    if x.shape != (size,):
+        raise KinematicsError(f"{name}: got shape {x.shape}, allowed is ({size},)", **{name: x})
+    if not np.isfinite(x).all():
+        raise KinematicsError(f"{name}: got {x.tolist()}, allowed are finite numbers", **{name: x})
+    return x
+
+
+def check_rotation(R: ArrayLike) -> Array:
+    """Return ``R`` as a contiguous float64 (3, 3); KinematicsError if it is no rotation."""
+    try:
+        x = np.ascontiguousarray(R, np.float64)
+    except (TypeError, ValueError):
+        raise KinematicsError(f"R: got {R!r}, allowed is a 3x3 rotation matrix", R=R) from None
+    if x.shape != (3, 3):
+        raise KinematicsError(f"R: got shape {x.shape}, allowed is (3, 3)", R=x)
+    error = float(np.abs(x.T @ x - np.eye(3)).max())
+    determinant = float(np.dot(x[0], np.cross(x[1], x[2])))
+    if not error <= ROTATION_TOLERANCE or determinant < 0:
+        raise KinematicsError(
+            f"R is no rotation: largest entry of R^T R - 1 is {error:.3g} "
+            f"(allowed {ROTATION_TOLERANCE:.0e}), determinant {determinant:.6g} (allowed 1). "
+            f"R = {x.tolist()}",
+            R=x,
+            error=error,
+            determinant=determinant,
+        )
+    return x
+
+
+def leg_lengths(platform: Platform, p: ArrayLike, R: ArrayLike) -> Array:
+    """Inverse kinematics: leg lengths of a pose.
+
+    q_i = |p + R b_i - a_i| (Merlet, Parallel Robots, 2006, 2.4).
+
+    Parameters
+    ----------
+    platform : Platform
+    p : (3,) m, platform origin in the base frame.
+    R : (3, 3), x_base = p + R x_platform.
+
+    Returns
+    -------
+    (6,) m
+
+    Raises
+    ------
+    KinematicsError
+        Where p is not finite or R no rotation.
+    """
+    return kernels.leg_lengths_kernel(
+        platform.base_joints, platform.platform_joints, check_vector("p", p, 3), check_rotation(R)
+    )
+
+
+def jacobian(platform: Platform, p: ArrayLike, R: ArrayLike) -> Array:
+    """Jacobian J of the leg lengths, dq = J twist.
+
+    Row i is [s_i, (R b_i) x s_i], s_i the unit vector from base to platform joint (Merlet, 2006, 5.3).
+
+    Parameters
+    ----------
+    platform : Platform
+    p : (3,) m, platform origin in the base frame.
+    R : (3, 3), x_base = p + R x_platform.
+
+    Returns
+    -------
+    (6, 6); columns 0-2 have no unit, columns 3-5 are in m. twist is [v of the platform origin; omega] in the
+    base frame.
+
+    Raises
+    ------
+    KinematicsError
+        Where p is not finite or R no rotation, or a leg has length zero.
+    """
+    J = kernels.jacobian_kernel(
+        platform.base_joints, platform.platform_joints, check_vector("p", p, 3), check_rotation(R)
+    )
+    return _finite(J, p, R)
+
+
+def jacobian_rate(platform: Platform, p: ArrayLike, R: ArrayLike, twist: ArrayLike) -> Array:
+    """Time derivative of J along a motion, ddq = J dtwist + jacobian_rate twist.
+
+    Row i is [ds_i, (omega x r_i) x s_i + r_i x ds_i], r_i = R b_i, ds_i = (u_i - s_i s_i.u_i) / q_i,
+    u_i = v + omega x r_i.
+
+    Parameters
+    ----------
+    platform : Platform
+    p : (3,) m, platform origin in the base frame.
+    R : (3, 3), x_base = p + R x_platform.
+    twist : (6,) m/s and rad/s, [v of the platform origin; omega], base frame.
+
+    Returns
+    -------
+    (6, 6); columns 0-2 in 1/s, columns 3-5 in m/s.
+
+    Raises
+    ------
+    KinematicsError
+        Where an argument is not finite or R no rotation, or a leg has length zero.
+    """
+    Jdot = kernels.jacobian_rate_kernel(
+        platform.base_joints,
+        platform.platform_joints,
+        check_vector("p", p, 3),
+        check_rotation(R),
+        check_vector("twist", twist, 6),
+    )
+    return _finite(Jdot, p, R)
+
+
+def _finite(J: Array, p: ArrayLike, R: ArrayLike) -> Array:
+    if not np.isfinite(J).all():
+        raise KinematicsError(
+            f"a leg has length zero at p = {np.asarray(p).tolist()}: its direction is undefined", p=p, R=R
+        )
+    return J
+
+
+def condition(platform: Platform, p: ArrayLike, R: ArrayLike) -> float:
+    """How far from singular a pose is: a bound on the condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r).
+
+    r is ``platform.radius``. Never below the 2-norm condition number, at most 6^(1/8) = 1.251 times it;
+    inf where J is singular.
+
+    Raises
+    ------
+    KinematicsError
+        As ``jacobian``.
+    """
+    return condition_kernel(jacobian(platform, p, R), platform.radius)
+
+
+def forward_kinematics(
+    platform: Platform,
+    q: ArrayLike,
+    p0: ArrayLike,
+    R0: ArrayLike,
+    *,
+    tolerance: float = 1e-12,
+    max_iterations: int = 50,
+) -> Pose:
+    """Forward kinematics: the pose with these leg lengths near a first guess.
+
+    Newton's method on SE(3): J step = q - lengths, p += step_v, R = C(step_omega) R with the Cayley map C,
+    which needs no Euler angles and converges quadratically everywhere but at singular poses. Up to 40 poses
+    share six lengths (Dietmaier, 1998): which one is found is decided by p0, R0. From far away use
+    ``continue_kinematics``.
+
+    Parameters
+    ----------
+    platform : Platform
+    q : (6,) m, leg lengths.
+    p0 : (3,) m, first guess of the platform origin, base frame.
+    R0 : (3, 3), first guess of the rotation.
+    tolerance : m, largest residual that ends the iteration.
+    max_iterations : Newton steps before giving up.
+
+    Returns
+    -------
+    Pose(p, R, iterations, residual)
+
+    Raises
+    ------
+    KinematicsError
+        Where the lengths cannot be reached, the iteration meets a singular pose or does not converge, or an
+        argument is not finite, a length not positive, R0 no rotation.
+    """
+    q = _check_lengths(q)
+    p, R, J, iterations, residual, _ = kernels.forward_kinematics_kernel(
+        platform.base_joints,
+        platform.platform_joints,
+        q,
+        check_vector("p0", p0, 3),
+        check_rotation(R0),
+        tolerance,
+        max_iterations,
+    )
+    bound = condition_kernel(J, platform.radius)
+    if not residual <= tolerance or not bound < SINGULAR:
+        raise KinematicsError(
+            f"no pose found for the leg lengths {q.tolist()} m from p0 = {np.asarray(p0).tolist()} m: after "
+            f"{iterations} of {max_iterations} iterations p = {p.tolist()} m, condition of J {bound:.3g}. "
+            "The lengths are out of reach, the pose is singular, or the first guess is too far away",
+            q=q,
+            p=p,
+            R=R,
+            iterations=iterations,
+            condition=bound,
+            residual=float(
+                np.abs(
+                    kernels.leg_lengths_kernel(platform.base_joints, platform.platform_joints, p, R) - q
+                ).max()
+            ),
+        )
+    return Pose(p, R, iterations, residual)
+
+
+def continue_kinematics(
+    platform: Platform, q: ArrayLike, p0: ArrayLike, R0: ArrayLike, *, tolerance: float = 1e-12
+) -> Pose:
+    """Forward kinematics from a cold start: follow the pose while the lengths move from those of p0, R0 to q.
+
+    The lengths move on a straight line, in steps as long as Newton's method stays certain of its branch (see
+    ``hil.estimation.pose``). The result is the assembly that the machine reaches from p0, R0 on that path.
+    ``iterations`` counts the steps tried.
+
+    Raises
+    ------
+    KinematicsError
+        As ``forward_kinematics``; also where the path meets a singular pose.
+    """
+    q = _check_lengths(q)
+    p, R, steps, residual = kernels.continuation_kernel(
+        platform.base_joints,
+        platform.platform_joints,
+        q,
+        check_vector("p0", p0, 3),
+        check_rotation(R0),
+        tolerance,
+        MAX_SUBSTEPS,
+    )
+    if not residual <= tolerance:
+        raise KinematicsError(
+            f"the leg lengths {q.tolist()} m cannot be reached from p0 = {np.asarray(p0).tolist()} m on a "
+            f"straight path of the lengths: stopped at p = {p.tolist()} m after {steps} steps",
+            q=q,
+            p=p,
+            R=R,
+            iterations=steps,
+        )
+    return Pose(p, R, steps, residual)
+
+
+MAX_SUBSTEPS = 400
+"""Of a continuation, failed ones included."""
+
+
+def _check_lengths(q: ArrayLike) -> Array:
+    lengths = check_vector("q", q, 6)
+    if not (lengths > 0).all():
+        raise KinematicsError(f"q: got {lengths.tolist()} m, allowed are lengths > 0", q=lengths)
+    return lengths

@@ -1,0 +1,299 @@
+"""Lengths, Jacobian, its rate, and Newton's method for the pose.
+
+A (6, 3) base joints in the base frame, b (6, 3) platform joints in the platform frame, p (3,), R (3, 3):
+x_base = p + R x_platform; all in m. Row i of the Jacobian is [s_i, (R b_i) x s_i], s_i from base to platform
+joint (Merlet, Parallel Robots, 2006, 5.3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import (
+    INTEGER,
+    MATRIX,
+    OUT_MATRIX,
+    OUT_VECTOR,
+    REAL,
+    VECTOR,
+    direct,
+    helper,
+    kernel,
+)
+from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve
+from hil.mathematics.rotations import cayley_step, orthonormalise
+from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
+
+FLOOR = 1e-8
+"""m: Newton steps shorter than this say nothing about an assembly."""
+
+
+@helper
+def leg(a: Vector, r: Vector, p: Vector) -> tuple[float, Vector]:
+    """Return length l and unit vector s of the leg from a to p + r, r = R b."""
+    d = sub(add(p, r), a)
+    l = np.sqrt(dot(d, d))
+    return l, scale(1.0 / l, d)
+
+
+@helper
+def lengths_and_jacobian(a: Array, b: Array, p: Array, R: Array, l: Array, J: Array) -> None:
+    """Fill the lengths l (6,) and the Jacobian J (6, 6)."""
+    position = at(p, 0)
+    for i in range(6):
+        r = rotate(R, row(b, i))
+        l[i], s = leg(row(a, i), r, position)
+        m = cross(r, s)
+        J[i, 0] = s[0]
+        J[i, 1] = s[1]
+        J[i, 2] = s[2]
+        J[i, 3] = m[0]
+        J[i, 4] = m[1]
+        J[i, 5] = m[2]
+
+
+@kernel(MATRIX, MATRIX, VECTOR, MATRIX)
+def leg_lengths_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
+    """Return l_i = |p + R b_i - a_i|, (6,) m."""
+    l = np.empty(6)
+    for i in range(6):
+        l[i], _ = leg(row(a, i), rotate(R, row(b, i)), at(p, 0))
+    return l
+
+
+@kernel(MATRIX, MATRIX, VECTOR, MATRIX)
+def jacobian_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
+    """Return J (6, 6), dq = J twist."""
+    l = np.empty(6)
+    J = np.empty((6, 6))
+    lengths_and_jacobian(a, b, p, R, l, J)
+    return J
+
+
+@helper
+def leg_motion(l: float, s: Vector, r: Vector, v: Vector, w: Vector) -> tuple[Vector, float, Vector]:
+    """Return the platform joint's velocity u = v + w x r, the leg's rate s.u and ds/dt = (u - s s.u)/l."""
+    u = add(v, cross(w, r))
+    dl = dot(s, u)
+    return u, dl, scale(1.0 / l, sub(u, scale(dl, s)))
+
+
+@kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR)
+def jacobian_rate_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array) -> Array:
+    """Return dJ/dt (6, 6): row i is [ds, (w x r) x s + r x ds], r = R b_i."""
+    Jdot = np.empty((6, 6))
+    v = at(twist, 0)
+    w = at(twist, 3)
+    for i in range(6):
+        r = rotate(R, row(b, i))
+        l, s = leg(row(a, i), r, at(p, 0))
+        _, _, ds = leg_motion(l, s, r, v, w)
+        m = add(cross(cross(w, r), s), cross(r, ds))
+        Jdot[i, 0] = ds[0]
+        Jdot[i, 1] = ds[1]
+        Jdot[i, 2] = ds[2]
+        Jdot[i, 3] = m[0]
+        Jdot[i, 4] = m[1]
+        Jdot[i, 5] = m[2]
+    return Jdot
+
+
+@helper
+def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w: Vector) -> float:
+    """Return row i of (dJ/dt) twist = ds.u + s.(w x (w x r)) without forming dJ/dt."""
+    r = rotate(R, b)
+    l, s = leg(a, r, p)
+    u, _, ds = leg_motion(l, s, r, v, w)
+    return dot(ds, u) + dot(s, cross(w, cross(w, r)))
+
+
+@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_VECTOR)
+def reference_kernel(
+    a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, q: Array, dq: Array, ddq: Array
+) -> None:
+    """Fill q, dq = J twist, ddq = J dtwist + (dJ/dt) twist, (6,)."""
+    v = at(twist, 0)
+    w = at(twist, 3)
+    for i in range(6):
+        r = rotate(R, row(b, i))
+        l, s = leg(row(a, i), r, at(p, 0))
+        u, dl, ds = leg_motion(l, s, r, v, w)
+        du = add(add(at(dtwist, 0), cross(at(dtwist, 3), r)), cross(w, cross(w, r)))
+        q[i] = l
+        dq[i] = dl
+        ddq[i] = dot(ds, u) + dot(s, du)
+
+
+@helper
+def joint_displacement(b: Array, R: Array, step: Array) -> float:
+    """Return the largest displacement (m) of a platform joint under the small motion ``step`` (6,)."""
+    largest = 0.0
+    for i in range(6):
+        d = add(at(step, 0), cross(at(step, 3), rotate(R, row(b, i))))
+        size = dot(d, d)
+        if size > largest or np.isnan(size):
+            largest = size
+    return float(np.sqrt(largest))
+
+
+@helper
+def newton(
+    a: Array,
+    b: Array,
+    q: Array,
+    p: Array,
+    R: Array,
+    tolerance: float,
+    max_iterations: int,
+    J: Array,
+    order: Ints,
+    work: Array,
+) -> tuple[int, float, float]:
+    """Improve p, R in place until the lengths are q; fill J there; return iterations, residual, hop.
+
+    Newton on SE(3): J step = q - l(p, R), p += step_v, R = C(step_w) R with the Cayley map C. ``order`` (6,)
+    and ``work`` (9, 6) are scratch.
+    """
+    LU = work[0:6]
+    l = work[6]
+    error = work[7]
+    step = work[8]
+    hop = 0.0
+    previous = 0.0
+    orthonormalise(R)
+    for iteration in range(max_iterations + 1):
+        lengths_and_jacobian(a, b, p, R, l, J)
+        residual = 0.0
+        for i in range(6):
+            error[i] = q[i] - l[i]
+            size = abs(error[i])
+            if size > residual or np.isnan(size):  # a nan stays
+                residual = size
+        if residual <= tolerance:
+            return iteration, residual, hop
+        if iteration == max_iterations or not residual < np.inf or not lu_factor(J, LU, order):
+            return iteration, np.inf, hop
+        lu_solve(LU, order, error, step)
+        size = joint_displacement(b, R, step)
+        if previous > FLOOR:
+            hop = max(hop, 8.0 * size / previous)
+        previous = size
+        p[0] += step[0]
+        p[1] += step[1]
+        p[2] += step[2]
+        cayley_step(R, at(step, 3))
+    return max_iterations, np.inf, hop
+
+
+@kernel(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, REAL, INTEGER)
+def forward_kinematics_kernel(
+    a: Array, b: Array, q: Array, p0: Array, R0: Array, tolerance: float, max_iterations: int
+) -> tuple[Array, Array, Array, int, float, float]:
+    """Return p, R, J, iterations, residual, hop for the lengths q (6,), started at p0, R0. Never raises.
+
+    ``residual`` is the largest |q_i - l_i| in m, at most ``tolerance``; inf where Newton's method did not
+    converge, and p, R are then its last iterate. ``hop`` >= 1: see ``hil.estimation.pose``.
+    """
+    p = p0.copy()
+    R = R0.copy()
+    J = np.empty((6, 6))
+    iterations, residual, hop = newton(
+        a, b, q, p, R, tolerance, max_iterations, J, np.empty(6, np.int64), np.empty((9, 6))
+    )
+    return p, R, J, iterations, residual, hop
+
+
+@direct(
+    MATRIX,
+    MATRIX,
+    REAL,
+    VECTOR,
+    VECTOR,
+    VECTOR,
+    MATRIX,
+    REAL,
+    INTEGER,
+    OUT_VECTOR,
+    OUT_MATRIX,
+    OUT_VECTOR,
+    OUT_MATRIX,
+)
+def estimate_kernel(
+    a: Array,
+    b: Array,
+    radius: float,
+    q: Array,
+    dq: Array,
+    p0: Array,
+    R0: Array,
+    tolerance: float,
+    max_iterations: int,
+    p: Array,
+    R: Array,
+    twist: Array,
+    J: Array,
+) -> tuple[int, float, float, float]:
+    """Fill p, R, twist = J^-1 dq and J; return iterations, residual, condition, hop. Never raises.
+
+    Where Newton's method fails (residual inf), p and R are p0 and R0, and J, twist, condition belong there.
+    ``condition`` as in ``condition_kernel`` with r = ``radius``; inf and twist nan where J is singular. The
+    caller brings the arrays to fill: making them here would cost 0.3 us each.
+    """
+    p[:] = p0
+    R[:] = R0
+    order = np.empty(6, np.int64)
+    work = np.empty((25, 6))
+    LU = work[0:6]
+    iterations, residual, hop = newton(a, b, q, p, R, tolerance, max_iterations, J, order, work)
+    if residual == np.inf:
+        p[:] = p0
+        R[:] = R0
+        lengths_and_jacobian(a, b, p, R, work[6], J)
+    condition = np.inf
+    if lu_factor(J, LU, order):
+        lu_solve(LU, order, dq, twist)
+        condition = condition_from_lu(J, radius, LU, order, work[6:25])
+    else:
+        twist[:] = np.nan
+    return iterations, residual, condition, hop
+
+
+@kernel(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, REAL, INTEGER)
+def continuation_kernel(
+    a: Array, b: Array, q: Array, p0: Array, R0: Array, tolerance: float, max_substeps: int
+) -> tuple[Array, Array, int, float]:
+    """Return p, R, substeps, residual for lengths q on the branch that starts at p0, R0. Never raises.
+
+    The lengths move on a straight line from those of p0, R0 to q; each substep must converge with hop < 1,
+    or is halved. residual is inf where that does not reach q within ``max_substeps`` tries.
+    """
+    p = p0.copy()
+    R = R0.copy()
+    pt = np.empty(3)
+    Rt = np.empty((3, 3))
+    start = np.empty(6)
+    target = np.empty(6)
+    J = np.empty((6, 6))
+    order = np.empty(6, np.int64)
+    work = np.empty((9, 6))
+    lengths_and_jacobian(a, b, p, R, start, J)
+    done = 0.0
+    stride = 1.0
+    for substep in range(max_substeps):
+        end = min(1.0, done + stride)
+        for i in range(6):
+            target[i] = q[i] if end == 1.0 else start[i] + end * (q[i] - start[i])
+        pt[:] = p
+        Rt[:] = R
+        _, residual, hop = newton(a, b, target, pt, Rt, tolerance, 12, J, order, work)
+        if residual < np.inf and hop < 1.0:
+            p[:] = pt
+            R[:] = Rt
+            done = end
+            if done == 1.0:
+                return p, R, substep + 1, residual
+            stride *= 2.0
+        else:
+            stride *= 0.5
+    return p, R, max_substeps, np.inf

@@ -1,0 +1,142 @@
+"""The loop of a sampled controller and the delayed axis that inverse dynamics leaves: the axis, and margins.
+
+The axis is gain exp(-transport s) D(s) / s^2 behind a hold of one period, D the force loop of the drives,
+from drivers.arrays import Array
+from demanded acceleration to measured position and rate; it is sampled exactly, also where the transport is
+no whole number of periods.
+"""
+
+from __future__ import annotations
+
+from math import ceil, inf, pi
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from drivers.arrays import Array
+from hil.config.linear_controller import LinearController
+from hil.mathematics.linear_system import LinearSystem
+
+SLOWEST = 1e-5
+"""Of the Nyquist frequency: where margins are looked for from."""
+
+
+class Margins(NamedTuple):
+    """How much a stable loop can bear of one thing at a time; inf where it bears any amount."""
+
+    gain_up: float
+    """Times which the gain may grow."""
+    gain_down: float
+    """Times which it may become; 0 where it may become as small as it likes."""
+    phase_deg: float
+    delay_s: float
+    """Further pure delay."""
+    crossover_rad_s: float
+    """The highest frequency at which the loop's gain is 1; 0 for none."""
+    peak_S: float
+    """Of |1 / (1 + L)|: the loop stays 1 over it away from -1."""
+    peak_T: float
+    """Of |L / (1 + L)|."""
+
+
+def sampled_axis(transport_s: float, drive: LinearSystem, period_s: float, gain: float = 1.0) -> LinearSystem:
+    """Return the axis at the samples: from held acceleration to [position, rate], its first two states.
+
+    `drive` is the force loop, continuous: `hil.mathematics.linear_system.lag`, or one of higher order.
+    """
+    whole = ceil(transport_s / period_s - 1e-9)
+    late = max(whole * period_s - transport_s, 0.0)  # so long before the sample the newer input already acts
+    n = 2 + drive.order
+    A, B = np.zeros((n, n)), np.zeros((n, 1))  # of position, rate, and the drives
+    A[0, 1] = 1.0
+    A[1, 2:], B[1] = gain * drive.C[0], gain * drive.D[0]
+    A[2:, 2:], B[2:] = drive.A, drive.B
+    _, newer = held(A, B, late)
+    Phi, both = held(A, B, period_s)
+    older = both - newer
+    # the last inputs, the newest first
+    F, G = np.zeros((n + whole, n + whole)), np.zeros((n + whole, 1))
+    F[:n, :n] = Phi
+    if whole == 0:
+        G[:n] = both
+    else:
+        F[:n, n + whole - 1 :] += older
+        if whole == 1:
+            G[:n] += newer
+        else:
+            F[:n, n + whole - 2 : n + whole - 1] += newer
+        F[n + 1 :, n:-1] = np.eye(whole - 1)
+        G[n] = 1.0
+    return LinearSystem(F, G, np.eye(2, n + whole), np.zeros((2, 1)), period_s)
+
+
+def disturbed(axis: LinearSystem) -> LinearSystem:
+    """Return a `sampled_axis` with a second input: an acceleration that acts at once, held too."""
+    T = axis.period_s
+    assert T is not None
+    push = np.zeros((axis.order, 1))
+    push[:2, 0] = T * T / 2.0, T
+    return axis._replace(B=np.hstack([axis.B, push]), D=np.zeros((2, 2)))
+
+
+def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
+    """Return exp(A t) (n, n) and the integral of exp(A s) B over it (n, inputs): what held inputs do."""
+    n, inputs = B.shape
+    block = np.zeros((n + inputs, n + inputs))
+    block[:n, :n], block[:n, n:] = A, B
+    e = expm(block * time_s)
+    return e[:n, :n], e[:n, n:]
+
+
+def sampled_controller(controller: LinearController) -> LinearSystem:
+    """Return a file's controller as a system from [e, de] to u."""
+    columns = {"error": 0, "rate_error": 1}
+    chosen = np.zeros((len(controller.inputs), 2))
+    for row, name in enumerate(controller.inputs):
+        chosen[row, columns[name]] = 1.0
+    n, m = len(controller.A), len(controller.inputs)
+    B = np.array(controller.B, float).reshape(n, m) @ chosen
+    A, C = np.array(controller.A, float).reshape(n, n), np.array(controller.C, float)
+    return LinearSystem(A, B, C, np.array(controller.D, float) @ chosen, 1.0 / controller.rate_Hz)
+
+
+def grid(period_s: float) -> Array:
+    """Return frequencies up to Nyquist's, rad/s: dense in their logarithm, and in themselves at the end."""
+    top = pi / period_s
+    return np.unique(
+        np.concatenate([np.geomspace(SLOWEST * top, top, 2500), np.linspace(1e-3 * top, top, 1500)])
+    )
+
+
+def margins(loop: LinearSystem) -> Margins:
+    """Return the margins of a stable loop, sampled, one input L one output: 1 + L(z) = 0 is its edge."""
+    assert loop.period_s is not None
+
+    def L(omega: float) -> complex:
+        return complex(loop.response(np.array([omega]))[0, 0, 0])
+
+    omega = grid(loop.period_s)
+    value = loop.response(omega)[:, 0, 0]
+    at_real = [value[-1].real]  # at half the rate the response is real
+    for k in np.flatnonzero(np.diff(np.sign(value.imag[:-1])) != 0):
+        w = brentq(lambda w: L(w).imag, omega[k], omega[k + 1])
+        at_real.append(L(float(w)).real)
+    factors = [-1.0 / real for real in at_real if real < 0.0]
+    phase, delay, crossover = inf, inf, 0.0
+    for k in np.flatnonzero(np.diff(np.sign(np.abs(value) - 1.0)) != 0):
+        w = float(brentq(lambda w: abs(L(w)) - 1.0, omega[k], omega[k + 1]))
+        left = float(np.angle(L(w))) + pi  # in 0 .. 2 pi: what may still be lost until -1
+        phase = min(phase, left, 2.0 * pi - left)
+        delay = min(delay, left / w)
+        crossover = max(crossover, w)
+    return Margins(
+        min((f for f in factors if f > 1.0), default=inf),
+        max((f for f in factors if f <= 1.0), default=0.0),
+        float(np.degrees(phase)),
+        delay,
+        crossover,
+        float(np.abs(1.0 / (1.0 + value)).max()),
+        float(np.abs(value / (1.0 + value)).max()),
+    )

@@ -1,0 +1,1 @@
+"""Six emulated drives in front of a plant: states, encoders, brakes, sensors, faults."""

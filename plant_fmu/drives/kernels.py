@@ -1,0 +1,174 @@
+"""What happens to all six emulated drives in one tick, compiled.
+
+A row of the two matrices is one quantity of six drives.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import (
+    BOOLEAN,
+    INTEGER,
+    INTEGERS,
+    OUT_INTEGER_MATRIX,
+    OUT_INTEGERS,
+    OUT_MATRIX,
+    OUT_VECTOR,
+    REAL,
+    VECTOR,
+    direct,
+    helper,
+    kernel,
+)
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Reaction
+
+BOOT, OFF, READY, RUN, FAULT = map(int, DriveState)
+BRAKE, DAMP, HOLD, ZERO = map(int, Reaction)
+NEVER_NS = 1 << 62
+WORKS = -1
+"""A brake that is not stuck."""
+
+STATE, REASON, CONFIGURED, COUNTER, WATCHDOG, DEADLINE, REACTION, ACTING, STUCK, LOST = range(10)
+"""Rows of `integers`: DriveState, DriveFault, 1 if set up, counter of the last command, ns, ns, Reaction of a
+fault in RUN, Reaction of the latched fault, where a stuck brake stays, INVALID for a lost encoder."""
+COMMAND, HELD, LAGGED, FROZEN, OFFSET, GAIN, FORCE, BRAKES = range(8)
+"""Rows of `reals`: N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the
+lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; gain of the wiring; what
+the plant gets: N, and 1 for an engaged brake."""
+LIMIT, DAMPING, STIFFNESS, LAGS, LAG_END, LAG_MEAN = range(6)
+"""Places of `stage`, what the drives have in common: rated force N, gains of the reactions N s/m and N/m, 1
+if the force lags; end value and mean of that lag over one step of the plant."""
+
+TRANSITIONS: dict[DriveMode, dict[int, int]] = {
+    DriveMode.OFF: {READY: OFF, RUN: OFF},
+    DriveMode.READY: {OFF: READY, RUN: READY},
+    DriveMode.RUN: {READY: RUN},
+    DriveMode.RESET: {READY: OFF, RUN: OFF, FAULT: OFF},
+}
+"""What each commanded mode does to a drive; a state that is not listed stays as it is."""
+_STAYS = -1
+_NEXT = np.array(
+    [[TRANSITIONS[mode].get(state, _STAYS) for state in map(int, DriveState)] for mode in DriveMode]
+)
+_MODE_OFF = int(DriveMode.OFF)
+_NO_FAULT = int(DriveFault.NONE)
+
+
+@kernel(OUT_INTEGER_MATRIX, OUT_MATRIX, INTEGER, INTEGER, INTEGER)
+def enter(integers: Ints, reals: Array, leg: int, state: int, reason: int) -> None:
+    """Move one drive to a state."""
+    integers[STATE, leg] = state
+    integers[REASON, leg] = reason
+    if state not in (READY, RUN):
+        reals[COMMAND, leg] = 0.0
+        integers[DEADLINE, leg] = NEVER_NS
+
+
+@helper
+def _encoder(integers: Ints, reals: Array, length: Array, rate: Array, leg: int) -> tuple[float, float]:
+    """Return what an encoder reads before quantisation, m and m/s; 0 when lost."""
+    if integers[LOST, leg]:
+        return 0.0, 0.0
+    if np.isnan(reals[FROZEN, leg]):
+        return length[leg] + reals[OFFSET, leg], rate[leg]
+    return reals[FROZEN, leg], 0.0
+
+
+@helper
+def _actuate(integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool) -> bool:
+    controls = False
+    for leg in range(LEGS):
+        f = reals[COMMAND, leg]
+        acting = integers[ACTING, leg] if integers[STATE, leg] == FAULT else BRAKE
+        brake = 0.0 if integers[STATE, leg] == RUN or acting != BRAKE else 1.0
+        if acting in (DAMP, HOLD):
+            controls = True
+            l, dl = _encoder(integers, reals, length, rate, leg)
+            f = -stage[DAMPING] * dl
+            if acting == HOLD:
+                f -= stage[STIFFNESS] * (l - reals[HELD, leg])
+        if not -stage[LIMIT] <= f <= stage[LIMIT]:
+            f = stage[LIMIT] if f > 0.0 else -stage[LIMIT]
+        if lag:
+            gap = reals[LAGGED, leg] - f
+            reals[LAGGED, leg] = f + gap * stage[LAG_END]
+            f += gap * stage[LAG_MEAN]
+        elif stage[LAGS] > 0.0:
+            f = reals[LAGGED, leg]
+        reals[FORCE, leg] = f * reals[GAIN, leg]
+        reals[BRAKES, leg] = brake if integers[STUCK, leg] == WORKS else float(integers[STUCK, leg])
+    return controls
+
+
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, INTEGERS, VECTOR, INTEGER, INTEGER, INTEGER)
+def obey(
+    integers: Ints,
+    reals: Array,
+    stage: Array,
+    length: Array,
+    rate: Array,
+    legs: Ints,
+    command: Array,
+    mode: int,
+    counter: int,
+    t_ns: int,
+) -> tuple[bool, bool, int, int]:
+    """Give the drives `legs` a command of so many N each at `t_ns`, the plant being there, and actuate.
+
+    Returns whether the counter was new to one of them; if so, whether a drive follows its encoder by itself,
+    see `actuate`; the legs that entered a state (bit i: leg i); and the earliest deadline of all watchdogs.
+    """
+    fresh, entered = False, 0
+    for k in range(legs.shape[0]):
+        leg = legs[k]
+        if integers[COUNTER, leg] == counter:
+            continue
+        fresh = True
+        integers[COUNTER, leg] = counter
+        state = integers[STATE, leg]
+        following = _NEXT[mode, state]
+        if following != _STAYS:
+            state = following if integers[CONFIGURED, leg] else BOOT
+            enter(integers, reals, leg, state, _NO_FAULT)
+            entered |= 1 << leg
+        elif state == FAULT and mode == _MODE_OFF:
+            integers[ACTING, leg] = BRAKE
+        if state in (READY, RUN):
+            reals[COMMAND, leg] = command[k]
+            integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
+    controls = fresh and _actuate(integers, reals, stage, length, rate, False)
+    return fresh, controls, entered, integers[DEADLINE].min()
+
+
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
+def read_encoders(
+    integers: Ints,
+    reals: Array,
+    length: Array,
+    rate: Array,
+    dt_s: float,
+    quantum_m: float,
+    l: Array,
+    dl: Array,
+    told: Ints,
+) -> None:
+    """Fill in what is read `dt_s` after the plant was at `length`, `rate`, in steps of `quantum_m` if > 0.
+
+    told: the states as feedback tells them.
+    """
+    for leg in range(LEGS):
+        told[leg] = integers[STATE, leg] | integers[LOST, leg]
+        at, dl[leg] = _encoder(integers, reals, length, rate, leg)
+        at += dl[leg] * dt_s
+        l[leg] = np.rint(at / quantum_m) * quantum_m if quantum_m > 0.0 else at
+
+
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, BOOLEAN)
+def actuate(integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool) -> bool:
+    """Set FORCE and BRAKES from the drives' states; with `lag` over the next grid step.
+
+    length m and rate m/s are the plant's. Returns whether a drive follows its encoder by itself.
+    """
+    return bool(_actuate(integers, reals, stage, length, rate, lag))

@@ -1,0 +1,340 @@
+"""Six emulated drives in front of a plant: encoder, limits, watchdog, heartbeat, brake.
+
+Time. The plant moves on a grid of its internal step h from `start`. A command, a fault or a
+watchdog acts at the grid point nearest to its instant, at most h/2 away. An encoder is latched
+between grid points by length + rate dt, |dt| <= h/2: with leg acceleration a it is wrong by at most
+a h^2/8 in length and a h/2 in rate (10 m/s^2 and 100 us: 13 nm and 0.5 mm/s). An instant on the grid
+is exact. `Plant.step` is called once between two instants that matter, and once per grid
+point while a drive controls by itself (damp, hold) or lags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from math import floor
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.config import DriveSettings
+from drivers.errors import PlantError
+from drivers.protocol import (
+    Configure,
+    DeviceCommand,
+    DriveProtocol,
+    EmergencyStop,
+    Frame,
+    Received,
+    Rejected,
+    Status,
+    Sync,
+)
+from drivers.signals import LEGS, DriveFault
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.drive import Drives
+from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.kernels import BOOT, BRAKE, FAULT, NEVER_NS, OFF, READY, RUN
+from plant_fmu.plant import Plant, Truth
+
+_TIME = itemgetter(0)
+
+
+@lru_cache(maxsize=64)
+def _indices(legs: tuple[int, ...]) -> Ints:
+    return np.array(legs, np.int64)
+
+
+class Snapshot(NamedTuple):
+    """The plant's end at one instant, for its log."""
+
+    t_ns: int
+    """Grid instant of length and rate."""
+    length: Array
+    """(6,) m, true."""
+    rate: Array
+    """(6,) m/s, true."""
+    command: Array
+    """(6,) N, last valid command."""
+    force: Array
+    """(6,) N, what the drives put on the plant."""
+    applied: Array
+    """(6,) N, the plant's own answer to that where it knows it, else `force`."""
+    state: Ints
+    """(6,) DriveState."""
+    fault: Ints
+    """(6,) DriveFault."""
+    brake: Array
+    """(6,) 1 engaged, 0 released."""
+    wrench: Array
+    """(6,) N, N m on the platform."""
+    truth: Truth | None
+    syncs: int
+    """SYNC frames heard since the start."""
+    commands: int
+    """Valid command frames with a new counter."""
+    repeated: int
+    """Valid command frames whose counter had been seen: they count for nothing."""
+    rejected: int
+    """Frames that could not be trusted."""
+
+
+class Nodes:
+    """Six drives and the plant behind them.
+
+    A drive boots with its brake engaged, CONFIG takes it to OFF, then `TRANSITIONS` hold. RUN is
+    reached through READY only. CONFIG counts in BOOT, OFF and FAULT. The watchdog runs in READY and
+    RUN, from the last valid command with a new counter. A fault latches until RESET; its reaction
+    is the configured one if it strikes in RUN, otherwise the brake, so that no fault opens a brake.
+
+    Mutable state: the plant, six drives, the time, the generator of frame faults. Owner of all
+    of it; `start` resets it.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        protocol: DriveProtocol,
+        emulation: DriveEmulation,
+        drives: DriveSettings,
+        faults: FaultPlan | None = None,
+    ) -> None:
+        self._plant = plant
+        self._protocol = protocol
+        self._emulation = emulation
+        self._settings = drives
+        self._faults = FaultPlan() if faults is None else faults
+        self._h_s = plant.internal_step_s
+        self._h_ns = plant.internal_step_s * 1e9
+        self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
+        self.start(0)
+
+    def start(self, t0_ns: int) -> None:
+        """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
+        self._t0_ns = t0_ns
+        self._now_ns = t0_ns
+        self._k = 0
+        self._length, self._rate = self._plant.reset()
+        self._drives = Drives(self._settings, self._emulation, self._h_s)
+        self._beats = 0
+        self._next_beat_ns = t0_ns
+        self._calm_ns = t0_ns
+        """No watchdog, edge or heartbeat is due before this instant."""
+        self._edges = [(t0_ns + round(edge_s * 1e9), edge_s) for edge_s in self._faults.edges_s()]
+        self._present = self._faults.present(0.0)
+        self._generator = np.random.default_rng(self._faults.seed)
+        self._truth: Truth | None = None
+        self._truth_k = -1
+        self._syncs = self._commands = self._repeated = self._rejected = 0
+        self._disturb()
+
+    def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
+        """Live until `t_ns`, hearing `received`, and return (instant queued, frame) in time order.
+
+        `received` holds what arrived since the last step, times up to `t_ns`; a frame older than the
+        last step's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
+        status every heartbeat, one drive after the other, and at once when state or fault change.
+        A watchdog that ends at `t_ns` exactly waits for the next step: a command of that instant is in time.
+        Raises PlantError if `t_ns` lies before the last step's or the plant fails.
+        """
+        if t_ns < self._now_ns:
+            raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self._now_ns} ns")
+        out: list[tuple[int, Frame]] = []
+        frames = received if len(received) < 2 else sorted(received, key=_TIME)
+        for t_frame_ns, frame in frames:
+            t = min(max(t_frame_ns, self._now_ns), t_ns)
+            self._pass_time(t, out)
+            self._receive(t, frame, out)
+        self._pass_time(t_ns, out)
+        self._advance(t_ns)
+        return out
+
+    @property
+    def syncs(self) -> int:
+        """SYNC frames heard since the start."""
+        return self._syncs
+
+    def snapshot(self) -> Snapshot:
+        """Return the plant's end as it is now; arrays are copies."""
+        truth = self._know()
+        return Snapshot(
+            t_ns=self._grid_ns(),
+            length=np.array(self._length),
+            rate=np.array(self._rate),
+            command=self._drives.command.copy(),
+            force=self._drives.force.copy(),
+            applied=self._drives.force.copy() if truth is None else truth.applied_force,
+            state=self._drives.state.copy(),
+            fault=self._drives.fault.copy(),
+            brake=self._drives.brake.copy(),
+            wrench=self._present.wrench.copy(),
+            truth=truth,
+            syncs=self._syncs,
+            commands=self._commands,
+            repeated=self._repeated,
+            rejected=self._rejected,
+        )
+
+    # time
+
+    def _grid_ns(self) -> int:
+        return self._t0_ns + round(self._k * self._h_ns)
+
+    def _pass_time(self, t: int, out: list[tuple[int, Frame]]) -> None:
+        """Let watchdogs (before t), plan edges and heartbeats (up to t) happen, in order."""
+        while t >= self._calm_ns:
+            deadlines = self._drives.deadline_ns.tolist()
+            watchdog = min(deadlines)
+            edge, edge_s = self._edges[0] if self._edges else (NEVER_NS, 0.0)
+            other = min(edge, self._next_beat_ns)
+            if watchdog < t and watchdog <= other:
+                self._now_ns = max(self._now_ns, watchdog)
+                for leg in range(LEGS):
+                    if deadlines[leg] <= watchdog:
+                        self._fail(leg, DriveFault.WATCHDOG, watchdog, out)
+            elif other > t:
+                self._calm_ns = min(max(watchdog, t + 1), other)
+            elif edge <= self._next_beat_ns:
+                del self._edges[0]
+                self._advance(edge)
+                self._present = self._faults.present(edge_s)
+                self._disturb()
+            else:
+                self._send_status(self._beats % LEGS, self._next_beat_ns, out)
+                self._beats += 1
+                self._next_beat_ns = self._t0_ns + round(self._beats * self._beat_ns)
+        self._now_ns = t
+
+    def _advance(self, t: int) -> None:
+        """Bring the plant to the grid point nearest to t."""
+        n = floor((t - self._t0_ns) / self._h_ns + 0.5) - self._k
+        if n <= 0:
+            return
+        if self._drives.lags or self._controls:
+            for _ in range(n):
+                self._actuate(lag=self._drives.lags)
+                self._move(1)
+        else:
+            self._move(n)
+
+    def _move(self, n: int) -> None:
+        drives = self._drives
+        self._length, self._rate = self._plant.step(
+            drives.force, drives.brake, self._present.wrench, n * self._h_s
+        )
+        self._k += n
+
+    def _know(self) -> Truth | None:
+        """Return the plant's truth, asked for once per instant."""
+        if self._truth_k != self._k:
+            self._truth = self._plant.truth()
+            self._truth_k = self._k
+        return self._truth
+
+    # drives
+
+    def _disturb(self) -> None:
+        self._drives.disturb(self._present, self._length, self._rate)
+        self._actuate()
+
+    def _actuate(self, *, lag: bool = False) -> None:
+        """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
+        self._controls = self._drives.actuate(self._length, self._rate, lag)
+
+    def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
+        """Latch a fault; the first one stays, but an emergency stop brakes whatever was latched."""
+        drives = self._drives
+        self._advance(t)
+        brakes = fault is DriveFault.ESTOP or drives.state[leg] != RUN or self._present.lost[leg]
+        if drives.state[leg] != FAULT:
+            drives.acting[leg] = BRAKE if brakes else drives.reaction[leg]
+            drives.held_m[leg] = drives.encoders(self._length, self._rate)[0][leg]
+            drives.enter(leg, FAULT, fault)
+            self._send_status(leg, t, out)
+        elif brakes:
+            drives.acting[leg] = BRAKE
+        self._actuate()
+
+    # frames
+
+    def _receive(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
+        if self._faults.touches_frames:
+            arrived = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
+            if arrived is None:
+                return
+            frame = arrived
+        message = self._protocol.parse(frame)
+        match message:
+            case Sync():
+                self._latch(message, t, out)
+            case DeviceCommand():
+                self._obey(message, t, out)
+            case Configure():
+                self._configure(message, t, out)
+            case EmergencyStop():
+                for leg in range(LEGS):
+                    self._fail(leg, DriveFault.ESTOP, t, out)
+            case Rejected():
+                self._rejected += 1
+
+    def _latch(self, sync: Sync, t: int, out: list[tuple[int, Frame]]) -> None:
+        self._syncs += 1
+        self._advance(t)
+        dt = (t - self._grid_ns()) * 1e-9
+        force = self._plant.applied_force()
+        if force is None:
+            force = self._drives.force
+        quantum = self._emulation.encoder_resolution_m
+        length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
+        frames = self._protocol.feedbacks(length, rate, force, state, sync.counter)
+        silent = self._present.silent
+        if self._faults.touches_frames or any(silent):
+            for leg, frame in enumerate(frames):
+                if not silent[leg]:
+                    self._send(t, frame, out)
+        else:
+            out += [(t, frame) for frame in frames]
+
+    def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
+        self._advance(t)
+        legs, mode, force, counter = command
+        fresh, controls, entered, earliest = self._drives.obey(
+            self._length, self._rate, _indices(legs), force, mode, counter, t
+        )
+        if entered:
+            for leg in legs:
+                if entered >> leg & 1:
+                    self._send_status(leg, t, out)
+        if fresh:
+            self._calm_ns = min(self._calm_ns, earliest)
+            self._commands += 1
+            self._controls = controls
+        else:
+            self._repeated += 1
+
+    def _configure(self, configure: Configure, t: int, out: list[tuple[int, Frame]]) -> None:
+        drives, leg = self._drives, configure.leg
+        if drives.state[leg] in (READY, RUN):
+            self._rejected += 1
+            return
+        drives.watchdog_ns[leg] = round(configure.watchdog_s * 1e9)
+        drives.reaction[leg] = configure.reaction
+        drives.configured[leg] = True
+        if drives.state[leg] == BOOT:
+            drives.enter(leg, OFF, DriveFault.NONE)
+            self._send_status(leg, t, out)
+
+    def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
+        if not self._present.silent[leg]:
+            state, fault = int(self._drives.state[leg]), int(self._drives.fault[leg])
+            self._send(t, self._protocol.status(Status(leg, state, fault)), out)
+
+    def _send(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
+        if self._faults.touches_frames:
+            sent = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
+            if sent is None:
+                return
+            frame = sent
+        out.append((t, frame))

@@ -1,0 +1,192 @@
+"""Emulated tracker, IMU and wrench sensor beside the drives: they sample the plant's truth.
+
+A sample is taken at its own instant, stamped against the last SYNC before it, and enters the bus its
+latency later. Between grid points of the plant the pose is carried on by the twist. The specific force is
+the mean over the plant's last internal step, as of a device that integrates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from drivers.arrays import Array
+from drivers.config import DriveSettings, SensorSettings
+from drivers.errors import PlantError
+from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.sensors import SensorProtocol
+from plant_fmu.config import DriveEmulation, SensorEmulation
+from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.nodes import Nodes, Snapshot
+from plant_fmu.plant import Plant, Truth
+
+_LONGEST_STAMP_S = 0.0655
+"""A sensor that has heard no SYNC for so long cannot say when it measures, and is silent."""
+
+
+class Moment(NamedTuple):
+    """What there is to measure at one instant."""
+
+    p: Array
+    """(3,) m."""
+    R: Array
+    """(3, 3)."""
+    twist: Array
+    """(6,) m/s, rad/s, base frame."""
+    dtwist: Array
+    """(6,) m/s^2, rad/s^2."""
+    wrench: Array
+    """(6,) N, N m, base frame."""
+
+
+class SensedNodes(Nodes):
+    """Six drives, the plant behind them, and the configured sensors on its platform.
+
+    Mutable state, beside that of `Nodes`: when each sensor measures next and its counter, the last SYNC, the
+    last acceleration, frames that wait out their latency, the generator. `start` resets all of it.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        protocol: DriveProtocol,
+        emulation: DriveEmulation,
+        drives: DriveSettings,
+        faults: FaultPlan | None,
+        sensors: SensorProtocol,
+        settings: SensorSettings,
+        noise: SensorEmulation,
+        gravity: Sequence[float],
+    ) -> None:
+        self._sensors = sensors
+        self._noise = noise
+        self._gravity = np.array(gravity, float)
+        self._plan = FaultPlan() if faults is None else faults
+        self._period_ns = {kind: 1e9 / getattr(settings, kind).rate_Hz for kind in sensors.kinds}
+        self._measure: dict[str, Callable[[Moment], Array]] = {
+            "tracker": self._pose,
+            "imu": self._inertial,
+            "wrench": self._load,
+        }
+        super().__init__(plant, protocol, emulation, drives, faults)
+
+    def start(self, t0_ns: int) -> None:
+        """As `Nodes.start`; every sensor takes its first sample then."""
+        super().start(t0_ns)
+        self._start_ns = self._until_ns = t0_ns
+        self._count = dict.fromkeys(self._sensors.kinds, 0)
+        self._due_ns = dict.fromkeys(self._sensors.kinds, t0_ns)
+        self._sync: tuple[int, int] | None = None
+        """When the last SYNC ended, and its Cycle."""
+        self._dtwist = np.zeros(6)
+        self._waiting: list[tuple[int, Frame]] = []
+        self._chance = np.random.default_rng((self._noise.seed, self._plan.seed))
+
+    def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
+        """As `Nodes.step`, with the frames of the sensors among the drives'."""
+        out: list[tuple[int, Frame]] = []
+        frames = sorted(received, key=itemgetter(0))
+        while (due_ns := min(self._due_ns.values())) <= t_ns:
+            heard = [frame for frame in frames if frame.t_ns <= due_ns]
+            frames = frames[len(heard) :]
+            due = [kind for kind, at in self._due_ns.items() if at == due_ns]
+            if "imu" in due:
+                self._accelerate(due_ns, heard, out)
+            else:
+                out += self._live(due_ns, heard)
+            for kind in due:
+                self._sample(kind, due_ns)
+                self._count[kind] += 1
+                self._due_ns[kind] = self._start_ns + round(self._count[kind] * self._period_ns[kind])
+        out += self._live(t_ns, frames)
+        sent = [entry for entry in self._waiting if entry[0] <= t_ns]
+        if sent:
+            self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
+            out = sorted(out + sent, key=itemgetter(0))
+        return out
+
+    def _live(self, t_ns: int, frames: list[Received]) -> list[tuple[int, Frame]]:
+        """Let plant and drives live until `t_ns`, and note the SYNCs they hear."""
+        t_ns = max(t_ns, self._until_ns)
+        for at_ns, frame in frames:
+            cycle = self._sensors.cycle_of(frame)
+            if cycle is not None:
+                self._sync = at_ns, cycle
+        self._until_ns = t_ns
+        return super().step(t_ns, frames)
+
+    def _accelerate(self, due_ns: int, frames: list[Received], out: list[tuple[int, Frame]]) -> None:
+        """Live until `due_ns`, and find the acceleration over the plant's last step."""
+        before_ns = due_ns - round(self._plant.internal_step_s * 1e9)
+        early = [frame for frame in frames if frame.t_ns <= before_ns]
+        out += self._live(before_ns, early)
+        first = self.snapshot()
+        out += self._live(due_ns, frames[len(early) :])
+        last = self.snapshot()
+        if last.t_ns > first.t_ns:
+            change = _truth(last).twist - _truth(first).twist
+            self._dtwist = change / ((last.t_ns - first.t_ns) * 1e-9)
+
+    def _sample(self, kind: str, t_ns: int) -> None:
+        """Take one sample, and keep its frame until its latency is over."""
+        settings = getattr(self._noise, kind)
+        values = self._measure[kind](self._moment(t_ns))
+        lost = self._chance.random() < 0.01 * settings.lost_percent
+        if self._sync is None or lost:
+            return
+        offset_s = (t_ns - self._sync[0]) * 1e-9
+        if offset_s > _LONGEST_STAMP_S:
+            return
+        frame = self._sensors.encode(kind, values.tolist(), self._sync[1], offset_s, self._count[kind])
+        sent_ns = t_ns + round(settings.latency_ms * 1e6)
+        arrived = self._plan.pass_on(frame, (sent_ns - self._start_ns) * 1e-9, self._chance)
+        if arrived is not None:
+            self._waiting.append((sent_ns, arrived))
+
+    def _moment(self, t_ns: int) -> Moment:
+        """Return the truth at `t_ns`, carried on from the plant's grid point by the twist."""
+        snapshot = self.snapshot()
+        truth = _truth(snapshot)
+        dt = (t_ns - snapshot.t_ns) * 1e-9
+        p = truth.p + truth.twist[:3] * dt
+        R = (Rotation.from_rotvec(truth.twist[3:] * dt) * Rotation.from_matrix(truth.R)).as_matrix()
+        return Moment(p, R, truth.twist, self._dtwist, snapshot.wrench)
+
+    def _pose(self, moment: Moment) -> Array:
+        noise, chance = self._noise.tracker, self._chance
+        p = moment.p + noise.position_bias_m + noise.position_noise_m * chance.standard_normal(3)
+        r = np.deg2rad(noise.rotation_bias_deg + noise.orientation_noise_deg * chance.standard_normal(3))
+        R = Rotation.from_rotvec(r) * Rotation.from_matrix(moment.R)
+        return np.concatenate((p, R.as_rotvec()))
+
+    def _inertial(self, moment: Moment) -> Array:
+        noise, chance = self._noise.imu, self._chance
+        w = _into(moment.R, moment.twist[3:]) + noise.angular_rate_bias_rad_s
+        f = _into(moment.R, moment.dtwist[:3] - self._gravity) + noise.specific_force_bias_m_s2
+        w += noise.angular_rate_noise_rad_s * chance.standard_normal(3)
+        f += noise.specific_force_noise_m_s2 * chance.standard_normal(3)
+        return np.concatenate((w, f))
+
+    def _load(self, moment: Moment) -> Array:
+        noise, chance = self._noise.wrench, self._chance
+        f = _into(moment.R, moment.wrench[:3]) + noise.force_bias_N
+        m = _into(moment.R, moment.wrench[3:]) + noise.moment_bias_N_m
+        f += noise.force_noise_N * chance.standard_normal(3)
+        m += noise.moment_noise_N_m * chance.standard_normal(3)
+        return np.concatenate((f, m))
+
+
+def _into(R: Array, x: Array) -> Array:
+    """Return a vector of the base frame in the platform frame."""
+    turned: Array = R.T @ x
+    return turned
+
+
+def _truth(snapshot: Snapshot) -> Truth:
+    if snapshot.truth is None:
+        raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
+    return snapshot.truth

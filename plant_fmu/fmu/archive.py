@@ -1,0 +1,117 @@
+"""Guarded extraction of an .fmu file.
+
+A foreign archive is hostile until each member has been looked at; nothing is written outside the given folder
+and nothing is loaded.
+"""
+
+from __future__ import annotations
+
+import lzma
+import stat
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from drivers.errors import PlantError
+
+MAX_MEMBERS = 20_000
+MAX_BYTES = 2 * 1024**3
+MAX_RATIO = 400
+"""Largest size of a member over its packed size; real binaries and data stay far below."""
+RATIO_FREE_BYTES = 1024**2
+"""Members up to this size may have any ratio."""
+_CHUNK = 1 << 20
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    OSError,
+    EOFError,
+    NotImplementedError,
+    ValueError,
+    RuntimeError,
+)
+"""What zipfile raises on damaged or unreadable members."""
+
+
+def open_archive(path: Path) -> zipfile.ZipFile:
+    """Open the .fmu. Raises PlantError if it is missing or no ZIP archive."""
+    if not path.is_file():
+        raise PlantError(
+            f"{path}: no such FMU file; give the path of an .fmu relative to the configuration file"
+        )
+    try:
+        return zipfile.ZipFile(path)
+    except (zipfile.BadZipFile, OSError) as error:
+        raise PlantError(f"{path}: not an FMU (a ZIP archive with modelDescription.xml): {error}") from error
+
+
+def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
+    """Return all members if every one of them may be extracted.
+
+    Refused: absolute paths, drive letters, backslashes, ``..``, links and other special files, encrypted
+    members, two members with one name (also one name on a file system that ignores case), too many, too large
+    or too strongly packed ones. Raises PlantError naming the member.
+    """
+    members = archive.infolist()
+    if len(members) > MAX_MEMBERS:
+        raise PlantError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are allowed")
+    seen: set[str] = set()
+    total = 0
+    for member in members:
+        # orig_filename is what stands in the file; filename ends at a zero byte, its separators replaced
+        name = member.orig_filename
+        place = PurePosixPath(name)
+        bad = None
+        if name != member.filename or "\\" in name or ":" in name or "\0" in name:
+            bad = "its name has a backslash, a colon or a zero byte"
+        elif place.is_absolute() or ".." in place.parts or not place.parts:
+            bad = "its path leaves the archive"
+        elif place.as_posix().casefold() in seen:
+            bad = "its name occurs twice"
+        elif (kind := stat.S_IFMT(member.external_attr >> 16)) not in {0, stat.S_IFREG, stat.S_IFDIR}:
+            bad = "it is a link or a special file" if kind else None
+        elif member.flag_bits & 1:
+            bad = "it is encrypted"
+        elif member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):
+            bad = f"it unpacks to more than {MAX_RATIO} times its packed size"
+        if bad:
+            raise PlantError(f"{path}: member {name!r} refused: {bad}")
+        seen.add(place.as_posix().casefold())
+        total += member.file_size
+    if total > MAX_BYTES:
+        raise PlantError(f"{path}: unpacks to {total} bytes; at most {MAX_BYTES} are allowed")
+    return members
+
+
+def read_member(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
+    """Return the content of one member. Raises PlantError if it is missing or damaged."""
+    try:
+        return archive.read(name)
+    except KeyError:
+        raise PlantError(f"{path}: not an FMU: {name} is missing") from None
+    except _DAMAGED as error:
+        raise PlantError(f"{path}: {name} is damaged: {error}") from error
+
+
+def extract(archive: zipfile.ZipFile, path: Path, folder: Path) -> None:
+    """Unpack all checked members into `folder`, never more bytes than their headers announce.
+
+    Raises PlantError on a member that is refused or damaged.
+    """
+    for member in checked_members(archive, path):
+        target = folder / member.filename
+        try:
+            if member.is_dir():
+                target.mkdir(parents=True, exist_ok=True)
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            left = member.file_size
+            with archive.open(member) as packed, target.open("xb") as out:
+                while chunk := packed.read(min(_CHUNK, left + 1)):
+                    left -= len(chunk)
+                    if left < 0:
+                        raise PlantError(f"{path}: member {member.filename!r} is larger than its header says")
+                    out.write(chunk)
+        except _DAMAGED as error:
+            raise PlantError(f"{path}: member {member.filename!r} cannot be unpacked: {error}") from error

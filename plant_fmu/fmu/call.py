@@ -1,0 +1,130 @@
+"""One communication step of an FMU in one compiled call: inputs, step, outputs.
+
+Other threads run meanwhile: one of them ends a child process whose FMU hangs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.arrays import Array, Bytes, Ints
+from drivers.compiled.compiler import (
+    BYTES,
+    INTEGERS,
+    OUT_INTEGERS,
+    OUT_VECTOR,
+    REAL,
+    VECTOR,
+    direct,
+    foreign,
+    helper,
+    kernel,
+)
+from drivers.signals import LEGS
+
+INSTANCE, COUNTED, SET, GET, STEP, FLAGS, LAST = range(7)
+"""Places in `call`: the component; 1 for FMI 3, which counts values; addresses of the functions, of DoStep's
+three flags and of its last time;"""
+INPUTS, OUTPUTS = 7, 9
+"""of the value references and how many they are;"""
+SLOTS = 11
+"""where force, brake and wrench stand among the inputs, -1 for what the FMU does not have."""
+CALL = SLOTS + 3
+
+DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
+"""How an exchange ended."""
+MEASURED = 2 * LEGS
+"""The first outputs: lengths and rates."""
+WARNING = 1
+"""The worst status of both standards that still is a success."""
+_TERMINATED, _EARLY = 1, 2
+
+
+@helper
+def _transfer(call: Ints, function: int, references: int, values: Array) -> int:
+    where, count = call[references], call[references + 1]
+    if call[COUNTED]:
+        arguments = (call[INSTANCE], where, count, np.int64(values.ctypes.data), np.int64(values.size))
+        return int(foreign(call[function], arguments))
+    return int(foreign(call[function], (call[INSTANCE], where, count, np.int64(values.ctypes.data))))
+
+
+@kernel(INTEGERS, OUT_VECTOR, OUT_INTEGERS, unlocked=True)
+def put(call: Ints, inputs: Array, held: Ints) -> int:
+    """Set the FMU's inputs; return its status. `held` becomes their bits, or something else if it refuses."""
+    bits = inputs.view(np.int64)
+    held[:] = ~bits
+    status = _transfer(call, SET, INPUTS, inputs)
+    if status <= WARNING:
+        held[:] = bits
+    return status
+
+
+@kernel(INTEGERS, OUT_VECTOR, unlocked=True)
+def fetch(call: Ints, outputs: Array) -> tuple[int, int]:
+    """Get the FMU's outputs; return how that ended and the FMU's status.
+
+    Lengths and rates have to be finite.
+    """
+    status = _transfer(call, GET, OUTPUTS, outputs)
+    if status > WARNING:
+        return OUTPUTS_REFUSED, status
+    for y in outputs[:MEASURED]:
+        if not np.isfinite(y):
+            return OUTPUT_NOT_FINITE, status
+    return DONE, status
+
+
+@kernel(INTEGERS, REAL, REAL, unlocked=True)
+def do_step(call: Ints, t_s: float, dt_s: float) -> int:
+    """Step from `t_s` by `dt_s` and return the FMU's status."""
+    never_back, at = np.int32(1), call[FLAGS]
+    if call[COUNTED]:
+        arguments = (call[INSTANCE], t_s, dt_s, never_back, at, at + 1, at + 2, call[LAST])
+        return int(foreign(call[STEP], arguments))
+    return int(foreign(call[STEP], (call[INSTANCE], t_s, dt_s, never_back)))
+
+
+@direct(
+    INTEGERS, VECTOR, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_INTEGERS, OUT_VECTOR, BYTES, unlocked=True
+)
+def exchange(
+    call: Ints,
+    force: Array,
+    brake: Array,
+    wrench: Array,
+    t_s: float,
+    dt_s: float,
+    inputs: Array,
+    held: Ints,
+    outputs: Array,
+    flags: Bytes,
+) -> tuple[int, int]:
+    """Set what changed of the inputs, step from `t_s` by `dt_s`, get the outputs.
+
+    force, brake, wrench (6,). Returns how it ended and the FMU's last status.
+    """
+    for k in range(LEGS):
+        if call[SLOTS] >= 0:
+            inputs[call[SLOTS] + k] = force[k]
+        if call[SLOTS + 1] >= 0:
+            inputs[call[SLOTS + 1] + k] = brake[k]
+        if call[SLOTS + 2] >= 0:
+            inputs[call[SLOTS + 2] + k] = wrench[k]
+    bits = inputs.view(np.int64)
+    changed = False
+    for i in range(bits.size):
+        changed = changed or bits[i] != held[i]
+    if changed:  # an FMU holds its inputs until they are set again
+        for u in inputs:
+            if not np.isfinite(u):
+                return NOT_FINITE, 0
+        status = put(call, inputs, held)
+        if status > WARNING:
+            return INPUTS_REFUSED, status
+    status = do_step(call, t_s, dt_s)
+    if status > WARNING:
+        return STEP_REFUSED, status
+    if flags[_TERMINATED] or flags[_EARLY]:
+        return INTERRUPTED, status
+    return fetch(call, outputs)

@@ -1,0 +1,252 @@
+"""Checks an FMU's description against what we ask of it, before anything of it is loaded.
+
+Each refusal says what the FMU offers.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy.model_description import read_model_description
+
+from drivers.errors import PlantError
+from plant_fmu.fmu.spec import FmuSpec, Parameter
+
+FLOATS = {"Real", "Float64"}
+_INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)} | {
+    "Integer",
+    "Enumeration",
+}
+_SI = {
+    "N": (1, 1, -2),
+    "N.m": (1, 2, -2),
+    "m": (0, 1, 0),
+    "m/s": (0, 1, -1),
+}
+"""Unit -> exponents of kg, m, s."""
+_SPELLINGS = {"N.m": {"N.m", "Nm", "N*m", "N m"}, "m/s": {"m/s", "m.s-1", "m*s-1"}}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Some of our values, in order, and the value references that carry them."""
+
+    references: tuple[int, ...]
+    count: int
+
+
+@dataclass(frozen=True)
+class Start:
+    """One parameter to set before initialisation."""
+
+    name: str
+    setter: str
+    """Type name of the setting function: Real, Float64, Integer, ..."""
+    references: tuple[int, ...]
+    values: tuple[float | int | bool | str, ...]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """All that hosting needs to know about one FMU."""
+
+    description: Any
+    """fmpy's ModelDescription."""
+    major: int
+    library: str
+    """Path of the shared library inside the archive."""
+    inputs: dict[str, Channel]
+    outputs: dict[str, Channel]
+    starts: tuple[Start, ...]
+
+
+class _Reader:
+    """Looks variables up by name and says what is wrong with them."""
+
+    def __init__(self, description: Any, path: Path) -> None:
+        self.path = path
+        self.major = int(description.fmiVersion.split(".")[0])
+        self.units = {u.name: u for u in description.unitDefinitions}
+        self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
+        self.names = list(self.by_name)
+
+    def find(self, name: str) -> list[Any]:
+        """Return the variable, or in FMI 2 the elements ``name[..]`` of an array written out."""
+        if name in self.by_name:
+            return [self.by_name[name]]
+        elements = [self.by_name[n] for n in self.names if n.startswith(f"{name}[")] if self.major < 3 else []
+        if elements:
+            return elements
+        close = sorted(n for n in self.names if name.lower().split("[")[0] in n.lower())[:8]
+        some = ", ".join(close or sorted(self.names)[:12])
+        hint = f"; close to it: {some}" if close else f"; it has {some} ..."
+        raise PlantError(f"{self.path}: the FMU has no variable {name!r}{hint}")
+
+    def size(self, variable: Any) -> int:
+        return math.prod(variable.shape) if variable.shape else 1
+
+    def check_unit(self, variable: Any, allowed: Sequence[str], *, optional: bool) -> None:
+        name = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+        if name is None:
+            if optional:
+                return
+            raise PlantError(
+                f"{self.path}: variable {variable.name!r} declares no unit; {' or '.join(allowed)} is "
+                "needed. Mend the FMU: a force or length in an unknown unit is not driven"
+            )
+        unit = self.units.get(name)
+        base = unit.baseUnit if unit is not None else None
+        for want in allowed:
+            if base is None:
+                if name in _SPELLINGS.get(want, {want}):
+                    return
+                continue
+            scaled = (base.factor, base.offset) != (1, 0) or any((base.A, base.K, base.mol, base.cd))
+            if (base.kg, base.m, base.s) == _SI[want] and not scaled:
+                return
+        raise PlantError(
+            f"{self.path}: variable {variable.name!r} is in {name!r}; {' or '.join(allowed)} is needed. "
+            "Convert it inside the FMU: units are not converted on the way"
+        )
+
+    def channel(
+        self, key: str, names: Sequence[str], causality: str, units: Sequence[str], count: int = 6
+    ) -> Channel:
+        """Map `names` to `count` values."""
+        found = [v for name in names for v in self.find(name)]
+        for variable in found:
+            if variable.causality != causality:
+                raise PlantError(
+                    f"{self.path}: {key}: variable {variable.name!r} is of causality {variable.causality}; "
+                    f"{causality} is needed"
+                )
+            if variable.type not in FLOATS:
+                raise PlantError(
+                    f"{self.path}: {key}: variable {variable.name!r} is of type {variable.type}; "
+                    "Real (FMI 2) or Float64 (FMI 3) is needed"
+                )
+            if units:
+                self.check_unit(variable, units, optional=key in {"wrench", "truth"})
+        total = sum(self.size(v) for v in found)
+        if total != count:
+            raise PlantError(
+                f"{self.path}: {key}: {list(names)} are {total} values; {count} are needed, "
+                "as scalars in leg order or as one array"
+            )
+        references = tuple(int(v.valueReference) for v in found)
+        if len(set(references)) != len(references):
+            raise PlantError(f"{self.path}: {key}: one variable is mapped twice in {list(names)}")
+        return Channel(references, count)
+
+    def start(self, name: str, value: Parameter) -> Start:
+        """Resolve one parameter and convert its value to the variable's type."""
+        found = self.find(name)
+        first = found[0]
+        values = list(value) if isinstance(value, list) else [value]
+        settable = first.causality in {"parameter", "structuralParameter", "input"}
+        if first.variability == "constant" or not settable:
+            raise PlantError(
+                f"{self.path}: parameters: {name!r} is a {first.causality}; only parameters can be set"
+            )
+        total = sum(self.size(v) for v in found)
+        if total != len(values):
+            raise PlantError(
+                f"{self.path}: parameters: {name!r} has {total} elements but {len(values)} are given"
+            )
+        kind = first.type
+        try:
+            cast = tuple(self._cast(first, x) for x in values)
+        except (ValueError, TypeError):
+            raise PlantError(
+                f"{self.path}: parameters: {name!r} is of type {kind}; {value!r} is no value of it"
+            ) from None
+        if kind == "Enumeration":
+            kind = "Integer" if self.major < 3 else "Int64"
+        return Start(name, kind, tuple(int(v.valueReference) for v in found), cast)
+
+    def _cast(self, variable: Any, value: float | bool | str) -> float | int | bool | str:
+        """Convert to the variable's type. Raises ValueError."""
+        kind = variable.type
+        if kind in FLOATS or kind == "Float32":
+            return float(value)
+        if kind in _INTEGERS:
+            return self._integer(variable, value)
+        if kind == "Boolean" and isinstance(value, bool):
+            return value
+        if kind == "String":
+            return str(value)
+        raise ValueError(kind)
+
+    def _integer(self, variable: Any, value: float | bool | str) -> int:
+        """Convert to an integer; an enumeration also takes its items' names."""
+        if isinstance(value, str) and variable.declaredType is not None:
+            for i, item in enumerate(variable.declaredType.items, start=1):
+                if item.name == value:
+                    return int(item.value) if item.value is not None else i
+        if isinstance(value, bool) or float(value) != int(value):
+            raise ValueError(value)
+        return int(value)
+
+
+def library_candidates(major: int, identifier: str) -> list[str]:
+    """Return the places of this machine's shared library inside an FMU, preferred first."""
+    file = f"{identifier}{fmpy.sharedLibraryExtension}"
+    modern = f"binaries/{fmpy.platform_tuple}/{file}"
+    return [modern] if major >= 3 else [f"binaries/{fmpy.platform}/{file}", modern]
+
+
+def _library(description: Any, major: int, members: Sequence[str], path: Path) -> str:
+    simulation = description.coSimulation
+    if simulation is None:
+        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
+    if simulation.needsExecutionTool:
+        raise PlantError(f"{path}: the FMU needs the tool that made it at run time; export a stand-alone one")
+    candidates = library_candidates(major, simulation.modelIdentifier)
+    for candidate in candidates:
+        if candidate in members:
+            return candidate
+    offered = sorted({m.split("/")[1] for m in members if m.startswith("binaries/") and m.count("/") >= 2})
+    raise PlantError(
+        f"{path}: the FMU has no binary for this machine ({candidates[0]}); it has binaries for "
+        f"{', '.join(offered) or 'none'}. Export it for {fmpy.platform_tuple} or compile its sources"
+    )
+
+
+def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interface:
+    """Check modelDescription.xml against `spec`.
+
+    xml: its content; members: names in the archive. Raises PlantError that names the variable, what it is
+    and what is needed: FMI version, co-simulation, a binary for this machine, existence, causality, type,
+    unit and number of elements of each mapped variable, parameters.
+    """
+    path = spec.path
+    found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
+    version = found[1].decode("ascii", "replace") if found else None
+    if version is not None and version != "2.0" and not version.startswith("3.0"):
+        raise PlantError(f"{path}: FMI {version}; 2.0 and 3.0 can be hosted")
+    try:
+        description = read_model_description(str(path), validate=False)
+    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
+        raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+    reader = _Reader(description, path)
+    library = _library(description, reader.major, members, path)
+    inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}
+    if spec.brake:
+        inputs["brake"] = reader.channel("brake", spec.brake, "input", ())
+    if spec.wrench:
+        inputs["wrench"] = reader.channel("wrench", spec.wrench, "input", ("N", "N.m"))
+    outputs = {
+        "length": reader.channel("length", spec.length, "output", ("m",)),
+        "rate": reader.channel("rate", spec.rate, "output", ("m/s",)),
+    }
+    if spec.truth is not None:
+        for name, count in (("position", 3), ("rotation", 9), ("twist", 6), ("applied_force", 6)):
+            outputs[name] = reader.channel("truth", [getattr(spec.truth, name)], "output", (), count)
+    starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
+    return Interface(description, reader.major, library, inputs, outputs, starts)

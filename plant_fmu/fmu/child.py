@@ -1,0 +1,289 @@
+"""An FMU in a process of its own: ChildHost, and the program that runs there.
+
+Numbers cross in shared memory, one byte on a pipe says that they are there. Whatever the FMU does to its
+process (crash, hang, exit, change of directory or rounding mode), ours sees a PlantError.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.errors import HilError, PlantError
+from plant_fmu.fmu.host import FmuHost
+from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.plant import Truth
+
+START_TIMEOUT_S = 60.0
+STEP_TIMEOUT_S = 5.0
+_RESET, _STEP, _TRUTH, _CLOSE = range(4)
+_OK, _REFUSED = range(2)
+_TEXT = 4096
+_FIXED = 1024
+_LIFE_CHECK_MS = 1000
+_PACKAGES = os.pathsep.join(
+    filter(None, (str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")))
+)
+"""Where the child finds this package: with -P not in the user's working directory."""
+
+
+class _Board:
+    """The shared memory: command, status, dt, 18 inputs, 12 measurements, 24 of truth, a text, the spec."""
+
+    def __init__(self, memory: mmap.mmap) -> None:
+        self.memory = memory
+        words: Ints = np.frombuffer(memory, np.int64, 4)
+        self.words = words
+        """command, status, bytes of text, bytes of spec."""
+        self.dt: Array = np.frombuffer(memory, np.float64, 1, 32)
+        self.force: Array = np.frombuffer(memory, np.float64, 6, 64)
+        self.brake: Array = np.frombuffer(memory, np.float64, 6, 112)
+        self.wrench: Array = np.frombuffer(memory, np.float64, 6, 160)
+        self.measured: Array = np.frombuffer(memory, np.float64, 12, 256)
+        self.truth: Array = np.frombuffer(memory, np.float64, 24, 512)
+
+    def say(self, text: str) -> None:
+        data = text.encode()[:_TEXT]
+        self.memory[_FIXED : _FIXED + len(data)] = data
+        self.words[2] = len(data)
+
+    def heard(self) -> str:
+        return bytes(self.memory[_FIXED : _FIXED + int(self.words[2])]).decode("utf-8", "replace")
+
+    def release(self) -> None:
+        """Drop the views, then the memory: a mapping with views on it cannot be closed."""
+        memory = self.memory
+        self.__dict__.clear()
+        memory.close()
+
+
+class ChildHost:
+    """Plant in front of an FMU in a child process.
+
+    Mutable state: the child process and the shared memory. The child ends with us, however we end.
+    """
+
+    def __init__(
+        self,
+        spec: FmuSpec,
+        *,
+        step_timeout_s: float = STEP_TIMEOUT_S,
+        start_timeout_s: float = START_TIMEOUT_S,
+    ) -> None:
+        """Start the child, load the FMU there, initialise. Raises PlantError with the child's reason."""
+        self.spec = spec
+        self.internal_step_s = spec.step_s
+        self._step_timeout_s = step_timeout_s
+        self._start_timeout_s = start_timeout_s
+        self._ended: str | None = None
+        # The child unpacks in here; whichever of us two is left removes it.
+        self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
+        text = spec.to_json().encode()
+        size = _FIXED + _TEXT + len(text)
+        memory_fd = os.memfd_create("fmu-board")
+        command_r, self._command_w = os.pipe()
+        self._reply_r, reply_w = os.pipe()
+        life_r, self._life_w = os.pipe()
+        try:
+            os.ftruncate(memory_fd, size)
+            memory = mmap.mmap(memory_fd, size)
+            memory[_FIXED + _TEXT :] = text
+            self._board = _Board(memory)
+            self._board.words[3] = len(text)
+            given = (memory_fd, command_r, reply_w, life_r)
+            # Standard output is ours (a summary may go there); Ctrl-C is for us to handle, hence the session.
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "plant_fmu.fmu.child",
+                    *map(str, given),
+                    str(os.getpid()),
+                    self._folder.name,
+                ],
+                pass_fds=given,
+                env={**os.environ, "TMPDIR": self._folder.name, "PYTHONPATH": _PACKAGES},
+                stdin=subprocess.DEVNULL,
+                stdout=2,
+                start_new_session=True,
+            )
+        except OSError as error:
+            for fd in (self._command_w, self._reply_r, self._life_w):
+                os.close(fd)
+            self._folder.cleanup()
+            raise PlantError(f"{spec.path}: no child process for the FMU: {error}") from error
+        finally:
+            for fd in (memory_fd, command_r, reply_w, life_r):
+                os.close(fd)
+        self._poll = select.poll()
+        self._poll.register(self._reply_r, select.POLLIN)
+        try:
+            self._wait(start_timeout_s, "load")
+        except BaseException:
+            self.close()
+            raise
+
+    def _end(self, reason: str) -> PlantError:
+        self._ended = reason
+        self._process.kill()
+        self._process.wait()
+        return PlantError(reason)
+
+    def _wait(self, timeout_s: float, what: str) -> None:
+        """Wait for the child's byte and pass its refusal on."""
+        if not self._poll.poll(timeout_s * 1e3):
+            raise self._end(
+                f"{self.spec.path}: the FMU did not {what} within {timeout_s:g} s; its process was stopped"
+            )
+        if not os.read(self._reply_r, 1):
+            code = self._process.wait()
+            how = (
+                f"died of {signal.Signals(-code).name}" if code < 0 else f"ended itself with exit code {code}"
+            )
+            raise self._end(f"{self.spec.path}: the FMU's process {how} when it was to {what}")
+        if self._board.words[1] != _OK:
+            raise PlantError(self._board.heard())
+
+    def _ask(self, command: int, timeout_s: float, what: str) -> None:
+        if self._ended is not None:
+            raise PlantError(self._ended)
+        self._board.words[0] = command
+        with contextlib.suppress(BrokenPipeError):  # the reply pipe tells how the child ended
+            os.write(self._command_w, b"!")
+        self._wait(timeout_s, what)
+
+    def _measured(self) -> tuple[Array, Array]:
+        y = self._board.measured
+        return y[:6].copy(), y[6:].copy()
+
+    def reset(self) -> tuple[Array, Array]:
+        """As FmuHost.reset."""
+        self._ask(_RESET, self._start_timeout_s, "reset")
+        return self._measured()
+
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        """As FmuHost.step; also raises PlantError when the FMU hangs or its process dies."""
+        if self._ended is not None:
+            raise PlantError(self._ended)
+        board = self._board
+        board.force[:] = force
+        board.brake[:] = brake
+        board.wrench[:] = wrench
+        board.dt[0] = dt_s
+        self._ask(_STEP, self._step_timeout_s, "step")
+        return self._measured()
+
+    def truth(self) -> Truth | None:
+        """As FmuHost.truth."""
+        if self.spec.truth is None:
+            return None
+        self._ask(_TRUTH, self._step_timeout_s, "give its outputs")
+        y = self._board.truth.copy()
+        return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
+
+    def applied_force(self) -> Array | None:
+        """As FmuHost.applied_force, at no cost: it comes with the answer to every step."""
+        return None if self.spec.truth is None else self._board.truth[18:24].copy()
+
+    def close(self) -> None:
+        """Let the child free the FMU and end; stop it if it does not. A second call does nothing."""
+        if self._life_w < 0:
+            return
+        if self._ended is None:
+            try:
+                self._ask(_CLOSE, self._step_timeout_s, "close")
+            except PlantError:
+                self._process.kill()  # an FMU that cannot be freed goes with its process
+        os.close(self._command_w)
+        try:
+            self._process.wait(self._step_timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        # Last: the child ends at once, without cleaning up, when its life line closes.
+        for fd in (self._life_w, self._reply_r):
+            os.close(fd)
+        self._life_w = -1
+        self._ended = self._ended or f"{self.spec.path}: the FMU is closed"
+        self._board.release()
+        self._folder.cleanup()
+
+
+def _end_with_parent(life_fd: int, parent: int, folder: str) -> None:
+    """End this process when the parent's end of the life line closes, even while the FMU hangs in C."""
+    line = select.poll()
+    line.register(life_fd, select.POLLHUP)
+    while not line.poll(_LIFE_CHECK_MS):
+        # A grandchild forked by the parent may hold the life line open: look at the parent, too.
+        if os.getppid() != parent:
+            break
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+def _attempt(board: _Board, work: Callable[[], Any]) -> Any:
+    try:
+        result = work()
+    except HilError as error:
+        board.words[1] = _REFUSED
+        board.say(str(error))
+        return None
+    board.words[1] = _OK
+    return result
+
+
+def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: int, folder: str) -> None:
+    """Run in the child: load the FMU, then answer commands until told to close or the parent is gone."""
+    threading.Thread(target=_end_with_parent, args=(life_fd, parent, folder), daemon=True).start()
+    board = _Board(mmap.mmap(memory_fd, 0))
+    start = _FIXED + _TEXT
+    spec = FmuSpec.from_json(bytes(board.memory[start : start + int(board.words[3])]).decode())
+    host: FmuHost | None = _attempt(board, lambda: FmuHost(spec))
+    os.write(reply_fd, b"!")
+    if host is None:
+        return
+
+    def true_state() -> None:
+        truth = host.truth()
+        if truth is not None:
+            board.truth[:] = np.concatenate([truth.p, truth.R.ravel(), truth.twist, truth.applied_force])
+
+    def measure(answer: tuple[Array, Array]) -> None:
+        board.measured[:6], board.measured[6:] = answer
+        true_state()
+
+    tasks: dict[int, Callable[[], None]] = {
+        _RESET: lambda: measure(host.reset()),
+        _STEP: lambda: measure(host.step(board.force, board.brake, board.wrench, float(board.dt[0]))),
+        _TRUTH: true_state,
+        _CLOSE: host.close,
+    }
+    while os.read(command_fd, 1):
+        command = int(board.words[0])
+        _attempt(board, tasks[command])
+        with contextlib.suppress(BrokenPipeError):  # the parent is gone: the next read says so
+            os.write(reply_fd, b"!")
+        if command == _CLOSE:
+            return
+    host.close()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    memory_fd, command_fd, reply_fd, life_fd, parent = map(int, sys.argv[1:6])
+    serve(memory_fd, command_fd, reply_fd, life_fd, parent, sys.argv[6])

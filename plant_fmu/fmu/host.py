@@ -1,0 +1,290 @@
+"""FmuHost: any co-simulation FMU, 2.0 or 3.0, inside this process.
+
+The FMU shares our process: it can crash it. FMUs that we did not build belong into a child process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes as ct
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import fmi2CallbackAllocateMemoryTYPE as _Allocate
+from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as _Free
+from fmpy.fmi3 import FMU3Slave
+
+from drivers.arrays import Array
+from drivers.errors import PlantError
+from drivers.signals import LEGS
+from plant_fmu.fmu import call as fmu_call
+from plant_fmu.fmu.archive import checked_members, extract, open_archive, read_member
+from plant_fmu.fmu.check import Interface, read_interface
+from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.plant import Truth
+
+_MESSAGES = 20
+_new = tuple.__new__
+"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
+_REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
+_APPLIED = fmu_call.MEASURED + 18
+"""Where the applied forces stand among the outputs: behind pose and twist."""
+_STEPPED = {fmu_call.OUTPUTS_REFUSED, fmu_call.OUTPUT_NOT_FINITE}
+_LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+
+
+def _address(fmu: Any, name: str) -> int:
+    address = ct.cast(fmu._functions[name], ct.c_void_p).value  # noqa: SLF001 - fmpy's only table of them
+    assert address is not None
+    return address
+
+
+class FmuHost:
+    """Plant in front of one FMU instance.
+
+    Mutable state: the FMU instance, the tick count behind the communication time, the transfer buffers,
+    the inputs that the FMU holds.
+    Closing terminates and frees the instance and removes the folder that the FMU was unpacked to.
+    """
+
+    def __init__(self, spec: FmuSpec) -> None:
+        """Unpack, check, load and instantiate; `reset` initialises. Raises PlantError."""
+        self.spec = spec
+        self.internal_step_s = spec.step_s
+        self._fmu: Any = None
+        self._initialised = False
+        self._used = False
+        self._messages: list[str] = []
+        self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
+        try:
+            with open_archive(spec.path) as archive:
+                names = [m.filename for m in checked_members(archive, spec.path)]
+                xml = read_member(archive, "modelDescription.xml", spec.path)
+                self._interface: Interface = read_interface(xml, names, spec)
+                extract(archive, spec.path, Path(self._folder.name))
+            self._load()
+            self._prepare_calls()
+            self.reset()
+        except BaseException:
+            self.close()
+            raise
+
+    def _load(self) -> None:
+        description = self._interface.description
+        simulation = description.coSimulation
+        library = Path(self._folder.name) / self._interface.library
+        common = {
+            "guid": description.guid,
+            "unzipDirectory": self._folder.name,
+            "modelIdentifier": simulation.modelIdentifier,
+            "instanceName": "plant",
+        }
+        here = Path.cwd()
+        try:
+            if self._interface.major == 2:
+                fmu = FMU2Slave(**common, libraryPath=str(library))
+                fmu.instantiate(callbacks=self._callbacks_2())
+            else:
+                fmu = FMU3Slave(**common)
+                fmu.instantiate(logMessage=lambda _env, _status, _category, message: self._log(message))
+        except AttributeError as error:
+            raise PlantError(
+                f"{self.spec.path}: the binary lacks a function of FMI {description.fmiVersion}: {error}"
+            ) from error
+        except Exception as error:
+            raise PlantError(f"{self.spec.path}: the FMU cannot be loaded: {error}{self._said()}") from error
+        finally:
+            os.chdir(here)  # fmpy stays in the library's folder when loading fails
+        self._fmu = fmu
+        fmu.component = ct.c_void_p(fmu.component).value
+
+    def _callbacks_2(self) -> Any:
+        callbacks = fmi2CallbackFunctions()
+        callbacks.logger = fmi2CallbackLoggerTYPE(
+            lambda _env, _name, _status, _category, message: self._log(message)
+        )
+        callbacks.allocateMemory = _Allocate(fmpy.calloc)
+        callbacks.freeMemory = _Free(fmpy.free)
+        try:
+            from fmpy.logging import addLoggerProxy  # noqa: PLC0415 - a binary that not every machine has
+        except (ImportError, OSError):
+            return callbacks  # messages then come without their arguments filled in
+        addLoggerProxy(ct.byref(callbacks))
+        return callbacks
+
+    def _log(self, message: bytes | None) -> None:
+        self._messages.append((message or b"").decode("utf-8", "replace").strip())
+        del self._messages[:-_MESSAGES]
+
+    def _said(self) -> str:
+        said = "; ".join(m for m in self._messages if m)
+        self._messages.clear()
+        return f": {said}" if said else ""
+
+    def _prepare_calls(self) -> None:
+        face, fmu = self._interface, self._fmu
+        three = face.major >= 3
+        get, put = ("fmi3GetFloat64", "fmi3SetFloat64") if three else ("fmi2GetReal", "fmi2SetReal")
+        self._inputs = np.zeros(sum(c.count for c in face.inputs.values()))
+        places: dict[str, int] = {}
+        place = 0
+        for key, channel in face.inputs.items():
+            places[key] = place
+            place += channel.count
+        self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
+        self._applied = self._outputs[_APPLIED:]
+        self._held = np.zeros(self._inputs.size, np.int64)
+        self._flags = np.zeros(3, np.uint8)
+        self._last = np.zeros(1)
+        self._references = [
+            np.array([r for c in channels.values() for r in c.references], np.uint32)
+            for channels in (face.inputs, face.outputs)
+        ]
+        self._call = call = np.zeros(fmu_call.CALL, np.int64)
+        call[fmu_call.INSTANCE], call[fmu_call.COUNTED] = fmu.component, three
+        call[fmu_call.SET], call[fmu_call.GET] = _address(fmu, put), _address(fmu, get)
+        call[fmu_call.STEP] = _address(fmu, "fmi3DoStep" if three else "fmi2DoStep")
+        call[fmu_call.FLAGS], call[fmu_call.LAST] = self._flags.ctypes.data, self._last.ctypes.data
+        for at, references in zip((fmu_call.INPUTS, fmu_call.OUTPUTS), self._references, strict=True):
+            call[at], call[at + 1] = references.ctypes.data, references.size
+        call[fmu_call.SLOTS :] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
+
+    def _refused(self, status: int, what: str) -> PlantError:
+        label = _LABELS.get(status, str(status))
+        return PlantError(f"{self.spec.path}: the FMU refused to {what} ({label}){self._said()}")
+
+    def _initialise(self) -> None:
+        fmu = self._fmu
+        if fmu is None:
+            raise PlantError(f"{self.spec.path}: the FMU is closed; open it again")
+        try:
+            if self._used:
+                fmu.reset()
+            self._initialised, self._used = False, True
+            if self._interface.major == 2:
+                fmu.setupExperiment(startTime=0.0)
+            for start in self._interface.starts:
+                self._set_start(start.setter, list(start.references), list(start.values), start.name)
+            fmu.enterInitializationMode()
+            self._inputs[:] = 0.0
+            if (brake := self._call[fmu_call.SLOTS + 1]) >= 0:
+                self._inputs[brake : brake + LEGS] = 1.0
+            status = fmu_call.put(self._call, self._inputs, self._held)
+            if status <= fmu_call.WARNING:
+                fmu.exitInitializationMode()
+        except PlantError:
+            raise
+        except Exception as error:
+            raise PlantError(
+                f"{self.spec.path}: the FMU cannot be initialised: {error}{self._said()}"
+            ) from error
+        if status > fmu_call.WARNING:
+            raise self._refused(status, "take its inputs")
+        self._initialised = True
+
+    def _set_start(self, setter: str, references: list[int], values: list[Any], name: str) -> None:
+        try:
+            getattr(self._fmu, f"set{setter}")(references, values)
+        except Exception as error:
+            raise PlantError(
+                f"{self.spec.path}: the FMU refused parameter {name!r} = {values}"
+                f"{self._said() or f': {error}'}"
+            ) from error
+
+    def reset(self) -> tuple[Array, Array]:
+        """Initialise again with the same parameters: force 0, brakes engaged, no wrench.
+
+        Returns lengths (6,) m and rates (6,) m/s. Raises PlantError if the FMU
+        refuses or a value is not finite.
+        """
+        self._initialise()
+        self._ticks = 0
+        ended, status = fmu_call.fetch(self._call, self._outputs)
+        if ended != fmu_call.DONE:
+            raise self._failed(ended, status, "")
+        return self._measured()
+
+    def _measured(self) -> tuple[Array, Array]:
+        y = self._outputs[: fmu_call.MEASURED].copy()
+        return y[:LEGS], y[LEGS:]
+
+    def _failed(self, ended: int, status: int, what: str) -> PlantError:
+        """Return the error for an exchange that ended like this."""
+        if ended == fmu_call.OUTPUT_NOT_FINITE:
+            y = self._outputs[: fmu_call.MEASURED]
+            return PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{self._said()}")
+        if ended == fmu_call.INTERRUPTED:
+            did = "ended the simulation" if self._flags[1] else "returned early"
+            return PlantError(f"{self.spec.path}: the FMU {did} at {self._last[0]:.9g} s{self._said()}")
+        return self._refused(status, _REFUSED.get(ended, what))
+
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
+
+        The communication time is k times `internal_step_s`, not a sum. Inputs that the FMU does not have are
+        dropped. Raises PlantError on a dt that is no multiple of the internal step (1e-9 relative), a value
+        that is not finite, or a call that the FMU refuses; its own message is part of the error's.
+        """
+        step = self.internal_step_s
+        n = round(dt_s / step) if 0.0 < dt_s < 1e9 * step else 0
+        if n < 1 or abs(dt_s - n * step) > 1e-9 * dt_s:
+            raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step!r} s")
+        if not self._initialised:
+            raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
+        t_s = self._ticks * step
+        ended, status = fmu_call.exchange(
+            self._call,
+            force,
+            brake,
+            wrench,
+            t_s,
+            n * step,
+            self._inputs,
+            self._held,
+            self._outputs,
+            self._flags,
+        )
+        if ended != fmu_call.DONE:
+            if ended == fmu_call.NOT_FINITE:
+                raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
+            if ended in _STEPPED:
+                self._ticks += n
+            raise self._failed(ended, status, f"step from {t_s:.9g} s by {dt_s:.9g} s")
+        self._ticks += n
+        return self._measured()
+
+    def truth(self) -> Truth | None:
+        """Pose, twist and applied forces now; None where the FMU is not known to have them."""
+        if self.spec.truth is None:
+            return None
+        if not self._initialised:
+            raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
+        y = self._outputs[fmu_call.MEASURED :].copy()
+        return _new(Truth, (y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:]))
+
+    def applied_force(self) -> Array | None:
+        """Return the forces behind the drives' lag; None where the FMU is not known to have them."""
+        return None if self.spec.truth is None else self._applied
+
+    def close(self) -> None:
+        """Terminate, free, unload, remove the unpacked files. A second call does nothing."""
+        fmu, self._fmu = self._fmu, None
+        initialised, self._initialised = self._initialised, False
+        try:
+            if fmu is not None:
+                if initialised:
+                    # An FMU in its error state refuses; it is freed all the same.
+                    with contextlib.suppress(Exception):
+                        fmu.terminate()
+                fmu.freeInstance()
+        except Exception as error:
+            raise PlantError(
+                f"{self.spec.path}: the FMU failed while closing: {error}{self._said()}"
+            ) from error
+        finally:
+            self._folder.cleanup()

@@ -1,0 +1,146 @@
+"""`make bench`: how fast the parts are, each figure beside its mark.
+
+A benchmark, not a test: it exits 0 whatever the figures are, and 1 where a part could not be measured. The
+marks are for two cores with SCHED_FIFO and nothing else to do.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.errors import HilError
+from hil.app.output import check_json_path, write_json
+from hil.loop.clock import fifo_allowed
+from hil.record import environment
+from tools.benchmarks.bench import Bench
+from tools.benchmarks.figures import EARLY, FAILED, Figure, lines
+from tools.benchmarks.fmu import fmu
+from tools.benchmarks.laws import laws
+from tools.benchmarks.lockstep import recorder, replaying, simulation
+from tools.benchmarks.mathematics import mathematics
+from tools.benchmarks.memory import memory
+from tools.benchmarks.realtime import realtime
+from tools.benchmarks.tick import tick
+
+PARTS: dict[str, Callable[[Bench], list[Figure]]] = {
+    "realtime": realtime,
+    "tick": tick,
+    "mathematics": mathematics,
+    "laws": laws,
+    "simulation": simulation,
+    "replay": replaying,
+    "recorder": recorder,
+    "fmu": fmu,
+    "memory": memory,
+}
+"""In the order in which they run."""
+TITLES = {
+    "realtime": "real time: the loop at 1 kHz against hil plant on localcan",
+    "tick": "tick compute, hot: recorded ticks back to back",
+    "mathematics": "mathematics of one tick, hot",
+    "laws": "mathematics of one tick under each control law, hot",
+    "simulation": "lockstep",
+    "replay": "replay",
+    "recorder": "recorder, fed without pause",
+    "fmu": "FMU",
+    "memory": "memory",
+}
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+
+
+def machine(priority: int) -> dict[str, str]:
+    """Return CPU, cores, kernel and the scheduler that the loop gets."""
+    found = environment()
+    return {
+        "cpu": found.get("cpu", "unknown CPU"),
+        "cores": found.get("cpus", "?"),
+        "kernel": found.get("kernel", "unknown kernel").split()[0],
+        "scheduler": f"SCHED_FIFO {priority}" if fifo_allowed(priority) else "no SCHED_FIFO",
+        "python": found["python"],
+    }
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option("--only", type=click.Choice(list(PARTS)), help="Run one part.")
+@click.option(
+    "--seconds", type=_POSITIVE, default=60.0, show_default=True, help="Length of the real-time part."
+)
+@click.option(
+    "--memory-minutes",
+    type=_POSITIVE,
+    default=1.0,
+    show_default=True,
+    help="How long the daemon's memory is watched; 10 measures the mark, less extrapolates.",
+)
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write the figures there, too.",
+)
+def main(only: str | None, seconds: float, memory_minutes: float, json_file: Path | None) -> None:
+    r"""Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU, memory.
+
+    \b
+    Examples:
+      python -m tools.benchmarks                              everything, about three minutes
+      python -m tools.benchmarks --only mathematics
+      python -m tools.benchmarks --memory-minutes 10 --json bench.json
+
+    The marks are for two cores with SCHED_FIFO and nothing else to do. Logs go to a folder
+    under runs/ that is removed at the end.
+    """
+    try:
+        if json_file is not None:
+            check_json_path(json_file)
+        summary = run_parts([only] if only else list(PARTS), seconds, memory_minutes)
+        if json_file is not None:
+            write_json(json_file, summary)
+    except HilError as error:
+        click.echo(f"bench: {error}", err=True)
+        sys.exit(2)
+    sys.exit(0 if summary["success"] else 1)
+
+
+def run_parts(names: list[str], seconds: float, memory_minutes: float) -> dict[str, Any]:
+    """Run parts, print each as soon as it is known, and return all as plain values.
+
+    A part that fails says why in its place and does not stop the others.
+    Raises HilError where none can begin.
+    """
+    runs = Path("runs")
+    runs.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="bench-", dir=runs, ignore_cleanup_errors=True) as folder:
+        bench = Bench(Path(folder), seconds, memory_minutes, lambda text: click.echo(f"... {text}", err=True))
+        here = machine(bench.configuration.loop.priority)
+        click.echo(f"{', '.join(v if k != 'cores' else f'{v} cores' for k, v in here.items())}\n")
+        parts: dict[str, list[Figure]] = {}
+        for name in names:
+            try:
+                parts[name] = PARTS[name](bench)
+            except HilError as error:
+                parts[name] = [Figure(FAILED, note=str(error))]
+            click.echo("\n".join(lines(TITLES[name], parts[name])) + "\n")
+    judged = [f for figures in parts.values() for f in figures if f.met is not None]
+    missed = [f for f in judged if not f.met]
+    click.echo(f"{len(judged) - len(missed)} of {len(judged)} marks met")
+    failed = [name for name, figures in parts.items() if any(f.name in (FAILED, EARLY) for f in figures)]
+    return {
+        "success": not failed,
+        "kind": "bench",
+        "machine": here,
+        "marks_met": len(judged) - len(missed),
+        "marks": len(judged),
+        "parts": {name: [f.plain() for f in figures] for name, figures in parts.items()},
+    }
+
+
+if __name__ == "__main__":
+    main()

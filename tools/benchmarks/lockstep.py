@@ -1,0 +1,85 @@
+"""Without a clock: the speed of `hil sim`, of `hil replay`, and of a recorder that is fed without pause."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hil.app.compose import attachments, build_scene
+from hil.app.replay import replay_log
+from hil.record import Recording
+from tools.benchmarks.bench import Bench
+from tools.benchmarks.figures import Figure, Mark, number, spread
+from tools.benchmarks.process import cpu_s
+
+TICKS = 12_000
+"""Less than the ring below holds: nothing is dropped, however slow the recorder is."""
+RING = 16_384
+
+
+def simulation(bench: Bench) -> list[Figure]:
+    """Run both ends of the bus in one process, recording."""
+    summary = bench.simulated
+    factor = {"": summary["real_time_factor"]}
+    return [
+        Figure(
+            "real-time factor of hil sim virtual",
+            factor,
+            "times",
+            Mark(10.0, at_most=False),
+            note=f"{summary['ticks']} ticks, recording on, first to last tick",
+        )
+    ]
+
+
+def replaying(bench: Bench) -> list[Figure]:
+    """Run the log of that through the same code."""
+    log = Path(bench.simulated["log"])
+    bench.say(f"hil replay {log.name}")
+    verdict, summary = replay_log(log)
+    return [
+        Figure(
+            "speed of hil replay",
+            {"": summary["times_real_time"]},
+            "times real time",
+            Mark(10.0, at_most=False),
+            note=f"{verdict.ticks} ticks, {verdict.different_ticks} differences",
+        )
+    ]
+
+
+def recorder(bench: Bench) -> list[Figure]:
+    """Feed recorded ticks of the simulated run into a recording, without pause."""
+    entries = bench.held.entries[:TICKS]
+    c = bench.configuration
+    bench.say(f"{len(entries)} ticks into the recorder")
+    recording = Recording.start(
+        bench.folder / "recorder.mcap",
+        configuration=c.text,
+        attachments=attachments(c),
+        scene=build_scene(c),
+        can_channel=c.bus.channel,
+        ring_ticks=RING,
+    )
+    with recording:
+        before = cpu_s(recording._process.pid)  # noqa: SLF001 - its start is not part of the figure
+        ready = [(np.array(e.row), e.received, e.sent, e.operator) for e in entries]
+        took = []
+        begun = time.perf_counter()
+        for row, received, sent, operator in ready:
+            start = time.perf_counter_ns()
+            recording.tick(row, received, sent, operator)
+            took.append(time.perf_counter_ns() - start)
+        closed = recording.close()
+        wall = time.perf_counter() - begun
+    each = (closed.recorder_cpu_s - before) / len(entries) * 1e6
+    return [
+        Figure("recorder, a tick", {"": each}, "us CPU", note=f"{number(1e6 / each)} ticks/s at most"),
+        Figure("its share of a core at 1 kHz", {"": each / 10.0}, "%", Mark(15.0), note="computed from that"),
+        Figure("its throughput, closing included", {"": closed.ticks / wall}, "ticks/s"),
+        Figure("dropped ticks", {"": float(closed.dropped + closed.lost)}, "", Mark(0.0)),
+        Figure("the loop's part, a tick", spread(took), "us"),
+        Figure("size of the log, a tick", {"": closed.size_bytes / max(1, closed.ticks)}, "bytes"),
+    ]

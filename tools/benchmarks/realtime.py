@@ -1,0 +1,188 @@
+"""The loop in real time against `hil plant`: wake-ups, latency, stale and skipped ticks, compute, recorder.
+
+It runs `hil.loop.daemon.run`; only its bus looks at a clock as well.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from array import array
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.can.bus import Bus, Link
+from drivers.can.runtime_folder import RoleLock
+from drivers.errors import RunError
+from drivers.protocol import Frame, Received
+from hil.app.compose import attachments, build_cycle, build_scene, feedback_window_s
+from hil.app.configuration.configuration import Configuration
+from hil.app.run.plant_process import SupervisedPlant
+from hil.app.run.rate_selection import RELAXED_WATCHDOG_S, patience
+from hil.loop.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time
+from hil.loop.daemon import Ending, OperatorPanel, run
+from hil.record import LogSummary, Recording
+from hil.record.figures import figures as run_figures
+from hil.record.log import Log
+from hil.signals import Mode
+from tools.benchmarks.bench import Bench
+from tools.benchmarks.cyclictest import cyclictest
+from tools.benchmarks.figures import EARLY, Figure, Mark, spread
+from tools.benchmarks.patience import patience_figures
+from tools.benchmarks.process import cpu_s
+from tools.benchmarks.stages import compute_figure
+
+CYCLICTEST_S = 10.0
+_now = time.monotonic_ns
+
+
+class StampedBus(Bus):
+    """Bus that notes when SYNC goes in, when the drain ends, and when the command is out.
+
+    Mutable state beside the bus': `stamps`, three numbers (ns) a tick.
+    """
+
+    def __init__(self, link: Link, role: RoleLock | None = None) -> None:
+        super().__init__(link, role)
+        self.stamps = array("q")
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """As Bus.send."""
+        opening = len(self.stamps) % 3 == 0
+        if opening:
+            self.stamps.append(_now())
+        refused = super().send(frames)
+        if not opening:
+            self.stamps.append(_now())
+        return refused
+
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+        """As Bus.drain; of two in a tick the last one counts."""
+        received = super().drain(deadline_ns, wanted)
+        if len(self.stamps) % 3 == 1:
+            self.stamps.append(_now())
+        else:
+            self.stamps[-1] = _now()
+        return received
+
+    def latencies(self) -> tuple[Any, Any]:
+        """Return the times (ns) from SYNC to the end of the drain and to the command's sending, by tick."""
+        table = np.array(self.stamps, np.int64)
+        table = table[: table.size // 3 * 3].reshape(-1, 3)
+        return table[:, 1] - table[:, 0], table[:, 2] - table[:, 0]
+
+
+class Measured(NamedTuple):
+    """What a run leaves."""
+
+    bus: StampedBus
+    ending: Ending
+    granted: RealTime
+    rate_Hz: float
+    closed: LogSummary
+    recorder_share: float
+    """Processor time of the recorder over the run's, %."""
+
+
+def measure(c: Configuration, bench: Bench) -> Measured:
+    """Run the daemon's loop for `bench.seconds` with its plant.
+
+    Raises HilError as `hil run` does, KeyboardInterrupt once it has parked after one.
+    """
+    rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
+    if not fifo_allowed(c.loop.priority):  # as `hil run` slows down without the right
+        rate = holdable_rate(rate, patience(c))[0]
+        watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
+    cycle = build_cycle(c, rate, watchdog_s)
+    panel = OperatorPanel()
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(StampedBus.open(c.bus, role="controller"))
+        assert isinstance(bus, StampedBus)
+        stack.enter_context(panel.attached())
+        plant = stack.enter_context(SupervisedPlant(c, bench.folder / "run-plant.mcap"))
+        recording = stack.enter_context(
+            Recording.start(
+                bench.folder / "run.mcap",
+                configuration=c.text,
+                attachments=attachments(c),
+                metadata={"kind": "run", "rate_Hz": rate, "watchdog_s": watchdog_s},
+                scene=build_scene(c),
+                can_channel=c.bus.channel,
+                ring_ticks=c.recording.ring_ticks,
+            )
+        )
+        recorder = recording._process.pid  # noqa: SLF001 - its start is not part of the figure
+        bus.flush_tx()
+        bus.drain_now()
+        with real_time(c.loop.priority, c.loop.cpu) as granted:
+            used, begun = cpu_s(recorder), time.monotonic()
+            deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
+            window_ns = round(feedback_window_s(c, rate) * 1e9)
+            ending = run(cycle, bus, deadlines, recording, panel, window_ns, bench.seconds)
+            wall = time.monotonic() - begun
+        closed = recording.close({"ending": ending.mode.name, "reason": ending.reason})
+        plant.finish()
+    if panel.interrupts:
+        raise KeyboardInterrupt  # nothing else is to run, either
+    return Measured(bus, ending, granted, rate, closed, 100.0 * (closed.recorder_cpu_s - used) / wall)
+
+
+def realtime(bench: Bench) -> list[Figure]:
+    """Run the loop in real time, the plant in a second process, the recorder in a third.
+
+    Raises HilError as `hil run` does, RunError also for a run that never powered the drives.
+    """
+    c = bench.endless
+    bench.say(f"the loop in real time for {bench.seconds:g} s")
+    m = measure(c, bench)
+    early = "" if m.ending.success else m.ending.reason or m.ending.mode.name
+    rows = Log.open(m.closed.path).rows()
+    summary = run_figures(rows)
+    powered = int(np.count_nonzero((rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING)))
+    if not powered:
+        raise RunError(f"the run ended before the drives were powered: {early}")
+    stale, skipped = summary["stale_ticks"], summary["skipped_ticks"]
+    feedback, command = m.bus.latencies()
+    slow = "" if m.granted.fifo else "no SCHED_FIFO"
+    answered = spread(feedback, largest=True)
+    slack_us = feedback_window_s(c, m.rate_Hz) * 1e6 - answered["median"]
+    return [
+        *([Figure(EARLY, note=early)] if early else []),
+        Figure("rate", {"": m.rate_Hz}, "Hz", note="; ".join(filter(None, (f"{len(rows)} ticks", slow)))),
+        Figure("wake-up lateness", summary["wake_up_us"], "us"),
+        _beside(c, bench, slack_us),
+        Figure("SYNC to six feedbacks", answered, "us", note="or window over"),
+        Figure("SYNC to command sent", spread(command, largest=True), "us"),
+        Figure("stale ticks", {"": _percent(stale, powered)}, "%", Mark(0.5), f"{stale} of {powered}"),
+        Figure(
+            "skipped ticks",
+            {"": _percent(skipped, len(rows) + skipped)},
+            "%",
+            Mark(0.1),
+            f"{skipped} of {len(rows) + skipped}",
+        ),
+        *patience_figures(rows, c, bench.configuration),
+        Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
+        Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
+        compute_figure(rows["compute_ns"][rows["mode"] == Mode.TRACKING]),
+    ]
+
+
+def _beside(c: Configuration, bench: Bench, slack_us: float) -> Figure:
+    name = "  cyclictest beside it"
+    seconds = min(CYCLICTEST_S, bench.seconds)
+    found = cyclictest(c.loop.priority, round(1e6 / c.loop.rate_Hz), seconds)
+    if isinstance(found, str):
+        return Figure(name, note=found)
+    note = (
+        f"{seconds:g} s, after the run, without load of ours; {found.later_than(slack_us):.2g} % "
+        f"later than the {slack_us:.0f} us that the window leaves after six feedbacks"
+    )
+    return Figure(name, found.percentiles(), "us", note=note)
+
+
+def _percent(part: int, whole: int) -> float:
+    return 100.0 * part / whole

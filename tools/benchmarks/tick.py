@@ -1,0 +1,56 @@
+"""What one tick computes, whole and stage by stage, with everything in the caches."""
+
+from __future__ import annotations
+
+import gc
+
+from hil.app.compose import build_cycle
+from hil.loop.cycle import Cycle
+from hil.loop.parts import Parts
+from hil.loop.replay import replay
+from tools.benchmarks.bench import Bench
+from tools.benchmarks.figures import Figure, spread
+from tools.benchmarks.stages import (
+    StagedCycle,
+    TimedCycle,
+    compute_figure,
+    quietest_figure,
+    stage_figures,
+)
+
+SLEEP_S = 1e-5
+"""As short as a sleep can be: it is not its length that counts."""
+
+
+def tick(bench: Bench) -> list[Figure]:
+    """Feed the recorded ticks of the simulated run from memory to a cycle, one after the other."""
+    bench.say(f"{len(bench.held.entries)} ticks from memory, three times through the cycle")
+    whole, slept = TimedCycle(_parts(bench)), TimedCycle(_parts(bench), SLEEP_S)
+    staged = StagedCycle(_parts(bench))
+    different = max(_feed(bench, cycle) for cycle in (staged, whole, slept))
+    ns = whole.compute_ns()
+    figures = [
+        compute_figure(ns),
+        quietest_figure(ns),
+        Figure("  after a sleep", spread(slept.compute_ns()), "us", note=f"of {SLEEP_S * 1e6:.0f} us"),
+        Figure("stages", note="each with a stop-watch of its own, some 5 us in all"),
+        *stage_figures(staged),
+    ]
+    return (
+        [*figures, Figure("result", note=f"{different} ticks came out differently")] if different else figures
+    )
+
+
+def _parts(bench: Bench) -> Parts:
+    c = bench.configuration
+    return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
+
+
+def _feed(bench: Bench, cycle: Cycle) -> int:
+    """Return how many of the ticks came out differently."""
+    gc.collect()
+    gc.disable()  # as the daemon does
+    try:
+        return replay(bench.held, cycle).different_ticks
+    finally:
+        gc.enable()

@@ -8,7 +8,7 @@ PYTEST_FLAGS ?=
 # where it is set, each of some hundred processes of the tests compiles the project anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test lint bench docs format lock clean venv fmu
+.PHONY: help run test long lint bench docs format lock clean venv fmu
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is"
@@ -19,6 +19,9 @@ run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the pla
 
 test: lint fmu  ## import contracts, ruff, mypy, pytest (its summary is the last line)
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
+
+long: fmu  ## slow checks that `make test` leaves out: what an extension costs
+	@$(BIN)/python -m pytest -n0 -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy
 	@$(BIN)/lint-imports --no-logo

@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "hexapod-hil"
 project_copyright = "the hexapod-hil authors, Apache-2.0"
-extensions = ["myst_parser", "mathml"]
+extensions = ["myst_parser", "mathml", "columns"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_extensions"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from drivers.errors import ConfigurationError
+
 if TYPE_CHECKING:  # the processes that only log need no sections
     from collections.abc import Callable
 
@@ -14,10 +16,15 @@ if TYPE_CHECKING:  # the processes that only log need no sections
 def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     from drivers.legs.protocol import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
 
+    if drives.options:
+        raise ConfigurationError(
+            f"drives.options: protocol legs has none, given: {', '.join(drives.options)}"
+        )
     return LegsProtocol(bus.layout, drives.node_ids)
 
 
-PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
-    "legs": _legs,
-}
-"""`drives.protocol` -> the codec made from the sections `bus` and `drives`."""
+PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {"legs": _legs}
+"""`drives.protocol` -> the codec made from the sections `bus` and `drives`.
+
+A row checks `bus.layout`, `drives.node_ids` and `drives.options`; its ConfigurationError begins with the key.
+"""

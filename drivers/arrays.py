@@ -1,7 +1,5 @@
 """The arrays that everybody names: float64, int64, flags, bytes, rows of a table."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,3 +10,7 @@ Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.void]
 """Elements of a structured type: rows of a log, records of a tick."""
+
+ZERO6: Array = np.zeros(6)
+ZERO6.flags.writeable = False
+"""(6,): no force, no wrench, no motion."""

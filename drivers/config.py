@@ -1,16 +1,11 @@
 """Configuration sections `bus`, `drives` and `sensors`."""
 
-from __future__ import annotations
+from typing import Annotated, Any, Literal
 
-from typing import Annotated, Literal
+from pydantic import Field, field_validator
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
-
-
-class Section(BaseModel):
-    """Base of all configuration sections: unknown keys refused, values frozen, NaN refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from drivers import PROTOCOLS
+from drivers.section import Section
 
 
 class BusSettings(Section):
@@ -21,7 +16,7 @@ class BusSettings(Section):
     channel: str = "hil0"
     """Channel of that interface (vcan0, can0, a localcan name, a multicast group)."""
     layout: Literal["classic", "fd", "ideal"] = "fd"
-    """Frame layout of the own protocol; `ideal` takes no bus time and is for theory only."""
+    """Frame layout; `ideal` takes no bus time and is for theory only."""
     bitrate_bit_s: Annotated[int, Field(gt=0)] = 1_000_000
     """Arbitration bit rate."""
     data_bitrate_bit_s: Annotated[int, Field(gt=0)] = 5_000_000
@@ -32,19 +27,19 @@ class BusSettings(Section):
     """Further keyword arguments for the python-can interface."""
 
 
+def _name_protocols(schema: dict[str, Any]) -> None:
+    schema["enum"] = list(PROTOCOLS)
+
+
 class DriveSettings(Section):
     """The six drives."""
 
-    protocol: Literal["legs"] = "legs"
-    node_ids: Annotated[list[Annotated[int, Field(ge=1, le=127)]], Field(min_length=6, max_length=6)] = [
-        1,
-        2,
-        3,
-        4,
-        5,
-        6,
-    ]
-    """Node number of each leg's drive, leg order."""
+    protocol: Annotated[str, Field(json_schema_extra=_name_protocols)] = "legs"
+    """Drive family: a row of `drivers.PROTOCOLS`."""
+    node_ids: Annotated[list[int], Field(min_length=6, max_length=6)] = [1, 2, 3, 4, 5, 6]
+    """Node number of each leg's drive, leg order, as its protocol counts them: 1 to 127 with `legs`."""
+    options: dict[str, str | int | float | bool] = {}
+    """Settings of the protocol's own; `legs` has none."""
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
     """A drive that hears no command for this long reacts by itself. At least 3 periods."""
     reaction: Literal["brake", "damp", "hold", "zero"] = "brake"
@@ -53,6 +48,13 @@ class DriveSettings(Section):
     """Period of each drive's status message."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0
     """Rated force: the controller never asks for more and the drive clips there."""
+
+    @field_validator("protocol")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in PROTOCOLS:
+            raise ValueError(f"unknown value, allowed: {', '.join(PROTOCOLS)}, given: {name}")
+        return name
 
     @field_validator("node_ids")
     @classmethod

@@ -6,21 +6,20 @@
     ├── ConfigurationError      configuration file or a value in it
     ├── BusError                the bus cannot be opened, is down or overloaded
     ├── ProtocolError           a frame or a signal that the protocol cannot carry
-    ├── ModelError              geometry, kinematics, dynamics (hil.robot.geometry, hil.robot.kinematics)
-    │   ├── GeometryError
-    │   ├── KinematicsError
-    │   ├── CalibrationError    measured pairs that cannot calibrate (hil.robot.calibration)
-    │   ├── IdentificationError a log that does not hold what is looked for (hil.identify)
-    │   └── SynthesisError      a design that no controller fulfils (hil.synthesis.errors)
-    ├── PlantError              plant, FMU, FMU hosting (plant_fmu)
+    ├── ModelError              geometry, kinematics, dynamics, linear systems
+    │   ├── GeometryError       a platform that cannot exist (hil.robot.geometry)
+    │   ├── KinematicsError     a pose that has no meaning or cannot be found (hil.robot.kinematics)
+    │   ├── WorkspaceError      a workspace that has no beginning (hil.workspace.limits)
+    │   ├── CalibrationError    measured pairs that cannot calibrate
+    │   ├── IdentificationError a log that does not hold what is looked for
+    │   └── SynthesisError      a design that no controller fulfils
+    ├── PlantError              plant, FMU, FMU hosting
     ├── LogError                log file: not MCAP, truncated, of another version
     └── RunError                the run itself: no drives, latched fault, another daemon
 
-Every exception carries values as attributes where there are any; its message says
-what happened, where, what was allowed and what to do about it.
+Those with attributes of their own stand with what raises them, the others here. A message says what
+happened, where, what was allowed and what to do about it.
 """
-
-from __future__ import annotations
 
 
 class HilError(Exception):
@@ -45,6 +44,18 @@ class ProtocolError(HilError):
 
 class ModelError(HilError):
     """Geometry, kinematics or dynamics that have no meaning."""
+
+
+class CalibrationError(ModelError):
+    """Measurements that cannot calibrate: too few, not finite, of another robot or another unit."""
+
+
+class IdentificationError(ModelError):
+    """A log that does not hold what is looked for, or holds too little of it."""
+
+
+class SynthesisError(ModelError):
+    """A design that no controller fulfils, or a problem that is not well posed."""
 
 
 class PlantError(HilError):

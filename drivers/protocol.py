@@ -3,14 +3,13 @@
 A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 """
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, Protocol
 
 from drivers.arrays import Array, Ints
-from drivers.signals import Command, Measurement, Reaction
+from drivers.signals import LEGS, Command, Reaction
+from drivers.tick import Record
 
 EXTENDED = 1
 FD = 2
@@ -18,9 +17,14 @@ BRS = 4
 ESI = 8
 REMOTE = 16
 ERROR = 32
+BUS = 256
+"""One step of the bus index."""
+OTHER_BUSES = 0xFF00
+"""Flags of frames that are not on bus 0."""
 
 ALWAYS = -(1 << 62)
 """Before any time, ns."""
+ALL_LEGS = tuple(range(LEGS))
 
 
 class Frame(NamedTuple):
@@ -29,7 +33,12 @@ class Frame(NamedTuple):
     id: int
     data: bytes
     flags: int = 0
-    """Sum of EXTENDED, FD, BRS, ESI, REMOTE, ERROR."""
+    """Sum of EXTENDED, FD, BRS, ESI, REMOTE, ERROR, and BUS times the index of its bus."""
+
+    @property
+    def bus(self) -> int:
+        """Index of the bus that carries it, 0..255."""
+        return self.flags // BUS
 
 
 class Received(NamedTuple):
@@ -52,10 +61,30 @@ def run_of(frames: Sequence[Received]) -> bytes:
     )
 
 
+def frames_of(run: bytes) -> Iterator[Received]:
+    """Return the frames of a run, for codecs that are not compiled."""
+    end = 0
+    while end < len(run):
+        t_ns, identifier, flags, size = HEAD.unpack_from(run, end)
+        at = end + HEAD.size
+        end = at + size
+        yield Received(t_ns, Frame(identifier, run[at:end], flags))
+
+
+class DriveSetup(NamedTuple):
+    """What the start-up dialogue sets in every drive, and the rate at which it is led."""
+
+    watchdog_s: float
+    reaction: Reaction
+    rate_Hz: float
+
+
 class Sync(NamedTuple):
-    """All drives latch their encoders; `counter` is the tick modulo 256."""
+    """The drives of `legs` latch their encoders and answer."""
 
     counter: int
+    """What the answers carry to tell this SYNC from others; 0 in a protocol without."""
+    legs: tuple[int, ...] = ALL_LEGS
 
 
 class DeviceCommand(NamedTuple):
@@ -66,6 +95,7 @@ class DeviceCommand(NamedTuple):
     force: Array
     """N, one per addressed leg."""
     counter: int
+    """Another one than in the leg's command before; else the command is a repetition and does not count."""
 
 
 class Configure(NamedTuple):
@@ -77,7 +107,16 @@ class Configure(NamedTuple):
 
 
 class EmergencyStop(NamedTuple):
-    """All drives fault at once."""
+    """The drives of `legs` fault at once."""
+
+    legs: tuple[int, ...] = ALL_LEGS
+
+
+class Answer(NamedTuple):
+    """A drive's own part of the start-up dialogue, sent at once."""
+
+    leg: int
+    frame: Frame
 
 
 class Rejected(NamedTuple):
@@ -86,20 +125,7 @@ class Rejected(NamedTuple):
     reason: str
 
 
-DeviceMessage = Sync | DeviceCommand | Configure | EmergencyStop | Rejected
-
-
-class Feedback(NamedTuple):
-    """What one drive sends after a SYNC."""
-
-    leg: int
-    length: float
-    rate: float
-    force: float
-    state: int
-    """DriveState; plus INVALID where length and rate are of no use."""
-    counter: int
-    """Low four bits of the SYNC counter at which the length was latched."""
+DeviceMessage = Sync | DeviceCommand | Configure | EmergencyStop | Answer | Rejected
 
 
 class Status(NamedTuple):
@@ -110,63 +136,96 @@ class Status(NamedTuple):
     fault: int
 
 
+Dialogue = Any
+"""What the controller's end remembers between ticks: an immutable value, the protocol's own."""
+Memory = Any
+"""What the six drives remember between frames: an immutable value, the protocol's own."""
+
+
 class DriveProtocol(Protocol):
-    """Pure codec. Implementations hold compiled tables only."""
+    """Pure codec of both ends. Implementations hold compiled tables only and are shared.
+
+    What an end remembers is a value that its owner keeps and hands in: the cycle has the Dialogue, the
+    emulated drives the Memory. Only frames and ticks change them.
+
+    A tick: `begin` is sent; what answers it is `fresh`; `decode` folds all frames in; then `command` and,
+    while the drives are not powered, `set_up`. Where the poll is the command, `command` only remembers it,
+    the next `begin` sends it, and `command_delay_ticks` is 1.
+    """
+
+    @property
+    def database(self) -> tuple[str, str] | None:
+        """File name and text of the DBC that the log carries; None where there is none."""
 
     @property
     def feedback_ids(self) -> frozenset[int]:
-        """Identifiers of the cyclic feedback, one per leg: the daemon's drain waits for these."""
+        """Identifiers of all frames that make the six feedbacks of a tick: the drain waits for these."""
 
-    # controller side
-    def sync(self, tick: int) -> tuple[Frame, ...]:
-        """Frames that make all drives latch their encoders."""
+    @property
+    def command_delay_ticks(self) -> int:
+        """Ticks from `command` to the frames that carry it: 0, or 1 where `begin` does."""
 
-    def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
-        """Frames that set up the six drives."""
+    @property
+    def set_up_frames(self) -> int:
+        """At most so many frames of a tick come from `set_up`: what the bus must have room for."""
 
-    def command(self, command: Command, tick: int) -> tuple[Frame, ...]:
+    @property
+    def reset_ticks(self) -> int:
+        """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
+
+    # controller's end
+    def start(self, setup: DriveSetup) -> Dialogue:
+        """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
+
+    def begin(self, dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
+        """Frames that start a tick: SYNC or polls; none for drives that send of their own accord."""
+
+    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is feedback of this tick, by its head; `decode` checks what it says.
+
+        since_ns: when the tick began, before the frames of `begin` were sent.
+        """
+
+    def decode(
+        self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> Dialogue:
+        """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
+
+        Fills every column of the part; foreign frames are ignored. A fault code that is not a DriveFault is
+        the drive's own.
+        """
+
+    def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
         """Frames of one tick's command. Raises ProtocolError if a force does not fit."""
+
+    def set_up(self, dialogue: Dialogue, tick: Record) -> tuple[Dialogue, tuple[Frame, ...]]:
+        """Frames of the start-up dialogue of this tick. No drive in READY or RUN is disturbed."""
+
+    def legs_set_up(self, dialogue: Dialogue) -> tuple[bool, ...]:
+        """Which of the six drives have been set up since `start`."""
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
 
-    def decode(
-        self, frames: Sequence[Received], tick: int, previous: Measurement, since_ns: int = ALWAYS
-    ) -> Measurement:
-        """Fold this tick's frames into the previous Measurement. Foreign frames are ignored.
+    # drives' end
+    def power_up(self) -> Memory:
+        """Return the memory of six drives that have heard nothing."""
 
-        What arrived before `since_ns`, the tick's scheduled time, is no answer to its SYNC.
-        """
-
-    def decode_run(self, run: bytes, tick: int, previous: Measurement, since_ns: int = ALWAYS) -> Measurement:
-        """As `decode`, of frames joined by `run_of`."""
-
-    def fresh(self, frame: Frame, tick: int) -> bool:
-        """Tell whether a frame is a feedback to this tick's SYNC, by identifier and counter alone."""
-
-    # device side
-    def parse(self, frame: Frame) -> DeviceMessage | None:
-        """Decode at the drives' end; None when the frame is not for them."""
+    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
+        """Decode at the drives' end; no messages when the frame is not for them."""
 
     def feedbacks(
-        self,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        counter: int,
-    ) -> list[Frame]:
-        """Encode the six drives' answers to one SYNC, leg order.
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
+    ) -> list[tuple[int, Frame]]:
+        """Encode what the drives of `sync.legs` answer, each frame with its leg.
 
-        length m, rate m/s, force N, state as in `Feedback`, each (6,); counter: the low four bits count.
+        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
+        of no use. Raises ProtocolError on NaN.
         """
 
-    def feedback(self, feedback: Feedback) -> Frame:
-        """Encode one drive's cyclic feedback."""
-
-    def status(self, status: Status) -> Frame:
-        """Encode one drive's heartbeat."""
+    def status(self, status: Status) -> tuple[Frame, ...]:
+        """Encode one drive's heartbeat, with its fault."""
 
     # bus time
     def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame sent once per tick, SYNC included (lengths and flags count)."""
+        """Return one example of every frame sent once per tick, `begin` included: lengths and flags count."""

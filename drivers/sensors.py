@@ -4,19 +4,17 @@ A sample is stamped in the controller's own time: Offset after the end of the SY
 clock has to be set, and a sample may be late by up to 127 ticks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import ceil, isfinite, pi
 from typing import NamedTuple
 
 from drivers.config import BusSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.codec import Codec, compile_message, in_range
+from drivers.legs.codec import Codec, compile_message, in_range, parsed, read_dbc
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import intact
-from drivers.legs.protocol import legs_dbc, parsed
-from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
+from drivers.legs.kernels import FOREIGN
+from drivers.protocol import Frame, Received
 
 KINDS = ("tracker", "imu", "wrench")
 _MESSAGES = {
@@ -24,9 +22,8 @@ _MESSAGES = {
     "imu": ("IMU_8", 8, ("WX", "WY", "WZ", "FX", "FY", "FZ")),
     "wrench": ("WRENCH_9", 9, ("FX", "FY", "FZ", "MX", "MY", "MZ")),
 }
-"""Kind -> message of legs.dbc, the node number in its identifier, its six quantities."""
+"""Kind -> message of sensors.dbc, the node number in its identifier, its six quantities."""
 _TRAILER = ("Offset", "Cycle", "Counter", "Validity", "CRC")
-_FOREIGN = EXTENDED | REMOTE | ERROR
 OLDEST = 127
 """Ticks: Cycle counts to 255, and a stamp further back cannot be told from one in the future."""
 _NEVER = -1
@@ -78,7 +75,8 @@ class SensorProtocol:
                 f"bus.layout: classic carries 8 bytes a frame and a sample takes up to 32, given: {given}; "
                 "use layout fd, or leave the sensors out"
             )
-        database = parsed(legs_dbc())
+        self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
+        database = parsed(self.database[1])
         self.sync_id: int = database.get_message_by_name("SYNC").frame_id
         self._codecs: dict[str, tuple[int, int, Codec]] = {}
         """Kind -> identifier, CRC register after it, codec."""
@@ -103,7 +101,7 @@ class SensorProtocol:
         A frame with the counter of the one before is a repetition and passed over; a gap in the counter
         counts as lost, whatever the reason. A sample that its node calls invalid is none. Refused, and
         counted in `rejected`: wrong length or CRC, a stamp in the future, before tick 0 or more than OLDEST
-        ticks back, an unknown validity, a turn of more than pi, a value outside the range of legs.dbc.
+        ticks back, an unknown validity, a turn of more than pi, a value outside the range of sensors.dbc.
         Foreign frames are ignored.
         """
         heard = self._heard
@@ -111,7 +109,7 @@ class SensorProtocol:
         counters = list(previous.counters)
         rejected = lost = 0
         for _, (identifier, data, flags) in frames:
-            if identifier not in heard or flags & _FOREIGN:
+            if identifier not in heard or flags & FOREIGN:
                 continue
             kind, register, codec = heard[identifier]
             if len(data) != codec.length or not intact(data, register):
@@ -157,7 +155,7 @@ class SensorProtocol:
 
     def cycle_of(self, frame: Frame) -> int | None:
         """Return the Cycle that a SYNC carries, at a sensor's end; None for any other frame."""
-        if frame.id != self.sync_id or frame.flags & _FOREIGN or len(frame.data) != 1:
+        if frame.id != self.sync_id or frame.flags & FOREIGN or len(frame.data) != 1:
             return None
         return frame.data[0]
 

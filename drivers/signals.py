@@ -1,16 +1,12 @@
-"""Measurement and Command: all that crosses the bus, in SI.
+"""What the numbers of a tick are called: states of drives and controller, faults, warnings; and Command.
 
 Arrays are treated as read-only by every reader.
 """
 
-from __future__ import annotations
-
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-import numpy as np
-
-from drivers.arrays import Array, Flags, Ints
+from drivers.arrays import Array
 
 LEGS = 6
 NEVER = 1_000_000
@@ -73,49 +69,108 @@ class DriveFault(IntEnum):
     STROKE = 5
 
 
+class Mode(IntEnum):
+    """Where the controller is between rest and motion."""
+
+    WAITING = 0
+    """Not all six drives heard, configured and off yet."""
+    IDLE = 1
+    """Drives present and off, brakes engaged."""
+    LOADING = 2
+    """Drives ready, brakes engaged, holding force builds up."""
+    RELEASING = 3
+    """Brakes opening at the holding force."""
+    APPROACH = 4
+    """Quintic move from the measured pose to the start of the reference."""
+    TRACKING = 5
+    STOPPING = 6
+    """Decelerating along the reference to rest."""
+    PARKING = 7
+    """At rest; brakes engage, the force stays until all six drives report them shut."""
+    UNLOADING = 8
+    """The force fades out on the shut brakes."""
+    PARKED = 9
+    """Done: drives off, brakes engaged."""
+    FAULT = 10
+    """Latched: drives commanded off."""
+
+
+class Refusal(IntFlag):
+    """Why a set-point was not taken, or not followed to its end."""
+
+    NONE = 0
+    NOT_TRACKING = 1
+    NOT_A_POSE = 2
+    """Not finite, or turned by more than half a turn."""
+    STROKE = 4
+    CONDITION = 8
+    FORCE = 16
+    ON_THE_WAY = 32
+    """It is good itself; what lies before it is not."""
+
+
+class Fault(IntFlag):
+    """Latched reasons for Mode.FAULT, one bit each."""
+
+    NONE = 0
+    STALE = 1
+    DRIVE = 2
+    """A drive faulted, left its state, or did not reach the next one in time."""
+    BUS = 4
+    STROKE = 8
+    SPEED = 16
+    FOLLOWING = 32
+    KINEMATICS = 64
+    ASSEMBLY = 128
+    CONDITION = 256
+    NOT_FINITE = 512
+    ESTOP = 1024
+    LAW = 2048
+    ENCODER = 4096
+    """An encoder contradicts the fused pose that may not be lost."""
+    UNCERTAIN = 8192
+    """The fused pose is less certain than it has to be."""
+    CERTIFICATE = 16384
+    """The error grew as the law's Lyapunov function forbids."""
+
+
+class Warn(IntFlag):
+    """Not latched: what was limited or degraded in this tick."""
+
+    NONE = 0
+    STALE = 1
+    LATE = 2
+    DEGRADED = 4
+    FORCE_LIMIT = 8
+    FORCE_STEP = 16
+    FORCE_WINDOW = 32
+    REJECTED = 64
+    RECORDER = 128
+    BUS = 256
+    """Error frames, lost receptions or refused frames."""
+    SETPOINT = 512
+    """A set-point was refused."""
+    ENCODER = 1024
+    """The encoder of a leg is lost or contradicts the fused pose; column `legs_lost` says which."""
+    SENSOR = 2048
+    """A configured tracker or IMU has been silent or refused for several of its periods."""
+    CERTIFICATE = 4096
+    """The error grows as the law's Lyapunov function forbids."""
+
+
+class Stop(IntEnum):
+    """Why safety asks for a controlled stop."""
+
+    NONE = 0
+    MISSED = 1
+    """Too many periods missed in a row."""
+    RECORDER = 2
+    """The recorder is dead or loses ticks, and the run may not go on without it."""
+
+
 class Command(NamedTuple):
     """One tick's command to the six drives."""
 
     mode: DriveMode
     force: Array
     """(6,) N, > 0 extends the leg."""
-
-
-NO_BLIND = np.zeros(LEGS, np.bool_)
-NO_BLIND.flags.writeable = False
-
-
-class Measurement(NamedTuple):
-    """What the six drives say, as of this tick."""
-
-    length: Array
-    """(6,) m, joint centre to joint centre, latched at the SYNC of the tick it was fresh."""
-    rate: Array
-    """(6,) m/s."""
-    force: Array
-    """(6,) N, applied by the drive."""
-    state: Ints
-    """(6,) DriveState."""
-    fault: Ints
-    """(6,) DriveFault from the last status message."""
-    age: Ints
-    """(6,) ticks since the leg's last fresh feedback: 0 is this tick's SYNC, NEVER is none yet."""
-    rejected: int
-    """Frames of this tick that were refused: CRC, length, counter, time, value not finite."""
-    tick: int = -1
-    """The tick of this measurement; -1 before the first."""
-    blind: Flags = NO_BLIND
-    """(6,) this tick's feedback calls its length and rate of no use; force and state are this tick's."""
-
-
-def no_measurement() -> Measurement:
-    """Return the Measurement before any frame: zeros, BOOT, never heard."""
-    return Measurement(
-        length=np.zeros(LEGS),
-        rate=np.zeros(LEGS),
-        force=np.zeros(LEGS),
-        state=np.zeros(LEGS, np.int64),
-        fault=np.zeros(LEGS, np.int64),
-        age=np.full(LEGS, NEVER, np.int64),
-        rejected=0,
-    )

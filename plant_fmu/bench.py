@@ -1,7 +1,5 @@
 """Six uncoupled legs, each a nonlinear mass-spring-damper: for commissioning drives without a platform."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ from drivers.compiled.compiler import INTEGER, OUT_VECTOR, REAL, VECTOR, helper,
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
-from plant_fmu.plant import Truth
+from plant_fmu.plant import Truth, whole_steps
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
@@ -25,16 +23,7 @@ def _acceleration(x: float, v: float, f: float, m: float, b: float, k0: float, k
 
 @kernel(OUT_VECTOR, OUT_VECTOR, VECTOR, VECTOR, REAL, INTEGER, REAL, REAL, REAL, REAL)
 def _advance(
-    x: Any,
-    v: Any,
-    force: Any,
-    friction: Any,
-    h: float,
-    n: int,
-    m: float,
-    b: float,
-    k0: float,
-    k1: float,
+    x: Any, v: Any, force: Any, friction: Any, h: float, n: int, m: float, b: float, k0: float, k1: float
 ) -> None:
     """Take n Runge-Kutta 4 steps of h seconds on all legs; x and v are changed in place.
 
@@ -90,25 +79,13 @@ class Bench:
         state is then as before.
         """
         h = self.internal_step_s
-        n = round(dt_s / h) if 0.0 < dt_s < 1e9 * h else 0
-        if n < 1 or abs(dt_s - n * h) > 1e-9 * dt_s:
-            raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {h!r} s")
+        n = whole_steps(dt_s, h)
         if not (np.isfinite(force).all() and np.isfinite(brake).all() and np.isfinite(wrench).all()):
             raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
         s = self.settings
         x, v = self._x.copy(), self._v.copy()
-        _advance(
-            x,
-            v,
-            force,
-            brake * BRAKE_FORCE_N,
-            h,
-            n,
-            s.mass_kg,
-            s.damping_N_s2_m2,
-            s.stiffness_N_m,
-            s.stiffness_N_m3,
-        )
+        springs = s.stiffness_N_m, s.stiffness_N_m3
+        _advance(x, v, force, brake * BRAKE_FORCE_N, h, n, s.mass_kg, s.damping_N_s2_m2, *springs)
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise PlantError(
                 f"the bench diverged under {force} N: stiffness or damping is too large for plant.model."

@@ -1,12 +1,10 @@
 """Configuration section `plant`: the other end of a virtual bus."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from drivers.config import Section
+from drivers.section import Section
 
 
 class DriveEmulation(Section):

@@ -1,10 +1,10 @@
 """The Plant protocol: physics behind six force inputs."""
 
-from __future__ import annotations
-
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 from drivers.arrays import Array
+from drivers.errors import PlantError
 
 
 class Truth(NamedTuple):
@@ -20,6 +20,31 @@ class Truth(NamedTuple):
     """(6,) N, after the drives' force lag, without friction."""
 
 
+class Robot(NamedTuple):
+    """A platform with its legs, and the pose that it starts from, at rest."""
+
+    platform: Mapping[str, Any]
+    """base_joints (6, 3) m, platform_joints (6, 3) m, platform {mass, com, inertia}, cylinder and rod
+    {mass, com, inertia_axial, inertia_transverse}, gravity (3,), optional leg_spin and
+    universal_joint_base_axes (6, 3); SI."""
+    length_min: Array
+    """(6,) m."""
+    length_max: Array
+    """(6,) m."""
+    p0: Array
+    """(3,) m, platform origin in the base frame."""
+    R0: Array
+    """(3, 3) platform to base."""
+
+
+def whole_steps(dt_s: float, step_s: float) -> int:
+    """Count the internal steps of a step. Raises PlantError unless they are whole (1e-9 relative)."""
+    n = round(dt_s / step_s) if 0.0 < dt_s < 1e9 * step_s else 0
+    if n < 1 or abs(dt_s - n * step_s) > 1e-9 * dt_s:
+        raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step_s!r} s")
+    return n
+
+
 class Plant(Protocol):
     """Six legs that answer to six forces.
 
@@ -32,13 +57,7 @@ class Plant(Protocol):
     def reset(self) -> tuple[Array, Array]:
         """Back to the initial state; return lengths (6,) m and rates (6,) m/s."""
 
-    def step(
-        self,
-        force: Array,
-        brake: Array,
-        wrench: Array,
-        dt_s: float,
-    ) -> tuple[Array, Array]:
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
 
         force (6,) N commanded, > 0 extends; brake (6,) 1 engaged, 0 released;

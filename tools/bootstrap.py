@@ -5,8 +5,6 @@ where interpreter, place or locks differ, or there is no stamp, the environment 
 `pyproject.toml` differs, the project is installed again. A warm call reads four files and returns.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import os
@@ -69,7 +67,7 @@ def wanted_start(stamped: str, locks: list[Path]) -> str:
 
 
 def run(arguments: list[str], failure: str) -> None:
-    """Run a command quietly; where it fails, raise with the end of what it said."""
+    """Run a command quietly; where it fails, raise with the end of its output."""
     environment = {**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     environment.pop("PYTHONPATH", None)
     done = subprocess.run(

@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 from drivers.can.bus_time import BitTiming
-from drivers.can.collect import collect
-from drivers.can.localcan import Participant
+from drivers.can.collect import Source, collect
+from drivers.can.localcan.participant import Participant
 from drivers.can.python_can import open_python_can
 from drivers.can.runtime_folder import RoleLock
 from drivers.can.socketcan import SocketCan
@@ -38,7 +38,7 @@ class BusEvents(NamedTuple):
     """Received frames that were lost because they were not read in time."""
 
 
-class Link(Protocol):
+class Link(Source, Protocol):
     """One interface behind a Bus. Received frames may be error frames."""
 
     @property
@@ -52,16 +52,7 @@ class Link(Protocol):
     def send(self, frames: Sequence[Frame]) -> int:
         """Return how many frames were taken, from the first on."""
 
-    def receive(self) -> list[Received]:
-        """Return what is there."""
-
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
-        """Receive until every wanted identifier has come or the deadline."""
-
-    def wait(self, deadline_ns: int) -> list[Received]:
-        """Receive until anything has come or the deadline."""
-
-    def flush_tx(self) -> None:
+    def flush_tx(self) -> object:
         """Drop frames that wait to be sent."""
 
     def close(self) -> None:
@@ -123,7 +114,7 @@ class Bus:
         Returns at the deadline with what is there. What came before the call counts: to wait for answers,
         `drain_now` before asking. An empty `wanted` is fulfilled at once.
         """
-        return self._sift(self._link.drain(deadline_ns, wanted))
+        return self._sift(collect(self._link, deadline_ns, wanted))
 
     def drain_now(self) -> list[Received]:
         """Return what has been received. Does not block."""
@@ -132,7 +123,7 @@ class Bus:
     def wait(self, deadline_ns: int) -> list[Received]:
         """Return as soon as anything has come, or at the deadline with nothing."""
         while True:
-            raw = self._link.wait(deadline_ns)
+            raw = collect(self._link, deadline_ns)
             received = self._sift(raw)
             if received or not raw or time.monotonic_ns() >= deadline_ns:
                 return received
@@ -170,66 +161,18 @@ class Bus:
         self.close()
 
 
-class LocalCan:
-    """localcan without the detour over python-can's messages."""
-
-    off = False
-
-    def __init__(self, settings: BusSettings) -> None:
-        spin_us = _number(settings, "spin_us", 50.0)
-        tx_limit = int(_number(settings, "tx_limit", 64))
-        _refuse_options(settings, {"spin_us", "tx_limit"})
-        self._node = Participant(
-            settings.channel,
-            BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s),
-            fd=settings.layout == "fd",
-            spin_us=spin_us,
-            tx_limit=tx_limit,
-        )
-        self.send = self._node.send
-        self.receive = self._node.receive
-        self.drain = self._node.drain
-        self.wait = self._node.wait
-        self.close = self._node.close
-
-    @property
-    def overflow(self) -> int:
-        """Frames lost so far, unsent ones that died with another participant included."""
-        return self._node.overflow + self._node.lost
-
-    def flush_tx(self) -> None:
-        """Drop this node's frames that have not started."""
-        self._node.flush_tx()
+def _open_localcan(settings: BusSettings) -> Link:
+    spin_us = _number(settings, "spin_us", 50.0)
+    tx_limit = int(_number(settings, "tx_limit", 64))
+    _refuse_options(settings, {"spin_us", "tx_limit"})
+    timing = BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s)
+    fd = settings.layout == "fd"
+    return Participant(settings.channel, timing, fd=fd, spin_us=spin_us, tx_limit=tx_limit)
 
 
-class RawSocket:
-    """SocketCAN, past python-can."""
-
-    def __init__(self, settings: BusSettings) -> None:
-        _refuse_options(settings, set())
-        self._socket = SocketCan(settings.channel, fd=settings.layout == "fd")
-        self.send = self._socket.send
-        self.receive = self._socket.receive
-        self.flush_tx = self._socket.flush_tx
-        self.close = self._socket.close
-
-    @property
-    def off(self) -> bool:
-        """Bus off, or the interface is down."""
-        return self._socket.off
-
-    @property
-    def overflow(self) -> int:
-        """Frames that the kernel or the controller dropped so far."""
-        return self._socket.overflow
-
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
-        """Receive until every wanted identifier has come or the deadline."""
-        return collect(self.receive, self._socket.block, deadline_ns, wanted, first=False)
-
-    def wait(self, deadline_ns: int) -> list[Received]:
-        """Receive until anything has come or the deadline."""
-        return collect(self.receive, self._socket.block, deadline_ns, frozenset(), first=True)
+def _open_socketcan(settings: BusSettings) -> Link:
+    _refuse_options(settings, set())
+    return SocketCan(settings.channel, fd=settings.layout == "fd")
 
 
 def _refuse_virtual(settings: BusSettings) -> Link:
@@ -256,7 +199,7 @@ def _refuse_options(settings: BusSettings, known: set[str]) -> None:
 
 
 _LINKS: dict[str, Callable[[BusSettings], Link]] = {
-    "localcan": LocalCan,
-    "socketcan": RawSocket,
+    "localcan": _open_localcan,
+    "socketcan": _open_socketcan,
     "virtual": _refuse_virtual,
 }

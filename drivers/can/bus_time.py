@@ -1,4 +1,4 @@
-"""Bus time: how long a frame occupies the wire, whether a tick fits, who wins arbitration.
+"""Bus time: how long a frame occupies the wire, and whether the frames of a tick fit.
 
 Worst-case frame lengths, ISO 11898-1, with interframe space (3 bits) and as many stuff bits as the
 stuffed region of g bits can hold, floor((g - 1) / 4):
@@ -23,18 +23,14 @@ BRS and CRC delimiter straddle the two rates; both are counted at the slow one. 
 Error frame: two superposed flags 12, delimiter 8, interframe 3 = 23 bits.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import lru_cache
-from heapq import heappop, heappush
-from operator import itemgetter
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from drivers.errors import BusError, ConfigurationError
-from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Data lengths that CAN FD can carry, bytes."""
@@ -92,12 +88,13 @@ def frame_time_ns(length: int, flags: int, timing: BitTiming) -> int:
 
 
 class BudgetRow(NamedTuple):
-    """All frames of one shape in a tick."""
+    """All frames of one shape on one bus in a tick."""
 
     frames: int
     length: int
     """Data bytes."""
     flags: int
+    """As in `Frame`, the bus index among them."""
     slow_bits: int
     """Per frame, at the arbitration rate."""
     fast_bits: int
@@ -107,14 +104,14 @@ class BudgetRow(NamedTuple):
 
 
 class BusBudget(NamedTuple):
-    """What one tick's frames take of the bus."""
+    """What one tick's frames take of the bus; of several, of the one that is occupied longest."""
 
     rows: tuple[BudgetRow, ...]
     timing: BitTiming
     rate_Hz: float
     max_load_percent: float
     total_ns: int
-    """All frames of one tick."""
+    """All frames of one tick on that bus."""
 
     @property
     def load_percent(self) -> float:
@@ -139,11 +136,13 @@ class BusBudget(NamedTuple):
     def table(self) -> str:
         """Write the arithmetic out, one line per frame shape."""
         lines = []
+        several = any(row.flags >= BUS for row in self.rows)
         for row in self.rows:
+            bus = f"bus {row.flags // BUS} " if several else ""
             kind = "CAN FD" if row.flags & FD else "classic"
             fast = f" + {row.fast_bits} fast bit" if row.fast_bits else ""
             lines.append(
-                f"  {row.frames:3d} x {kind:7s} {row.length:2d} byte: {row.slow_bits} bit{fast} = "
+                f"  {bus}{row.frames:3d} x {kind:7s} {row.length:2d} byte: {row.slow_bits} bit{fast} = "
                 f"{row.time_ns / 1e3:.1f} us each, {row.frames * row.time_ns / 1e3:.1f} us"
             )
         lines.append(
@@ -156,7 +155,7 @@ class BusBudget(NamedTuple):
 def budget(
     frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
 ) -> BusBudget:
-    """Add up the worst-case bus time of one tick's frames.
+    """Add up the worst-case bus time of one tick's frames, each bus by itself.
 
     frames: one example of every frame sent in a tick, repeated as often as it is sent.
     Raises BusError for a frame that cannot be on the bus.
@@ -166,8 +165,10 @@ def budget(
         BudgetRow(count, length, flags, *frame_bits(length, flags), frame_time_ns(length, flags, timing))
         for (length, flags), count in shapes.items()
     )
-    total = sum(row.frames * row.time_ns for row in rows)
-    return BusBudget(rows, timing, rate_Hz, max_load_percent, total)
+    totals: Counter[int] = Counter()
+    for row in rows:
+        totals[row.flags // BUS] += row.frames * row.time_ns
+    return BusBudget(rows, timing, rate_Hz, max_load_percent, max(totals.values(), default=0))
 
 
 def check(
@@ -187,77 +188,3 @@ def check(
             "the bus): lower loop.rate_Hz, raise the bit rates, or use bus.layout: fd"
         )
     return result
-
-
-def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Frame
-    """Return the arbitration field as a number: of two frames the smaller wins the bus.
-
-    Bits in the order of the wire, dominant 0: identifier 28..18 | RTR or SRR | IDE | identifier 17..0 | RTR.
-    A standard frame beats the extended one with the same eleven leading bits, a data frame the remote one.
-    An error frame comes before everything.
-    """
-    if flags & ERROR:
-        return 0
-    remote = 1 if flags & REMOTE else 0
-    if flags & EXTENDED:
-        return 1 + ((id >> 18) << 21 | 3 << 19 | (id & 0x3FFFF) << 1 | remote)
-    return 1 + (id << 21 | remote << 20)
-
-
-Queued = tuple[int, int, int, int]
-"""(queued at ns, priority, number in order of queueing, duration ns): compares in this order."""
-
-Entry = TypeVar("Entry", bound=tuple[Any, ...])
-"""A `Queued`, followed by whatever belongs to the frame."""
-
-_RANK = itemgetter(1, 2)
-
-
-def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
-    """Return [(number, end ns)] of what `transmit` sends, and when the bus falls free after it."""
-    sent, _, free_ns = transmit(queued, free_ns, until_ns)
-    return [(entry[2], end) for end, entry in sent], free_ns
-
-
-def transmit(
-    queued: Sequence[Entry], free_ns: int, until_ns: int
-) -> tuple[list[tuple[int, Entry]], list[Entry], int]:
-    """Decide all transmissions that begin by `until_ns`.
-
-    The bus falls free at `free_ns`. Whenever it is free, the frame of the smallest priority among those
-    queued by then starts and holds it for its duration; if none is queued, the next one to come starts at
-    once. Equal priorities go in order of number. The end may lie after `until_ns`; a frame that answers one
-    is queued at that one's end.
-
-    queued need not be sorted; numbers differ. Returns [(end ns, entry)] in the order of the wire, the entries
-    that have not started, and when the bus falls free.
-    """
-    order = sorted(queued)
-    sent: list[tuple[int, Entry]] = []
-    waiting: list[
-        tuple[int, int, Entry]
-    ] = []  # a heap of what was queued by the time that the bus falls free
-    n = len(order)
-    i = 0
-    while i < n or waiting:
-        start = free_ns
-        if not waiting and order[i][0] > start:
-            start = order[i][0]
-        if start > until_ns:
-            break
-        if not waiting and order[-1][0] <= start:  # the usual case: all that are left are there
-            left = order[i:]
-            left.sort(key=_RANK)
-            for k, entry in enumerate(left):
-                if start > until_ns:
-                    return sent, left[k:], start
-                start += entry[3]
-                sent.append((start, entry))
-            return sent, [], start
-        while i < n and order[i][0] <= start:
-            heappush(waiting, (order[i][1], order[i][2], order[i]))
-            i += 1
-        entry = heappop(waiting)[2]
-        free_ns = start + entry[3]
-        sent.append((free_ns, entry))
-    return sent, [*order[i:], *(entry for _, _, entry in waiting)], free_ns

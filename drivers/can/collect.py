@@ -1,33 +1,38 @@
 """Waiting for frames on an interface that can only be asked and waited for."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
 from collections.abc import Set as AbstractSet
+from typing import Protocol
 
 from drivers.protocol import ERROR, Received
 
 
-def collect(
-    receive: Callable[[], list[Received]],
-    block: Callable[[float], None],
-    deadline_ns: int,
-    wanted: AbstractSet[int],
-    *,
-    first: bool,
-) -> list[Received]:
-    """Receive until all of `wanted` (with `first`: anything) has come, or the monotonic deadline."""
+class Source(Protocol):
+    """Where frames come from."""
+
+    def receive(self) -> list[Received]:
+        """Return what is there."""
+
+    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
+        """Sleep until there may be more, at most until the monotonic deadline.
+
+        missing: the identifiers that are awaited; empty where anything is.
+        """
+
+
+def collect(source: Source, deadline_ns: int, wanted: AbstractSet[int] | None = None) -> list[Received]:
+    """Receive until all of `wanted` (None: anything) has come, or the monotonic deadline.
+
+    An empty `wanted` is fulfilled at once.
+    """
     received: list[Received] = []
-    missing = set(wanted)
+    missing = set(wanted or ())
     while True:
-        new = receive()
+        now = time.monotonic_ns()
+        new = source.receive()
         received += new
         if missing:
             missing.difference_update([frame.id for _, frame in new if not frame.flags & ERROR])
-        if not missing and (received or not first):
+        if now >= deadline_ns or (received if wanted is None else not missing):
             return received
-        left = deadline_ns - time.monotonic_ns()
-        if left <= 0:
-            return received
-        block(left * 1e-9)
+        source.block(deadline_ns, missing)

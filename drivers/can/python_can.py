@@ -3,8 +3,6 @@
 Beside localcan's own interface the only importer of python-can.
 """
 
-from __future__ import annotations
-
 import select
 import time
 from collections.abc import Sequence
@@ -14,7 +12,6 @@ from typing import Any
 
 import can
 
-from drivers.can.collect import collect
 from drivers.can.localcan.interface import from_message, to_message
 from drivers.config import BusSettings
 from drivers.errors import BusError
@@ -22,10 +19,7 @@ from drivers.protocol import Frame, Received
 
 
 class PythonCan:
-    """One bus of python-can.
-
-    Mutable state: the bus, whether its last call failed.
-    """
+    """One bus of python-can. Mutable state: the bus, whether its last call failed."""
 
     overflow = 0
 
@@ -40,10 +34,9 @@ class PythonCan:
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send until the interface refuses one."""
-        now = Received(0, Frame(0, b""))
         for i, frame in enumerate(frames):
             try:
-                self._bus.send(to_message(now._replace(frame=frame), 0, ""), timeout=0)
+                self._bus.send(to_message(Received(0, frame), 0, ""), timeout=0)
             except ValueError as error:
                 raise BusError(f"bus: frame 0x{frame.id:X} cannot be sent: {error}") from error
             except (can.CanError, OSError):
@@ -72,21 +65,15 @@ class PythonCan:
         received, self._held = self._held, []
         return received
 
-    def _block(self, seconds: float) -> None:
+    def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
+        """Sleep until something can be received, or the deadline."""
+        seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
         if self.off:
             time.sleep(min(seconds, 1e-3))
         elif self._selectable:
             select.select([self._bus], [], [], seconds)
         else:
             self._take(seconds)
-
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
-        """Receive until every wanted identifier has come or the deadline."""
-        return collect(self.receive, self._block, deadline_ns, wanted, first=False)
-
-    def wait(self, deadline_ns: int) -> list[Received]:
-        """Receive until anything has come or the deadline."""
-        return collect(self.receive, self._block, deadline_ns, frozenset(), first=True)
 
     def flush_tx(self) -> None:
         """Drop frames that wait to be sent, where the interface can."""

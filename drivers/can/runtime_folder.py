@@ -1,7 +1,5 @@
 """Where this user's running programs meet: the runtime folder, and one lock per role on a bus."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import stat

@@ -3,14 +3,13 @@
 Layouts and constants are those of linux/can.h, linux/can/raw.h and linux/can/error.h.
 """
 
-from __future__ import annotations
-
 import errno
 import select
 import socket
 import struct
 import time
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 from drivers.errors import BusError
@@ -155,11 +154,10 @@ class SocketCan:
         if frame.id & _ERR_CRTL and frame.data[1] & _CRTL_RX_OVERFLOW:
             self.overflow += 1
 
-    def block(self, seconds: float) -> None:
-        """Sleep until something can be received, or for so long."""
-        if self.off:
-            seconds = min(seconds, 1e-3)
-        select.select([self._socket], [], [], seconds)
+    def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
+        """Sleep until something can be received, or the deadline."""
+        seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
+        select.select([self._socket], [], [], min(seconds, 1e-3) if self.off else seconds)
 
     def flush_tx(self) -> None:
         """Wait until the kernel takes frames again. What lies in its queue cannot be dropped from here.

@@ -1,10 +1,12 @@
 """Codec: one message of the DBC, compiled into `struct` calls."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
+from functools import cache
+from importlib import resources
 from typing import Any, NamedTuple
+
+from cantools.database.can import Database
 
 from drivers.errors import ProtocolError
 from drivers.protocol import BRS, FD
@@ -31,7 +33,7 @@ class Place(NamedTuple):
 
 
 class Codec(NamedTuple):
-    """One message of legs.dbc."""
+    """One message of a DBC."""
 
     id: int
     length: int
@@ -54,12 +56,25 @@ class Codec(NamedTuple):
         return self.places[self.signals.index(signal)]
 
 
+def read_dbc(package: str, name: str) -> str:
+    """Return the text of a DBC of ours, for the log and for other tools."""
+    return resources.files(package).joinpath(name).read_text(encoding="ascii")
+
+
+@cache
+def parsed(dbc: str) -> Database:
+    """Return the messages of a DBC text; parsed once, for all who read them, and for reading only."""
+    database = Database()
+    database.add_dbc_string(dbc)
+    return database
+
+
 def compile_message(message: Any, *signals: str) -> Codec:
     """Turn a cantools message into a struct codec; `signals` are the names expected, in order of position."""
     fields = sorted(message.signals, key=lambda s: s.start)
     names = tuple(s.name for s in fields)
     if names != signals:
-        raise ProtocolError(f"legs.dbc: {message.name} has the signals {names}, expected {signals}")
+        raise ProtocolError(f"DBC: {message.name} has the signals {names}, expected {signals}")
     layout, at = "<", 0
     for s in fields:
         if s.start % 8 >= 4 and s.start // 8 == at - 1 and s.start % 8 + s.length <= 8:
@@ -67,12 +82,12 @@ def compile_message(message: Any, *signals: str) -> Codec:
         key = (s.length, s.is_signed or s.is_float, s.is_float)
         start = s.start // 8
         if s.start % 8 or s.byte_order != "little_endian" or s.offset or key not in _CODES or start < at:
-            raise ProtocolError(f"legs.dbc: {message.name}.{s.name} is not a little-endian field on a byte")
+            raise ProtocolError(f"DBC: {message.name}.{s.name} is not a little-endian field on a byte")
         layout += f"{start - at}x" + ("" if s.name == "CRC" else _CODES[key])
         at = start + max(1, s.length // 8)
     check = names[-1] == "CRC"
     if at != message.length or (check and fields[-1].length != 8):
-        raise ProtocolError(f"legs.dbc: the last field of {message.name} is not its last byte")
+        raise ProtocolError(f"DBC: the last field of {message.name} is not its last byte")
     brs = "CANFD_BRS" in message.dbc.attributes and str(message.dbc.attributes["CANFD_BRS"].value) == "1"
     return Codec(
         id=message.frame_id,
@@ -95,9 +110,3 @@ def in_range(codec: Codec, values: Sequence[float]) -> bool:
         if not low <= value <= high:
             return False
     return True
-
-
-def check_range(codec: Codec, values: Sequence[float]) -> None:
-    """Raise ValueError unless `in_range`."""
-    if not in_range(codec, values):
-        raise ValueError

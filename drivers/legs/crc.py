@@ -1,7 +1,5 @@
 """SAE J1850 CRC-8, the end-to-end check of the own protocol."""
 
-from __future__ import annotations
-
 POLYNOMIAL = 0x1D
 """x^8 + x^4 + x^3 + x^2 + 1."""
 START = 0xFF

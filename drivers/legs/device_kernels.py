@@ -3,8 +3,6 @@
 Fields are little-endian; CRC as in `drivers.legs.crc`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -73,9 +71,9 @@ def encode_feedbacks(
 ) -> int:
     """Fill `data` with the feedbacks of all legs, one after the other; what exceeds its field saturates.
 
-    length, rate, force, state (6,): m, m/s, N, as in `Feedback`; counter 0..15; identifiers, form
-    and scale as for `drivers.legs.kernels.fold`. Returns the first leg with a value that is not a number, or
-    -1.
+    length, rate, force, state (6,): m, m/s, N, as in `LegsProtocol.feedbacks`; counter 0..15; identifiers,
+    form and scale as for `drivers.legs.kernels.fold`. Returns the first leg with a value that is no number,
+    or -1.
     """
     word = np.empty(1, np.int64)
     size = form[FEEDBACK_SIZE]

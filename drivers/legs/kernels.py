@@ -9,25 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Bytes, Flags, Ints
+from drivers.arrays import Array, Bytes, Ints
 from drivers.compiled.compiler import (
     DATA,
     INTEGER,
     INTEGERS,
     OUT_BYTES,
-    OUT_FLAGS,
-    OUT_INTEGERS,
-    OUT_VECTOR,
     VECTOR,
     direct,
     helper,
     kernel,
+    record,
 )
 from drivers.legs.crc import FINAL_XOR, RESIDUE, TABLE
-from drivers.protocol import ERROR, EXTENDED, HEAD, REMOTE
+from drivers.protocol import ERROR, EXTENDED, HEAD, OTHER_BUSES, REMOTE
 from drivers.signals import INVALID, LEGS, NEVER, DriveFault, DriveState
+from drivers.tick import TICK, part
 
-FOREIGN = EXTENDED | REMOTE | ERROR
+FOREIGN = EXTENDED | REMOTE | ERROR | OTHER_BUSES
 """Flags of frames that cannot be ours."""
 OLDEST = 8
 """Of the 16 counter values, these many ticks back count as late; the rest are refused."""
@@ -44,6 +43,7 @@ after the identifier of each frame."""
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _TABLE = np.array(TABLE, np.uint8)
+_TICK = record(TICK, "tick", *part("measurement"))
 
 
 @helper
@@ -82,24 +82,27 @@ def register_after(data: Any, start: int, end: int, register: int) -> int:
     return register
 
 
-@direct(
-    DATA, INTEGER, INTEGER, INTEGER, INTEGERS, INTEGERS, VECTOR,
-    OUT_VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, OUT_FLAGS,
-)  # fmt: skip
-def fold(
-    run: Any, tick: int, gone: int, since_ns: int, identifiers: Ints, form: Ints, scale: Array,
-    length: Array, rate: Array, force: Array, state: Ints, fault: Ints, age: Ints, blind: Flags,
-) -> int:  # fmt: skip
-    """Fold frames, bytes of `drivers.protocol.run_of`, into previous values; return how many were refused.
+@direct(DATA, INTEGER, INTEGERS, INTEGERS, VECTOR, _TICK, _TICK)
+def fold(run: Any, since_ns: int, identifiers: Ints, form: Ints, scale: Array, last: Any, tick: Any) -> None:
+    """Fill the measurement of a tick from that of the last one and the frames since.
 
-    The rules are those of `LegsProtocol.decode`. gone: ticks since the previous values. identifiers (18,): of
+    run: bytes of `drivers.protocol.run_of`; the rules are those of `LegsProtocol.decode`. identifiers (18,):
+    of
     the feedbacks, the CRC registers after them, of the statuses. scale (9,): scales, least and largest values
     of the quantities, SI. form: see above.
     """
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
+    tick.length[:] = last.length
+    tick.rate[:] = last.rate
+    tick.drive_force[:] = last.drive_force
+    tick.drive_state[:] = last.drive_state
+    tick.drive_fault[:] = last.drive_fault
+    gone = tick.tick - last.tick if last.tick >= 0 else 1
+    age, blind = tick.age, tick.blind
     for leg in range(LEGS):
-        age[leg] = min(NEVER, age[leg] + gone)
+        age[leg] = min(NEVER, last.age[leg] + gone)
+        blind[leg] = 0
     rejected = 0
     end = 0
     while end < len(run):
@@ -116,10 +119,10 @@ def fold(
                 if size != form[FEEDBACK_SIZE] or not intact:
                     rejected += 1
                     break
-                last = int(run[at + form[LAST_AT]])
-                behind = (tick - last) & 0xF
+                counted = int(run[at + form[LAST_AT]])
+                behind = (tick.tick - counted) & 0xF
                 early = behind == 0 and t_ns < since_ns
-                drive_state = last >> 4 & ~INVALID
+                drive_state = counted >> 4 & ~INVALID
                 credible = behind <= OLDEST and drive_state < _STATES and not early
                 for k in range(QUANTITIES):
                     field = FIELD + 3 * k
@@ -127,18 +130,18 @@ def fold(
                         value[k] = read(run, at + form[field], form[field + 1], form[field + 2], word)
                         low, high = scale[QUANTITIES + k], scale[2 * QUANTITIES + k]
                         credible = credible and (not form[CHECKED] or low <= value[k] <= high)
-                invalid = last >> 4 & INVALID != 0
+                invalid = counted >> 4 & INVALID != 0
                 if not credible:
                     rejected += 1
                 elif behind == 0 if invalid else behind < age[leg]:
                     if form[FIELD + 7] > 0:
-                        force[leg] = value[2] * scale[2]
-                    state[leg] = drive_state
+                        tick.drive_force[leg] = value[2] * scale[2]
+                    tick.drive_state[leg] = drive_state
                     if invalid:
-                        blind[leg] = True
+                        blind[leg] = 1
                     else:
-                        length[leg] = value[0] * scale[0]
-                        rate[leg] = value[1] * scale[1]
+                        tick.length[leg] = value[0] * scale[0]
+                        tick.rate[leg] = value[1] * scale[1]
                         age[leg] = behind
                 break
             if identifier == identifiers[2 * LEGS + leg]:
@@ -146,9 +149,10 @@ def fold(
                 if size != form[STATUS_SIZE] or run[said] >= _STATES or run[broken] >= _FAULTS:
                     rejected += 1
                 else:
-                    fault[leg] = run[broken]
+                    tick.drive_fault[leg] = run[broken]
                 break
-    return rejected
+    tick.rejected = rejected
+    tick.counted_age[:] = age
 
 
 @kernel(VECTOR, INTEGER, INTEGERS, VECTOR, OUT_BYTES)

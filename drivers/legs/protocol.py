@@ -7,21 +7,17 @@ CRC: SAE J1850 CRC-8 over identifier (low byte, high byte), then all data bytes 
 the last one is the CRC. Fields are little-endian.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
-from functools import cache, partial
-from importlib import resources
+from functools import partial
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from cantools.database.can import Database
 
 from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.codec import Codec, Place, compile_message
+from drivers.legs.codec import Codec, Place, compile_message, parsed, read_dbc
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_command, encode_feedbacks, intact
 from drivers.legs.kernels import FOREIGN, QUANTITIES, encode, fold
@@ -30,18 +26,25 @@ from drivers.protocol import (
     Configure,
     DeviceCommand,
     DeviceMessage,
+    Dialogue,
+    DriveSetup,
     EmergencyStop,
-    Feedback,
     Frame,
+    Memory,
     Received,
     Rejected,
     Status,
     Sync,
-    run_of,
 )
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Measurement, Reaction
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
+from drivers.tick import Record
 
 MAX_NODE = 127
+SETUPS = 3
+"""How often a drive is sent its CONFIG: nothing acknowledges it."""
+SETUP_S = 0.02
+"""From one CONFIG of a drive to its next."""
+_POWERED = (DriveState.READY, DriveState.RUN)
 _COMMANDS = {
     "classic": ("COMMAND_CLASSIC_A", "COMMAND_CLASSIC_B"),
     "fd": ("COMMAND_FD",),
@@ -59,17 +62,15 @@ _UNTRUSTED = {
 _REACTIONS = len(Reaction)
 
 
-def legs_dbc() -> str:
-    """Return the text of legs.dbc, for the log and for other tools."""
-    return resources.files("drivers.legs").joinpath("legs.dbc").read_text(encoding="ascii")
+class LegsDialogue(NamedTuple):
+    """What the controller's end remembers."""
 
-
-@cache
-def parsed(dbc: str) -> Database:
-    """Return the messages of a DBC text; parsed once, for all who read them, and for reading only."""
-    database = Database()
-    database.add_dbc_string(dbc)
-    return database
+    configure: tuple[Frame, ...]
+    """CONFIG of each drive."""
+    interval: int
+    """Ticks from one CONFIG of a drive to its next."""
+    sent: tuple[int, ...]
+    """How often each drive has been sent its CONFIG."""
 
 
 class _CommandFrame(NamedTuple):
@@ -84,21 +85,30 @@ class _CommandFrame(NamedTuple):
 class LegsProtocol:
     """The own protocol in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
 
-    `node_ids` are the drives' node numbers, leg order, 1..127, all different.
-    Raises ConfigurationError on other node numbers or an unknown layout.
+    `node_ids` are the drives' node numbers, leg order, 1..127, all different. The drives' end remembers
+    nothing: its memory is None. Raises ConfigurationError on other node numbers or an unknown layout.
     """
+
+    command_delay_ticks = 0
+    set_up_frames = 1
+    reset_ticks = 5
 
     def __init__(self, layout: str, node_ids: Sequence[int]) -> None:
         if layout not in _COMMANDS:
             raise ConfigurationError(f"bus.layout: {layout!r} is unknown, allowed are {', '.join(LAYOUTS)}")
         nodes = tuple(node_ids)
-        if len(nodes) != LEGS or len(set(nodes)) != LEGS or not all(1 <= node <= MAX_NODE for node in nodes):
-            raise ConfigurationError(
-                f"drives.node_ids: {list(nodes)} given, {LEGS} different numbers from 1 to {MAX_NODE} needed"
-            )
+        if len(nodes) != LEGS or len(set(nodes)) != LEGS:
+            raise ConfigurationError(f"drives.node_ids: allowed: {LEGS} different ones, given: {list(nodes)}")
+        for leg, node in enumerate(nodes):
+            if not 1 <= node <= MAX_NODE:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed: a whole number at least 1 and at most "
+                    f"{MAX_NODE}, given: {node}"
+                )
         self.layout = layout
         self.node_ids = nodes
-        get = parsed(legs_dbc()).get_message_by_name
+        self.database = "legs.dbc", read_dbc("drivers.legs", "legs.dbc")
+        get = parsed(self.database[1]).get_message_by_name
         self._estop = compile_message(get("ESTOP"), "Source")
         self._sync = compile_message(get("SYNC"), "Cycle")
         self._config = compile_message(get("CONFIG_1"), "Watchdog", "Reaction", "Leg", "CRC")
@@ -108,8 +118,6 @@ class LegsProtocol:
         self._feedback = compile_message(feedback, *quantities, "Counter", "State", "Invalid", "CRC")
         self._has_force = "Force" in quantities
         self._exact = self._feedback.exact
-        # m, m/s, N; the last one stands idle in a layout without force.
-        self._feedback_scale = self._feedback.scale[:3]
         self._commands: list[_CommandFrame] = []
         first = 0
         for name in _COMMANDS[layout]:
@@ -118,8 +126,9 @@ class LegsProtocol:
             self._commands.append(_CommandFrame(codec, legs, identifier_state(codec.id)))
             first = legs[-1] + 1
 
-        self._feedback_id = feedback_id = [self._feedback.id - 1 + node for node in nodes]
+        feedback_id = [self._feedback.id - 1 + node for node in nodes]
         self._feedback_ids = frozenset(feedback_id)
+        self._counter_at = self._feedback.place("Counter").start
         self._feedback_legs = list(enumerate(feedback_id))
         # Per leg: identifier, CRC register after it.
         self._feedback_key = [(identifier, identifier_state(identifier)) for identifier in feedback_id]
@@ -164,9 +173,29 @@ class LegsProtocol:
 
     # controller side
 
-    def sync(self, tick: int) -> tuple[Frame, ...]:
+    def start(self, setup: DriveSetup) -> LegsDialogue:
+        """Return the dialogue before the first CONFIG. Raises ProtocolError as `configure` does."""
+        frames = self.configure(setup.watchdog_s, setup.reaction)
+        return LegsDialogue(frames, max(LEGS, round(SETUP_S * setup.rate_Hz)), (0,) * LEGS)
+
+    def begin(self, _dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
         """Return the SYNC frame: the tick modulo 256."""
         return (Frame(self._sync.id, _BYTES[tick & 0xFF], self._sync.flags),)
+
+    def set_up(self, dialogue: LegsDialogue, tick: Record) -> tuple[LegsDialogue, tuple[Frame, ...]]:
+        """Return the CONFIG of a drive that is heard and has none from us: one a tick, SETUPS times each."""
+        leg = int(tick["tick"]) % dialogue.interval
+        if leg >= LEGS or tick["age"][leg] > 1:
+            return dialogue, ()
+        state, sent = tick["drive_state"][leg], dialogue.sent
+        if state != DriveState.BOOT and (sent[leg] >= SETUPS or state in _POWERED):
+            return dialogue, ()
+        sent = (*sent[:leg], sent[leg] + 1, *sent[leg + 1 :])
+        return dialogue._replace(sent=sent), (dialogue.configure[leg],)
+
+    def legs_set_up(self, dialogue: LegsDialogue) -> tuple[bool, ...]:
+        """Tell which drives have been sent their CONFIG SETUPS times."""
+        return tuple([sent >= SETUPS for sent in dialogue.sent])
 
     def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
         """Return the six CONFIG frames. Raises ProtocolError if the watchdog is not 1 us .. 4294 s."""
@@ -187,7 +216,7 @@ class LegsProtocol:
             frames.append(Frame(identifier, body + _BYTES[check], codec.flags))
         return tuple(frames)
 
-    def command(self, command: Command, tick: int) -> tuple[Frame, ...]:
+    def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
         """Return one tick's command frames.
 
         force (6,) N, > 0 extends; the counter is the tick modulo 16.
@@ -204,7 +233,7 @@ class LegsProtocol:
             end = start + codec.length
             frames.append(_new(Frame, (codec.id, sent[start:end], codec.flags)))
             start = end
-        return tuple(frames)
+        return dialogue, tuple(frames)
 
     def _unfit(self, force: Array) -> ProtocolError:
         codec = self._commands[0].codec
@@ -218,11 +247,11 @@ class LegsProtocol:
         return (Frame(self._estop.id, b"\0", self._estop.flags),)
 
     def decode(
-        self, frames: Sequence[Received], tick: int, previous: Measurement, since_ns: int = ALWAYS
-    ) -> Measurement:
-        """Fold this tick's frames into the previous Measurement and return a new one.
+        self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> Dialogue:
+        """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
 
-        Every leg first ages by the ticks since the previous Measurement, up to NEVER. A feedback whose
+        Every leg first ages by the ticks since the last one, up to NEVER. A feedback whose
         counter is this tick's has age 0, unless it came before `since_ns`: then it answers an older SYNC with
         the same four bits, and is refused. One whose counter lies d = 1..8 ticks back takes effect with age d
         if that is newer than what is held, else it is passed over; any other counter is refused. Refused as
@@ -231,40 +260,35 @@ class LegsProtocol:
         is `blind`. Foreign frames are ignored. Fault comes from the status, state from the feedback. Layout
         classic carries no force: it stays as it was.
         """
-        return self.decode_run(run_of(frames), tick, previous, since_ns)
+        form, scale = self._feedback_form, self._feedback_range
+        fold(run, since_ns, self._identifiers, form, scale, last, tick)
+        return dialogue
 
-    def decode_run(self, run: bytes, tick: int, previous: Measurement, since_ns: int = ALWAYS) -> Measurement:
-        """As `decode`, of frames joined by `run_of`."""
-        length, rate, force = previous.length.copy(), previous.rate.copy(), previous.force.copy()
-        state, fault, age = previous.state.copy(), previous.fault.copy(), previous.age.copy()
-        blind = np.zeros(LEGS, np.bool_)
-        rejected = fold(
-            run, tick, tick - previous.tick if previous.tick >= 0 else 1, since_ns,
-            self._identifiers, self._feedback_form, self._feedback_range,
-            length, rate, force, state, fault, age, blind,
-        )  # fmt: skip
-        return _new(Measurement, (length, rate, force, state, fault, age, rejected, tick, blind))
-
-    def fresh(self, frame: Frame, tick: int) -> bool:
-        """Tell whether a frame is a feedback to this tick's SYNC; its CRC is checked by `decode`."""
+    def fresh(self, received: Received, tick: int, _since_ns: int) -> bool:
+        """Tell whether a frame is a feedback to this tick's SYNC by its counter."""
+        identifier, data, flags = received.frame
         return (
-            frame.id in self.feedback_ids
-            and len(frame.data) == self._feedback.length
-            and (tick - self._feedback.unpack(frame.data)[-1]) & 0xF == 0
+            identifier in self._feedback_ids
+            and not flags & FOREIGN
+            and len(data) == self._feedback.length
+            and (tick - data[self._counter_at]) & 0xF == 0
         )
 
-    # device side
+    # drives' end
 
-    def parse(self, frame: Frame) -> DeviceMessage | None:
-        """Decode at the drives' end; None for a frame that is not for them.
+    def power_up(self) -> None:
+        """Return None: nothing is remembered."""
+
+    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
+        """Decode at the drives' end; no message for a frame that is not for them.
 
         An E-stop counts whatever its payload. Rejected: wrong length or CRC, unknown mode or
         reaction, a force that is not finite.
         """
         parser = self._parsers.get(frame.id)
         if parser is None or frame.flags & FOREIGN:
-            return None
-        return parser(frame.data)
+            return memory, ()
+        return memory, (parser(frame.data),)
 
     def _parse_sync(self, data: bytes) -> DeviceMessage:
         if len(data) != self._sync.length:
@@ -291,17 +315,12 @@ class LegsProtocol:
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
 
     def feedbacks(
-        self,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        counter: int,
-    ) -> list[Frame]:
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
+    ) -> list[tuple[int, Frame]]:
         """Encode the six feedbacks to one SYNC, leg order; what exceeds its field saturates.
 
-        length m, rate m/s, force N, state as in `Feedback`, each (6,); counter: the low four bits count.
-        Raises ProtocolError on NaN.
+        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
+        of no use; the counter's low four bits count. Raises ProtocolError on NaN.
         """
         data = np.empty(LEGS * self._feedback.length, np.uint8)
         leg = encode_feedbacks(
@@ -309,7 +328,7 @@ class LegsProtocol:
             rate,
             force,
             state,
-            counter & 0xF,
+            sync.counter & 0xF,
             self._identifiers,
             self._feedback_form,
             self._feedback_range,
@@ -321,28 +340,21 @@ class LegsProtocol:
             )
         flags = self._feedback.flags
         bodies = self._split(data.data)
-        return [_new(Frame, (identifier, bodies[leg], flags)) for leg, identifier in self._feedback_legs]
+        return [(leg, _new(Frame, (id_, bodies[leg], flags))) for leg, id_ in self._feedback_legs]
 
-    def feedback(self, feedback: Feedback) -> Frame:
-        """Encode one drive's feedback as `feedbacks` does."""
-        leg, l, dl, f, state, counter = feedback
-        length, rate, force = (np.full(LEGS, value, float) for value in (l, dl, f))
-        return self.feedbacks(length, rate, force, np.full(LEGS, state, np.int64), counter)[leg]
-
-    def status(self, status: Status) -> Frame:
+    def status(self, status: Status) -> tuple[Frame, ...]:
         """Encode one drive's heartbeat."""
-        return Frame(
-            self._status_id[status.leg], self._status.pack(status.state, status.fault), self._status.flags
-        )
+        leg, state, fault = status
+        return (Frame(self._status_id[leg], self._status.pack(state, fault), self._status.flags),)
 
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: SYNC, commands, six feedbacks."""
-        rest = Command(DriveMode.OFF, np.zeros(LEGS))
         zeros = np.zeros(LEGS)
-        feedbacks = self.feedbacks(zeros, zeros, zeros, np.full(LEGS, DriveState.OFF, np.int64), 0)
-        return (*self.sync(0), *self.command(rest, 0), *feedbacks)
+        _, command = self.command(None, Command(DriveMode.OFF, zeros), 0)
+        feedbacks = self.feedbacks(Sync(0), zeros, zeros, zeros, np.full(LEGS, DriveState.OFF, np.int64))
+        return (*self.begin(None, 0), *command, *(frame for _, frame in feedbacks))
 
 
 def _parse_estop(_data: bytes) -> DeviceMessage:

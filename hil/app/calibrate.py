@@ -1,7 +1,5 @@
 """`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured poses and lengths."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -12,14 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import ConfigurationError, LogError
-from hil.app.configuration.configuration import Configuration, load, platform_dict
+from drivers.errors import CalibrationError, ConfigurationError, LogError
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
+from hil.config.values import AXES
 from hil.robot.calibration import (
     NAMES,
     WEAK,
     Calibration,
-    CalibrationError,
     Combination,
     Measurements,
     calibrate,
@@ -29,7 +28,6 @@ from hil.robot.calibration import (
 )
 from hil.robot.geometry import Platform
 
-POSE = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 LENGTHS = ("l1_m", "l2_m", "l3_m", "l4_m", "l5_m", "l6_m")
 """Legs in the order of the joint lists."""
 DEVIATIONS = ("length_std_m", "position_std_m", "rotation_std_deg")
@@ -75,7 +73,7 @@ def run_calibration(
         _check_out(out, json_file)
     configuration = load(path)
     pairs = read_pairs(poses)
-    robot = Platform.from_dict(platform_dict(configuration.platform))
+    robot = build_platform(configuration.platform)
     _refuse_strange(configuration, robot, pairs, poses)
     fit = calibrate(robot, pairs.measured)
     report = describe(configuration, robot, pairs, poses, fit)
@@ -121,8 +119,8 @@ def read_pairs(path: Path) -> Pairs:
     columns = {name: table[:, k] for k, name in enumerate(header)}
     turn = np.deg2rad(columns["rotation_std_deg"]) if "rotation_std_deg" in columns else None
     measured = Measurements(
-        p=np.stack([columns[name] for name in POSE[:3]], axis=1),
-        rotation_vector=np.deg2rad(np.stack([columns[name] for name in POSE[3:]], axis=1)),
+        p=np.stack([columns[name] for name in AXES[:3]], axis=1),
+        rotation_vector=np.deg2rad(np.stack([columns[name] for name in AXES[3:]], axis=1)),
         q=np.stack([columns[name] for name in LENGTHS], axis=1),
         length_std=columns.get("length_std_m"),
         position_std=columns.get("position_std_m"),
@@ -132,9 +130,9 @@ def read_pairs(path: Path) -> Pairs:
 
 
 def _header_problems(header: list[str]) -> list[str]:
-    known = (*POSE, *LENGTHS, *DEVIATIONS)
+    known = (*AXES, *LENGTHS, *DEVIATIONS)
     found = []
-    missing = [name for name in (*POSE, *LENGTHS) if name not in header]
+    missing = [name for name in (*AXES, *LENGTHS) if name not in header]
     for name in header:
         if name in known:
             continue
@@ -150,7 +148,7 @@ def _header_problems(header: list[str]) -> list[str]:
     twice = sorted({name for name in header if header.count(name) > 1})
     found += [f"column {name} is there twice" for name in twice]
     if missing:
-        found.insert(0, f"missing columns {','.join(missing)}; needed: {','.join((*POSE, *LENGTHS))}")
+        found.insert(0, f"missing columns {','.join(missing)}; needed: {','.join((*AXES, *LENGTHS))}")
     if "length_std_m" not in header and {"position_std_m", "rotation_std_deg"} & set(header):
         found.append("deviations of the poses need length_std_m, too: what is their weight against a length?")
     return found
@@ -173,7 +171,7 @@ def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
             bound = "greater than 0" if name == "length_std_m" else "at least 0"
             return nothing, f"{name}: allowed: {bound}, given: {number:g}"
         numbers.append(number)
-    angle = math.hypot(*(numbers[header.index(name)] for name in POSE[3:]))
+    angle = math.hypot(*(numbers[header.index(name)] for name in AXES[3:]))
     if angle > 180 * (1 + 1e-12):
         return nothing, f"rotation vector of {angle:g} deg, allowed: at most half a turn, 180 deg"
     return numbers, ""
@@ -233,10 +231,7 @@ def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: 
     else:
         lines.append(f"  chi-square   {fit.chi_square:.1f} for {fit.dof} (p {fit.p_value:.3g})")
     lines += _table(robot, fit)
-    lines += [
-        "frames",
-        f"  {FRAMES}",
-    ]
+    lines += ["frames", f"  {FRAMES}"]
     warnings = _warnings(pairs, poses, fit)
     lines += [f"warning: {w}" for w in warnings]
     return Report(lines, _figures(c, poses, fit, rms, rms_before, warnings), _fragment(c, poses, fit, rms, n))

@@ -12,27 +12,20 @@ from drivers import PROTOCOLS
 from drivers.arrays import Array
 from drivers.can.bus_time import BitTiming, BusBudget
 from drivers.errors import PlantError
-from drivers.legs.protocol import legs_dbc
-from drivers.protocol import DriveProtocol
+from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
-from hil.app.configuration import consistency
-from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.configuration import bus_budget as budgets
+from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
-from hil.config import (
-    ControllerSettings,
-    ForceDelay,
-    LegSpin,
-    LiveReference,
-    ModelBasedSettings,
-    Pose,
-    SampledReference,
-    StateSpaceSettings,
-    TimeOptimalReference,
-    WrenchSettings,
-)
-from hil.control import LawContext, build_law
+from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
+from hil.config.delay import ForceDelay
+from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
+from hil.config.values import LegSpin, Pose
+from hil.config.wrench import WrenchSettings
+from hil.control.law import LawContext, LawSettings
 from hil.control.model import build_model
+from hil.control.state_space import StateSpaceSettings
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.predictor import Predictor
@@ -40,19 +33,21 @@ from hil.loop.admission import Admission
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.loop.steering import Steering
-from hil.mathematics.rotations import rotation_from_vector
-from hil.record import Scene
+from hil.record import Recording, Scene
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from hil.safety import Safety
 from hil.stability.monitor import build_watch
-from hil.trajectory import LiveTrajectory, Trajectory, axis_limits, build_trajectory, plan
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.live import LiveTrajectory
+from hil.trajectory.path import Trajectory, axis_limits
+from hil.trajectory.time_optimal import plan
 from plant_fmu.config import BenchPlant
-from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.plant import Plant
+from plant_fmu.plant import Plant, Robot
 from plant_fmu.plants import open_plant
 
 if TYPE_CHECKING:
@@ -68,17 +63,17 @@ REFERENCE_PLAN = "reference.npy"
 """Attachment of a log: the polynomials of a planned reference."""
 
 
-def pose_arrays(pose: Pose) -> tuple[Array, Array]:
-    """Return p (3,) m and R (3, 3) of a configured pose."""
-    return (
-        np.array(pose.position_m, float),
-        rotation_from_vector(np.deg2rad(np.array(pose.rotation_vector_deg, float))),
-    )
-
-
 def build_protocol(configuration: Configuration) -> DriveProtocol:
     """Return the codec that both ends use."""
     return PROTOCOLS[configuration.drives.protocol](configuration.bus, configuration.drives)
+
+
+def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float | None = None) -> DriveSetup:
+    """Return what a loop at `rate_Hz` sets in the drives; by default with the configured watchdog."""
+    drives = configuration.drives
+    default_s = drives.watchdog_ms * 1e-3
+    reaction = Reaction[drives.reaction.upper()]
+    return DriveSetup(default_s if watchdog_s is None else watchdog_s, reaction, rate_Hz)
 
 
 def build_sensors(configuration: Configuration) -> SensorProtocol | None:
@@ -98,7 +93,7 @@ def bus_budget(configuration: Configuration, rate_Hz: float) -> BusBudget | None
     Raises ConfigurationError when the frames do not fit.
     """
     c = configuration
-    return consistency.bus_budget(c.bus, c.drives, c.sensors, rate_Hz)
+    return budgets.bus_budget(c.bus, c.drives, c.sensors, rate_Hz)
 
 
 def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
@@ -120,8 +115,7 @@ def build_cycle(
     `reference`.
     """
     c = configuration
-    limits = c.limits.model_copy(update={"force_step_N": c.limits.force_step_N * c.loop.rate_Hz / rate_Hz})
-    platform = Platform.from_dict(platform_dict(c.platform))
+    platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
     if trajectory is None:
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder, 1.0 / rate_Hz, recorded)
@@ -137,35 +131,38 @@ def build_cycle(
         preview_s=0.0 if predictor is None else predictor.horizon_s,
         controller=controller_of(c.controller, c.folder),
     )
-    safety = Safety(
-        limits,
-        length_min=c.platform.length_min_m,
-        length_max=c.platform.length_max_m,
-        rate_Hz=rate_Hz,
-        drive_force_limit=c.drives.force_limit_N,
-        on_recorder_loss=c.recording.on_recorder_loss,
-        watch=build_watch(c.monitor, c.controller, platform, (p, R), 1.0 / rate_Hz),
-    )
     return Cycle(
         Parts(
             platform=platform,
             leg_spin=c.platform.leg_spin,
             protocol=build_protocol(c),
-            law=build_law(c.controller, context),
+            law=c.controller.build(context),
             trajectory=trajectory,
-            safety=safety,
+            safety=_safety(c, platform, (p, R), rate_Hz),
             engage=c.engage,
             home_p=p,
             home_R=R,
             rate_Hz=rate_Hz,
-            watchdog_s=watchdog_s,
-            reaction=Reaction[c.drives.reaction.upper()],
+            setup=drive_setup(c, rate_Hz, watchdog_s),
             wrench=_external_wrench(c, platform, 1.0 / rate_Hz),
             steering=steering,
             sensors=build_sensors(c),
             fusion=_fusion(c, platform, rate_Hz),
             predictor=predictor,
         )
+    )
+
+
+def _safety(c: Configuration, platform: Platform, home: tuple[Array, Array], rate_Hz: float) -> Safety:
+    force_step_N = c.limits.force_step_N * c.loop.rate_Hz / rate_Hz
+    return Safety(
+        c.limits.model_copy(update={"force_step_N": force_step_N}),
+        length_min=c.platform.length_min_m,
+        length_max=c.platform.length_max_m,
+        rate_Hz=rate_Hz,
+        drive_force_limit=c.drives.force_limit_N,
+        on_recorder_loss=c.recording.on_recorder_loss,
+        watch=build_watch(c.monitor, c.controller, platform, home, 1.0 / rate_Hz),
     )
 
 
@@ -204,13 +201,13 @@ def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> PoseFusion 
 
 
 def build_predictor(
-    settings: ControllerSettings, platform: Platform, leg_spin: LegSpin, period_s: float
+    settings: LawSettings, platform: Platform, leg_spin: LegSpin, period_s: float
 ) -> Predictor | None:
     """Return what looks ahead for the law, where its section `delay_compensation` asks for it."""
-    if not isinstance(settings, ModelBasedSettings) or settings.delay_compensation is None:
+    delay, believed = settings.lookahead, settings.believed
+    if delay is None or believed is None:
         return None
-    delay = settings.delay_compensation
-    model = build_model(settings.model, platform, leg_spin)
+    model = build_model(believed, platform, leg_spin)
     return Predictor(model, force_path(delay, period_s), 1e-3 * delay.hold_ms)
 
 
@@ -242,15 +239,14 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         rotation_vector_deg=c.plant.initial_rotation_vector_deg or home.rotation_vector_deg,
     )
     p, R = pose_arrays(start)
-    plant = open_plant(
-        c.plant,
-        platform=platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin},
+    robot = Robot(
+        platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin},
         length_min=np.full(6, c.platform.length_min_m),
         length_max=np.full(6, c.platform.length_max_m),
         p0=p,
         R0=R,
-        folder=c.folder or Path(),
     )
+    plant = open_plant(c.plant.model, robot, c.folder or Path())
     try:
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
@@ -273,7 +269,7 @@ def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None
     The controller would move it as if it were the configured one. A bench has no platform to compare with.
     """
     given, _ = plant.reset()
-    expected = leg_lengths(Platform.from_dict(platform_dict(c.platform)), p, R)
+    expected = leg_lengths(build_platform(c.platform), p, R)
     if np.abs(given - expected).max() > LENGTH_TOLERANCE_M:
         raise PlantError(
             f"{c.source}: the plant starts with other leg lengths than section platform has at the initial "
@@ -295,9 +291,34 @@ def build_scene(configuration: Configuration) -> Scene:
     return Scene(robot["base_joints"], robot["platform_joints"])
 
 
+def record(
+    c: Configuration, cycle: Cycle, path: Path, kind: str, *, live: bool = False, lockstep: bool = False
+) -> Recording:
+    """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line."""
+    return Recording.start(
+        path,
+        configuration=c.text,
+        attachments=attachments(c),
+        metadata={"kind": kind, "rate_Hz": cycle.parts.rate_Hz, "watchdog_s": cycle.parts.setup.watchdog_s},
+        scene=build_scene(c),
+        can_channel=c.bus.channel,
+        lockstep=lockstep,
+        ring_ticks=c.recording.ring_ticks,
+        live=live,
+        reference_s=cycle.parts.trajectory.duration_s,
+    )
+
+
+def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
+    """Return the databases of protocol and sensors: what the frames of a log mean."""
+    ours = (build_protocol(configuration), build_sensors(configuration))
+    found = [each.database for each in ours if each is not None and each.database is not None]
+    return [(name, text.encode()) for name, text in found]
+
+
 def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
-    files = [("legs.dbc", legs_dbc().encode())]
+    files = databases(configuration)
     if isinstance(configuration.reference, SampledReference):
         files.append((REFERENCE_CSV, configuration.path(configuration.reference.path).read_bytes()))
     if isinstance(configuration.controller, StateSpaceSettings):

@@ -1,7 +1,5 @@
 """`hil fmu build`: the platform's physics as FMUs for co-simulation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Literal
 

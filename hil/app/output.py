@@ -1,11 +1,8 @@
 """Where results go: log names, the summary on the terminal, its JSON twin, the picture."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
-import tempfile
 import textwrap
 import time
 from collections.abc import Iterable
@@ -16,7 +13,8 @@ from rich.console import Console
 from rich.text import Text
 
 from drivers.errors import LogError
-from hil.signals import Mode
+from drivers.signals import Mode
+from hil.app.files import write_whole
 
 console = Console(stderr=True, highlight=False)
 PNG = b"\x89PNG\r\n"
@@ -106,11 +104,7 @@ def write_json(path: Path, summary: dict[str, Any]) -> None:
         if path.exists() and not path.is_file():  # a pipe or a terminal
             path.write_text(text)
             return
-        target = path.resolve()
-        with tempfile.NamedTemporaryFile("w", dir=target.parent, suffix=".json", delete=False) as file:
-            file.write(text)
-        Path(file.name).chmod(0o666 & ~_umask())
-        Path(file.name).replace(target)
+        write_whole(path, text)
     except OSError as error:
         raise LogError(f"--json {path}: cannot be written: {error.strerror}") from None
 
@@ -121,15 +115,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-# -- the terminal ------------------------------------------------------------------------------------------
 
 
 def warn(text: str) -> None:
@@ -165,7 +150,7 @@ def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
         out.print(Text(line), soft_wrap=True)
 
 
-def show_lines(lines: list[str]) -> None:
+def show_lines(lines: Iterable[str]) -> None:
     """Print lines folded to the terminal, each under its own indentation."""
     width = Console().width
     for line in lines:

@@ -3,17 +3,15 @@
 It also tests somebody else's controller: it knows frames and time only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import select
 import signal
 import time
 import traceback as tracebacks
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Self
+from types import FrameType
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +22,9 @@ from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_scene
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import log_path
-from hil.loop.clock import real_time
+from hil.app.plant_columns import PLANT
+from hil.loop.clock import RealTime, real_time
+from hil.loop.daemon import signals_to
 from hil.record import Recording
 from plant_fmu.drives.nodes import Nodes, Snapshot
 
@@ -43,48 +43,17 @@ REST_RATE_m_s = 1e-3
 """A leg slower than this is at rest."""
 CLOSING_S = 5.0
 """Closing an orphan's log takes no longer."""
-
-PLANT_ROW = np.dtype(
-    [
-        ("tick", "<i8"),
-        ("t_ns", "<i8"),
-        ("syncs", "<i8"),
-        ("commands", "<i8"),
-        ("repeated", "<i8"),
-        ("rejected", "<i8"),
-        ("drive_state", "<i8", (6,)),
-        ("drive_fault", "<i8", (6,)),
-        ("length", "<f8", (6,)),
-        ("rate", "<f8", (6,)),
-        ("command", "<f8", (6,)),
-        ("force", "<f8", (6,)),
-        ("applied_force", "<f8", (6,)),
-        ("brake", "<f8", (6,)),
-        ("wrench", "<f8", (6,)),
-        ("p", "<f8", (3,)),
-        ("R", "<f8", (9,)),
-        ("twist", "<f8", (6,)),
-    ]
-)
-"""The truth that the controller does not know; NaN where there is no pose.
-
-`tick` counts rows: one for every SYNC, for every other frame that the drives send, and every SILENT_NS while
-something moves and nobody asks.
-"""
-UNITS = {
-    "t_ns": "ns", "length": "m", "rate": "m/s", "command": "N", "force": "N", "applied_force": "N",
-    "brake": "1 engaged", "wrench": "N, N m", "p": "m", "twist": "m/s, rad/s",
-}  # fmt: skip
+_ROW = PLANT.dtype
 
 
 def plant_row(number: int, s: Snapshot) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Return one element of PLANT_ROW."""
-    row = np.zeros((), PLANT_ROW)
+    """Return one row of PLANT."""
+    row = np.zeros((), _ROW)
     truth = s.truth
     row[()] = (
         number, s.t_ns, s.syncs, s.commands, s.repeated, s.rejected, s.state, s.fault, s.length, s.rate,
         s.command, s.force, s.applied, s.brake, s.wrench,
-        *((np.nan, np.nan, np.nan) if truth is None else (truth.p, truth.R.ravel(), truth.twist)),
+        *((np.nan, np.nan, np.nan) if truth is None else (truth.p, truth.R, truth.twist)),
     )  # fmt: skip
     return row
 
@@ -115,41 +84,45 @@ def run_plant(
                 Recording.start(
                     log_path(c.recording.folder, c.name, log, "-plant"),
                     configuration=c.text,
-                    dtype=PLANT_ROW,
-                    topic="/plant",
+                    table=PLANT,
                     attachments=attachments(c),
                     metadata={"kind": "plant"},
-                    units=UNITS,
                     scene=build_scene(c),
                     can_channel=c.bus.channel,
                     ring_ticks=c.recording.ring_ticks,
                 )
             )
-        stop = stack.enter_context(_Stop())
+        stop = _Stop()
+        stack.enter_context(signals_to(stop.signalled))
         with real_time(max(1, c.loop.priority - 10), None) as granted:
             ready()
             try:
-                last, trouble = _guarded_service(nodes, bus, recording, stop, duration_s, supervisor), ""
+                with _failures_logged(recording):
+                    last, trouble = _serve(nodes, bus, recording, stop, duration_s, supervisor), ""
             except PlantError as error:
                 last, trouble = nodes.snapshot(), str(error)
-        summary: dict[str, Any] = {
-            "success": not trouble,
-            "trouble": trouble or None,
-            "kind": "plant",
-            "ending": stop.reason,
-            "real_time": {"granted": granted.granted, "missing": granted.missing},
-            "syncs": last.syncs,
-            "commands": last.commands,
-            "rejected_frames": last.rejected,
-            "final_states": [DriveState(int(s)).name for s in last.state],
-            "peak_final_rate_m_s": float(np.abs(last.rate).max()),
-        }
+        summary = _summary(last, trouble, stop.reason, granted)
         if recording is not None:
             closed = recording.close({k: v for k, v in summary.items() if k != "success"})
             summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped + closed.lost}
             if not closed.complete:
                 summary["recorder"] = closed.error or "too slow"
     return summary
+
+
+def _summary(last: Snapshot, trouble: str, ending: str, granted: RealTime) -> dict[str, Any]:
+    return {
+        "success": not trouble,
+        "trouble": trouble or None,
+        "kind": "plant",
+        "ending": ending,
+        "real_time": {"granted": granted.granted, "missing": granted.missing},
+        "syncs": last.syncs,
+        "commands": last.commands,
+        "rejected_frames": last.rejected,
+        "final_states": [DriveState(int(s)).name for s in last.state],
+        "peak_final_rate_m_s": float(np.abs(last.rate).max()),
+    }
 
 
 def _open_bus(c: Configuration, patience_s: float) -> Bus:
@@ -169,38 +142,21 @@ class _Stop:
 
     def __init__(self) -> None:
         self.reason = ""
-        self._before: dict[signal.Signals, Any] = {}
 
-    def __enter__(self) -> Self:
-        for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._before[s] = signal.signal(s, self._on_signal)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        for s, handler in self._before.items():
-            signal.signal(s, handler)
-
-    def _on_signal(self, signum: int, frame: FrameType | None) -> None:
+    def signalled(self, signum: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
         del frame
         self.reason = signal.Signals(signum).name
 
 
-def _guarded_service(
-    nodes: Nodes,
-    bus: Bus,
-    recording: Recording | None,
-    stop: _Stop,
-    duration_s: float | None,
-    supervisor: int | None,
-) -> Snapshot:
-    """Serve; what fails goes into the log before it goes up.
+@contextlib.contextmanager
+def _failures_logged(recording: Recording | None) -> Iterator[None]:
+    """Write what fails into the log before it goes up.
 
-    Raises PlantError, for a defect of this program, too: silence is what stops the controller.
+    A defect of this program becomes a PlantError, too: silence is what stops the controller.
     """
     try:
-        return _serve(nodes, bus, recording, stop, duration_s, supervisor)
+        yield
     except HilError as error:
         if recording is not None:
             recording.event(time.monotonic_ns(), "error", str(error))

@@ -1,20 +1,20 @@
 """Walk along the reference before anything moves: lengths, rates, forces, condition, against the limits."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, Flags
-from hil.config import LimitSettings, PlatformSettings
+from hil.config.limits import LimitSettings
+from hil.config.platform import PlatformSettings
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel, leg_lengths_kernel
 from hil.safety.guard import WINDOW_S
-from hil.trajectory import PiecewisePolynomial, Trajectory
+from hil.trajectory.path import Trajectory
+from hil.trajectory.piecewise import PiecewisePolynomial
 from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
 SAMPLES = 20_000
@@ -130,31 +130,15 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
     high = platform.length_max_m - limits.stroke_margin_m
     room = np.where(w.dq < 0, w.q - low, high - w.q)
     cap = np.sqrt(2 * limits.deceleration_m_s2 * np.maximum(room, 0.0))
+    speed, brake, force = limits.speed_m_s, limits.deceleration_m_s2, limits.force_N
+    too_fast = (np.abs(w.dq) > np.maximum(cap, 1e-3)) & (room > 0)
+    ends = f"length outside the soft ends {low:g} to {high:g} m"
+    stop = f"too fast to stop before a soft end with limits.deceleration_m_s2 {brake:g}"
     found = [
-        _first(
-            w,
-            np.maximum(low - w.q, w.q - high) > 0,
-            w.q,
-            f"length outside the soft ends {low:g} to {high:g} m",
-            "m",
-        ),
-        _first(
-            w,
-            np.abs(w.dq) > limits.speed_m_s,
-            w.dq,
-            f"rate above limits.speed_m_s {limits.speed_m_s:g}",
-            "m/s",
-        ),
-        _first(
-            w,
-            (np.abs(w.dq) > np.maximum(cap, 1e-3)) & (room > 0),
-            w.dq,
-            f"too fast to stop before a soft end with limits.deceleration_m_s2 {limits.deceleration_m_s2:g}",
-            "m/s",
-        ),
-        _first(
-            w, np.abs(w.tau) > limits.force_N, w.tau, f"force above limits.force_N {limits.force_N:g}", "N"
-        ),
+        _first(w, np.maximum(low - w.q, w.q - high) > 0, w.q, ends, "m"),
+        _first(w, np.abs(w.dq) > speed, w.dq, f"rate above limits.speed_m_s {speed:g}", "m/s"),
+        _first(w, too_fast, w.dq, stop, "m/s"),
+        _first(w, np.abs(w.tau) > force, w.tau, f"force above limits.force_N {force:g}", "N"),
         _singularity(w, limits.condition),
     ]
     if limits.acceleration_m_s2 is not None:

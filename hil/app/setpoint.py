@@ -1,13 +1,11 @@
 """`hil setpoint`: send a live reference somewhere, through the operator channel of a running controller."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
-from hil.config import LiveReference
+from hil.config.reference import LiveReference
 from hil.loop.setpoints import TAKEN, SetPointSender
 
 

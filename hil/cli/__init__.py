@@ -1,38 +1,54 @@
-"""The command line: a table over hil.app, one file a command."""
-
-from __future__ import annotations
+"""The command line: a table over hil.app, one file and one row a command."""
 
 import os
+from importlib import import_module
 
 import click
-
-from hil.cli.calibrate import calibrate_command
-from hil.cli.check import check_command
-from hil.cli.compare import compare_command
-from hil.cli.design import design_group
-from hil.cli.fmu import fmu_group
-from hil.cli.identify import identify_command
-from hil.cli.plant import plant_command
-from hil.cli.replay import replay_command
-from hil.cli.run import run_command
-from hil.cli.setpoint import setpoint_command
-from hil.cli.sim import sim_command
-from hil.cli.stability import stability_command
-from hil.cli.workspace import workspace_command
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-class _InOrder(click.Group):
-    """Lists its commands in the order in which they were added."""
+COMMANDS = {
+    "run": "The controller, in real time.",
+    "plant": "Six emulated drives and the platform, in real time.",
+    "sim": "Both ends in lockstep, in simulated time.",
+    "replay": "A log's inputs again, compared to the bit.",
+    "check": "Figures and problems of a configuration; nothing moves.",
+    "stability": "What can be proven of the law, with bounds; nothing moves.",
+    "setpoint": "Send a live reference somewhere while it runs.",
+    "workspace": "Map of the reachable poses, with a picture; nothing moves.",
+    "compare": "All control laws on your platform and path; nothing moves.",
+    "fmu": "Build the platform's FMU.",
+    "calibrate": "Joint positions and length offsets from measured poses.",
+    "identify": "What the loop is like: its axes or its delay, from a run or a log.",
+    "design": "A robust controller from weights: hinf, mu.",
+}
+"""Name -> what it is for, in the order of the help; the module of that name has it as `command`."""
+
+
+class _Table(click.Group):
+    """COMMANDS; a module is imported when its command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
-        return list(self.commands)
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        del ctx
+        if cmd_name not in COMMANDS:
+            return None
+        command = import_module(f"hil.cli.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=_Table, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="hexapod-hil", prog_name="hil")
 def main() -> None:
     """Hardware-in-the-loop bridge for six-legged parallel robots on CAN.
@@ -59,22 +75,5 @@ def main() -> None:
       2  refused before anything moved; the message says why and what is allowed
     """
 
-
-for command in (
-    run_command,
-    plant_command,
-    sim_command,
-    replay_command,
-    check_command,
-    stability_command,
-    setpoint_command,
-    workspace_command,
-    compare_command,
-    fmu_group,
-    calibrate_command,
-    identify_command,
-    design_group,
-):
-    main.add_command(command)
 
 __all__ = ["main"]

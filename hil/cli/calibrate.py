@@ -1,23 +1,20 @@
 """`hil calibrate`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, guarded, json_option
+from hil.cli.shared import FILE, finish_lines, reporting
 
 
-@click.command("calibrate", short_help="Joint positions and length offsets from measured poses.")
+@click.command()
 @click.argument("configuration")
 @click.argument("poses", type=FILE)
 @click.option(
     "--out", type=FILE, metavar="FILE", help="Write the joints there as YAML; an existing file is refused."
 )
-@json_option
-@guarded
-def calibrate_command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:
+@reporting
+def command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:
     """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.
 
     Columns x_m,y_m,z_m,rx_deg,ry_deg,rz_deg (pose of the platform, rotation vector) and l1_m to l6_m (what
@@ -36,11 +33,10 @@ def calibrate_command(configuration: str, poses: Path, out: Path | None, json_fi
       2  not fitted: configuration, CSV file, units, too few poses; the message says what
     """
     from hil.app.calibrate import run_calibration
-    from hil.app.output import show_lines, write_json
+    from hil.app.output import show_lines
 
     report = run_calibration(configuration, poses, out, json_file)
     show_lines(report.lines)
     if out is None:
         click.echo(report.fragment, nl=False)
-    if json_file is not None:
-        write_json(json_file, {"success": True, "kind": "calibrate", **report.figures})
+    finish_lines((), {"success": True, "kind": "calibrate", **report.figures}, json_file)

@@ -1,12 +1,18 @@
 """`hil compare`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import FiniteRange, configuration_argument, finish, guarded, json_option, load
+from hil.cli.shared import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    FiniteRange,
+    configuration_argument,
+    finish,
+    load,
+    reporting,
+)
 
 
 def _names(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -18,7 +24,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     return names
 
 
-@click.command("compare", short_help="All control laws on your platform and path; nothing moves.")
+@click.command()
 @configuration_argument
 @click.option(
     "--laws", callback=_names, metavar="A,B", help="Laws to compare; default: compare.laws, else all."
@@ -31,13 +37,13 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 )
 @click.option(
     "--duration",
-    type=FiniteRange(min=0, min_open=True),
+    type=POSITIVE,
     metavar="S",
     help="Stop S seconds along the reference; default: one period of it.",
 )
 @click.option(
     "--inertia-scale",
-    type=FiniteRange(min=0, min_open=True),
+    type=POSITIVE,
     metavar="X",
     help="Masses that every law believes in, as a share of its own: 0.9 is 10 % too light.",
 )
@@ -49,7 +55,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 )
 @click.option(
     "--wrench-at",
-    type=FiniteRange(min=0),
+    type=NOT_NEGATIVE,
     metavar="S",
     help="When --wrench comes, along the reference; default: at its start.",
 )
@@ -63,9 +69,8 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     metavar="FILE",
     help="PNG file to draw, or a folder for it; an earlier picture is replaced.",
 )
-@json_option
-@guarded
-def compare_command(
+@reporting
+def command(
     configuration: str,
     laws: tuple[str, ...] | None,
     paths: tuple[str, ...] | None,
@@ -92,7 +97,7 @@ def compare_command(
 
     \b
     Examples:
-      hil compare                           every law on the default bench
+      hil compare                           every law on the default configuration
       hil compare lab --laws pd,inverse_dynamics,printed --paths all
       hil compare virtual --inertia-scale 0.9 --wrench 0 0 -500 0 0 0 --wrench-at 0.5
       hil compare my.yaml --json my.json --picture plots/

@@ -1,13 +1,11 @@
 """`hil design`: a table of methods, one command each."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 
-from hil.cli.shared import FILE, guarded, json_option
+from hil.cli.shared import FILE, finish_lines, reporting
 
 
 class _Method(NamedTuple):
@@ -67,8 +65,8 @@ EXIT = """
     """
 
 
-@click.group("design", short_help="A robust controller from weights: hinf, mu.")
-def design_group() -> None:
+@click.group()
+def command() -> None:
     """Design a robust controller for the linearised axes, as a file for the law `state_space`."""
 
 
@@ -88,14 +86,13 @@ def _command(name: str, method: _Method) -> click.Command:
     @click.option(
         "--plot", type=FILE, metavar="FILE", help="PNG file: S, T, K S against their weights, and the loop."
     )
-    @json_option
-    @guarded
+    @reporting
     def command(
         design: str, model: Path | None, out: Path | None, plot: Path | None, json_file: Path | None
     ) -> None:
         from hil.app.configuration.section_file import check_section_path
         from hil.app.design import command as app
-        from hil.app.output import console, picture_path, show_lines, write_json
+        from hil.app.output import console, picture_path, show_lines
         from hil.config.linear_controller import LinearController
 
         if out is not None:
@@ -111,11 +108,10 @@ def _command(name: str, method: _Method) -> click.Command:
             from hil.app.design.plot import draw
 
             click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
-        if json_file is not None:
-            write_json(json_file, app.summary(controller, design))
+        finish_lines((), app.summary(controller, design), json_file)
 
     return command
 
 
 for _name, _method in METHODS.items():
-    design_group.add_command(_command(_name, _method))
+    command.add_command(_command(_name, _method))

@@ -1,24 +1,22 @@
 """`hil fmu`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 
 import click
 
-from hil.cli.shared import finish, guarded, json_option
+from hil.cli.shared import finish, reporting
 
 
-@click.group("fmu", short_help="Build the platform's FMU.")
-def fmu_group() -> None:
+@click.group()
+def command() -> None:
     """Build the platform's FMU, for this project and for any other tool that takes FMUs.
 
     `hil run --plant`, `hil plant` and `hil sim` build it by themselves when it is needed.
     """
 
 
-@fmu_group.command("build", short_help="Compile the platform's physics into FMUs.")
+@command.command("build", short_help="Compile the platform's physics into FMUs.")
 @click.option(
     "--fmi",
     type=click.Choice(["2.0", "3.0", "both"]),
@@ -32,8 +30,7 @@ def fmu_group() -> None:
     metavar="FOLDER",
     help="Copy the .fmu there.",
 )
-@json_option
-@guarded
+@reporting
 def fmu_build_command(
     fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None
 ) -> None:

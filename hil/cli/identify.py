@@ -1,16 +1,13 @@
 """`hil identify`."""
 
-from __future__ import annotations
-
-import sys
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, announce_compilation, guarded, json_option, log_option
+from hil.cli.shared import FILE, finish_lines, log_option, reporting
 
 
-@click.command("identify", short_help="What the loop is like: its axes or its delay, from a run or a log.")
+@click.command()
 @click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=FILE)
 @click.option(
     "--delay", is_flag=True, help="Only the delay, from the measurement to the force that answers it."
@@ -39,9 +36,8 @@ from hil.cli.shared import FILE, announce_compilation, guarded, json_option, log
     help="Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it.",
 )
 @log_option
-@json_option
-@guarded
-def identify_command(
+@reporting
+def command(
     configuration: Path,
     delay: bool,
     real_time: bool,
@@ -82,7 +78,7 @@ def identify_command(
 
     \b
     Examples:
-      hil identify virtual                        the axes of the virtual bench, in lockstep
+      hil identify virtual                        the axes of the virtual plant, in lockstep
       hil identify virtual -o axes.yaml           the same, into a file of your own
       hil identify my.yaml --run                  real drives: they move by some 50 mm
       hil identify my.yaml --run --force 800      more force, where friction or noise hides the answer
@@ -95,10 +91,9 @@ def identify_command(
       1  the run for it ended in a fault; its log tells
       2  not measured: configuration, log, or too little excitation; the message says what
     """
-    announce_compilation()
     from hil.app.identify import axes
     from hil.app.identify import delay as delay_of
-    from hil.app.output import log_path, show_lines, write_json
+    from hil.app.output import log_path
 
     if delay and model:
         raise click.UsageError("--model has no use with --delay, which prints what it finds")
@@ -124,9 +119,7 @@ def identify_command(
             click.echo(
                 f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True
             )
-            if json_file is not None:
-                write_json(json_file, run)
-            sys.exit(1)
+            finish_lines((), run, json_file)
     if files is None:
         result = delay_of.delay_of_log(log)
         lines = delay_of.report(result)
@@ -137,6 +130,4 @@ def identify_command(
         lines = axes.report(result, found.model)
     if made is not None:
         result |= {"excitation_N": made.force_N, "run": run}
-    show_lines(lines)
-    if json_file is not None:
-        write_json(json_file, result)
+    finish_lines(lines, result, json_file)

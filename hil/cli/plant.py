@@ -1,7 +1,5 @@
 """`hil plant`."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -9,26 +7,17 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import (
-    configuration_argument,
-    duration_option,
-    finish,
-    guarded,
-    json_option,
-    load,
-    log_option,
-)
+from hil.cli.shared import configuration_argument, duration_option, finish, load, log_option, reporting
 
 
-@click.command("plant", short_help="Six emulated drives and the platform, in real time.")
+@click.command()
 @configuration_argument
 @duration_option
 @log_option
-@json_option
 @click.option("--supervisor", type=int, hidden=True)
 @click.option("--report", type=int, hidden=True)
-@guarded
-def plant_command(
+@reporting
+def command(
     configuration: str,
     duration: float | None,
     log: Path | None,
@@ -69,6 +58,4 @@ def plant_command(
     if report is not None:
         with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
             os.write(report, json.dumps(summary).encode())
-    if summary["trouble"]:
-        click.echo(f"hil: {summary['trouble']}", err=True)
     finish("plant", summary, json_file)

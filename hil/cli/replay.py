@@ -1,16 +1,14 @@
 """`hil replay`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, announce_compilation, finish, guarded, json_option
+from hil.cli.shared import FILE, finish, reporting
 
 
-@click.command("replay", short_help="A log's inputs again, compared to the bit.")
+@click.command()
 @click.argument("log", type=FILE)
 @click.option(
     "--salvage",
@@ -18,9 +16,8 @@ from hil.cli.shared import FILE, announce_compilation, finish, guarded, json_opt
     metavar="OUT",
     help="Recover a log cut by power loss into the new file OUT first, and replay that.",
 )
-@json_option
-@guarded
-def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
+@reporting
+def command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
     LOG comes from `hil run` or `hil sim`; its configuration is inside. Only reads: nothing is sent, LOG
@@ -35,13 +32,12 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
     Exit code:
       0  all ticks identical to the bit (on another CPU: all frames, columns to 1e-9)
       1  differences, or ticks missing from the log
-      2  not begun: no such file, no log, cut (then use --salvage)
+      2  not begun: no such file, no log, made by another version, cut (then use --salvage)
     """
     from hil.record.log import Log
 
     if salvage is None:
         Log.open(log)
-    announce_compilation()
     from hil.app.replay import replay_log
     from hil.record.salvage import salvage as recover
 
@@ -56,15 +52,15 @@ def replay_command(log: Path, salvage: Path | None, json_file: Path | None) -> N
         click.echo(f"\r{ticks} ticks", err=True, nl=False)
 
     shown = sys.stderr.isatty()
-    verdict, summary = replay_log(log, tell if shown else None)
+    comparison, summary = replay_log(log, tell if shown else None)
     if shown:
         click.echo("\r\x1b[K", err=True, nl=False)
-    for difference in verdict.first:
+    for difference in comparison.first:
         click.echo(f"hil: {difference}", err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}
     short = {key: result[key] for key in ("success", "log", "wall_s", "times_real_time")}
     if "remark" in summary:
         short["remark"] = summary["remark"]
-    if not verdict.exact:
-        short["largest_relative_difference"] = verdict.largest
+    if not comparison.exact:
+        short["largest_relative_difference"] = comparison.largest
     finish("replay", result, json_file, {**short, "replay": summary})

@@ -1,23 +1,13 @@
 """`hil run`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import (
-    configuration_argument,
-    duration_option,
-    finish,
-    guarded,
-    json_option,
-    load,
-    log_option,
-)
+from hil.cli.shared import configuration_argument, duration_option, finish, load, log_option, reporting
 
 
-@click.command("run", short_help="The controller, in real time.")
+@click.command()
 @configuration_argument
 @click.option(
     "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
@@ -25,9 +15,8 @@ from hil.cli.shared import (
 @click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
 @duration_option
 @log_option
-@json_option
-@guarded
-def run_command(
+@reporting
+def command(
     configuration: str,
     with_plant: bool,
     reset: bool,
@@ -52,8 +41,8 @@ def run_command(
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
     with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png.
 
-    Where this machine stalls longer than the limits allow, --plant runs once more at a rate that outlasts
-    it, and says so. The files of the stalled run are kept as ...-stalled.
+    Where this machine stalls longer than the limits allow, --plant runs once more at a rate that survives
+    the stall, and says so. The files of the stalled run are kept as ...-stalled.
 
     \b
     Exit code:
@@ -71,6 +60,4 @@ def run_command(
         from hil.app.output import last_ticks_table
 
         click.echo(last_ticks_table(summary["last_ticks"]), err=True)
-    if summary["trouble"]:
-        click.echo(f"hil: {summary['trouble']}", err=True)
     finish("run", summary, json_file)

@@ -1,16 +1,14 @@
 """`hil setpoint`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import configuration_argument, finish, guarded, json_option
+from hil.cli.shared import configuration_argument, finish, reporting
 
 
-@click.command("setpoint", short_help="Send a live reference somewhere while it runs.")
+@click.command()
 @configuration_argument
 @click.option("--position", type=float, nargs=3, metavar="X Y Z", help="Where to go, m.")
 @click.option(
@@ -20,9 +18,8 @@ from hil.cli.shared import configuration_argument, finish, guarded, json_option
     metavar="RX RY RZ",
     help="Rotation vector, deg; with --position.  [default: 0 0 0]",
 )
-@json_option
-@guarded
-def setpoint_command(
+@reporting
+def command(
     configuration: str,
     position: tuple[float, float, float] | None,
     rotation: tuple[float, float, float] | None,

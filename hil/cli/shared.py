@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -26,15 +26,15 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+POSITIVE = FiniteRange(min=0, min_open=True)
+NOT_NEGATIVE = FiniteRange(min=0)
 FILE = click.Path(dir_okay=False, path_type=Path)
-json_option = click.option(
-    "--json", "json_file", type=FILE, metavar="FILE", help="Write the summary there as JSON, too."
-)
 log_option = click.option(
     "--log", type=FILE, metavar="FILE", help="Log file to write; an existing one is refused."
 )
-duration_option = click.option(
-    "--duration", type=FiniteRange(min=0, min_open=True), metavar="S", help="Stop after S seconds."
+duration_option = click.option("--duration", type=POSITIVE, metavar="S", help="Stop after S seconds.")
+picture_option = click.option(
+    "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
 )
 configuration_argument = click.argument("configuration", default="virtual")
 
@@ -43,21 +43,39 @@ def finish(
     title: str, summary: dict[str, Any], json_file: Path | None, shown: dict[str, Any] | None = None
 ) -> None:
     """Print a summary (`shown`, where that says it better), write its JSON twin, exit 0 only on success."""
-    from hil.app.output import show, write_json
+    from hil.app.output import show
 
+    if summary.get("trouble"):
+        click.echo(f"hil: {summary['trouble']}", err=True)
     show(title, summary if shown is None else shown)
+    finish_lines((), summary, json_file)
+
+
+def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> None:
+    """Print a report, write its JSON twin, exit 0 only on success."""
+    from hil.app.output import show_lines, write_json
+
+    show_lines(lines)
     if json_file is not None:
         write_json(json_file, summary)
     sys.exit(0 if summary["success"] else 1)
 
 
-def guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """Turn errors that a user can mend into one message and exit code 2; check the output files first."""
+def reporting(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --json, and turn errors that a user can mend into one message and exit code 2.
 
+    The output files are checked before the command begins.
+    """
+
+    @click.option(
+        "--json", "json_file", type=FILE, metavar="FILE", help="Write the summary there as JSON, too."
+    )
     @wraps(command)
-    def guarded(*args: Any, **kwargs: Any) -> None:
+    def reporting(*args: Any, **kwargs: Any) -> None:
+        from drivers.compiled.cache import before_compiling
         from drivers.errors import HilError
 
+        before_compiling(_announce)
         try:
             if kwargs["json_file"] is not None:
                 from hil.app.output import check_json_path
@@ -70,7 +88,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
             place = "" if error.filename is None else f"{error.filename}: "
             _refuse(f"{place}{error.strerror or error}")
 
-    return guarded
+    return reporting
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
@@ -83,25 +101,21 @@ def _refuse(message: str) -> None:
     sys.exit(2)
 
 
-def announce_compilation() -> None:
-    """Say why the first start takes so long."""
-    from drivers.compiled.compiler import FIRST_COMPILATION
-
-    if FIRST_COMPILATION:
-        click.echo("compiling the mathematics, once (about 45 s) ...", err=True)
+def _announce() -> None:
+    click.echo("compiling the mathematics, once (about 45 s) ...", err=True)
 
 
-def load(configuration: str, command: Literal["run", "plant", "sim"]) -> Configuration:
-    """Load a configuration and refuse what cannot work, before anything starts.
+def load(configuration: str, command: Literal["run", "plant", "sim"] | None = None) -> Configuration:
+    """Load a configuration; for a command that moves, refuse what cannot work before anything starts.
 
     Raises ConfigurationError.
     """
     from hil.app.configuration.configuration import load
 
     loaded = load(configuration)
-    loaded.require(command)
-    announce_compilation()
-    from hil.app.check.command import refuse_unreachable
+    if command is not None:
+        loaded.require(command)
+        from hil.app.check.command import refuse_unreachable
 
-    refuse_unreachable(loaded)
+        refuse_unreachable(loaded)
     return loaded

@@ -1,25 +1,14 @@
 """`hil sim`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import (
-    FILE,
-    configuration_argument,
-    duration_option,
-    finish,
-    guarded,
-    json_option,
-    load,
-    log_option,
-)
+from hil.cli.shared import FILE, configuration_argument, duration_option, finish, load, log_option, reporting
 
 
-@click.command("sim", short_help="Both ends in lockstep, in simulated time.")
+@click.command()
 @configuration_argument
 @duration_option
 @log_option
@@ -29,9 +18,8 @@ from hil.cli.shared import (
     metavar="FILE",
     help="CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg.",
 )
-@json_option
-@guarded
-def sim_command(
+@reporting
+def command(
     configuration: str,
     duration: float | None,
     log: Path | None,
@@ -46,7 +34,7 @@ def sim_command(
 
     \b
     Examples:
-      hil sim                               the default bench, ten periods of the path
+      hil sim                               the default configuration, ten periods of the path
       hil sim ideal                         theory: exact lengths and rates, no bus time
       hil sim lab --duration 3 --log lab.mcap --json lab.json
       hil sim my.yaml --setpoints poses.csv --duration 10
@@ -63,6 +51,4 @@ def sim_command(
     from hil.app.sim.command import simulate
 
     summary = simulate(loaded, log=log, duration_s=duration, live=sys.stderr.isatty(), setpoints=setpoints)
-    if summary["trouble"]:
-        click.echo(f"hil: {summary['trouble']}", err=True)
     finish("sim", summary, json_file)

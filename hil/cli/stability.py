@@ -1,27 +1,18 @@
 """`hil stability`."""
 
-from __future__ import annotations
-
-import sys
 from pathlib import Path
 
 import click
 
-from hil.cli.shared import (
-    FiniteRange,
-    announce_compilation,
-    configuration_argument,
-    guarded,
-    json_option,
-)
+from hil.cli.shared import NOT_NEGATIVE, FiniteRange, configuration_argument, finish_lines, load, reporting
 
 
-@click.command("stability", short_help="What can be proven of the law, with bounds; nothing moves.")
+@click.command()
 @configuration_argument
 @click.option(
     "--disturbance-force",
     "force",
-    type=FiniteRange(min=0),
+    type=NOT_NEGATIVE,
     default=0.0,
     metavar="N",
     help="Unknown force on the platform, of any direction, changing as it likes.",
@@ -29,7 +20,7 @@ from hil.cli.shared import (
 @click.option(
     "--disturbance-torque",
     "torque",
-    type=FiniteRange(min=0),
+    type=NOT_NEGATIVE,
     default=0.0,
     metavar="N_M",
     help="Unknown torque about the platform's origin, likewise.",
@@ -41,9 +32,8 @@ from hil.cli.shared import (
     metavar="SHARE",
     help="Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %.",
 )
-@json_option
-@guarded
-def stability_command(
+@reporting
+def command(
     configuration: str, force: float, torque: float, model_error: float, json_file: Path | None
 ) -> None:
     """Say what is proven of the law of CONFIGURATION, by which function, and under which conditions.
@@ -78,16 +68,11 @@ def stability_command(
       1  not proven, or unstable
       2  refused: the configuration, an option or the file
     """
-    from hil.app.configuration.configuration import load
-    from hil.app.output import console, show_lines, write_json
+    from hil.app.output import console
 
     loaded = load(configuration)
-    announce_compilation()
     with console.status("looking for a proof"):
         from hil.app.stability.command import assess, shown
 
         summary = assess(loaded, force_N=force, torque_N_m=torque, model_error=model_error)
-    show_lines(shown(summary))
-    if json_file is not None:
-        write_json(json_file, summary)
-    sys.exit(0 if summary["success"] else 1)
+    finish_lines(shown(summary), summary, json_file)

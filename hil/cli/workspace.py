@@ -1,23 +1,21 @@
 """`hil workspace`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
 from hil.cli.shared import (
-    FILE,
-    FiniteRange,
-    announce_compilation,
+    NOT_NEGATIVE,
+    POSITIVE,
     configuration_argument,
     finish,
-    guarded,
-    json_option,
+    load,
+    picture_option,
+    reporting,
 )
 
 
-@click.command("workspace", short_help="Map of the reachable poses, with a picture; nothing moves.")
+@click.command()
 @configuration_argument
 @click.option(
     "--resolution",
@@ -35,7 +33,7 @@ from hil.cli.shared import (
 )
 @click.option(
     "--payload",
-    type=FiniteRange(min=0),
+    type=NOT_NEGATIVE,
     default=0.0,
     metavar="KG",
     help="Further mass on the platform, for the static leg forces.",
@@ -48,17 +46,11 @@ from hil.cli.shared import (
     help="Its centre of mass, m in the platform frame; default: the origin.",
 )
 @click.option(
-    "--leg-diameter",
-    type=FiniteRange(min=0, min_open=True),
-    metavar="M",
-    help="Look at collisions of legs this thick, too.",
+    "--leg-diameter", type=POSITIVE, metavar="M", help="Look at collisions of legs this thick, too."
 )
-@click.option(
-    "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
-)
-@json_option
-@guarded
-def workspace_command(
+@picture_option
+@reporting
+def command(
     configuration: str,
     resolution: int,
     position: tuple[float, float, float] | None,
@@ -77,7 +69,7 @@ def workspace_command(
 
     \b
     Examples:
-      hil workspace                         the default bench
+      hil workspace                         the default configuration
       hil workspace lab --picture lab.png --json lab.json
       hil workspace lab --payload 200 --position 0 0 0.9
       hil workspace my.yaml --resolution 120 --leg-diameter 0.08
@@ -89,11 +81,9 @@ def workspace_command(
       0  mapped
       2  not begun: configuration, home outside a limit, position not reached, file
     """
-    from hil.app.configuration.configuration import load
     from hil.app.output import console
 
     loaded = load(configuration)
-    announce_compilation()
     with console.status("loading the mathematics") as status:
         from hil.app.workspace.command import map_workspace, shown
 

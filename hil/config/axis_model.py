@@ -1,12 +1,10 @@
 """The file that `hil identify` writes and `hil design` reads: one axis of the linearised loop."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.delay import Delay
 from hil.config.values import NonNegative, Positive, SixPositive
 

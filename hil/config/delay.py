@@ -1,12 +1,10 @@
 """What lies between a measurement and the force that answers it."""
 
-from __future__ import annotations
-
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 
 Delay = Annotated[float, Field(ge=0, le=50)]
 """ms; what takes longer is no delay but a mistaken unit."""

@@ -1,12 +1,10 @@
 """The file that `hil design` reads: an axis, how it is controlled, and what is asked of the loop."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.axis_model import AxisSpace
 from hil.config.delay import Delay
 from hil.config.design_uncertainty import UncertaintyRanges

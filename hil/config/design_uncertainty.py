@@ -1,13 +1,11 @@
 """Section `uncertainty` of a design: within what limits the real axis may differ from the nominal one."""
 
-from __future__ import annotations
-
 from math import pi
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.delay import Delay
 from hil.config.values import Positive
 

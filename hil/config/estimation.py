@@ -1,12 +1,10 @@
 """Section `estimation`: where the State comes from."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.model import ModelSettings
 from hil.config.values import NonNegative, Positive
 from hil.config.wrench import WrenchSettings

@@ -1,12 +1,10 @@
 """Section `limits`: what safety refuses."""
 
-from __future__ import annotations
-
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.values import NonNegative, Positive
 
 

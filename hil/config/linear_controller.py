@@ -1,12 +1,10 @@
 """The file that `hil design` writes and the law `state_space` runs: one controller for each of six axes."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.axis_model import AxisSpace
 from hil.config.values import Positive
 

@@ -1,12 +1,10 @@
 """Section `loop`: the fixed rate and how it is held."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.values import NonNegative, Positive
 
 

@@ -1,12 +1,10 @@
 """What the controller believes of the robot."""
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 from pydantic import model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.values import NonNegative, Pose, Positive, SixNonNegative
 
 

@@ -1,12 +1,10 @@
 """Section `monitor`: the certificate of the loop, watched while it runs."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.delay import Delay
 from hil.config.values import NonNegative, Positive
 

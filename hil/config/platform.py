@@ -1,13 +1,11 @@
 """Section `platform`: geometry and inertia of the robot."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.values import (
     JointAngle,
     LegSpin,

@@ -1,13 +1,11 @@
 """Section `reference`: one model a kind, told apart by `type`."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.config import Section
-from hil.config.values import NonNegative, Pose, Positive, Vector3
+from drivers.section import Section
+from hil.config.values import Axis, NonNegative, Pose, Positive, Vector3
 
 
 class Evaluated(Section):
@@ -69,9 +67,6 @@ class TimeOptimalReference(Evaluated):
     limits: AxisLimits
     periods: Annotated[int, Field(ge=1)] | None = 1
     """How many times the list is run through; null is for ever."""
-
-
-Axis = Literal["x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg"]
 
 
 class Sinusoid(Section):

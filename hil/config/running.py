@@ -1,12 +1,10 @@
 """Sections `engage` and `recording`: how a run begins and ends, and what is kept of it."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.config import Section
+from drivers.section import Section
 from hil.config.values import NonNegative, Positive
 
 

@@ -1,12 +1,10 @@
 """What several sections are made of: vectors, six per leg, bounds, a pose."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from drivers.config import Section
+from drivers.section import Section
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
@@ -16,14 +14,12 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 JointAngle = Annotated[float, Field(gt=0, le=180)]
 LegSpin = Literal["none", "universal"]
+Axis = Literal["x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg"]
+AXES: tuple[Axis, ...] = get_args(Axis)
+"""The six words of a pose: position and rotation vector."""
 SixPositive = Annotated[list[Positive], Field(min_length=6, max_length=6)]
 ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 SixNonNegative = Annotated[list[NonNegative], Field(min_length=6, max_length=6)]
-
-
-def largest(gain: float | list[float]) -> float:
-    """Return the largest gain of six legs, or the one of all."""
-    return max(gain) if isinstance(gain, list) else gain
 
 
 class Pose(Section):

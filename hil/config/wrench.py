@@ -1,7 +1,5 @@
 """The external load on the platform: whether it is estimated, and from what."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

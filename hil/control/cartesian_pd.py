@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import sqrt
+from typing import Any, Literal
 
 import numpy as np
 
-from drivers.arrays import Array
-from drivers.compiled.compiler import VECTOR, kernel
-from hil.config import CartesianPDSettings
-from hil.control.law import LawContext, per_axis
-from hil.control.model import build_model
+from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import OUT_VECTOR, VECTOR, direct, record
+from drivers.tick import TICK, Record
+from hil.config.model import ModelSettings
+from hil.config.values import Positive, ThreePositive
+from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, gains, per_axis
 from hil.mathematics.linear_algebra import solve_transposed
 from hil.mathematics.rotations import relative_rotation, rotation_vector_kernel
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
-from hil.signals import Effort, Reference, State
 
-_REST = np.zeros(6)
-_REST.flags.writeable = False
+GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6)])
 
 
 def _vector_difference(R: Array, R_d: Array) -> Array:
@@ -28,6 +29,56 @@ def _vector_difference(R: Array, R_d: Array) -> Array:
 
 ROTATION_ERRORS = {"shortest_turn": relative_rotation, "vector_difference": _vector_difference}
 """`controller.rotation_error` of the configuration -> function of R and R_d, (3,) rad."""
+
+
+class CartesianPDSettings(LawSettings):
+    """PD on position and rotation of the platform, found by forward kinematics."""
+
+    uncertified = "its energy function belongs to a reference at rest; in motion it may grow"
+    law: Literal["cartesian_pd"]
+    kp_position_N_m: Positive | ThreePositive
+    """One for all axes of the base frame, or one each; so are the others."""
+    kv_position_N_s_m: Positive | ThreePositive
+    kp_rotation_N_m_rad: Positive | ThreePositive
+    kv_rotation_N_m_s_rad: Positive | ThreePositive
+    rotation_error: Literal["shortest_turn", "vector_difference"] = "shortest_turn"
+    """log(R_d R^T), or the difference of the rotation vectors of the two poses as it is often printed."""
+    model: ModelSettings | None = None
+    """Its gravity is compensated; default none is."""
+
+    @property
+    def believed(self) -> ModelSettings | None:
+        """The law's model of the robot."""
+        return self.model
+
+    def gains(self) -> tuple[Array, Array]:
+        """Return the diagonals K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
+        return (
+            per_axis(self.kp_position_N_m, self.kp_rotation_N_m_rad),
+            per_axis(self.kv_position_N_s_m, self.kv_rotation_N_m_s_rad),
+        )
+
+    def build(self, context: LawContext) -> CartesianPD:
+        """Return the law."""
+        model = None if self.model is None else context.model(self.model)
+        return CartesianPD(*self.gains(), model, ROTATION_ERRORS[self.rotation_error])
+
+    def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
+        """Return frequency and damping ratio of the heaviest translation under the largest gains."""
+        del leg_mass
+        wn = sqrt(np.max(self.kp_position_N_m) / mass)
+        return wn, float(np.max(self.kv_position_N_s_m) / (2.0 * wn * mass))
+
+    @classmethod
+    def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
+        """Return gains by which the heaviest translation and the heaviest rotation have wn and zeta."""
+        stiffness, damping = loop.wn**2, 2.0 * loop.zeta * loop.wn
+        return {
+            "kp_position_N_m": loop.mass * stiffness,
+            "kv_position_N_s_m": loop.mass * damping,
+            "kp_rotation_N_m_rad": loop.inertia * stiffness,
+            "kv_rotation_N_m_s_rad": loop.inertia * damping,
+        }
 
 
 class CartesianPD:
@@ -51,43 +102,28 @@ class CartesianPD:
         self, K_p: Array, K_v: Array, model: Model | None, rotation_error: Callable[[Array, Array], Array]
     ) -> None:
         """K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad are the diagonals, position first."""
-        self.K_p = K_p
-        self.K_v = K_v
+        self.gains = gains(GAINS, K_p, K_v)
         self.model = model
         self.rotation_error = rotation_error
-
-    @classmethod
-    def build(cls, settings: CartesianPDSettings, context: LawContext) -> CartesianPD:
-        """Make the law and its model, if any, from their section of the configuration."""
-        model = settings.model
-        return cls(
-            per_axis(settings.kp_position_N_m, settings.kp_rotation_N_m_rad),
-            per_axis(settings.kv_position_N_s_m, settings.kv_rotation_N_m_s_rad),
-            None if model is None else build_model(model, context.platform, context.leg_spin),
-            ROTATION_ERRORS[settings.rotation_error],
-        )
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
-        del shortfall
-        e_R = self.rotation_error(state.R, reference.R)
-        pull = _pull(self.K_p, self.K_v, e_R, state.p, state.twist, reference.p, reference.twist)
-        model = self.model
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        pull, model = np.empty(6), self.model
+        _pull(self.gains, self.rotation_error(tick["R"], tick["R_d"]), tick, pull)
         if model is None:
-            return Effort(solve_transposed(state.J, pull))
-        return Effort(
-            inverse_dynamics_kernel(model.constants, model.code, state.p, state.R, _REST, _REST, -pull)
-        )
+            tick["tau_law"] = solve_transposed(tick["J"], pull)
+        else:
+            tick["tau_law"] = inverse_dynamics_kernel(
+                model.constants, model.code, tick["p"], tick["R"], ZERO6, ZERO6, -pull
+            )
 
 
-@kernel(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-def _pull(K_p: Array, K_v: Array, e_R: Array, p: Array, twist: Array, p_d: Array, twist_d: Array) -> Array:
-    """Return K_p e + K_v (twist_d - twist), (6,) N, N m, base frame."""
-    wrench = np.empty(6)
-    for i in range(3):
-        wrench[i] = K_p[i] * (p_d[i] - p[i]) + K_v[i] * (twist_d[i] - twist[i])
-        wrench[3 + i] = K_p[3 + i] * e_R[i] + K_v[3 + i] * (twist_d[3 + i] - twist[3 + i])
-    return wrench
+@direct(record(GAINS), VECTOR, record(TICK, *LAW_COLUMNS), OUT_VECTOR)
+def _pull(k: Any, e_R: Array, tick: Any, wrench: Array) -> None:
+    """Fill K_p e + K_v (twist_d - twist), (6,) N, N m, base frame."""
+    for i in range(6):
+        e = tick.p_d[i] - tick.p[i] if i < 3 else e_R[i - 3]
+        wrench[i] = k.K_p[i] * e + k.K_v[i] * (tick.twist_d[i] - tick.twist[i])

@@ -3,24 +3,47 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import ZERO6, Array
 from drivers.errors import ConfigurationError
-from hil.config import FeedforwardPDSettings
-from hil.control.law import LawContext, per_leg
-from hil.control.model import build_model
-from hil.control.pd import JointPD
+from drivers.tick import Record
+from hil.control.law import LawContext, ModelBasedSettings, per_leg
+from hil.control.pd import JointPD, LegGains
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
-from hil.signals import NO_WRENCH, Effort, Reference, State
-from hil.trajectory import PoseSample
+from hil.trajectory.path import PoseSample
 
 ENDLESS = (
     "offline needs a reference that ends, because its forces are computed before the run, allowed: online, "
     "or a reference with duration_s or periods"
 )
+
+
+class FeedforwardPDSettings(LegGains, ModelBasedSettings):
+    """Inverse dynamics along the reference, and PD on leg lengths."""
+
+    uncertified = "its error dynamics J^-T M J^-1 E'' + K_v E' + K_p E = 0 change with the pose"
+    law: Literal["feedforward_pd"]
+    evaluation: Literal["online", "offline"] = "online"
+    """Forces of the reference: computed at each tick, or as a table before the run."""
+
+    @property
+    def endless(self) -> tuple[str, str] | None:
+        """The table needs an end."""
+        return ("evaluation", ENDLESS) if self.evaluation == "offline" else None
+
+    def build(self, context: LawContext) -> FeedforwardPD:
+        """Return the law, offline with its table.
+
+        Raises ConfigurationError where the table would have no end.
+        """
+        model = context.model(self.model)
+        table = tabulate(model, context) if self.evaluation == "offline" else None
+        pd = JointPD(per_leg(self.kp_N_m), per_leg(self.kv_N_s_m), np.zeros(6))
+        return FeedforwardPD(pd, model, context.period_s, table, context.preview_s)
 
 
 class FeedforwardPD:
@@ -46,27 +69,18 @@ class FeedforwardPD:
         self.table = table
         self.preview_s = preview_s
 
-    @classmethod
-    def build(cls, settings: FeedforwardPDSettings, context: LawContext) -> FeedforwardPD:
-        """Make the law, its model and, offline, its table from their section of the configuration.
-
-        Raises ConfigurationError where the table would have no end.
-        """
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        table = tabulate(model, context) if settings.evaluation == "offline" else None
-        pd = JointPD(per_leg(settings.kp_N_m), per_leg(settings.kv_N_s_m), np.zeros(6))
-        return cls(pd, model, context.period_s, table, context.preview_s)
-
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular on the reference."""
-        feedforward = self._tabulated(reference.t)
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular on the reference."""
+        feedforward = self._tabulated(float(tick["t_d"]))
         if feedforward is None:
-            wrench = state.wrench if self.table is None else NO_WRENCH
+            wrench = tick["wrench"] if self.table is None else ZERO6
+            reference = PoseSample(tick["p_d"], tick["R_d"], tick["twist_d"], tick["dtwist_d"])
             feedforward = tau_ff(self.model, reference, wrench)
-        return Effort(feedforward + self.pd.effort(state, reference, shortfall).tau)
+        self.pd.effort(tick)
+        tick["tau_law"] += feedforward
 
     def _tabulated(self, t: float) -> Array | None:
         """Return the table's row for the time t; None where t is not one of its times."""
@@ -77,11 +91,9 @@ class FeedforwardPD:
         return self.table[k] if listed else None
 
 
-def tau_ff(model: Model, reference: Reference | PoseSample, wrench: Array) -> Array:
+def tau_ff(model: Model, reference: PoseSample, wrench: Array) -> Array:
     """Return J^-T (M dtwist_d + H + G - wrench) + friction at the reference, (6,) N."""
-    return inverse_dynamics_kernel(
-        model.constants, model.code, reference.p, reference.R, reference.twist, reference.dtwist, wrench
-    )
+    return inverse_dynamics_kernel(model.constants, model.code, *reference, wrench)
 
 
 def tabulate(model: Model, context: LawContext) -> Array:
@@ -95,6 +107,6 @@ def tabulate(model: Model, context: LawContext) -> Array:
     times = [
         k * period_s + context.preview_s for k in range(math.floor(trajectory.duration_s / period_s) + 1)
     ]
-    table = np.array([tau_ff(model, trajectory.sample(t), NO_WRENCH) for t in times])
+    table = np.array([tau_ff(model, trajectory.sample(t), ZERO6) for t in times])
     table.flags.writeable = False
     return table

@@ -7,18 +7,28 @@ the robot is the model's business (hil.robot.dynamics.Model), not the law's.
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, direct
-from drivers.signals import LEGS
-from hil.config import InverseDynamicsSettings
-from hil.control.law import LawContext, error_gains
-from hil.control.model import build_model
+from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
+from drivers.tick import TICK, Record
+from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, ModelBasedSettings, gains
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import joint_idc_kernel
-from hil.signal_types import REFERENCE, STATE
-from hil.signals import Effort, Reference, State
+
+GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6)])
+
+
+class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
+    """Exact inverse dynamics in joint space; approximate ones are variants of its model."""
+
+    law: Literal["inverse_dynamics"]
+
+    def build(self, context: LawContext) -> JointInverseDynamics:
+        """Return the law."""
+        return JointInverseDynamics(context.model(self.model), *self.gains())
 
 
 class JointInverseDynamics:
@@ -30,47 +40,28 @@ class JointInverseDynamics:
     def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
         """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals."""
         self.model = model
-        self.K_P = K_P
-        self.K_D = K_D
-
-    @classmethod
-    def build(cls, settings: InverseDynamicsSettings, context: LawContext) -> JointInverseDynamics:
-        """Make the law and its model from their section of the configuration."""
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        return cls(model, *error_gains(settings.wn_rad_s, settings.damping_ratio))
+        self.gains = gains(GAINS, K_P, K_D)
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
-        del shortfall
-        return Effort(linearised_pd(self.model, self.K_P, self.K_D, state, reference))
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        fill_linearised_pd(self.gains, self.model.constants, self.model.code, tick)
 
 
-def linearised_pd(model: Model, K_P: Array, K_D: Array, state: State, reference: Reference) -> Array:
-    """Return tau (6,) N for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2; NaN where J is singular."""
-    tau = np.empty(LEGS)
-    _linearised_pd(K_P, K_D, model.constants, model.code, *state, *reference, tau)
-    return tau
-
-
-def linearising_tau(model: Model, state: State, ddq_star: Array, wrench: Array) -> Array:
+def linearising_tau(model: Model, tick: Record, ddq_star: Array) -> Array:
     """Return tau (6,) N for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
     return joint_idc_kernel(
-        model.constants, model.code, state.p, state.R, state.twist, state.J, ddq_star, wrench
+        model.constants, model.code, tick["p"], tick["R"], tick["twist"], tick["J"], ddq_star, tick["wrench"]
     )
 
 
-@direct(VECTOR, VECTOR, VECTOR, INTEGER, *STATE, *REFERENCE, OUT_VECTOR)
-def _linearised_pd(
-    K_P: Array, K_D: Array, c: Array, code: int,
-    q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, _residual: float,
-    wrench: Array,
-    _p_d: Array, _R_d: Array, _twist_d: Array, _dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
-    _t: float, tau: Array,
-) -> None:  # fmt: skip
+@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
+def fill_linearised_pd(k: Any, c: Array, code: int, tick: Any) -> None:
+    """Fill tau_law for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2; NaN where J is singular."""
     ddq_star = np.empty(6)
     for i in range(6):
-        ddq_star[i] = ddq_d[i] + K_D[i] * (dq_d[i] - dq[i]) + K_P[i] * (q_d[i] - q[i])
-    tau[:] = joint_idc_kernel(c, code, p, R, twist, J, ddq_star, wrench)
+        e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
+        ddq_star[i] = tick.ddq_d[i] + k.K_D[i] * de + k.K_P[i] * e
+    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)

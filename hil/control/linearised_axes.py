@@ -5,8 +5,6 @@ with the error of `hil.control.pose_inverse_dynamics`, e = [p_d - p; log(R_d R^T
 ddy* = ddy_d + u, so that the error obeys e'' = -u.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 
@@ -14,6 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, kernel
+from drivers.tick import Record
 from hil.config.axis_model import AxisSpace
 from hil.control.inverse_dynamics import linearising_tau
 from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
@@ -21,24 +20,19 @@ from hil.mathematics.linear_algebra import lu_factor, lu_solve
 from hil.mathematics.rotations import rotation_motion_kernel, rotation_vector_rate
 from hil.mathematics.vectors import at, rotate
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import (
-    fill_jacobian,
-    inverse_dynamics_kernel,
-    model_inertia,
-)
-from hil.signals import Reference, State
+from hil.robot.dynamics_kernels import fill_jacobian, inverse_dynamics_kernel, model_inertia
 
 
 class Axes(Protocol):
     """Six axes, each a double integrator as far as the model is exact."""
 
-    def errors(self, state: State, reference: Reference) -> Array:
+    def errors(self, tick: Record) -> Array:
         """Return [e; de] (2, 6) m, rad and their rates."""
 
-    def tau(self, state: State, reference: Reference, errors: Array, u: Array) -> Array:
+    def tau(self, tick: Record, errors: Array, u: Array) -> Array:
         """Return tau (6,) N for the reference's acceleration and u (6,) m/s^2, rad/s^2 on top."""
 
-    def acceleration(self, state: State, errors: Array, tau: Array) -> Array:
+    def acceleration(self, tick: Record, errors: Array, tau: Array) -> Array:
         """Return the u (6,) that brings tau (6,) N about: inverse of the linear part of `tau`."""
 
 
@@ -51,19 +45,19 @@ class JointAxes:
     def __init__(self, model: Model) -> None:
         self.model = model
 
-    def errors(self, state: State, reference: Reference) -> Array:
+    def errors(self, tick: Record) -> Array:
         """Return [q_d - q; dq_d - dq] (2, 6) m, m/s."""
-        return _leg_errors(state.q, state.dq, reference.q, reference.dq)
+        return np.stack((tick["q_d"] - tick["q"], tick["dq_d"] - tick["dq"]))
 
-    def tau(self, state: State, reference: Reference, errors: Array, u: Array) -> Array:
+    def tau(self, tick: Record, errors: Array, u: Array) -> Array:
         """Return tau (6,) N; NaN where J is singular."""
         del errors
-        return linearising_tau(self.model, state, reference.ddq + u, state.wrench)
+        return linearising_tau(self.model, tick, tick["ddq_d"] + u)
 
-    def acceleration(self, state: State, errors: Array, tau: Array) -> Array:
+    def acceleration(self, tick: Record, errors: Array, tau: Array) -> Array:
         """Return J M^-1 J^T tau (6,) m/s^2."""
         del errors
-        answer: Array = _answer(self.model.constants, self.model.code, state.p, state.R, tau)[1]
+        answer: Array = _answer(self.model.constants, self.model.code, tick["p"], tick["R"], tau)[1]
         return answer
 
 
@@ -77,37 +71,26 @@ class PoseAxes:
     def __init__(self, model: Model) -> None:
         self.model = model
 
-    def errors(self, state: State, reference: Reference) -> Array:
+    def errors(self, tick: Record) -> Array:
         """Return [p_d - p, r; v_d - v, dr] (2, 6) m, rad and 1/s of them."""
-        return pose_errors(
-            state.p, state.R, state.twist, reference.p, reference.R, reference.twist
-        )  # fmt: skip
+        return pose_errors(*(tick[name] for name in ("p", "R", "twist", "p_d", "R_d", "twist_d")))
 
-    def tau(self, state: State, reference: Reference, errors: Array, u: Array) -> Array:
+    def tau(self, tick: Record, errors: Array, u: Array) -> Array:
         """Return tau (6,) N; NaN where J is singular."""
-        p, R, twist = state.p, state.R, state.twist
-        dtwist = demanded_dtwist(errors, u, twist, reference.twist, reference.dtwist)
+        model, twist = self.model, tick["twist"]
+        dtwist = demanded_dtwist(errors, u, twist, tick["twist_d"], tick["dtwist_d"])
         return inverse_dynamics_kernel(
-            self.model.constants, self.model.code, p, R, twist, dtwist, state.wrench
+            model.constants, model.code, tick["p"], tick["R"], twist, dtwist, tick["wrench"]
         )
 
-    def acceleration(self, state: State, errors: Array, tau: Array) -> Array:
+    def acceleration(self, tick: Record, errors: Array, tau: Array) -> Array:
         """Return [dv; L(r)^-1 E domega] (6,) m/s^2, rad/s^2."""
-        dtwist = _answer(self.model.constants, self.model.code, state.p, state.R, tau)[0]
+        dtwist = _answer(self.model.constants, self.model.code, tick["p"], tick["R"], tau)[0]
         return _pose_axes(errors, dtwist)
 
 
 AXES: dict[AxisSpace, Callable[[Model], Axes]] = {"joint": JointAxes, "pose": PoseAxes}
 """`axes` of a controller's file -> what linearises them."""
-
-
-@kernel(VECTOR, VECTOR, VECTOR, VECTOR)
-def _leg_errors(q: Array, dq: Array, q_d: Array, dq_d: Array) -> Array:
-    errors = np.empty((2, 6))
-    for i in range(6):
-        errors[0, i] = q_d[i] - q[i]
-        errors[1, i] = dq_d[i] - dq[i]
-    return errors
 
 
 @kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR)

@@ -5,8 +5,6 @@ it crosses over at 2.058 wn, K_P = wn^2, and has a phase margin of 76.35 deg; a 
 loop) takes w_c T of it. Which gains a bus carries follows: at 30 deg margin wn T = 0.39.
 """
 
-from __future__ import annotations
-
 from math import atan, degrees, inf, isinf, sqrt
 
 

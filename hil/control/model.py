@@ -1,10 +1,9 @@
 """From the configuration's `model` to what the controller believes of the robot."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from hil.config import LegSpin, ModelSettings
+from hil.config.model import ModelSettings
+from hil.config.values import LegSpin
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform

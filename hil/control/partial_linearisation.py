@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from drivers.arrays import Array
-from hil.config import ModelSettings, PartialLinearisationSettings
-from hil.control.inverse_dynamics import linearised_pd
-from hil.control.law import LawContext, error_gains
-from hil.control.model import build_model
-from hil.robot.dynamics import Model
-from hil.signals import NO_WRENCH, Effort, Reference, State
+from typing import Literal
+
+from drivers.tick import Record, copy_of
+from hil.config.model import MechanicsSettings, ModelSettings
+from hil.control.inverse_dynamics import JointInverseDynamics
+from hil.control.law import ErrorGains, LawContext
 
 
-class PartialLinearisation:
+class PartialLinearisationSettings(ErrorGains):
+    """Inverse dynamics in joint space without H and external load."""
+
+    compensates_wrench = False
+    law: Literal["partial_linearisation"]
+    model: MechanicsSettings = MechanicsSettings()
+
+    @property
+    def believed(self) -> ModelSettings:
+        """The law's model of the robot: always without H."""
+        return ModelSettings(variant="no_H", **dict(self.model))
+
+    def build(self, context: LawContext) -> PartialLinearisation:
+        """Return the law."""
+        return PartialLinearisation(context.model(self.believed), *self.gains())
+
+
+class PartialLinearisation(JointInverseDynamics):
     """tau = J^-T [M J^-1 (ddq* - J_dot twist) + G] + friction, ddq* = ddq_d + K_D dE + K_P E, E = q_d - q.
 
     The exact law less H and wrench, which stay as a disturbance: with exact M, G, J it leaves
@@ -21,24 +37,12 @@ class PartialLinearisation:
     No mutable state.
     """
 
-    def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
-        """Take a model of variant no_H; K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals."""
-        self.model = model
-        self.K_P = K_P
-        self.K_D = K_D
-
-    @classmethod
-    def build(cls, settings: PartialLinearisationSettings, context: LawContext) -> PartialLinearisation:
-        """Make the law and its model from their section of the configuration."""
-        believed = ModelSettings(variant="no_H", **dict(settings.model))
-        model = build_model(believed, context.platform, context.leg_spin)
-        return cls(model, *error_gains(settings.wn_rad_s, settings.damping_ratio))
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
-
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
-        del shortfall
-        unloaded = state._replace(wrench=NO_WRENCH)
-        return Effort(linearised_pd(self.model, self.K_P, self.K_D, unloaded, reference))
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        if not tick["wrench"].any():
+            super().effort(tick)
+            return
+        unloaded = copy_of(tick)
+        unloaded["wrench"] = 0.0
+        super().effort(unloaded)
+        tick["tau_law"] = unloaded["tau_law"]

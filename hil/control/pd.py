@@ -2,13 +2,64 @@
 
 from __future__ import annotations
 
+from math import sqrt
+from typing import Any, Literal
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import VECTOR, kernel
-from hil.config import DriveGains
-from hil.control.law import LawContext, per_leg
-from hil.signals import Effort, Reference, State
+from drivers.compiled.compiler import direct, record
+from drivers.tick import TICK, Record
+from hil.config.values import NonNegative, Positive, SixNonNegative, SixPositive
+from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, gains, per_leg
+
+GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("m", "<f8", 6)])
+
+
+class LegGains(LawSettings):
+    """Gains of a PD on leg lengths."""
+
+    kp_N_m: Positive | SixPositive
+    """One for all legs, or one per leg."""
+    kv_N_s_m: Positive | SixPositive
+
+    def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
+        """Return frequency and damping ratio of the heaviest motion of the legs under the largest gains."""
+        del mass
+        wn = sqrt(np.max(self.kp_N_m) / leg_mass)
+        return wn, float(np.max(self.kv_N_s_m) / (2.0 * wn * leg_mass))
+
+    @classmethod
+    def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
+        """Return gains of M E'' + K_v E' + K_p E = 0 by which the heaviest motion has wn and zeta.
+
+        The others are faster and better damped.
+        """
+        return {"kp_N_m": loop.leg_mass * loop.wn**2, "kv_N_s_m": 2.0 * loop.zeta * loop.wn * loop.leg_mass}
+
+
+class DriveGains(LegGains):
+    """A PD on leg lengths, and the acceleration feed-forward of each drive by itself."""
+
+    feedforward_mass_kg: NonNegative | SixNonNegative = 0.0
+    """m: what each drive accelerates along its leg, for drives whose gears dominate: rotary inertia times
+    (2 pi / lead)^2, and a share of the platform. One for all legs, or one per leg."""
+
+    def pd(self) -> JointPD:
+        """Return the PD of these gains."""
+        return JointPD(per_leg(self.kp_N_m), per_leg(self.kv_N_s_m), per_leg(self.feedforward_mass_kg))
+
+
+class PDSettings(DriveGains):
+    """Decentralised PD on leg lengths: tau = Kp (q_d - q) + Kv (dq_d - dq) + m ddq_d."""
+
+    uncertified = "its error dynamics are those of the platform: they change with the pose"
+    law: Literal["pd"]
+
+    def build(self, context: LawContext) -> JointPD:
+        """Return the law; it needs no model."""
+        del context
+        return self.pd()
 
 
 class JointPD:
@@ -24,34 +75,18 @@ class JointPD:
 
     def __init__(self, K_p: Array, K_v: Array, m: Array) -> None:
         """K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg are the diagonals."""
-        self.K_p = K_p
-        self.K_v = K_v
-        self.m = m
-
-    @classmethod
-    def build(cls, settings: DriveGains, context: LawContext) -> JointPD:
-        """Make the law from its section of the configuration; it needs no model."""
-        del context
-        return cls(
-            per_leg(settings.kp_N_m), per_leg(settings.kv_N_s_m), per_leg(settings.feedforward_mass_kg)
-        )
+        self.gains = gains(GAINS, K_p, K_v, m)
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N."""
-        del shortfall
-        return Effort(
-            _tau(self.K_p, self.K_v, self.m, state.q, state.dq, reference.q, reference.dq, reference.ddq)
-        )
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law."""
+        _fill(self.gains, tick)
 
 
-@kernel(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-def _tau(
-    K_p: Array, K_v: Array, m: Array, q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array
-) -> Array:
-    tau = np.empty(6)
+@direct(record(GAINS), record(TICK, *LAW_COLUMNS))
+def _fill(k: Any, tick: Any) -> None:
     for i in range(6):
-        tau[i] = K_p[i] * (q_d[i] - q[i]) + K_v[i] * (dq_d[i] - dq[i]) + m[i] * ddq_d[i]
-    return tau
+        e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
+        tick.tau_law[i] = k.K_p[i] * e + k.K_v[i] * de + k.m[i] * tick.ddq_d[i]

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Literal
 
-from drivers.arrays import Array
-from hil.config import PDGravitySettings
-from hil.control.law import LawContext
-from hil.control.model import build_model
-from hil.control.pd import JointPD
+from drivers.arrays import ZERO6
+from drivers.tick import Record
+from hil.control.law import LawContext, ModelBasedSettings
+from hil.control.pd import DriveGains, JointPD
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
-from hil.signals import NO_WRENCH, Effort, Reference, State
 
-_REST = np.zeros(6)
-_REST.flags.writeable = False
+
+class PDGravitySettings(DriveGains, ModelBasedSettings):
+    """Decentralised PD on leg lengths, and the forces that hold platform and legs up where they are.
+
+    Of the model, gravity counts.
+    """
+
+    uncertified = "its energy function belongs to a reference at rest; in motion it may grow"
+    law: Literal["pd_gravity"]
+
+    def build(self, context: LawContext) -> JointPDGravity:
+        """Return the law."""
+        return JointPDGravity(self.pd(), context.model(self.model))
 
 
 class JointPDGravity:
@@ -30,18 +39,14 @@ class JointPDGravity:
         self.pd = pd
         self.model = model
 
-    @classmethod
-    def build(cls, settings: PDGravitySettings, context: LawContext) -> JointPDGravity:
-        """Make the law and its model from their section of the configuration."""
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        return cls(JointPD.build(settings, context), model)
-
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        self.pd.effort(tick)
+        model = self.model
         weight = inverse_dynamics_kernel(
-            self.model.constants, self.model.code, state.p, state.R, _REST, _REST, NO_WRENCH
+            model.constants, model.code, tick["p"], tick["R"], ZERO6, ZERO6, ZERO6
         )
-        return Effort(self.pd.effort(state, reference, shortfall).tau + weight)
+        tick["tau_law"] += weight

@@ -2,22 +2,56 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import VECTOR, kernel
-from hil.config import PIDSettings
-from hil.control.law import LawContext, per_leg
-from hil.control.pd import JointPD
-from hil.signals import Effort, Reference, State
+from drivers.compiled.compiler import OUT_VECTOR, direct, record
+from drivers.tick import TICK, Record
+from hil.config.values import Positive, SixPositive
+from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, gains, per_leg
+from hil.control.pd import DriveGains, JointPD
+
+GAINS = np.dtype([("K_i_T", "<f8", 6), ("share", "<f8", 6), ("xi_max", "<f8", 6)])
+"""K_i times the period; what one call takes of the shortfall; largest xi."""
+
+
+class PIDSettings(DriveGains):
+    """Decentralised PID on leg lengths, with an integral that limits do not wind up."""
+
+    uncertified = (
+        "its error dynamics are those of the platform, and its integral is a state that is not measured"
+    )
+    law: Literal["pid"]
+    ki_N_m_s: Positive | SixPositive
+    """Integral gain, force per error and second; one for all legs, or one per leg."""
+    integral_limit_N: Positive | SixPositive
+    """Largest force of the integral, either way; at least what a leg carries at rest."""
+    tracking_time_s: Positive | None = None
+    """In which the integral gives back what a limit has taken; default sqrt(kv / ki)."""
+
+    def build(self, context: LawContext) -> JointPID:
+        """Return the law; it needs no model."""
+        K_i, xi_max = per_leg(self.ki_N_m_s), per_leg(self.integral_limit_N)
+        return JointPID(self.pd(), K_i, xi_max, context.period_s, self.tracking_time_s)
+
+    @classmethod
+    def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
+        """Return the gains of the PD, and a tenth of what K_i may be at most: Routh, K_i m < K_p K_v."""
+        return {
+            **super().derived(loop),
+            "ki_N_m_s": 0.2 * loop.zeta * loop.leg_mass * loop.wn**3,
+            "integral_limit_N": loop.force_limit,
+        }
 
 
 class JointPID:
     """tau = K_p e + K_v de + m ddq_d + xi, dxi/dt = K_i e + shortfall / T_t, |xi| <= xi_max; e = q_d - q.
 
     The integral takes away the error that a constant load leaves to a PD. While a limit holds the force back,
-    ``shortfall``, what was told less what was asked, leads xi to where the law asks for no more than the
-    limit gives (back-calculation: Astrom and Hagglund, PID Controllers, 1995, 3.5; by default with their
+    ``shortfall``, the force sent less the force asked for, leads xi to where the law asks for no more than
+    the limit gives (back-calculation: Astrom and Hagglund, PID Controllers, 1995, 3.5; by default with their
     T_t = sqrt(T_i T_d) = sqrt(K_v / K_i)). Euler's rule with the period of the loop; a T_t below one period
     counts as one period.
 
@@ -30,42 +64,24 @@ class JointPID:
     ) -> None:
         """K_i (6,) N/(m s) and xi_max (6,) N; T_t in s."""
         self.pd = pd
-        self.xi_max = xi_max
-        self.K_i_T = period_s * K_i
-        tracking = np.sqrt(pd.K_v / K_i) if T_t is None else np.full(6, T_t)
-        self.share = np.minimum(period_s / tracking, 1.0)
-        """(6,) of the shortfall that one call takes out of xi."""
+        tracking = np.sqrt(pd.gains["K_v"] / K_i) if T_t is None else np.full(6, T_t)
+        self.gains = gains(GAINS, period_s * K_i, np.minimum(period_s / tracking, 1.0), xi_max)
         self.reset()
-
-    @classmethod
-    def build(cls, settings: PIDSettings, context: LawContext) -> JointPID:
-        """Make the law from its section of the configuration; it needs no model."""
-        return cls(
-            JointPD.build(settings, context),
-            per_leg(settings.ki_N_m_s),
-            per_leg(settings.integral_limit_N),
-            context.period_s,
-            settings.tracking_time_s,
-        )
 
     def reset(self) -> None:
         """Forget the integral."""
         self.xi = np.zeros(6)
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; adds one period to the integral."""
-        tau = self.pd.effort(state, reference, shortfall).tau
-        self.xi = _integral(self.xi, self.K_i_T, self.share, self.xi_max, state.q, reference.q, shortfall)
-        return Effort(tau + self.xi)
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; adds one period to the integral."""
+        self.pd.effort(tick)
+        _integrate(self.gains, self.xi, tick)
 
 
-@kernel(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-def _integral(
-    xi: Array, K: Array, share: Array, xi_max: Array, q: Array, q_d: Array, shortfall: Array
-) -> Array:
-    """Return xi a period later; K is the integral gain times the period."""
-    after = np.empty(6)
+@direct(record(GAINS), OUT_VECTOR, record(TICK, *LAW_COLUMNS))
+def _integrate(k: Any, xi: Array, tick: Any) -> None:
+    """Take xi one period on and add it to tau_law."""
     for i in range(6):
-        value = xi[i] + K[i] * (q_d[i] - q[i]) + share[i] * shortfall[i]
-        after[i] = min(max(value, -xi_max[i]), xi_max[i])
-    return after
+        value = xi[i] + k.K_i_T[i] * (tick.q_d[i] - tick.q[i]) + k.share[i] * tick.shortfall[i]
+        xi[i] = min(max(value, -k.xi_max[i]), k.xi_max[i])
+        tick.tau_law[i] += xi[i]

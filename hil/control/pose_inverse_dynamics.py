@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import MATRIX, VECTOR, kernel
-from hil.config import PoseInverseDynamicsSettings
-from hil.control.law import LawContext, error_gains
-from hil.control.model import build_model
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, kernel, record
+from drivers.tick import TICK, Record
+from hil.control.inverse_dynamics import GAINS
+from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, ModelBasedSettings, gains
 from hil.mathematics.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
 from hil.mathematics.vectors import add, at, cross, rotate, rotate_back, sub
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
-from hil.signals import Effort, Reference, State
+
+
+class PoseInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
+    """Exact inverse dynamics in pose space."""
+
+    axes = "pose"
+    law: Literal["pose_inverse_dynamics"]
+
+    def build(self, context: LawContext) -> PoseInverseDynamics:
+        """Return the law."""
+        return PoseInverseDynamics(context.model(self.model), *self.gains())
 
 
 class PoseInverseDynamics:
@@ -37,28 +49,14 @@ class PoseInverseDynamics:
     def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
         """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals, position first, axes of the base frame."""
         self.model = model
-        self.K_P = K_P
-        self.K_D = K_D
-
-    @classmethod
-    def build(cls, settings: PoseInverseDynamicsSettings, context: LawContext) -> PoseInverseDynamics:
-        """Make the law and its model from their section of the configuration."""
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        return cls(model, *error_gains(settings.wn_rad_s, settings.damping_ratio))
+        self.gains = gains(GAINS, K_P, K_D)
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
-        del shortfall
-        p, R, twist = state.p, state.R, state.twist
-        dtwist = _dtwist(
-            self.K_P, self.K_D, p, R, twist, reference.p, reference.R, reference.twist, reference.dtwist
-        )
-        return Effort(
-            inverse_dynamics_kernel(self.model.constants, self.model.code, p, R, twist, dtwist, state.wrench)
-        )
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        _fill(self.gains, self.model.constants, self.model.code, tick)
 
 
 @kernel(VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR)
@@ -99,14 +97,12 @@ def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwis
     return dtwist
 
 
-@kernel(VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR)
-def _dtwist(
-    K_P: Array, K_D: Array,
-    p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array,
-) -> Array:  # fmt: skip
-    """Return dtwist* (6,) m/s^2, rad/s^2 of the class."""
-    errors = pose_errors(p, R, twist, p_d, R_d, twist_d)
+@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
+def _fill(k: Any, c: Array, code: int, tick: Any) -> None:
+    p, R, twist = tick.p, tick.R, tick.twist
+    errors = pose_errors(p, R, twist, tick.p_d, tick.R_d, tick.twist_d)
     u = np.empty(6)
     for i in range(6):
-        u[i] = K_D[i] * errors[1, i] + K_P[i] * errors[0, i]
-    return demanded_dtwist(errors, u, twist, twist_d, dtwist_d)
+        u[i] = k.K_D[i] * errors[1, i] + k.K_P[i] * errors[0, i]
+    dtwist = demanded_dtwist(errors, u, twist, tick.twist_d, tick.dtwist_d)
+    tick.tau_law[:] = inverse_dynamics_kernel(c, code, p, R, twist, dtwist, tick.wrench)

@@ -15,7 +15,7 @@ dx/dt = A x - B (w + d). With V = x^T P x
     dV/dt = -x^T Q x - 2 y^T (w + d) <= -x^T Q x - 2 |y| (rho - |d|)    outside |y| < epsilon
 
 falls for |d| <= rho; inside, dV/dt <= -x^T Q x + rho epsilon / 2: x ends in a ball that shrinks with epsilon.
-Where rho comes from: `hil.config.UncertaintySettings`.
+Where rho comes from: `UncertaintySettings`.
 
 Q = diag(K_D K_P, K_D) weighs a length against a rate as the error dynamics does, and gives
 y = de + K_D / 2 e, in m/s. At damping ratio 1, K_D / 2 = wn, that is dy/dt = -wn y - w - d: |y| < epsilon is
@@ -30,16 +30,71 @@ and T takes 57 deg w_c T of its 76 to 90 deg of phase margin; see `hil.control.m
 
 from __future__ import annotations
 
+from math import inf, sqrt
+from typing import Any, Literal
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import REAL, VECTOR, kernel
-from hil.config import RobustInverseDynamicsSettings
-from hil.control.inverse_dynamics import linearising_tau
-from hil.control.law import LawContext, error_gains
-from hil.control.model import build_model
+from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
+from drivers.tick import TICK, Record
+from hil.config.values import NonNegative
+from hil.control.law import (
+    LAW_COLUMNS,
+    DesiredLoop,
+    ErrorDynamics,
+    ErrorGains,
+    LawContext,
+    ModelBasedSettings,
+    gains,
+)
+from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
 from hil.robot.dynamics import Model
-from hil.signals import Effort, Reference, State
+from hil.robot.dynamics_kernels import joint_idc_kernel
+
+GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("rho", "<f8"), ("epsilon", "<f8")])
+
+
+class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
+    """Inverse dynamics with an outer loop that masters bounded uncertainty (Lyapunov redesign)."""
+
+    tuning = ("wn_rad_s and boundary_layer_m_s", "make wn smaller, the layer thicker,")
+    law: Literal["robust_inverse_dynamics"]
+    uncertainty: UncertaintySettings
+    boundary_layer_m_s: NonNegative
+    """epsilon, the |de + zeta wn e| over all legs below which the law is linear: |e| <= epsilon / wn at
+    damping ratio 1. 0 switches, and chatters."""
+
+    @property
+    def bound(self) -> float:
+        """rho, m/s^2: the uncertainty of six legs at once."""
+        return sqrt(6.0) * self.uncertainty.bound()
+
+    def build(self, context: LawContext) -> RobustInverseDynamics:
+        """Return the law."""
+        model = context.model(self.model)
+        return RobustInverseDynamics(model, *self.gains(), self.bound, self.boundary_layer_m_s)
+
+    def error_dynamics(self) -> ErrorDynamics:
+        """Return the error dynamics inside the boundary layer."""
+        K_P, K_D = self.gains()
+        slope, layer = K_D / 2.0, self.boundary_layer_m_s
+        steepness = self.bound / layer if layer > 0.0 else inf
+        gains = K_P + steepness * slope, K_D + steepness
+        return ErrorDynamics(*gains, slope=slope, steepness=steepness, layer=layer, shared=True)
+
+    def described(self) -> list[str]:
+        """Return the bound and the layer."""
+        return [f"bound rho {self.bound:.3g} m/s^2, boundary layer {self.boundary_layer_m_s:.3g} m/s"]
+
+    @classmethod
+    def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
+        """Return a bound of the disturbance, and a layer inside which the loop is no faster than without."""
+        return {
+            **super().derived(loop),
+            "uncertainty": {"disturbance_m_s2": ASSUMED_m_s2},
+            "boundary_layer_m_s": sqrt(6.0) * ASSUMED_m_s2 / loop.wn,
+        }
 
 
 class RobustInverseDynamics:
@@ -51,47 +106,27 @@ class RobustInverseDynamics:
     def __init__(self, model: Model, K_P: Array, K_D: Array, rho: float, epsilon: float) -> None:
         """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals; rho in m/s^2, epsilon in m/s."""
         self.model = model
-        self.K_P = K_P
-        self.K_D = K_D
-        self.rho = rho
-        self.epsilon = epsilon
-
-    @classmethod
-    def build(cls, settings: RobustInverseDynamicsSettings, context: LawContext) -> RobustInverseDynamics:
-        """Make the law and its model from their section of the configuration."""
-        gains = error_gains(settings.wn_rad_s, settings.damping_ratio)
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        return cls(model, *gains, settings.bound, settings.boundary_layer_m_s)
+        self.gains = gains(GAINS, K_P, K_D, rho, epsilon)
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
-        del shortfall
-        ddq_star = _ddq_star(
-            self.K_P, self.K_D, self.rho, self.epsilon,
-            state.q, state.dq, reference.q, reference.dq, reference.ddq,
-        )  # fmt: skip
-        return Effort(linearising_tau(self.model, state, ddq_star, state.wrench))
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        _fill(self.gains, self.model.constants, self.model.code, tick)
 
 
-@kernel(VECTOR, VECTOR, REAL, REAL, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-def _ddq_star(
-    K_P: Array, K_D: Array, rho: float, epsilon: float,
-    q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array,
-) -> Array:  # fmt: skip
-    ddq_star = np.empty(6)
-    y = np.empty(6)
+@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
+def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
+    ddq_star, y = np.empty(6), np.empty(6)
     square = 0.0
     for i in range(6):
-        e = q_d[i] - q[i]
-        de = dq_d[i] - dq[i]
-        ddq_star[i] = ddq_d[i] + K_D[i] * de + K_P[i] * e
-        y[i] = de + 0.5 * K_D[i] * e
+        e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
+        ddq_star[i] = tick.ddq_d[i] + g.K_D[i] * de + g.K_P[i] * e
+        y[i] = de + 0.5 * g.K_D[i] * e
         square += y[i] * y[i]
-    size = max(np.sqrt(square), epsilon)
+    size = max(np.sqrt(square), g.epsilon)
     if size > 0.0:
         for i in range(6):
-            ddq_star[i] += rho * (y[i] / size)
-    return ddq_star
+            ddq_star[i] += g.rho * (y[i] / size)
+    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)

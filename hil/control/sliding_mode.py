@@ -12,7 +12,7 @@ ds/dt = d - k sat(s / phi). For |d| <= D, k = D + eta, outside the boundary laye
     d/dt s^2 / 2 = s d - k |s| <= -eta |s|
 
 so that s is inside within |s(0)| / eta and stays there. Inside, e follows from de + lambda e = s, a lag of
-first order: |e| <= phi / lambda, whatever d is. Where D comes from: `hil.config.UncertaintySettings`.
+first order: |e| <= phi / lambda, whatever d is. Where D comes from: `UncertaintySettings`.
 
 What it costs: inside the layer the law is linear, e'' + (lambda + k / phi) e' + lambda k / phi e = d, no
 better and no worse than exact inverse dynamics with these gains. Its poles are -lambda and -k / phi, and
@@ -25,16 +25,81 @@ a changed sign acts, and the force chatters between its extremes.
 
 from __future__ import annotations
 
+from math import inf
+from typing import Any, Literal
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import REAL, VECTOR, kernel
-from hil.config import SlidingModeSettings
-from hil.control.inverse_dynamics import linearising_tau
-from hil.control.law import LawContext
-from hil.control.model import build_model
+from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
+from drivers.tick import TICK, Record
+from hil.config.values import NonNegative, Positive
+from hil.control.law import LAW_COLUMNS, DesiredLoop, ErrorDynamics, LawContext, ModelBasedSettings, gains
+from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
 from hil.robot.dynamics import Model
-from hil.signals import Effort, Reference, State
+from hil.robot.dynamics_kernels import joint_idc_kernel
+
+GAINS = np.dtype([("slope", "<f8"), ("k", "<f8"), ("phi", "<f8")])
+
+
+class SlidingModeSettings(ModelBasedSettings):
+    """Sliding mode on the leg lengths with a boundary layer, s = de + lambda e."""
+
+    axes = "joint"
+    tuning = ("lambda_rad_s and boundary_layer_m_s", "make lambda smaller, the layer thicker,")
+    law: Literal["sliding_mode"]
+    lambda_rad_s: Positive
+    """Slope of the sliding surface: on it an error decays as exp(-lambda t)."""
+    uncertainty: UncertaintySettings
+    """The switching gain k is its bound and the reaching acceleration on top."""
+    reaching_m_s2: Positive
+    """How fast s approaches the boundary layer at least, whatever the uncertainty does."""
+    boundary_layer_m_s: NonNegative | None = None
+    """phi, the |s| below which the law is linear: |e| <= phi / lambda. Default k / lambda, which gives the
+    linear law two poles at lambda; 0 switches, and chatters."""
+
+    @property
+    def switching_gain(self) -> float:
+        """k, m/s^2."""
+        return self.uncertainty.bound(self.reaching_m_s2)
+
+    @property
+    def boundary_layer(self) -> float:
+        """phi, m/s."""
+        phi = self.boundary_layer_m_s
+        return self.switching_gain / self.lambda_rad_s if phi is None else phi
+
+    def build(self, context: LawContext) -> SlidingMode:
+        """Return the law."""
+        model = context.model(self.model)
+        return SlidingMode(model, self.lambda_rad_s, self.switching_gain, self.boundary_layer)
+
+    def error_dynamics(self) -> ErrorDynamics:
+        """Return the error dynamics inside the boundary layer."""
+        slope, phi = self.lambda_rad_s, self.boundary_layer
+        steepness = self.switching_gain / phi if phi > 0.0 else inf
+        gains = np.full(6, slope * steepness), np.full(6, slope + steepness)
+        return ErrorDynamics(*gains, slope=slope, steepness=steepness, layer=phi)
+
+    def described(self) -> list[str]:
+        """Return gain, layer and the error that the layer allows."""
+        phi = self.boundary_layer
+        layer = f"boundary layer {phi:.3g} m/s: |e| <= {1e3 * phi / self.lambda_rad_s:.3g} mm"
+        return [f"switching gain {self.switching_gain:.3g} m/s^2, {layer}"]
+
+    def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
+        """Return lambda, rad/s: two poles there."""
+        del leg_mass, mass
+        return self.lambda_rad_s, 1.0
+
+    @classmethod
+    def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
+        """Return a bound of the disturbance, and two poles at zeta wn inside the boundary layer."""
+        return {
+            "lambda_rad_s": loop.zeta * loop.wn,
+            "uncertainty": {"disturbance_m_s2": ASSUMED_m_s2},
+            "reaching_m_s2": ASSUMED_m_s2,
+        }
 
 
 class SlidingMode:
@@ -47,36 +112,22 @@ class SlidingMode:
     def __init__(self, model: Model, slope: float, k: float, phi: float) -> None:
         """Take lambda in 1/s (``slope``), k in m/s^2 and phi in m/s, the same for all legs."""
         self.model = model
-        self.slope = slope
-        self.k = k
-        self.phi = phi
-
-    @classmethod
-    def build(cls, settings: SlidingModeSettings, context: LawContext) -> SlidingMode:
-        """Make the law and its model from their section of the configuration."""
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        return cls(model, settings.lambda_rad_s, settings.switching_gain, settings.boundary_layer)
+        self.gains = gains(GAINS, slope, k, phi)
 
     def reset(self) -> None:
         """Nothing is accumulated."""
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular."""
-        del shortfall
-        ddq_star = _ddq_star(
-            self.slope, self.k, self.phi, state.q, state.dq, reference.q, reference.dq, reference.ddq
-        )
-        return Effort(linearising_tau(self.model, state, ddq_star, state.wrench))
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        _fill(self.gains, self.model.constants, self.model.code, tick)
 
 
-@kernel(REAL, REAL, REAL, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-def _ddq_star(
-    slope: float, k: float, phi: float, q: Array, dq: Array, q_d: Array, dq_d: Array, ddq_d: Array
-) -> Array:
+@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
+def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
     ddq_star = np.empty(6)
     for i in range(6):
-        de = dq_d[i] - dq[i]
-        s = de + slope * (q_d[i] - q[i])
-        switched = s / phi if abs(s) < phi else np.sign(s)
-        ddq_star[i] = ddq_d[i] + slope * de + k * switched
-    return ddq_star
+        de = tick.dq_d[i] - tick.dq[i]
+        s = de + g.slope * (tick.q_d[i] - tick.q[i])
+        switched = s / g.phi if abs(s) < g.phi else np.sign(s)
+        ddq_star[i] = tick.ddq_d[i] + g.slope * de + g.k * switched
+    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)

@@ -22,21 +22,57 @@ No delay compensation: the delay is in the axis that the controller was designed
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any, Literal, Self
 
-from drivers.arrays import Array
+import numpy as np
+from pydantic import model_validator
+
+from drivers.arrays import ZERO6, Array
 from drivers.compiled.compiler import MATRIX, OUT_MATRIX, VECTOR, kernel
 from drivers.errors import ConfigurationError
-from hil.config import StateSpaceSettings
+from drivers.tick import Record
 from hil.config.linear_controller import LinearController
-from hil.control.law import LawContext
+from hil.control.law import DesiredLoop, LawContext, ModelBasedSettings
 from hil.control.linearised_axes import AXES, Axes
-from hil.control.model import build_model
-from hil.signals import Effort, Reference, State
 
 _INPUTS = {"error": 0, "rate_error": 1}
 """Row of the axes' errors."""
-_NONE = np.zeros(6)
+
+
+class StateSpaceSettings(ModelBasedSettings):
+    """A controller of `hil design` around inverse dynamics: ddq* = ddq_d + u, in the file's axes."""
+
+    axes = "designed"
+    uncertified = "its own states are part of the error dynamics"
+    law: Literal["state_space"]
+    controller_file: str
+    """What `hil design` wrote, relative to this file's folder, or the name of a shipped one: hinf."""
+
+    @model_validator(mode="after")
+    def _no_looking_ahead(self) -> Self:
+        if self.delay_compensation is not None:
+            raise ValueError(
+                "delay_compensation has no meaning for law state_space: its controller was designed for an "
+                "axis with the delay in it, and one that looks ahead is another axis; leave it out"
+            )
+        return self
+
+    def build(self, context: LawContext) -> StateSpace:
+        """Return the law, which runs the controller of the context.
+
+        Raises ConfigurationError where the controller was sampled for another rate than the loop's.
+        """
+        controller = context.controller
+        if controller is None:
+            raise ConfigurationError(f"controller.controller_file: {self.controller_file} was not read")
+        require_rate(controller, 1.0 / context.period_s)
+        return StateSpace(AXES[controller.axes](context.model(self.model)), controller)
+
+    @classmethod
+    def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
+        """Return the shipped controller, at the rate and for the delay that it was made for."""
+        del loop
+        return {"controller_file": "hinf", "delay_compensation": None}
 
 
 class StateSpace:
@@ -60,36 +96,20 @@ class StateSpace:
         self.L = np.array(controller.anti_windup, float)
         self.reset()
 
-    @classmethod
-    def build(cls, settings: StateSpaceSettings, context: LawContext) -> StateSpace:
-        """Make the law from its section and the controller of the context.
-
-        Raises ConfigurationError where the controller was sampled for another rate than the loop's.
-        """
-        controller = context.controller
-        if controller is None:
-            raise ConfigurationError(f"controller.controller_file: {settings.controller_file} was not read")
-        require_rate(controller, 1.0 / context.period_s)
-        model = build_model(settings.model, context.platform, context.leg_spin)
-        return cls(AXES[controller.axes](model), controller)
-
     def reset(self) -> None:
         """Back to x = 0."""
         self.x = np.zeros((self.order, 6))
 
-    def effort(self, state: State, reference: Reference, shortfall: Array) -> Effort:
-        """Return tau (6,) N; NaN where J is singular. Takes the controller one step on."""
-        errors = self.axes.errors(state, reference)
-        taken = self.axes.acceleration(state, errors, shortfall) if shortfall.any() else _NONE
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular. Takes the controller one step on."""
+        errors, shortfall = self.axes.errors(tick), tick["shortfall"]
+        taken = self.axes.acceleration(tick, errors, shortfall) if shortfall.any() else ZERO6
         u = _step(self.A, self.B, self.C, self.D, self.L, self.x, errors, taken)
-        return Effort(self.axes.tau(state, reference, errors, u))
+        tick["tau_law"] = self.axes.tau(tick, errors, u)
 
 
 def require_rate(controller: LinearController, rate_Hz: float) -> None:
-    """Refuse to run a controller at another rate than that it was sampled for.
-
-    Raises ConfigurationError.
-    """
+    """Refuse to run a controller at another rate than that it was sampled for. Raises ConfigurationError."""
     if abs(controller.rate_Hz - rate_Hz) > 1e-9 * rate_Hz:
         raise ConfigurationError(
             f"controller.controller_file: made for {controller.rate_Hz:g} Hz, and the loop runs at "

@@ -1,18 +1,16 @@
-"""From the filter to the cycle's Estimate: which legs may be lost, what warns and what faults."""
-
-from __future__ import annotations
-
-from collections.abc import Sequence
+"""From the filter to the estimate of a tick: which legs may be lost, what warns and what faults."""
 
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.sensors import Readings
-from drivers.signals import LEGS, Measurement
-from hil.config import FusionSettings
-from hil.estimation.fusion import Fused, FusedEstimator
+from drivers.signals import LEGS, Fault, Warn
+from drivers.tick import Record
+from hil.config.estimation import FusionSettings
+from hil.estimation.fusion import FusedEstimator, Health
 from hil.safety.encoders import contradicted, excused, uncertain
-from hil.signals import NO_WRENCH, Estimate, Fault, Fusion, State, Warn
+
+_ALL_LEGS = (1 << LEGS) - 1
 
 
 class PoseFusion:
@@ -40,44 +38,23 @@ class PoseFusion:
         self._estimator.start(tick, t_ns, p, R)
         self.R = R
 
-    def estimate(
-        self,
-        tick: int,
-        t_ns: int,
-        measurement: Measurement,
-        readings: Readings,
-        command: Array,
-        wrench: Array = NO_WRENCH,
-    ) -> Estimate:
-        """Return the estimate at the latching of `tick`; see `FusedEstimator.update`."""
-        fused = self._estimator.update(tick, t_ns, measurement, readings, command, wrench)
-        self.R = fused.R
-        state = State(fused.q, fused.dq, fused.p, fused.R, fused.twist, fused.J, 0, fused.residual, wrench)
-        return Estimate(state, fused.condition, 0.0, self._judge(fused, measurement))
+    def estimate(self, tick: Record, t_ns: int, readings: Readings, command: Array, wrench: Array) -> None:
+        """Fill estimate and fusion of a tick; see `FusedEstimator.update`."""
+        self._judge(tick, self._estimator.update(tick, t_ns, readings, command, wrench))
+        self.R = tick["R"]
 
-    def _judge(self, fused: Fused, measurement: Measurement) -> Fusion:
-        allowed = excused(fused.lost, self._may_lose, self._at_once)
+    def _judge(self, tick: Record, health: Health) -> None:
+        allowed = excused(health.lost, self._may_lose, self._at_once)
         faults, warnings = Fault.NONE, Warn.NONE
-        if any(fused.lost):
+        if any(health.lost):
             warnings |= Warn.ENCODER
-        if fused.missed:
+        if health.missed:
             warnings |= Warn.SENSOR
-        if contradicted(fused.slipped, allowed):
+        if contradicted(health.slipped, allowed):
             faults |= Fault.ENCODER
-        alone = fused.gap_s if any(allowed) else 0.0
-        if uncertain(fused.position_std, self._std_max) or uncertain(alone, self._gap_max):
+        alone = health.gap_s if any(allowed) else 0.0
+        if uncertain(health.position_std, self._std_max) or uncertain(alone, self._gap_max):
             faults |= Fault.UNCERTAIN
-        return Fusion(
-            used=_bits(fused.used),
-            lost=_bits(fused.lost),
-            slipped=_bits(fused.slipped),
-            tracker=fused.tracker,
-            figures=np.concatenate((fused.innovation, fused.tracker_innovation, fused.std)),
-            ages=np.where(np.array(allowed), 0, measurement.age),
-            warnings=warnings,
-            faults=faults,
-        )
-
-
-def _bits(legs: Sequence[bool]) -> int:
-    return sum(1 << leg for leg in range(LEGS) if legs[leg])
+        tick["counted_age"] = np.where(np.array(allowed), 0, tick["age"])
+        tick["unseen"] = tick["legs_used"] != _ALL_LEGS
+        tick["fusion_faults"], tick["fusion_warnings"] = faults, warnings

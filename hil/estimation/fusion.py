@@ -20,8 +20,7 @@ covariances and measurements of the last ticks, puts the sample where it belongs
 result is that of a filter to which nothing was late. What was decided about a leg before stays decided.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from math import ceil, inf, sqrt
 from typing import NamedTuple
 
@@ -30,8 +29,9 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.sensors import Readings, Sample
-from drivers.signals import LEGS, DriveState, Measurement
-from hil.config import FusionSettings
+from drivers.signals import LEGS, DriveState
+from drivers.tick import Record
+from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_kernels import observed_kernel, rerun_kernel
 from hil.estimation.fusion_predict import accelerate_kernel
@@ -53,43 +53,18 @@ _START_STD = (1e-3, 1e-2, 1e-3, 1e-3)
 """Pose m and rad, linear and angular rate of a platform at rest whose legs have just been heard."""
 
 
-class Fused(NamedTuple):
-    """One tick of the filter."""
+class Health(NamedTuple):
+    """What of the filter's work safety judges, beside what stands in the tick."""
 
-    q: Array
-    """(6,) m, lengths of the fused pose."""
-    dq: Array
-    """(6,) m/s."""
-    p: Array
-    R: Array
-    twist: Array
-    J: Array
-    residual: float
-    """m, largest |measured - q| of the legs that were used."""
-    condition: float
-    used: tuple[bool, ...]
-    """Which legs' encoders were used."""
     lost: tuple[bool, ...]
     """Which legs' encoders do not count: silent, blind, slipped."""
     slipped: tuple[bool, ...]
-    innovation: Array
-    """(6,) m, measured less predicted length, whether it was used or not."""
-    tracker: int
-    """1 the tracker's newest sample was used, -1 refused, 0 none came."""
-    tracker_innovation: Array
-    """(6,) m, rad: that of the newest sample that came in this tick; 0 without."""
-    std: Array
-    """(6,) m, rad: the filter's own standard deviation of the pose, base frame."""
+    position_std: float
+    """m, the filter's own standard deviation of the position over all directions."""
     gap_s: float
     """Since the tracker's last sample of use arrived."""
     missed: bool
     """A configured tracker or IMU has been silent, refused or too late for SILENT_SAMPLES of its periods."""
-
-    @property
-    def position_std(self) -> float:
-        """m, over all directions."""
-        x, y, z = self.std[:3].tolist()
-        return sqrt(x * x + y * y + z * z)
 
 
 class FusedEstimator:
@@ -156,54 +131,49 @@ class FusedEstimator:
         self.slipped = [False] * LEGS
         self._heard = [tick, tick]
 
-    def update(
-        self,
-        tick: int,
-        t_ns: int,
-        measurement: Measurement,
-        readings: Readings,
-        command: Array,
-        wrench: Array,
-    ) -> Fused:
-        """Return the state at the latching of `tick`, which is after that of the last call. Never raises.
+    def update(self, tick: Record, t_ns: int, readings: Readings, command: Array, wrench: Array) -> Health:
+        """Fill estimate and fusion of a tick, at its latching, from its measurement. Never raises.
 
-        t_ns: when its SYNC was sent, whatever the clock; only differences count.
-        command (6,) N: forces last sent; wrench (6,) N, N m: external load on the platform, base frame.
+        The tick is after that of the last call. t_ns: when its SYNC was sent, whatever the clock; only
+        differences count. command (6,) N: forces last sent; wrench (6,) N, N m: external load on the
+        platform, base frame. innovation_q counts whether a leg was used or not; innovation_tracker is that
+        of the newest sample that came in this tick, 0 without.
         """
-        self._open(tick, t_ns, measurement, command, wrench)
+        self._open(tick, t_ns, command, wrench)
         first, tracked = self._place(readings)
         size = len(self._states)
         count = (self._newest - first) % size + 1
         rerun_kernel(
             self._a, self._b, self._noise, self._intervals, self._states, self._covariances, first, count
         )
-        return self._close(measurement, tracked)
+        return self._close(tick, tracked)
 
     # -- before the kernel ---------------------------------------------------------------------------
 
-    def _open(self, tick: int, t_ns: int, measurement: Measurement, command: Array, wrench: Array) -> None:
-        """Begin the interval that ends at `tick`."""
+    def _open(self, tick: Record, t_ns: int, command: Array, wrench: Array) -> None:
+        """Begin the interval that ends at the tick."""
         size = len(self._states)
         before = self._newest
         self._newest = now = (before + 1) % size
         self._count = min(self._count + 1, size)
-        self._ticks[now] = tick
+        self._ticks[now] = int(tick["tick"])
         self._latched[now] = t_ns
         u = self._intervals[now]
         u[:] = 0.0
         u[k.T] = (t_ns - self._latched[before]) * 1e-9
         u[k.FADE] = 1.0
-        u[k.LENGTH : k.LENGTH + 6] = measurement.length
-        u[k.RATE : k.RATE + 6] = measurement.rate
-        ages = measurement.age.tolist()
-        free = bool((measurement.state == DriveState.RUN).all())
-        stands = self._stands(measurement)
+        u[k.LENGTH : k.LENGTH + 6] = tick["length"]
+        u[k.RATE : k.RATE + 6] = tick["rate"]
+        age = tick["age"]
+        ages = age.tolist()
+        free = bool((tick["drive_state"] == DriveState.RUN).all())
+        stands = self._stands(tick)
         for leg in range(LEGS):
             if ages[leg] == 0 and not self.slipped[leg]:
                 doubted = (free or stands) and self._left_out[leg] < LEFT_OUT_TICKS
                 u[k.USED + leg] = 1.0 if doubted else k.KEPT
-        heard = (measurement.age == 0) | measurement.blind
-        tau = np.where(heard, measurement.force, command)
+        heard = (age == 0) | (tick["blind"] != 0)
+        tau = np.where(heard, tick["drive_force"], command)
         if free:
             mean = tau if self._tau is None else 0.5 * (tau + self._tau)
             model = self._model
@@ -214,11 +184,11 @@ class FusedEstimator:
             if stands and u[k.T] > 0.0:
                 u[k.DTWIST : k.DTWIST + 6] = self._states[before, 12:18] / -u[k.T]
 
-    def _stands(self, measurement: Measurement) -> bool:
+    def _stands(self, tick: Record) -> bool:
         """Tell whether all brakes are shut and no leg that is heard moves."""
-        fresh = measurement.age == 0
-        shut = not (measurement.state == DriveState.RUN).any()
-        return shut and bool(fresh.any()) and float(np.abs(measurement.rate[fresh]).max()) < STANDING_m_s
+        fresh = tick["age"] == 0
+        shut = not (tick["drive_state"] == DriveState.RUN).any()
+        return shut and bool(fresh.any()) and float(np.abs(tick["rate"][fresh]).max()) < STANDING_m_s
 
     def _instant(self, sample: Sample) -> float | None:
         """Return when a sample was taken, ns on the clock of `update`; None if the rings do not reach."""
@@ -268,15 +238,16 @@ class FusedEstimator:
 
     # -- after the kernel ----------------------------------------------------------------------------
 
-    def _close(self, measurement: Measurement, tracked: int | None) -> Fused:
+    def _close(self, tick: Record, tracked: int | None) -> Health:
         now = self._newest
-        tick = self._ticks[now]
         x, u, P = self._states[now], self._intervals[now], self._covariances[now]
-        q, dq, J = np.empty(6), np.empty(6), np.empty((6, 6))
-        residual, condition = observed_kernel(self._a, self._b, self._radius, x, u, q, dq, J)
-        innovation = u[k.INNOVATION : k.INNOVATION + 6].copy()
-        used = tuple(share != 0.0 for share in u[k.USED : k.USED + 6].tolist())
-        ages = measurement.age.tolist()
+        tick["fk_residual"], tick["condition"] = observed_kernel(
+            self._a, self._b, self._radius, x, u, tick["q"], tick["dq"], tick["J"]
+        )
+        tick["p"], tick["R"], tick["twist"] = x[0:3], x[3:12].reshape(3, 3), x[12:18]
+        tick["innovation_q"] = innovation = u[k.INNOVATION : k.INNOVATION + 6]
+        used = [share != 0.0 for share in u[k.USED : k.USED + 6].tolist()]
+        ages = tick["age"].tolist()
         for leg, off in enumerate(innovation.tolist()):
             left_out = ages[leg] == 0 and not used[leg]
             self._left_out[leg] = self._left_out[leg] + 1 if left_out else 0
@@ -284,25 +255,33 @@ class FusedEstimator:
             if self._against[leg] >= SLIP_TICKS:
                 self.slipped[leg] = True
         lost = tuple(
-            age >= LOST_TICKS or blind or slipped
-            for age, blind, slipped in zip(ages, measurement.blind.tolist(), self.slipped, strict=True)
+            age >= LOST_TICKS or blind != 0 or slipped
+            for age, blind, slipped in zip(ages, tick["blind"].tolist(), self.slipped, strict=True)
         )
-        tracker, tracker_innovation = 0, np.zeros(6)
+        number = self._ticks[now]
         if tracked is not None:
             v = self._intervals[tracked]
-            tracker = int(v[k.TRACKER])
-            tracker_innovation = v[k.TRACKER_INNOVATION : k.TRACKER_INNOVATION + 6].copy()
-            if tracker > 0:
-                self._heard[0] = tick
+            tick["tracker"] = int(v[k.TRACKER])
+            tick["innovation_tracker"] = v[k.TRACKER_INNOVATION : k.TRACKER_INNOVATION + 6]
+            if v[k.TRACKER] > 0:
+                self._heard[0] = number
         missed = any(
-            tick - heard > patience for heard, patience in zip(self._heard, self._patience, strict=True)
+            number - heard > patience for heard, patience in zip(self._heard, self._patience, strict=True)
         )
-        std = np.sqrt(np.maximum(P.diagonal()[:6], 0.0))
-        p, R, twist = x[0:3].copy(), x[3:12].reshape(3, 3).copy(), x[12:18].copy()
-        return Fused(
-            q, dq, p, R, twist, J, residual, condition, used, lost, tuple(self.slipped), innovation, tracker,
-            tracker_innovation, std, (tick - self._heard[0]) * self._period_s, missed,
-        )  # fmt: skip
+        tick["pose_std"] = std = np.sqrt(np.maximum(P.diagonal()[:6], 0.0))
+        sx, sy, sz = std[:3].tolist()
+        tick["legs_used"], tick["legs_lost"], tick["legs_slipped"] = map(_bits, (used, lost, self.slipped))
+        return Health(
+            lost,
+            tuple(self.slipped),
+            sqrt(sx * sx + sy * sy + sz * sz),
+            (number - self._heard[0]) * self._period_s,
+            missed,
+        )
+
+
+def _bits(legs: Sequence[bool]) -> int:
+    return sum(1 << leg for leg in range(LEGS) if legs[leg])
 
 
 def _write_tracker(u: Array, share: float, sample: Sample) -> None:

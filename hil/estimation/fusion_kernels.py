@@ -9,8 +9,6 @@ State x (24,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 an
 frame.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

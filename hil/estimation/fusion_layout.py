@@ -1,7 +1,5 @@
 """Where the state, an interval and the noise of the filter of `hil.estimation.fusion` keep what they hold."""
 
-from __future__ import annotations
-
 STATE = 24
 TWIST, GYRO_BIAS, FORCE_BIAS = 12, 18, 21
 

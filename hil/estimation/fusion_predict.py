@@ -1,7 +1,5 @@
 """The filter's prediction: state and covariance over a part of an interval."""
 
-from __future__ import annotations
-
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kernel
 from hil.estimation.fusion_layout import (

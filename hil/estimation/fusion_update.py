@@ -1,7 +1,5 @@
 """The measurements of the filter of `hil.estimation.fusion`, taken one number at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

@@ -18,20 +18,18 @@ feedback carries a force, too, but not in every layout, as one sample where the 
 needed, in steps of 2 N, and from another sensor on every drive.
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from math import pi
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel
+from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, REAL, VECTOR, direct, record
 from drivers.signals import DriveState
+from drivers.tick import TICK, Record
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import add_friction, fill_jacobian, model_force
 from hil.robot.force_path import ForcePath, decay
-from hil.signals import NO_WRENCH, State
 
 _POWERED = (DriveState.READY, DriveState.RUN)
 
@@ -40,7 +38,7 @@ class WrenchObserver:
     """Estimates the wrench on the platform that is not of the model: first order, `bandwidth_Hz`.
 
     What the model does not hold counts as external: wrong masses, friction, a drive that does not give the
-    force it is told.
+    force commanded.
 
     Mutable state: the residual, the last state and tick, the forces under way. `reset` forgets all.
     """
@@ -56,65 +54,65 @@ class WrenchObserver:
         """No load, no force under way."""
         self._path.reset()
         self._tick: int | None = None
-        self._last: State | None = None
-        self.residual = NO_WRENCH
+        self._last: Record | None = None
+        self.residual = ZERO6
         """(6,) N, N m: r, the estimate."""
 
     def sent(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
         self._path.send(command)
 
-    def observe(self, tick: int, state: State, drive_state: Sequence[int], *, seen: bool = True) -> Array:
+    def observe(self, tick: Record, *, seen: bool = True) -> Array:
         """Return the estimate (6,) N, N m at this tick's measurement; call it once a tick.
 
-        drive_state: six DriveState. While a brake is shut it carries what it carries: the estimate stays as
-        it is, so that the force does not change while brakes shut one after the other, and goes on from the
-        momentum of the first tick with all brakes open. A drive without force makes it zero.
-        seen: the motion is measured in all directions. Where it is not, a model that is told this estimate
+        While a brake is shut it carries what it carries: the estimate stays as it is, so that the force does
+        not change while brakes shut one after the other, and goes on from the momentum of the first tick with
+        all brakes open. A drive without force makes it zero.
+        seen: the motion is measured in all directions. Where it is not, a model that is given this estimate
         carries the state on, and would confirm whatever it says: the estimate stays as it is, too.
         """
-        periods = 1 if self._tick is None else tick - self._tick
+        number = int(tick["tick"])
+        periods = 1 if self._tick is None else number - self._tick
         tau = self._path.advance(periods)
-        self._tick = tick
-        if not all(s == DriveState.RUN for s in drive_state):
+        self._tick = number
+        drives = tick["drive_state"].tolist()
+        if not all(s == DriveState.RUN for s in drives):
             self._last = None
-            if not all(s in _POWERED for s in drive_state):
-                self.residual = NO_WRENCH
+            if not all(s in _POWERED for s in drives):
+                self.residual = ZERO6
             return self.residual
         if not seen:
             self._last = None
             return self.residual
-        last, self._last = self._last, state
+        last, self._last = self._last, tick
         if last is not None:
-            w = unexplained_kernel(
-                self.model.constants,
-                self.model.code,
-                last.p,
-                last.R,
-                last.twist,
-                state.p,
-                state.R,
-                state.twist,
-                tau,
-                periods * self._path.period_s,
-            )
+            w = np.empty(6)
+            T = periods * self._path.period_s
+            fill_unexplained(self.model.constants, self.model.code, last, tick, tau, T, w)
             self.residual = w + (self.residual - w) * self._left**periods
         return self.residual
 
 
-@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
-def unexplained_kernel(
-    c: Array, code: int,
-    p0: Array, R0: Array, v0: Array, p1: Array, R1: Array, v1: Array, tau: Array, T: float,
-) -> Array:  # fmt: skip
-    """Return w (6,) N, N m, the mean over T s of M dtwist + H + G - J^T (tau - friction).
+@direct(
+    VECTOR,
+    INTEGER,
+    record(TICK, "p", "R", "twist"),
+    record(TICK, "p", "R", "twist"),
+    VECTOR,
+    REAL,
+    OUT_VECTOR,
+)
+def fill_unexplained(c: Array, code: int, last: Any, tick: Any, tau: Array, T: float, w: Array) -> None:
+    """Fill w (6,) N, N m, the mean over T s of M dtwist + H + G - J^T (tau - friction).
 
-    The platform moved from p0, R0 with the twist v0 to p1, R1 with v1; tau (6,) N is the mean leg force.
+    The platform moved from the pose and twist of the last tick to those of this one; tau (6,) N is the mean
+    leg force.
     """
-    dtwist = (v1 - v0) / T
-    w, f, net, J = np.zeros(6), np.empty(6), np.empty(6), np.empty((6, 6))
+    dtwist = (tick.twist - last.twist) / T
+    w[:] = 0.0
+    f, net, J = np.empty(6), np.empty(6), np.empty((6, 6))
     for end in range(2):
-        p, R, twist = (p0, R0, v0) if end == 0 else (p1, R1, v1)
+        p, R, twist = (last.p, last.R, last.twist) if end == 0 else (tick.p, tick.R, tick.twist)
         model_force(c, code, p, R, twist, dtwist, f)
         fill_jacobian(c, code, p, R, J)
         net[:] = tau
@@ -124,4 +122,3 @@ def unexplained_kernel(
             for i in range(6):
                 total -= J[i, j] * net[i]
             w[j] += 0.5 * total
-    return w

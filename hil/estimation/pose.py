@@ -11,39 +11,18 @@ displacement of a platform joint. hop >= 1 means that the change of the lengths 
 change of the pose. Tracking at 1 kHz gives about 0.01.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct, record
+from drivers.tick import TICK, Record, part
+from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import MAX_SUBSTEPS, check_rotation, check_vector
-from hil.robot.kinematics_kernels import continuation_kernel, estimate_kernel
-
-
-class Estimate(NamedTuple):
-    """One tick's pose and rate."""
-
-    p: Array
-    """(3,) m, platform origin in the base frame."""
-    R: Array
-    """(3, 3), x_base = p + R x_platform."""
-    twist: Array
-    """(6,) m/s, rad/s: [v of the platform origin; omega], base frame; nan where J is singular."""
-    J: Array
-    """(6, 6) at p, R: dq = J twist."""
-    iterations: int
-    """Newton steps."""
-    residual: float
-    """m, largest leg residual; inf where Newton's method failed: p, R and J are then the last pose's."""
-    condition: float
-    """Bound on the condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r):
-    ``hil.mathematics.linear_algebra.condition_kernel``."""
-    hop: float
-    """>= 1: the pose may belong to another assembly than the last one."""
+from hil.robot.kinematics_kernels import continuation_kernel, lengths_and_jacobian, newton
 
 
 class Estimator:
@@ -87,31 +66,19 @@ class Estimator:
         self.p = check_vector("p0", p0, 3).copy()
         self.R = check_rotation(R0).copy()
 
-    def update(self, q: Array, dq: Array) -> Estimate:
-        """Return the pose with the lengths ``q`` (6,) m and its twist J^-1 dq, ``dq`` (6,) m/s. Never raises.
+    def update(self, tick: Record) -> None:
+        """Fill the estimate of a tick from its lengths q and rates dq. Never raises.
 
-        Both arrays contiguous float64. Adopts the pose unless residual is inf or hop >= 1.
+        `fk_residual` is inf where Newton's method failed: p, R and J are then the last pose's. `hop` >= 1:
+        the
+        pose may belong to another assembly than the last one. Adopts the pose unless one of the two holds.
         """
-        p, R, twist, J = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty((6, 6))
-        iterations, residual, condition, hop = estimate_kernel(
-            self._a,
-            self._b,
-            self._radius,
-            q,
-            dq,
-            self.p,
-            self.R,
-            self._tolerance,
-            self._max_iterations,
-            p,
-            R,
-            twist,
-            J,
+        residual, hop = estimate_kernel(
+            self._a, self._b, self._radius, self.p, self.R, self._tolerance, self._max_iterations, tick
         )
         if residual < np.inf and hop < 1.0:
-            self.p = p
-            self.R = R
-        return Estimate(p, R, twist, J, iterations, residual, condition, hop)
+            self.p = tick["p"]
+            self.R = tick["R"]
 
     def acquire(self, q: Array) -> bool:
         """Move the last pose to the lengths ``q`` (6,) m, far away or after a gap; False if it cannot.
@@ -127,3 +94,37 @@ class Estimator:
         self.p = p
         self.R = R
         return True
+
+
+@direct(MATRIX, MATRIX, REAL, VECTOR, MATRIX, REAL, INTEGER, record(TICK, *part("estimate")))
+def estimate_kernel(
+    a: Array, b: Array, radius: float, p0: Array, R0: Array, tolerance: float, max_iterations: int, tick: Any
+) -> tuple[float, float]:
+    """Fill the estimate from its q and dq, started at p0, R0; return residual and hop. Never raises.
+
+    twist = J^-1 dq. Where Newton's method fails (residual inf), p and R are p0 and R0, and J, twist,
+    condition
+    belong there. `condition` as in ``condition_kernel`` with r = ``radius``; inf and twist nan where J is
+    singular.
+    """
+    p, R, J = tick.p, tick.R, tick.J
+    p[:] = p0
+    R[:] = R0
+    order = np.empty(6, np.int64)
+    work = np.empty((25, 6))
+    LU = work[0:6]
+    iterations, residual, hop = newton(a, b, tick.q, p, R, tolerance, max_iterations, J, order, work)
+    if residual == np.inf:
+        p[:] = p0
+        R[:] = R0
+        lengths_and_jacobian(a, b, p, R, work[6], J)
+    tick.condition = np.inf
+    if lu_factor(J, LU, order):
+        lu_solve(LU, order, tick.dq, tick.twist)
+        tick.condition = condition_from_lu(J, radius, LU, order, work[6:25])
+    else:
+        tick.twist[:] = np.nan
+    tick.fk_iterations = iterations
+    tick.fk_residual = residual
+    tick.hop = hop
+    return residual, hop

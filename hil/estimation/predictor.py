@@ -5,19 +5,19 @@ of the horizon after the new command's arrival is not, and there the last comman
 smooth path it differs by one period's change.
 """
 
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, kernel
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, record
+from drivers.tick import TICK, Record, part
 from hil.mathematics.rotations import cayley_step
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import BASE, PLATFORM, forward_dynamics_kernel
 from hil.robot.force_path import ForcePath
 from hil.robot.kinematics_kernels import lengths_and_jacobian
-from hil.signals import State
 
 
 class Predictor:
@@ -48,36 +48,24 @@ class Predictor:
         """Take note of the command (6,) N that answers the last measurement."""
         self._path.send(command)
 
-    def ahead(self, tick: int, state: State, *, free: bool) -> State:
-        """Return the state `horizon_s` after the measurement of this tick; call it once a tick.
+    def ahead(self, tick: Record, *, free: bool) -> None:
+        """Move the state of a tick on by `horizon_s`; call it once a tick.
 
         free: all brakes are open. Where they are not, the platform stays where it is.
         """
+        number = int(tick["tick"])
         if self._tick is not None:
-            self._path.advance(tick - self._tick)
-        self._tick = tick
-        if not free:
-            return state
-        forces, _ = self._path.follow(self._segments)
-        q, dq, p, R, twist, J = predict_kernel(
-            self.model.constants,
-            self.model.code,
-            state.p,
-            state.R,
-            state.twist,
-            state.wrench,
-            self._durations,
-            np.array(forces),
-        )
-        return state._replace(q=q, dq=dq, p=p, R=R, twist=twist, J=J)
+            self._path.advance(number - self._tick)
+        self._tick = number
+        if free:
+            forces, _ = self._path.follow(self._segments)
+            _predict(self.model.constants, self.model.code, self._durations, np.array(forces), tick)
 
 
-@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX)
-def predict_kernel(
-    c: Array, code: int, p0: Array, R0: Array, twist0: Array, wrench: Array, durations: Array, forces: Array
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return q, dq, p, R, twist, J after the steps `durations` (n,) s under the `forces` (n, 6) N."""
-    p, R, twist = p0.copy(), R0.copy(), twist0.copy()
+@direct(VECTOR, INTEGER, VECTOR, MATRIX, record(TICK, *part("estimate")))
+def _predict(c: Array, code: int, durations: Array, forces: Array, tick: Any) -> None:
+    """Move q, dq, p, R, twist, J on by the steps `durations` (n,) s under the `forces` (n, 6) N."""
+    p, R, twist = tick.p, tick.R, tick.twist
     for n in range(durations.shape[0]):
         h = durations[n]
         for half in range(2):
@@ -85,16 +73,14 @@ def predict_kernel(
                 p[i] += 0.5 * h * twist[i]
             cayley_step(R, scale(0.5 * h, at(twist, 3)))
             if half == 0:
-                dtwist = forward_dynamics_kernel(c, code, p, R, twist, forces[n], wrench)
+                dtwist = forward_dynamics_kernel(c, code, p, R, twist, forces[n], tick.wrench)
                 for i in range(6):
                     twist[i] += h * dtwist[i]
-    q, dq, J = np.empty(6), np.empty(6), np.empty((6, 6))
     a = c[BASE : BASE + 18].reshape((6, 3))
     b = c[PLATFORM : PLATFORM + 18].reshape((6, 3))
-    lengths_and_jacobian(a, b, p, R, q, J)
+    lengths_and_jacobian(a, b, p, R, tick.q, tick.J)
     for i in range(6):
         total = 0.0
         for j in range(6):
-            total += J[i, j] * twist[j]
-        dq[i] = total
-    return q, dq, p, R, twist, J
+            total += tick.J[i, j] * twist[j]
+        tick.dq[i] = total

@@ -1,14 +1,12 @@
 """From measured responses to the nominal axis and the bound of its error."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from drivers.arrays import Array, ComplexArray, Flags
-from hil.identify.errors import IdentificationError
+from drivers.errors import IdentificationError
 from hil.identify.nominal import axis_response
 from hil.identify.response import Response
 
@@ -16,10 +14,10 @@ COHERENT = 0.9
 FEWEST_LINES = 6
 """Of each axis."""
 SYSTEMATIC = 2e-3
-"""What no line is trusted beyond, relative: coupling and the change of the pose do not average out."""
+"""Least relative error of a spectral line: coupling and the change of the pose do not average out."""
 LONGEST_PERIODS = 20.0
 SEPARATED = 10.0
-"""Largest condition number of six lines' directions from which a coupling matrix can be told."""
+"""Largest condition number of the directions of six lines that still determine a coupling matrix."""
 
 
 class Fit(NamedTuple):
@@ -45,15 +43,15 @@ class Uncertainty(NamedTuple):
     frequency_Hz: Array
     bound: Array
     coupled: bool
-    """Whether the coupling of the axes is in it: six lines side by side moved the axes in six directions,
-    wherever they lie."""
+    """Whether the coupling of the axes is covered: everywhere six neighbouring lines moved them in six
+    directions."""
 
 
 def fit_axes(response: Response) -> Fit:
     """Return the nominal axis that leaves the smallest relative error, each line weighted by its certainty.
 
-    A soft loss: weight or friction that the model has wrong bends the lowest lines alone, which are the
-    surest, and belongs into the bound, not into the gain.
+    The loss is soft: a model error in weight or friction distorts only the lowest lines, which have the least
+    noise; it belongs into the bound, not into the gain.
 
     Raises IdentificationError: too few coherent lines on an axis, or responses that are no such axis.
     """
@@ -109,24 +107,24 @@ def fit_axes(response: Response) -> Fit:
 def uncertainty(response: Response, fit: Fit) -> Uncertainty:
     """Return a bound of the relative error over frequency: what was measured, and its 95 % circle.
 
-    Each axis by itself: its relative error and, on top, the radius of its 95 % circle; a line that is excited
-    and not coherent has a large one, and counts. Six neighbouring lines that move the axes in six directions
-    tell coupling, too, all of Delta in Y = P0 (1 + Delta) V: its largest singular value is what six equal
-    controllers side by side meet (K. Zhou and J. C. Doyle, Essentials of Robust Control, Prentice Hall, 1998,
-    ch. 8). That is convex in Delta, so noise only adds to its mean.
+    For each axis by itself it is the relative error plus the radius of its 95 % circle; an excited line that
+    is not coherent counts, with a large circle. Six neighbouring lines that move the axes in six directions
+    determine the coupling, too, all of Delta in Y = P0 (1 + Delta) V: six equal controllers have to tolerate
+    its largest singular value (K. Zhou and J. C. Doyle, Essentials of Robust Control, Prentice Hall, 1998,
+    ch. 8). It is convex in Delta, so noise only adds to its mean.
 
-    From the first to the last coherent line. Each bound is that of six neighbouring lines; where an axis has
-    none among them, nothing is said.
+    The bound goes from the first to the last coherent line, each value over six neighbouring lines; where an
+    axis has none among them, there is no bound.
 
     Raises IdentificationError: nowhere can all six axes be bounded.
     """
-    heard = response.excited & np.isfinite(response.G) & np.isfinite(response.radius)
+    measured = response.excited & np.isfinite(response.G) & np.isfinite(response.radius)
     coherent = np.flatnonzero(fit.used.any(axis=1))
-    lines = np.flatnonzero(heard.any(axis=1))
+    lines = np.flatnonzero(measured.any(axis=1))
     lines = lines[(lines >= coherent[0]) & (lines <= coherent[-1])]
     f = response.frequency_Hz[lines]
     P0 = axis_response(f, response.period_s, fit.transport_s, fit.lag_s)[:, None] * fit.gain
-    own = heard[lines]
+    own = measured[lines]
     error = np.where(own, np.abs(response.G[lines] / P0 - 1.0), 0.0)
     circle = np.where(own, response.radius[lines] * np.abs(response.G[lines] / P0), 0.0)
     alone = (error + circle).max(axis=1)
@@ -144,13 +142,13 @@ def uncertainty(response: Response, fit: Fit) -> Uncertainty:
             bound[k] = alone[six].max()
         else:
             bound[k] = max(sigma, float(alone[six].max()))
-    said = np.isfinite(bound)
-    if said.sum() < 2:
+    bounded = np.isfinite(bound)
+    if bounded.sum() < 2:
         raise IdentificationError(
             f"the axes are excited at frequencies too far apart: six neighbouring lines hold all of them at "
-            f"{said.sum()} lines, allowed: at least 2; give each axis lines in the same band"
+            f"{bounded.sum()} lines, allowed: at least 2; give each axis lines in the same band"
         )
-    return Uncertainty(f[said], bound[said], coupled)
+    return Uncertainty(f[bounded], bound[bounded], coupled)
 
 
 def _largest_singular_value(D: ComplexArray, V: ComplexArray) -> float | None:

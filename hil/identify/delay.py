@@ -1,22 +1,19 @@
-"""How long a command takes to become a force.
+"""The delay from command to force.
 
-The forces in the legs are known twice: from the commands, through a transport delay and a first-order lag
+The leg forces are known twice: from the commands, through a transport delay and a first-order lag
 (`hil.robot.force_path`), and from the motion, through the rigid-body model: the mean force over a period is
-what the change of the momentum in it took. The two are compared period by period and leg by leg,
+the one that changes the momentum as observed. The two are compared period by period and leg by leg,
 
     needed = gain * force(transport, lag) + offset - viscous * rate - coulomb * sgn(rate),
 
-where the leg slides, for a stuck one hides any force. Gain, offset and friction of each leg take up what the
-model has wrong; time they leave alone.
-Transport and lag, common to all legs, are those that leave the smallest sum of squares (separable least
-squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay; only the lag weakens what is fast:
-that is how they are told apart, and why slow motion tells their sum alone.
+over periods in which the leg slides: a leg that sticks hides any force. Gain, offset and friction of each leg
+absorb the errors of the model; they do not change the time. Transport and lag, common to all legs, minimise
+the sum of squares (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay,
+but only the lag attenuates high frequencies: slow motion gives their sum alone.
 
 Standard deviations are those of a delete-a-block jackknife over time (Kuensch, Ann. Statist. 17, 1989), which
 needs neither white nor equal noise.
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 
@@ -25,19 +22,21 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from drivers.arrays import Array, Flags
-from hil.estimation.observer import unexplained_kernel
-from hil.identify.errors import IdentificationError
+from drivers.arrays import ZERO6, Array, Flags
+from drivers.errors import IdentificationError
+from drivers.tick import new_record
+from hil.estimation.observer import fill_unexplained
 from hil.robot.dynamics import SLIDING_SPEED, Model
+from hil.robot.kinematics_kernels import jacobian_kernel
 
 BLOCKS = 10
 """Of the jackknife."""
 LONGEST_PERIODS = 8.0
-"""Delays up to so many periods are looked for."""
+"""Longest delay considered, in periods."""
 FEWEST_PERIODS = 100
-"""Of usable periods of motion, for each leg."""
+"""Usable periods of motion that each leg needs."""
 SURE_S = 2e-4
-"""A standard deviation above this is no measurement."""
+"""Largest standard deviation, s, of a delay that is reported."""
 
 
 class Motion(NamedTuple):
@@ -70,7 +69,7 @@ class Delay(NamedTuple):
     total_s: float
     total_std_s: float
     separable: bool
-    """Whether transport and lag could be told apart; where not, lag is 0 and transport is their sum."""
+    """Whether transport and lag could be separated; if not, lag is 0 and transport is their sum."""
     explained: float
     """Share of the varying force that is explained, 0 .. 1."""
     gain: Array
@@ -125,16 +124,13 @@ def needed_forces(motion: Motion, model: Model) -> Array:
     """Return the mean leg forces (n - 1, 6) N that the motion of each period took; nan where not usable."""
     found = np.full((len(motion.tau) - 1, 6), np.nan)
     a, b = model.platform.base_joints, model.platform.platform_joints
-    nothing = np.zeros(6)
+    w, last, tick = np.empty(6), new_record(), new_record()
     for k in np.flatnonzero(motion.usable):
         ends = [(motion.p[n], motion.R[n], motion.twist[n]) for n in (k, k + 1)]
-        w = unexplained_kernel(model.constants, model.code, *ends[0], *ends[1], nothing, motion.period_s)
-        J = np.zeros((6, 6))
-        for p, R, _ in ends:
-            r = b @ R.T
-            s = p + r - a
-            s /= np.linalg.norm(s, axis=1)[:, None]
-            J += 0.5 * np.hstack([s, np.cross(r, s)])
+        for record, end in zip((last, tick), ends, strict=True):
+            record["p"], record["R"], record["twist"] = end
+        fill_unexplained(model.constants, model.code, last, tick, ZERO6, motion.period_s, w)
+        J = np.mean([jacobian_kernel(a, b, p, R) for p, R, _ in ends], axis=0)
         found[k] = np.linalg.solve(J.T, w)
     return found
 

@@ -4,22 +4,20 @@ A law that linearises sends tau = A(x) v + b(x), x the measured state, for a dem
 follows from what was sent, limits included, whatever made v: reference, gains, a switching term.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, Flags
+from drivers.tick import Record, new_record
 from hil.config.axis_model import AxisSpace
 from hil.control.inverse_dynamics import linearising_tau
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.kinematics_kernels import jacobian_kernel
-from hil.signals import State
 
-Law = Callable[[Model, State, Array], Array]
+Law = Callable[[Model, Record, Array], Array]
 
 
 class AxisSignals(NamedTuple):
@@ -36,7 +34,7 @@ class AxisSignals(NamedTuple):
     """(n,): tracking, recorded, and all six legs fresh."""
 
 
-def demanded_accelerations(space: AxisSpace, model: Model, states: list[State], tau: Array) -> Array:
+def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record], tau: Array) -> Array:
     """Return v (n, 6) for which the law of `model` sends tau (n, 6) N in each state.
 
     joint: accelerations of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
@@ -49,21 +47,18 @@ def demanded_accelerations(space: AxisSpace, model: Model, states: list[State], 
     return np.linalg.solve(A.transpose(0, 2, 1), (tau - b)[:, :, None])[:, :, 0]
 
 
-def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> State:
-    """Return the part of a state that the law's kernels read, from a row of the log."""
-    J = jacobian_kernel(model.platform.base_joints, model.platform.platform_joints, p, R)
-    nothing = np.zeros(6)
-    return State(nothing, nothing, p, R, twist, J, 0, 0.0, wrench)
+def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> Record:
+    """Return a tick with what a law's kernels read of the state, from a row of the log."""
+    tick = new_record()
+    tick["p"], tick["R"], tick["twist"], tick["wrench"] = p, R, twist, wrench
+    tick["J"] = jacobian_kernel(model.platform.base_joints, model.platform.platform_joints, p, R)
+    return tick
 
 
-def _joint(model: Model, state: State, v: Array) -> Array:
-    return linearising_tau(model, state, v, state.wrench)
-
-
-def _pose(model: Model, state: State, v: Array) -> Array:
+def _pose(model: Model, tick: Record, v: Array) -> Array:
     return inverse_dynamics_kernel(
-        model.constants, model.code, state.p, state.R, state.twist, v, state.wrench
+        model.constants, model.code, tick["p"], tick["R"], tick["twist"], v, tick["wrench"]
     )
 
 
-_LAWS: dict[AxisSpace, Law] = {"joint": _joint, "pose": _pose}
+_LAWS: dict[AxisSpace, Law] = {"joint": linearising_tau, "pose": _pose}

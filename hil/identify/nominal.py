@@ -1,7 +1,5 @@
 """The nominal axis: frequency response of a double integrator behind lag, delay and hold."""
 
-from __future__ import annotations
-
 from math import ceil
 
 import numpy as np

@@ -10,13 +10,11 @@ and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., W
 an excitation that repeats this is the quotient of the means over the periods. What is left in each block,
 E = Y - G V, has the variance that the standard deviation follows from.
 
-Blocks count by the power of the reference in them: a chirp passes a line in one or two, and what the others
-hold of it is noise. h = |R|^2 / sum |R|^2 is the leverage of a block; it draws the estimate towards itself,
-so that its own |E|^2 is too small by 1 - h (D. V. Hinkley, Technometrics 19, 1977), and 1 / sum h^2 blocks
-are what there is to tell noise from. Of equal blocks that is all of them.
+Blocks are weighted by the power of the reference in them: a chirp passes a line in one or two, the others
+hold noise alone. h = |R|^2 / sum |R|^2 is the leverage of a block; it draws the estimate towards itself, so
+that its own |E|^2 is too small by 1 - h (D. V. Hinkley, Technometrics 19, 1977). The effective number of
+blocks is 1 / sum h^2, which is their number if they are equal.
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 
@@ -30,7 +28,7 @@ OWN = 0.3
 """An axis counts as excited at a line where its reference has this share of the axis that has most."""
 SURE = 0.95
 FEWEST_COUNTING = 3.0
-"""Of 1 / sum h^2; a line that fewer blocks have seen is as if not excited: its noise is not known."""
+"""Least 1 / sum h^2. A line with fewer blocks counts as not excited: its noise is not known."""
 
 
 class Response(NamedTuple):
@@ -49,7 +47,7 @@ class Response(NamedTuple):
     """Of the reference with position and demanded acceleration, the smaller one, 0 .. 1."""
     excited: Flags
     V: ComplexArray
-    """Mean demanded acceleration, in phase with the reference; tells the direction of each line."""
+    """Mean demanded acceleration, in phase with the reference: the direction of each line."""
     Y: ComplexArray
     """Mean position."""
 

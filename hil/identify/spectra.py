@@ -1,18 +1,16 @@
 """Spectra of a run, block by block: whole periods of an excitation that repeats, or windowed segments.
 
-A double integrator turns the slow part of any motion into most of the position, which must not leak into the
-rest: what repeats is cut into whole periods, less a drift; the rest is transformed as second
-differences, divided by what those do to a sinusoid.
+Behind a double integrator most of the position is slow, and must not leak into the other lines. An excitation
+that repeats is cut into whole periods, less a drift; of any other, second differences are transformed and
+divided by their gain for a sinusoid.
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, ComplexArray, Flags, Ints
-from hil.identify.errors import IdentificationError
+from drivers.errors import IdentificationError
 from hil.identify.linearised import AxisSignals
 
 FEWEST_BLOCKS = 4
@@ -24,8 +22,8 @@ SEGMENT_LINES = 60
 HIGHEST = 0.3
 """Times the rate."""
 BESIDE = np.array([-4, -2, 0, 2, 4])
-"""Harmonics that count for a line of such a log, 1 and 2 Hz beside it. A chirp is past a line within a
-segment or two; what it does beside it tells the noise. Noise two apart correlates by 1/6."""
+"""Harmonics averaged for a line of such a log, up to 2 Hz beside it. A chirp passes a line within a segment
+or two; its neighbours show the noise. The noise of harmonics two apart correlates by 1/6."""
 
 
 class Spectra(NamedTuple):

@@ -1,14 +1,13 @@
 """Which poses a set-point may send the platform to."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel
-from hil.config import LimitSettings
+from drivers.signals import Refusal
+from hil.config.limits import LimitSettings
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.mathematics.rotations import rotation_motion_kernel
 from hil.robot.dynamics import Model
@@ -16,7 +15,6 @@ from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.safety.finite import all_finite
-from hil.signals import Refusal
 
 CLEARANCE_M = 1e-3
 """Room that set-points leave before the soft ends, beyond which moving on is a fault: for the law's error,

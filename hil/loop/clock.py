@@ -1,7 +1,5 @@
 """Fixed-rate deadlines and the operating system's real-time settings."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc
@@ -158,8 +156,8 @@ SLOWEST_Hz = 100.0
 def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[float, float]:
     """Return the highest of rate, rate/2, rate/4 ... that is held without real time, and the worst wake-up.
 
-    The worst wake-up (s) is measured now, under the present load. A stall of so many periods ends a run: they
-    must outlast the longest one, twice the worst wake-up and never less than STALL_S. Not below SLOWEST_Hz.
+    The worst wake-up (s) is measured now, under the present load. A stall of `periods` periods ends a run: at
+    the rate returned they take STALL_S or twice the worst wake-up, whichever is longer. Not below SLOWEST_Hz.
     """
     deadlines = Deadlines(rate_Hz, 0.0)
     wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]

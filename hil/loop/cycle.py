@@ -3,64 +3,49 @@
 No clock, no file, no random number, no log. All that changes a decision is in TickInput; that is why a log
 replays to the bit.
 
-``frames -> decode -> Measurement -> estimate -> State -> reference -> law -> Effort -> safety ->
-Verdict -> Command -> encode -> frames``
+``frames -> decode -> estimate -> reference -> law -> safety -> encode -> frames``, each stage filling its
+columns of the tick's record (`drivers.tick`).
 """
 
 from __future__ import annotations
 
-from math import nan
+import struct
+import zlib
+from math import inf, nan
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array
-from drivers.protocol import Frame, run_of
+from drivers.arrays import ZERO6, Array
+from drivers.protocol import Dialogue, Frame, run_of
 from drivers.sensors import Readings, SensorProtocol
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Measurement, no_measurement
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Fault, Mode, Stop, Warn
+from drivers.tick import INPUT_COLUMNS, TICK, Record, copy_of, new_record, row_of
 from hil.estimation.pose import Estimator
-from hil.loop.modes import CONTROLLED, Durations, Facts, drive_mode, next_mode, overdue
+from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.parts import Parts
-from hil.loop.reference import complete
-from hil.loop.row import make_row
+from hil.loop.reference import fill_reference
 from hil.loop.steering import NO_SETPOINTS
 from hil.robot.dynamics import Model
-from hil.signals import (
-    NO_WRENCH,
-    Effort,
-    Estimate,
-    Fault,
-    Mode,
-    Operator,
-    Reference,
-    State,
-    Stop,
-    TickInput,
-    TickOutput,
-    Verdict,
-    Warn,
-)
-from hil.trajectory import PoseSample, quintic_move
+from hil.safety.guard import Verdict
+from hil.signals import Operator, TickInput, TickOutput
+from hil.trajectory.move import quintic_move
+from hil.trajectory.path import PoseSample
 
-_ZERO6 = np.zeros(6)
-_ZERO6.flags.writeable = False
-_ZERO66 = np.zeros((6, 6))
-_ZERO66.flags.writeable = False
-
-_POWERED_STATES = (DriveState.READY, DriveState.RUN)
-RESET_TICKS = 5
-"""How often RESET is sent on the operator's command."""
+_put_input = struct.Struct(f"<{len(INPUT_COLUMNS) + 2}q").pack_into
+_put_three = struct.Struct("<3q").pack_into
+_fields: Any = TICK.fields
+_MODE_AT, _SETPOINTS_AT = _fields["mode"][1], _fields["setpoints_taken"][1]
+"""Where three columns begin that are put at once."""
+_POWERED_MODES = (DriveMode.READY, DriveMode.RUN)
 _ALL_LEGS = (1 << LEGS) - 1
 AGREED_m = 1e-4
 """A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
-ENDING = frozenset({Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
-"""Modes that end when the motion has ended and the legs are at rest."""
-STEERED = frozenset({Mode.TRACKING, Mode.STOPPING})
-"""Modes in which a live reference moves."""
 REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
-SETUPS = 3
-"""How often a drive is sent its set-up: nothing acknowledges it."""
+SEARCH_S = 0.02
+"""From one look for the first pose to the next."""
 REST_m_s = 0.02
 """A motion has ended only when no measured leg is faster: brakes do not close on a moving platform."""
 
@@ -68,11 +53,10 @@ REST_m_s = 0.02
 class Cycle:
     """Six encoders in, six forces out, once per tick.
 
-    Mutable state, all of it: the last Measurement, what the sensors last said, the estimator's pose, the
-    filter, mode and the tick of its entry, latched faults, the motion, the law's, the predictor's, the
-    observer's and the safety's own state, and the forces that the bumpless entry and the exit fade, what
-    limits last took from the effort, the external wrench's and the steering's own. `reset` restores the
-    initial one.
+    Mutable state, all of it: the drive protocol's dialogue, the last tick's record, the sensors' last
+    readings, the estimator's pose, the filter, mode and the tick of its entry, latched faults, the motion,
+    the forces that the bumpless entry and the exit fade, what limits last took off, and what law, predictor,
+    observer, external wrench, steering and safety keep. `reset` restores the initial one.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -81,11 +65,8 @@ class Cycle:
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
         self.statics = Model(parts.platform, leg_spin=parts.leg_spin)
         engage = parts.engage
-        self.durations = Durations(
-            load=engage.force_ramp_s,
-            release=engage.brake_release_s,
-        )
-        self._setup_interval = max(LEGS, round(0.02 * parts.rate_Hz))
+        self.durations = Durations(load=engage.force_ramp_s, release=engage.brake_release_s)
+        self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         followers = (parts.predictor, parts.wrench.observer)
         self._followers = [each for each in followers if each is not None]
         """Who follows the forces that were sent."""
@@ -94,7 +75,9 @@ class Cycle:
     def reset(self) -> None:
         """Back to the state before the first tick."""
         parts = self.parts
-        self.measurement: Measurement = no_measurement()
+        self.dialogue: Dialogue = parts.protocol.start(parts.setup)
+        self.tick = new_record()
+        """The last tick's record."""
         self.estimator.reset(parts.home_p, parts.home_R)
         self.located = False
         self.readings = Readings()
@@ -107,16 +90,14 @@ class Cycle:
         self.stop_requested = Stop.NONE
         self.reset_tick: int | None = None
         """When the operator last asked to clear the drives' faults."""
-        self.set_up = [0] * LEGS
-        """How often each drive has been sent watchdog and reaction."""
-        self.holding = _ZERO6
+        self.holding = ZERO6
         """(6,) N: what holds weight and external wrench where the brakes open, or the force as they close."""
-        self.offset = _ZERO6
+        self.offset = ZERO6
         """(6,) N: holding force less the law's own at the moment of entry; fades out."""
         self.entry_tick: int | None = None
         """When the entry offset began to fade; None while it is whole."""
-        self.last_tau = _ZERO6
-        self.shortfall = _ZERO6
+        self.last_tau = ZERO6
+        self.shortfall = ZERO6
         """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
         parts.law.reset()
         parts.wrench.reset()
@@ -127,230 +108,258 @@ class Cycle:
             parts.steering.reset()
 
     def begin(self, tick: int) -> tuple[Frame, ...]:
-        """Return the frames that start a tick: all drives latch their encoders."""
-        return self.parts.protocol.sync(tick)
+        """Return the frames that start a tick: the drives answer with their encoders."""
+        return self.parts.protocol.begin(self.dialogue, tick)
 
     def step(self, inp: TickInput) -> TickOutput:
         """Return what to send and what to record for one tick."""
-        parts = self.parts
-        tick = inp.tick
+        parts, number = self.parts, inp.tick
         run = run_of(inp.frames)
-        measurement = parts.protocol.decode_run(run, tick, self.measurement, inp.t_ns)
+        last, tick = self.tick, new_record()
+        buffer: Any = tick.base
+        _put_input(
+            buffer.data, 0,
+            number, inp.t_ns, inp.lateness_ns, inp.skipped, inp.sends_failed,
+            inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.recorder_alive, inp.recorder_dropped,
+            inp.compute_ns, len(inp.frames), zlib.crc32(run),
+        )  # fmt: skip
+        began_ns = inp.t_ns + inp.lateness_ns
+        self.dialogue = parts.protocol.decode(self.dialogue, run, last, tick, began_ns)
+        self.tick = tick
         if parts.sensors is not None:
-            measurement = self._hear_sensors(parts.sensors, inp, measurement)
-        self.measurement = measurement
-        estimate = self._estimate(tick, inp.t_ns + inp.lateness_ns, measurement)
-        estimate = parts.wrench.told(tick, estimate, measurement, fusing=self.fusing)
-        state = estimate.state
+            self._hear_sensors(parts.sensors, inp, tick)
+        self._estimate(tick, last, inp.t_ns + inp.lateness_ns)
+        parts.wrench.fill(tick, fusing=self.fusing)
 
-        self._change_mode(inp, state)
-        if parts.steering is not None:
+        self._change_mode(inp, tick)
+        steering = parts.steering
+        if steering is not None:
             under_way = self.mode in STEERED and self.motion.trajectory is parts.trajectory
-            along = tick - self.motion.tick if under_way else None
-            parts.steering.step(inp.setpoints, along, tracking=self.mode is Mode.TRACKING)
-        sample = self._sample(tick, state)
-        t = self.motion.time(tick)
-        reference = complete(parts.platform, sample, t if self.mode is Mode.TRACKING else nan)
-        effort, own = self._effort(tick, *self._ahead(tick, state, reference))
-        verdict = parts.safety.judge(inp, measurement, estimate, reference, effort, self.mode)
-        if parts.wrench.late:
-            verdict = verdict._replace(warnings=verdict.warnings | Warn.SENSOR)
+            along = number - self.motion.tick if under_way else None
+            steering.step(inp.setpoints, along, tracking=self.mode is Mode.TRACKING)
+        t = self.motion.time(number)
+        fill_reference(parts.platform, self._sample(tick), tick)
+        tick["reference_time_s"] = t
+        if self.mode is Mode.TRACKING:
+            tick["t_d"] = t
+        self._effort(tick)
+        tick["mode"] = self.mode
+        verdict = parts.safety.judge(tick)
+        warnings = verdict.warnings | Warn.SENSOR if parts.wrench.late else verdict.warnings
         self._latch(inp, verdict)
 
-        command = self._command(tick, verdict)
-        limited = verdict.warnings and self.mode in CONTROLLED  # no limit acts without a warning
-        self.shortfall = command.force - effort.tau if limited else _ZERO6
+        command = self._command(tick)
+        limited = warnings and self.mode in CONTROLLED  # no limit acts without a warning
+        self.shortfall = tick["tau"] - tick["tau_asked"] if limited else ZERO6
         for follower in self._followers:
             follower.sent(command.force)
-        frames = parts.protocol.command(command, tick)
+        self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
         if Operator.ESTOP in inp.operator:
             frames = parts.protocol.emergency_stop() + frames
-        frames += self._setup(tick)
-        setpoints = NO_SETPOINTS if parts.steering is None else parts.steering.counts
-        row = make_row(
-            inp, run, self.mode, self.faults, measurement, estimate, t, reference,
-            own, command, verdict, setpoints, parts.wrench.said,
-        )  # fmt: skip
-        return TickOutput(frames, row)
+        frames += self._set_up(tick)
+        setpoints = NO_SETPOINTS if steering is None else steering.counts
+        if setpoints.refusal:
+            warnings |= Warn.SETPOINT
+        _put_three(buffer.data, _MODE_AT, self.mode, self.faults, warnings)
+        _put_three(buffer.data, _SETPOINTS_AT, *setpoints)
+        return TickOutput(frames, row_of(tick))
 
     # -- estimate ------------------------------------------------------------------------------------
 
-    def _hear_sensors(self, sensors: SensorProtocol, inp: TickInput, measurement: Measurement) -> Measurement:
-        """Take in the sensors' samples; return the measurement with their refused frames counted."""
+    def _hear_sensors(self, sensors: SensorProtocol, inp: TickInput, tick: Record) -> None:
+        """Take in the sensors' samples, and count their refused frames."""
         self.readings = readings = sensors.decode(inp.frames, inp.tick, self.readings)
         if readings.wrench:
             R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
             self.parts.wrench.hear(inp.tick, readings.wrench[-1].values, R)
         if readings.rejected:
-            measurement = measurement._replace(rejected=measurement.rejected + readings.rejected)
-        return measurement
+            tick["rejected"] += readings.rejected
 
-    def _estimate(self, tick: int, latched_ns: int, measurement: Measurement) -> Estimate:
-        """Pose from lengths; a leg without fresh data is carried on at its last rate.
+    def _estimate(self, tick: Record, last: Record, latched_ns: int) -> None:
+        """Fill the estimate: pose from lengths; a leg without fresh data is carried on at its last rate.
 
         Until all legs have been heard and the first pose has been found from home, the pose is home's. After
         a RESET it is looked for from the last one that all six lengths agreed on.
         """
-        q, dq, age = measurement.length, measurement.rate, measurement.age
+        number, age = int(tick["tick"]), tick["age"]
         old = any(age.tolist())
         estimator = self.estimator
+        tick["q"], tick["dq"] = tick["length"], tick["rate"]
         if not self.located:
-            self.located = not old and tick % self._setup_interval == 0 and estimator.acquire(q)
+            q = tick["q"]
+            self.located = not old and number % self._search_interval == 0 and estimator.acquire(q)
             if not self.located:
-                return Estimate(
-                    State(q, dq, estimator.p, estimator.R, _ZERO6, _ZERO66, 0, np.inf), np.inf, 0.0
-                )
+                tick["p"], tick["R"] = estimator.p, estimator.R
+                tick["fk_residual"] = tick["condition"] = inf
+                return
         fusion = self.parts.fusion
         if fusion is not None and self.fusing:
-            last_wrench = self.parts.wrench.last
-            found = fusion.estimate(tick, latched_ns, measurement, self.readings, self.last_tau, last_wrench)
-            if found.fusion.used == _ALL_LEGS and found.state.residual < AGREED_m:
-                estimator.p, estimator.R = found.state.p, found.state.R
-            return found
+            fusion.estimate(tick, latched_ns, self.readings, last["tau"], self.parts.wrench.last)
+            if tick["legs_used"] == _ALL_LEGS and tick["fk_residual"] < AGREED_m:
+                estimator.p, estimator.R = tick["p"], tick["R"]
+            return
         if old:
-            q = q + dq * (age * self.period_s)
-        p, R, twist, J, iterations, residual, condition, hop = estimator.update(q, dq)
+            tick["q"] += tick["dq"] * (age * self.period_s)
+        estimator.update(tick)
         if fusion is not None:
-            fusion.start(tick, latched_ns, p, R)
+            fusion.start(number, latched_ns, tick["p"], tick["R"])
             self.fusing = True
-        return Estimate(State(q, dq, p, R, twist, J, iterations, residual), condition, hop)
 
     def _free(self) -> bool:
         """Tell whether all brakes are open, on the drives' own word."""
-        return all(s == DriveState.RUN for s in self.measurement.state.tolist())
+        return all(s == DriveState.RUN for s in self.tick["drive_state"].tolist())
 
     # -- modes ---------------------------------------------------------------------------------------
 
-    def _change_mode(self, inp: TickInput, state: State) -> None:
-        tick, operator = inp.tick, inp.operator
+    def _change_mode(self, inp: TickInput, tick: Record) -> None:
+        number, operator = inp.tick, inp.operator
         if operator and Operator.RESET in operator and self.mode in {Mode.FAULT, Mode.WAITING}:
-            self.reset_tick = tick
-            self.set_up = [0] * LEGS
+            self.reset_tick = number
+            self.dialogue = self.parts.protocol.start(self.parts.setup)
             self.faults = Fault.NONE
             self.stop_requested = Stop.NONE
             self.located = self.fusing = False
             self.parts.wrench.forget()
             self.parts.safety.reset()
-        measurement, motion = self.measurement, self.motion
-        elapsed = (tick - self.mode_tick) * self.period_s
+        motion = self.motion
+        elapsed = (number - self.mode_tick) * self.period_s
         if overdue(self.mode, elapsed, self.durations):
             self.faults |= Fault.DRIVE
-            self._enter(Mode.FAULT, tick, state)
+            self._enter(Mode.FAULT, tick)
             return
-        if self.mode in ENDING and motion.overdue(tick, REST_PATIENCE_S):
+        if self.mode in ENDING and motion.overdue(number, REST_PATIENCE_S):
             self.faults |= Fault.FOLLOWING
-            self._enter(Mode.FAULT, tick, state)
+            self._enter(Mode.FAULT, tick)
             return
         facts = Facts(
             operator,
-            measurement.state.tolist(),
+            tick["drive_state"].tolist(),
             self.mode is Mode.WAITING and self._ready(),
             elapsed,
-            motion.finished(tick) and max(abs(state.dq).tolist()) < REST_m_s,
+            motion.finished(number) and max(abs(tick["dq"]).tolist()) < REST_m_s,
             self.stop_requested is not Stop.NONE,
         )
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
-            self._enter(mode, tick, state)
+            self._enter(mode, tick)
 
     def _ready(self) -> bool:
         """Tell whether all six legs are heard, the pose is found and all six drives are set up."""
-        return self.located and max(self.measurement.age.tolist()) <= 1 and min(self.set_up) >= SETUPS
+        heard = self.located and max(self.tick["age"].tolist()) <= 1
+        return heard and all(self.parts.protocol.legs_set_up(self.dialogue))
 
-    def _enter(self, mode: Mode, tick: int, state: State) -> None:
-        parts = self.parts
+    def _enter(self, mode: Mode, tick: Record) -> None:
+        parts, number = self.parts, int(tick["tick"])
         previous = self.mode
         match mode:
             case Mode.LOADING:
-                self.holding = self.statics.inverse_dynamics(state.p, state.R, _ZERO6, _ZERO6, state.wrench)
-                self.motion.rest(state.p, state.R, tick)
+                p, R = tick["p"], tick["R"]
+                self.holding = self.statics.inverse_dynamics(p, R, ZERO6, ZERO6, tick["wrench"])
+                self.motion.rest(p, R, number)
             case Mode.RELEASING:
-                self.motion.rest(state.p, state.R, tick)
-                parts.law.reset()
+                self.motion.rest(tick["p"], tick["R"], number)
                 self.entry_tick = None
-                at_rest = complete(parts.platform, self.motion.sample(tick))
-                unloaded = state._replace(wrench=NO_WRENCH)  # as `_ahead` tells the law at entry
-                self.offset = self.holding - parts.law.effort(unloaded, at_rest, _ZERO6).tau
-                parts.law.reset()  # it begins with this very tick, and the offset fits
+                self.offset = self.holding - self._tau_at_rest(tick)
             case Mode.APPROACH:
                 if parts.steering is not None:
                     parts.steering.restart()
-                here, start = self.motion.sample(tick), parts.trajectory.sample(0.0)
+                here, start = self.motion.sample(number), parts.trajectory.sample(0.0)
                 duration = self._approach_s(here, start)
                 move = quintic_move(here.p, here.R, start.p, start.R, duration)
-                self.motion.start(move, tick, then=parts.trajectory)
-                self.entry_tick = tick
+                self.motion.start(move, number, then=parts.trajectory)
+                self.entry_tick = number
             case Mode.TRACKING:
                 if previous is Mode.LOADING:
                     parts.law.reset()
-                    self.offset = _ZERO6
+                    self.offset = ZERO6
                     if parts.steering is not None:
                         parts.steering.restart()
-                    self.entry_tick = tick
-                self.motion.start(parts.trajectory, tick)
+                    self.entry_tick = number
+                self.motion.start(parts.trajectory, number)
             case Mode.STOPPING:
-                self.motion.stop(tick, parts.engage.stop_s)
+                self.motion.stop(number, parts.engage.stop_s)
             case Mode.PARKING:
-                rest = self.motion.sample(tick)
-                self.motion.rest(rest.p, rest.R, tick)
+                rest = self.motion.sample(number)
+                self.motion.rest(rest.p, rest.R, number)
             case Mode.UNLOADING:
                 self.holding = self.last_tau
-            case _:
-                pass
-        self.mode, self.mode_tick = mode, tick
+        self.mode, self.mode_tick = mode, number
+
+    def _tau_at_rest(self, tick: Record) -> Array:
+        """Return what the law asks for at rest here, without load, as `_law_input` gives it at entry.
+
+        The law begins with this very tick, and the entry offset fits.
+        """
+        law, at_rest = self.parts.law, copy_of(tick)
+        at_rest["wrench"] = 0.0
+        fill_reference(self.parts.platform, self.motion.sample(int(tick["tick"])), at_rest)
+        law.reset()
+        law.effort(at_rest)
+        law.reset()
+        return at_rest["tau_law"]
 
     def _approach_s(self, here: PoseSample, start: PoseSample) -> float:
         platform, engage = self.parts.platform, self.parts.engage
-        distance = np.abs(complete(platform, start).q - complete(platform, here).q).max()
+        a, b = new_record(), new_record()
+        fill_reference(platform, here, a)
+        fill_reference(platform, start, b)
+        distance = np.abs(b["q_d"] - a["q_d"]).max()
         return max(float(distance) / engage.approach_speed_m_s, engage.blend_s, self.period_s)
 
     # -- reference, law ------------------------------------------------------------------------------
 
-    def _sample(self, tick: int, state: State) -> PoseSample:
+    def _sample(self, tick: Record) -> PoseSample:
         if self.mode in CONTROLLED or self.mode is Mode.UNLOADING:
-            return self.motion.sample(tick)
-        return PoseSample(state.p, state.R, _ZERO6, _ZERO6)
+            return self.motion.sample(int(tick["tick"]))
+        return PoseSample(tick["p"], tick["R"], ZERO6, ZERO6)
 
-    def _ahead(self, tick: int, state: State, reference: Reference) -> tuple[State, Reference]:
-        """Return what the law is told: state and reference of now, or of when its force will act.
+    def _law_input(self, tick: Record) -> Record:
+        """Return the tick as the law sees it: now, or when its force will act.
 
-        Safety judges the present ones. The external wrench comes in as the entry offset goes out: each alone
+        Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone
         makes up for what the law's own model does not hold.
         """
-        predictor = self.parts.predictor
+        predictor, wrench = self.parts.predictor, self.parts.wrench
+        if predictor is None and not wrench.has_source:
+            return tick
+        number, ahead = int(tick["tick"]), copy_of(tick)
         if predictor is not None:
-            state = predictor.ahead(tick, state, free=self._free())
-        if state.wrench is not NO_WRENCH:
-            state = state._replace(wrench=state.wrench * (1.0 - self._entry_share(tick)))
+            predictor.ahead(ahead, free=self._free())
+        if wrench.has_source:
+            ahead["wrench"] *= 1.0 - self._entry_share(number)
         if predictor is not None and self.mode in CONTROLLED:
-            sample, t = self.motion.ahead(tick, predictor.horizon_s)
+            sample, t = self.motion.ahead(number, predictor.horizon_s)
             if t is None:
-                t = self.motion.time(tick) + predictor.horizon_s if self.mode is Mode.TRACKING else nan
-            reference = complete(self.parts.platform, sample, t)
-        return state, reference
+                t = self.motion.time(number) + predictor.horizon_s if self.mode is Mode.TRACKING else nan
+            fill_reference(self.parts.platform, sample, ahead)
+            ahead["t_d"] = t
+        return ahead
 
-    def _effort(self, tick: int, state: State, reference: Reference) -> tuple[Effort, Array]:
-        """Return the effort with the entry and exit ramps, and the law's own tau (6,) N."""
-        elapsed = (tick - self.mode_tick) * self.period_s
+    def _effort(self, tick: Record) -> None:
+        """Fill the law's own force, and what is asked for with the ramps of entry and exit."""
+        number = int(tick["tick"])
+        seen = self._law_input(tick)
         if self.mode in CONTROLLED:
-            own = self.parts.law.effort(state, reference, self.shortfall).tau
-            left = self._entry_share(tick)
-            return Effort(own + self.offset * left if left > 0.0 else own), own
+            if self.shortfall is not ZERO6:
+                seen["shortfall"] = self.shortfall
+            self.parts.law.effort(seen)
+            own = seen["tau_law"]
+            if seen is not tick:
+                tick["tau_law"] = own
+            left = self._entry_share(number)
+            tick["tau_asked"] = own + self.offset * left if left > 0.0 else own
+            return
         load = self.durations.load
-        if self.mode is Mode.LOADING and load > 0:
-            return Effort(self.holding * smoothstep(elapsed / load)), _ZERO6
-        if self.mode is Mode.UNLOADING and load > 0:
-            return Effort(self.holding * (1.0 - smoothstep(elapsed / load))), _ZERO6
-        return Effort(_ZERO6), _ZERO6
+        if load > 0 and self.mode in {Mode.LOADING, Mode.UNLOADING}:
+            share = smoothstep((number - self.mode_tick) * self.period_s / load)
+            tick["tau_asked"] = self.holding * (share if self.mode is Mode.LOADING else 1.0 - share)
 
     def _entry_share(self, tick: int) -> float:
         """Return how much of the entry offset is left, 1 .. 0."""
         if self.entry_tick is None:
             return 1.0
         blend = self.parts.engage.blend_s
-        if blend == 0.0:
-            return 0.0
-        return 1.0 - smoothstep((tick - self.entry_tick) * self.period_s / blend)
+        return 0.0 if blend == 0.0 else 1.0 - smoothstep((tick - self.entry_tick) * self.period_s / blend)
 
     # -- safety, command -----------------------------------------------------------------------------
 
@@ -365,29 +374,24 @@ class Cycle:
         if verdict.stop is not Stop.NONE and self.stop_requested is Stop.NONE:
             self.stop_requested = verdict.stop
 
-    def _command(self, tick: int, verdict: Verdict) -> Command:
-        if self.mode is Mode.WAITING and self._clears_drives(tick):
-            return Command(DriveMode.RESET, _ZERO6)
+    def _command(self, tick: Record) -> Command:
         mode = drive_mode(self.mode)
-        tau = _ZERO6 if mode is DriveMode.OFF else verdict.tau
-        self.last_tau = tau
-        return Command(mode, tau)
+        if self.mode is Mode.WAITING and self.reset_tick is not None:
+            since = int(tick["tick"]) - self.reset_tick
+            if since < self.parts.protocol.reset_ticks:  # not for ever: a fault that comes back stays
+                mode = DriveMode.RESET
+        if mode not in _POWERED_MODES:
+            tick["tau"] = 0.0
+        tick["command_mode"] = mode
+        self.last_tau = tick["tau"]
+        return Command(mode, tick["tau"])
 
-    def _clears_drives(self, tick: int) -> bool:
-        """Say whether RESET is sent: a few times only, so that a fault that comes back stays."""
-        return self.reset_tick is not None and tick - self.reset_tick < RESET_TICKS
-
-    def _setup(self, tick: int) -> tuple[Frame, ...]:
-        """Return the set-up of a drive that has none from us: one frame a tick, to keep the bus budget."""
-        leg = tick % self._setup_interval
-        if leg >= LEGS or self.mode not in {Mode.WAITING, Mode.FAULT} or self.measurement.age[leg] > 1:
+    def _set_up(self, tick: Record) -> tuple[Frame, ...]:
+        """Return the start-up dialogue's frames of this tick."""
+        if self.mode not in {Mode.WAITING, Mode.FAULT}:
             return ()
-        state = self.measurement.state[leg]
-        if state != DriveState.BOOT and (self.set_up[leg] >= SETUPS or state in _POWERED_STATES):
-            return ()
-        self.set_up[leg] += 1
-        parts = self.parts
-        return (parts.protocol.configure(parts.watchdog_s, parts.reaction)[leg],)
+        self.dialogue, frames = self.parts.protocol.set_up(self.dialogue, tick)
+        return frames
 
 
 def smoothstep(x: float) -> float:

@@ -1,6 +1,6 @@
 """Where the controller is between rest and motion: a table of transitions.
 
-`next_mode` decides from what it is told; the cycle keeps the present mode and the tick at which it was
+`next_mode` decides from its arguments; the cycle keeps the present mode and the tick at which it was
 entered.
 
 ::
@@ -15,18 +15,20 @@ for keeps LOADING, RELEASING and PARKING, with the force on, until they are `ove
 Without a force ramp LOADING goes straight to TRACKING: the law acts at the instant the brakes open.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from drivers.signals import DriveMode, DriveState
-from hil.signals import Mode, Operator
+from drivers.signals import DriveMode, DriveState, Mode
+from hil.signals import Operator
 
 MOVING = frozenset({Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
 """Modes in which the brakes are open."""
 CONTROLLED = MOVING | {Mode.PARKING}
 """Modes in which the law acts: it does not let go before the brakes are shut."""
+ENDING = frozenset({Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
+"""Modes that end when the motion has ended and the legs are at rest."""
+STEERED = frozenset({Mode.TRACKING, Mode.STOPPING})
+"""Modes in which a live reference moves."""
 DRIVE_PATIENCE_S = 1.0
 """A drive that has not reached the state it was asked for so long after it could have, is faulty."""
 

@@ -1,9 +1,10 @@
 """Which path the platform is on, and where along it."""
 
-from __future__ import annotations
-
 from drivers.arrays import Array
-from hil.trajectory import LiveTrajectory, PoseSample, StoppingTrajectory, Trajectory, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.live import LiveTrajectory
+from hil.trajectory.path import PoseSample, Trajectory
+from hil.trajectory.stopping import StoppingTrajectory
 
 
 class Motion:

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drivers.arrays import Array
-from drivers.protocol import DriveProtocol
+from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
-from drivers.signals import Reaction
-from hil.config import EngageSettings, LegSpin
+from hil.config.running import EngageSettings
+from hil.config.values import LegSpin
 from hil.control.law import Law
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
 from hil.loop.steering import Steering
 from hil.robot.geometry import Platform
 from hil.safety import Safety
-from hil.trajectory import Trajectory
+from hil.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
     from hil.estimation.fused_pose import PoseFusion  # its kernels are compiled only for who fuses
@@ -39,8 +39,8 @@ class Parts:
     home_p: Array
     home_R: Array
     rate_Hz: float
-    watchdog_s: float
-    reaction: Reaction
+    setup: DriveSetup
+    """What the protocol sets in the drives."""
     wrench: ExternalWrench
     steering: Steering | None = None
     """What takes set-points, where the reference is live."""
@@ -48,4 +48,4 @@ class Parts:
     fusion: PoseFusion | None = None
     """Gives the pose once the legs have; None: the legs alone do."""
     predictor: Predictor | None = None
-    """For a law that is told state and reference of the instant at which its force acts."""
+    """For a law that reads state and reference at the instant at which its force acts."""

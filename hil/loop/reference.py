@@ -1,25 +1,37 @@
-"""From a trajectory's sample to the Reference: the same instant in leg lengths."""
+"""From a trajectory's sample to the reference of a tick: the same instant in leg lengths."""
 
-from __future__ import annotations
+from typing import Any
 
-import math
-
-import numpy as np
-
-from drivers.signals import LEGS
+from drivers.arrays import Array
+from drivers.compiled.compiler import MATRIX, VECTOR, direct, record
+from drivers.tick import TICK, Record, part
+from hil.mathematics.vectors import add, at, cross, dot, rotate, row
 from hil.robot.geometry import Platform
-from hil.robot.kinematics_kernels import reference_kernel
-from hil.signals import Reference
-from hil.trajectory import PoseSample
+from hil.robot.kinematics_kernels import leg, leg_motion
+from hil.trajectory.path import PoseSample
 
 
-def complete(platform: Platform, sample: PoseSample, t: float = math.nan) -> Reference:
-    """Return the Reference of a sample: q, dq = J twist, ddq = J dtwist + (dJ/dt) twist; (6,), m and s.
+def fill_reference(platform: Platform, sample: PoseSample, tick: Record) -> None:
+    """Fill p_d to dtwist_d with the sample, and q_d, dq_d = J twist_d, ddq_d = J dtwist_d + (dJ/dt) twist_d.
 
-    t: the sample's time along the configured trajectory, s; nan elsewhere.
     An unreachable pose gives lengths outside the hard ends, which `hil check` and safety refuse.
     """
-    p, R, twist, dtwist = sample
-    q, dq, ddq = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS)
-    reference_kernel(platform.base_joints, platform.platform_joints, p, R, twist, dtwist, q, dq, ddq)
-    return Reference(p, R, twist, dtwist, q, dq, ddq, t)
+    _fill(platform.base_joints, platform.platform_joints, *sample, tick)
+
+
+@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))
+def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
+    tick.p_d[:] = p
+    tick.R_d[:] = R
+    tick.twist_d[:] = twist
+    tick.dtwist_d[:] = dtwist
+    v = at(twist, 0)
+    w = at(twist, 3)
+    for i in range(6):
+        r = rotate(R, row(b, i))
+        l, s = leg(row(a, i), r, at(p, 0))
+        u, dl, ds = leg_motion(l, s, r, v, w)
+        du = add(add(at(dtwist, 0), cross(at(dtwist, 3), r)), cross(w, cross(w, r)))
+        tick.q_d[i] = l
+        tick.dq_d[i] = dl
+        tick.ddq_d[i] = dot(ds, u) + dot(s, du)

@@ -1,19 +1,18 @@
 """Replay: the recorded inputs through the same Cycle, compared to the bit."""
 
-from __future__ import annotations
-
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.tick import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
 from hil.loop.cycle import Cycle
 from hil.record.log import Tick
-from hil.signals import COMPUTED_COLUMNS, INPUT_COLUMNS, Operator, TickInput
+from hil.signals import Operator, TickInput
 
 TOLERANCE = 1e-9
 """Computed columns on another CPU agree to this; frames agree to the bit."""
@@ -29,7 +28,7 @@ class Difference:
     replayed: Any
 
     def __str__(self) -> str:
-        a, b = np.atleast_1d(self.recorded), np.atleast_1d(self.replayed)
+        a, b = np.ravel(self.recorded), np.ravel(self.replayed)
         if a.dtype.kind not in "if":
             return f"tick {self.tick}: {self.column}: recorded {self.recorded}, replayed {self.replayed}"
         n = int(np.flatnonzero(a.view(np.int64) != b.view(np.int64))[0])
@@ -39,7 +38,7 @@ class Difference:
 
 
 @dataclass
-class Verdict:
+class Comparison:
     """What a replay found."""
 
     ticks: int = 0
@@ -71,6 +70,22 @@ _INPUT = struct.Struct(f"<{len(INPUT_COLUMNS)}q")
 """The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
 
 
+def other_columns(columns: Sequence[Column]) -> str:
+    """Return how the columns of a log differ from RECORDED; empty where a replay can compare them."""
+    log, own = ({c.name: (c.kind, c.shape, c.elements) for c in table} for table in (columns, RECORDED))
+    found = {
+        "only the log has": [name for name in log if name not in own],
+        "only this version has": [name for name in own if name not in log],
+        "of another type or with other elements:": [n for n in own if n in log and log[n] != own[n]],
+    }
+    parts = [
+        f"{what} {', '.join(names[:3])}" + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        for what, names in found.items()
+        if names
+    ]
+    return "; ".join(parts) or ("in another order" if list(log) != list(own) else "")
+
+
 class Recorded(Protocol):
     """Anything that gives recorded ticks in order; `hil.record.log.Log` above all."""
 
@@ -78,61 +93,55 @@ class Recorded(Protocol):
         """Return the ticks."""
 
 
-def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Verdict:
+def recorded_input(entry: Tick) -> TickInput:
+    """Return what the cycle was given in a recorded tick."""
+    columns: dict[str, Any] = dict(zip(INPUT_COLUMNS, _INPUT.unpack_from(entry.row.tobytes()), strict=True))
+    for flag in ("bus_off", "recorder_alive"):
+        columns[flag] = bool(columns[flag])
+    return TickInput(
+        **columns,
+        frames=entry.received,
+        operator=tuple(map(Operator, entry.operator)),
+        setpoints=entry.setpoints,
+    )
+
+
+def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Comparison:
     """Run `cycle` from its initial state over all ticks of a log and compare what it sends and computes.
 
     Raises LogError where the log cannot be read.
     """
     cycle.reset()
-    verdict = Verdict()
+    comparison = Comparison()
     expected: int | None = None
     for entry in log.ticks():
-        recorded = entry.row.tobytes()
-        (
-            tick, t_ns, lateness_ns, skipped, sends_failed, bus_errors, bus_off, bus_overflow, recorder_alive,
-            recorder_dropped, compute_ns,
-        ) = _INPUT.unpack_from(recorded)  # fmt: skip
+        inp = recorded_input(entry)
+        tick, skipped = inp.tick, inp.skipped
         if expected is None:
             expected = skipped
-        if tick != expected + (skipped if verdict.ticks else 0):
-            verdict.gaps.append((expected, tick - expected - skipped))
+        if tick != expected + (skipped if comparison.ticks else 0):
+            comparison.gaps.append((expected, tick - expected - skipped))
             break
         expected = tick + 1
-        inp = TickInput(
-            tick=tick,
-            t_ns=t_ns,
-            lateness_ns=lateness_ns,
-            skipped=skipped,
-            frames=entry.received,
-            sends_failed=sends_failed,
-            bus_errors=bus_errors,
-            bus_off=bool(bus_off),
-            bus_overflow=bus_overflow,
-            recorder_alive=bool(recorder_alive),
-            recorder_dropped=recorder_dropped,
-            operator=tuple(Operator(o) for o in entry.operator) if entry.operator else (),
-            compute_ns=compute_ns,
-            setpoints=entry.setpoints,
-        )
         sent = cycle.begin(tick)
         out = cycle.step(inp)
         sent += out.frames
-        verdict.ticks += 1
-        verdict.frames += len(sent)
+        comparison.ticks += 1
+        comparison.frames += len(sent)
         wire = sent != entry.sent
-        columns = out.row.tobytes() != recorded
+        columns = out.row.tobytes() != entry.row.tobytes()
         if wire or columns:
-            verdict.different_ticks += 1
-            verdict.wire_different_ticks += wire
+            comparison.different_ticks += 1
+            comparison.wire_different_ticks += wire
             if columns:
-                verdict.largest = max(verdict.largest, _largest(out.row, entry.row))
-            if not verdict.first:
-                verdict.first = _differences(tick, out.row, entry.row)
+                comparison.largest = max(comparison.largest, _largest(out.row, entry.row))
+            if not comparison.first:
+                comparison.first = _differences(tick, out.row, entry.row)
                 if wire:
-                    verdict.first.append(Difference(tick, "sent frames", entry.sent, sent))
-        if progress is not None and verdict.ticks % 1000 == 0:
-            progress(verdict.ticks)
-    return verdict
+                    comparison.first.append(Difference(tick, "sent frames", entry.sent, sent))
+        if progress is not None and comparison.ticks % 1000 == 0:
+            progress(comparison.ticks)
+    return comparison
 
 
 def _differences(tick: int, replayed: Rows, recorded: np.void) -> list[Difference]:

@@ -4,8 +4,6 @@ A set-point is a line of six numbers, x y z in m and the rotation vector in deg;
 not.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import socket
@@ -35,10 +33,7 @@ def socket_path(interface: str, channel: str) -> Path:
 
 
 def parse(text: str) -> SetPoint:
-    """Return the set-point of a line `x y z [rx ry rz]`, m and deg.
-
-    Raises ValueError with what is wrong.
-    """
+    """Return the set-point of a line `x y z [rx ry rz]`, m and deg. Raises ValueError with what is wrong."""
     if len(text) > LONGEST:  # what has been cut off could change what it means
         raise ValueError(f"longer than {LONGEST} bytes; allowed: {FORM}")
     words = text.replace(",", " ").split()

@@ -1,15 +1,14 @@
 """Set-points on their way into motion: which are taken, which are refused, and why."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
-from hil.signals import Refusal, SetPoint
-from hil.trajectory import LiveTrajectory
+from drivers.signals import Refusal
+from hil.signals import SetPoint
+from hil.trajectory.live import LiveTrajectory
 
 
 class Counts(NamedTuple):

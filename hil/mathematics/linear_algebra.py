@@ -3,8 +3,6 @@
 LAPACK's answer depends on the kernel that OpenBLAS picks for the processor; this one's does not.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array, Ints

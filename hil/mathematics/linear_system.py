@@ -80,12 +80,7 @@ class LinearSystem(NamedTuple):
         E = np.linalg.inv(M)  # y2 = E (C2 x + D21 w + D22 C_k x_k)
         from_x, from_k, from_w = E @ C2, E @ D22 @ lower.C, E @ D21
         u_x, u_k, u_w = lower.D @ from_x, lower.D @ from_k + lower.C, lower.D @ from_w
-        A = np.block(
-            [
-                [self.A + B2 @ u_x, B2 @ u_k],
-                [lower.B @ from_x, lower.A + lower.B @ from_k],
-            ]
-        )
+        A = np.block([[self.A + B2 @ u_x, B2 @ u_k], [lower.B @ from_x, lower.A + lower.B @ from_k]])
         B = np.vstack([B1 + B2 @ u_w, lower.B @ from_w])
         return LinearSystem(A, B, np.hstack([C1 + D12 @ u_x, D12 @ u_k]), D11 + D12 @ u_w, self.period_s)
 

@@ -4,8 +4,6 @@ Sine and cosine are power series, because those of the C library differ in the l
 the next.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

@@ -5,8 +5,6 @@ a reference built on them would not replay bit for bit. Additions, products and 
 everywhere.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Three-vectors as tuples of numbers, which the compiler keeps in registers."""
 
-from __future__ import annotations
-
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 

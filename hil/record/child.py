@@ -1,7 +1,5 @@
 """The recorder as a child process: start it, set it up, hear its answer, reap it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -9,25 +7,26 @@ import select
 import signal
 import struct
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
+from drivers.child_process import start
 from hil.record.ring import Ring
 
 
 def spawn(ring: Ring) -> subprocess.Popen[bytes]:
     """Start the recorder with the ring and two pipes."""
-    root = str(Path(__file__).resolve().parents[2])
-    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    variables["PYTHONPATH"] = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
-    command = [sys.executable, "-P", "-m", "hil.record", str(ring.fd), str(os.getpid())]
     # a Ctrl-C while the recorder starts must not end it: it inherits the mask and opens it when it is ready
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     try:
-        return subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(ring.fd,), env=variables
+        return start(
+            "hil.record",
+            str(ring.fd),
+            str(os.getpid()),
+            environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=(ring.fd,),
         )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -4,9 +4,7 @@ Messages as our recorder writes them are taken apart in whole batches; those of 
 went through another MCAP writer) by protobuf, with the same result.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,16 +16,11 @@ from numpy.typing import NDArray
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
+from drivers.tick import Column
+from hil.record.layout import MAX_DATA, RECORD_HEADER, frame_layout, unpack_varint5
 from hil.record.mcap_read import MessageTable
-from hil.record.schema import (
-    MAX_DATA,
-    RECORD_HEADER,
-    Schema,
-    frame_layout,
-    message_class,
-    row_layout,
-    unpack_varint5,
-)
+from hil.record.row import RowCodec
+from hil.record.schema import Schema, message_class
 
 CAN, OPERATOR, EVENTS = "/can", "/operator", "/events"
 ITEM = np.dtype(
@@ -37,12 +30,13 @@ ITEM = np.dtype(
         ("direction", "u1"),
         ("flags", "u1"),
         ("length", "u1"),
-        ("spare", "u1"),
+        ("bus", "u1"),
         ("t_ns", "<i8"),
         ("id", "<u4"),
         ("data", "u1", (MAX_DATA,)),
     ]
 )
+_NUMBERS = ("tick", "index", "direction", "id", "bus")
 _FLAGS = {"is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI}
 
 
@@ -62,13 +56,12 @@ class Decoder:
         else:
             self._schemas[record.id] = Schema(record.name, bytes(record.data))
 
-    def expect(self, topic: str, dtype: np.dtype[np.void], can_channel: str, epoch_ns: int) -> None:
-        """Set the topic and type of the rows, the name of the bus and the UTC of t_ns = 0."""
+    def expect(self, topic: str, columns: Sequence[Column], can_channel: str, epoch_ns: int) -> None:
+        """Set the topic and columns of the rows, the name of the bus and the UTC of t_ns = 0."""
         self._topic = topic
-        self._dtype = dtype
         self._bus = can_channel.encode()
         self._epoch = epoch_ns
-        self._row_layout = row_layout(dtype)
+        self._row = RowCodec(columns)
 
     def _of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
         """Return which messages of a table are of a topic."""
@@ -96,30 +89,21 @@ class Decoder:
     def rows(self, data: bytes, table: MessageTable) -> Rows:
         """Return the rows in a buffer, in its order."""
         mine = self._of(table, self._topic)
-        rows = np.zeros(len(mine), self._dtype)
-        if not len(mine):
-            return rows
-        size = self._row_layout.template.size
-        if (table.length[mine] == size).all():
+        layout = self._row.layout
+        size = layout.template.size
+        if len(mine) and (table.length[mine] == size).all():
             starts = (table.offset[mine] + RECORD_HEADER).tolist()
             stops = (table.offset[mine] + size).tolist()
             joined = b"".join([data[a:b] for a, b in zip(starts, stops, strict=True)])
             payloads = np.frombuffer(joined, np.uint8).reshape(len(mine), -1)
-            if self._row_layout.fits(payloads):
-                columns = payloads.view(self._row_layout.payload).reshape(len(mine))
-                for name in self._dtype.names or ():
-                    rows[name] = columns[name]
-                return rows
+            if layout.fits(payloads):
+                return self._row.read(payloads.view(layout.payload).reshape(len(mine)))
+        rows = np.zeros(len(mine), self._row.dtype)
         for n, i in enumerate(mine.tolist()):
-            message = self._protobuf(data, table, i)
-            for name in self._dtype.names or ():
-                value = getattr(message, name)
-                try:
-                    rows[n][name] = value
-                except (TypeError, ValueError) as error:
-                    raise LogError(
-                        f"{self._name}: column {name} of a row has another shape: {error}"
-                    ) from error
+            try:
+                rows[n] = self._row.parse(self._protobuf(data, table, i))
+            except (AttributeError, TypeError, ValueError) as error:
+                raise LogError(f"{self._name}: a row has other columns than the log says: {error}") from error
         return rows
 
     def frames(self, data: bytes, table: MessageTable) -> Rows:
@@ -147,7 +131,7 @@ class Decoder:
         items = np.zeros(len(frames), ITEM)
         seconds, nanos = unpack_varint5(frames["seconds"]), unpack_varint5(frames["nanos"])
         items["t_ns"] = seconds * 1_000_000_000 + nanos - self._epoch
-        for name in ("tick", "index", "direction", "id"):
+        for name in _NUMBERS:
             items[name] = frames[name]
         for name, bit in _FLAGS.items():
             items["flags"] |= frames[name] * np.uint8(bit)
@@ -161,8 +145,8 @@ class Decoder:
         item = np.zeros((), ITEM)
         stamp = message.header.stamp
         item["t_ns"] = stamp.seconds * 1_000_000_000 + stamp.nanos - self._epoch
-        for name in ("tick", "index", "direction", "id"):
-            item[name] = getattr(message, name)
+        for name in _NUMBERS:
+            item[name] = getattr(message, name, 0)  # version 0.1.0 had no `bus`
         item["flags"] = sum(bit for name, bit in _FLAGS.items() if getattr(message, name))
         length = len(message.data)
         if length > MAX_DATA:

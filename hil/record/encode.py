@@ -1,8 +1,5 @@
 """From a batch of ticks in the ring to MCAP messages as bytes."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,15 +11,16 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.arrays import Ints, Rows
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
-from hil.record import schema
-from hil.record.recording import Scene
+from hil.record import layout
+from hil.record.recording import VIEW_EVERY, Scene
 from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, SETPOINT, Batch
+from hil.record.row import RowCodec, Table, row_schema
 from hil.record.scene import SceneDrawer, transforms
-from hil.record.schema import RX, TX, Schema
+from hil.record.schema import RX, TX, Schema, frame_schema, message_class, operator_schema
 
 TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
 """Channel ids."""
-_DLC = np.array([schema.data_length_code(length) for length in range(schema.MAX_DATA + 1)], np.uint8)
+_DLC = np.array([layout.data_length_code(length) for length in range(layout.MAX_DATA + 1)], np.uint8)
 _LAST = 1 << 24
 _BITS = {"is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI}
 
@@ -50,33 +48,18 @@ class _Block(NamedTuple):
 class Encoder:
     """Turns batches into messages. State: the tick that comes next, for events between ticks."""
 
-    def __init__(
-        self,
-        dtype: np.dtype[np.void],
-        *,
-        topic: str,
-        epoch_ns: int,
-        can_channel: str,
-        units: Mapping[str, str],
-        scene: Scene | None,
-        view_every: int,
-    ) -> None:
-        self._row_layout = schema.row_layout(dtype)
+    def __init__(self, table: Table, *, epoch_ns: int, can_channel: str, scene: Scene | None) -> None:
+        self._row = RowCodec(table.columns)
         self._epoch = epoch_ns
         self._bus = can_channel.encode()
-        self._view_every = view_every
+        self._view_every = scene.every if scene else VIEW_EVERY
         self._drawer = SceneDrawer(scene) if scene else None
-        self._operator = schema.message_class(schema.operator_schema())
+        self._operator = message_class(operator_schema())
         self._next_tick = 0
-        row_name = f"{schema.PACKAGE}.{topic.strip('/').title().replace('/', '').replace('_', '')}"
         self.channels: dict[int, tuple[str, Schema, dict[str, str]]] = {
-            TICK: (
-                topic,
-                schema.row_schema(row_name, dtype, units),
-                {f"unit.{k}": v for k, v in units.items()},
-            ),
-            CAN: ("/can", schema.frame_schema(), {"channel": can_channel}),
-            COMMANDS: ("/operator", schema.operator_schema(), {}),
+            TICK: (table.topic, row_schema(table), {}),
+            CAN: ("/can", frame_schema(), {"channel": can_channel}),
+            COMMANDS: ("/operator", operator_schema(), {}),
             EVENTS: ("/events", _foxglove(Log), {}),
             TF: ("/tf", _foxglove(FrameTransform), {}),
             SCENE: ("/scene", _foxglove(SceneUpdate), {}),
@@ -106,26 +89,17 @@ class Encoder:
         return _in_order(blocks)
 
     def _rows(self, rows: Rows) -> _Block:
-        records = self._row_layout.new(len(rows))
-        for name in rows.dtype.names or ():
-            records[name] = rows[name]
+        records = self._row.layout.new(len(rows))
+        self._row.write(rows, records)
         log_time = rows["t_ns"] + self._epoch
         return self._block(records, TICK, rows["tick"], log_time, log_time, np.arange(len(rows)) * _LAST)
 
-    def _frames(
-        self,
-        items: Rows,
-        length: int,
-        ticks: Ints,
-        times: Ints,
-        index: Ints,
-        key: Ints,
-    ) -> _Block:
-        records = schema.frame_layout(length, self._bus).new(len(items))
+    def _frames(self, items: Rows, length: int, ticks: Ints, times: Ints, index: Ints, key: Ints) -> _Block:
+        records = layout.frame_layout(length, self._bus).new(len(items))
         log_time = items["t_ns"] + self._epoch
         seconds, nanos = np.divmod(log_time, 1_000_000_000)
-        records["seconds"] = schema.pack_varint5(seconds)
-        records["nanos"] = schema.pack_varint5(nanos)
+        records["seconds"] = layout.pack_varint5(seconds)
+        records["nanos"] = layout.pack_varint5(nanos)
         records["id"] = items["id"]
         flags = items["flags"]
         for name, bit in _BITS.items():
@@ -136,16 +110,12 @@ class Encoder:
         records["direction"] = np.where(items["kind"] == RECEIVED, RX, TX)
         records["tick"] = ticks
         records["index"] = index
+        records["bus"] = items["bus"]
         return self._block(records, CAN, ticks, log_time, times + self._epoch, key)
 
     @staticmethod
     def _block(
-        records: Rows,
-        channel: int,
-        ticks: Ints,
-        log_time: Ints,
-        publish_time: Ints,
-        key: Ints,
+        records: Rows, channel: int, ticks: Ints, log_time: Ints, publish_time: Ints, key: Ints
     ) -> _Block:
         records["@channel"] = channel
         records["@sequence"] = ticks & 0xFFFFFFFF

@@ -1,7 +1,5 @@
 """What a log says about the machine and the software that wrote it."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

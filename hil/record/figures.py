@@ -1,15 +1,15 @@
 """What a run was like: figures and a picture from its recorded rows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array, Rows
+from drivers.signals import Fault, Mode, Warn
+from drivers.tick import COLUMNS
 from hil.record.metrics import rotation_errors
-from hil.signals import Fault, Mode, Warn, explain
+from hil.signals import explain
 
 
 def figures(rows: Rows) -> dict[str, Any]:
@@ -109,18 +109,16 @@ def _names(kind: type[Fault], bits: int) -> list[str]:
 
 def picture(rows: Rows, path: Path, title: str) -> Path:
     """Draw leg errors, leg forces, pose and wake-up lateness of a run into a PNG file."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(12, 8), layout="constrained")
-    FigureCanvasAgg(figure)
     (path_axes, error_axes), (force_axes, wake_axes) = figure.subplots(2, 2)
     t = (rows["t_ns"] - rows["t_ns"][0]) * 1e-9
     moving = rows["mode"] == Mode.TRACKING
-    for i, name in enumerate("xyz"):
+    for i, name in enumerate(COLUMNS["p"].elements):
         path_axes.plot(t, rows["p"][:, i], label=name)
         path_axes.plot(t, np.where(moving, rows["p_d"][:, i], np.nan), "k:", linewidth=0.8)
-    path_axes.set(title="platform origin, measured; dotted: reference", ylabel="m")
+    path_axes.set(title="platform origin, measured; dotted: reference", ylabel=COLUMNS["p"].unit)
     path_axes.legend(loc="upper right")
     e_mm = np.where(moving[:, None], (rows["q_d"] - rows["q"]) * 1e3, np.nan)
     error_axes.plot(t, e_mm, linewidth=0.8)

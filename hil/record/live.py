@@ -1,14 +1,12 @@
 """The live status line of a run, drawn from the rows that the recorder drains."""
 
-from __future__ import annotations
-
 import time
 from typing import Any, TextIO
 
 import numpy as np
 
 from drivers.arrays import Rows
-from hil.signals import Mode, Warn
+from drivers.signals import Mode, Warn
 
 TERMINAL_S = 0.2
 """Time between two lines on a terminal, which overwrite one another."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 from collections.abc import Iterator
@@ -18,11 +17,13 @@ from mcap.records import Chunk
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
-from hil.record import schema
+from drivers.tick import Column
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR, Decoder
+from hil.record.layout import MAX_DATA
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import MessageTable, Record, decompress, records, split
-from hil.record.schema import CONFIGURATION, FORMAT, IDENTITY, RX, SUMMARY, TX
+from hil.record.row import Table, columns_of, columns_of_0_1_0
+from hil.record.schema import CONFIGURATION, IDENTITY, RX, SUMMARY, TX
 from hil.signals import Operator, SetPoint
 
 _BATCH, _LOOKAHEAD = 256, 64
@@ -92,19 +93,27 @@ class Log:
         for record in records(log.path, skip=_MESSAGES):
             log._learn(record)
         identity = log.metadata.get(IDENTITY, {})
-        if "dtype" not in identity:
+        if not {"columns", "dtype"} & identity.keys():
             raise LogError(
                 f"{path}: an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"
             )
-        if identity.get("format") != FORMAT:
-            raise LogError(f"{path}: format {identity.get('format')}; this version reads format {FORMAT}")
-        log.dtype = schema.row_type(json.loads(identity["dtype"]))
         log.topic = identity["topic"]
+        try:
+            log.columns = (
+                columns_of(identity["columns"])
+                if "columns" in identity
+                else columns_of_0_1_0(identity["dtype"])
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise LogError(f"{path}: its table of columns cannot be read: {error!r}") from error
+        log.dtype = Table(log.topic, log.columns).dtype
         log.epoch_ns = int(identity["epoch_ns"])
         log.lockstep = identity["mode"] == "lockstep"
-        log._decoder.expect(log.topic, log.dtype, identity["can_channel"], log.epoch_ns)
+        log._decoder.expect(log.topic, log.columns, identity["can_channel"], log.epoch_ns)
         return log
 
+    columns: tuple[Column, ...]
+    """Of the rows; without names of elements and numbers where version 0.1.0 wrote the log."""
     dtype: np.dtype[np.void]
     """Type of the rows."""
     topic: str
@@ -132,8 +141,13 @@ class Log:
     @property
     def summary(self) -> LogStatistics:
         """What is in the log, from its index."""
-        with self.path.open("rb") as file:
-            summary = make_reader(file).get_summary()
+        try:
+            with self.path.open("rb") as file:
+                summary = make_reader(file).get_summary()
+        except (McapError, struct.error, UnicodeDecodeError) as error:
+            raise LogError(
+                f"{self.path}: damaged index: {error}; run `hil replay --salvage` on it"
+            ) from error
         statistics = summary.statistics if summary else None
         if summary is None or statistics is None:
             raise LogError(f"{self.path}: no index at the end: run `hil replay --salvage` on it")
@@ -277,7 +291,7 @@ class Log:
 def _assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
     """Yield the ticks of `rows`, with their items."""
     items = items[np.lexsort((items["index"], items["direction"], items["tick"]))]
-    width = schema.MAX_DATA
+    width = MAX_DATA
     data = np.ascontiguousarray(items["data"]).tobytes()
     starts = range(0, len(data), width)
     contents = [data[a : a + n] for a, n in zip(starts, items["length"].tolist(), strict=True)]

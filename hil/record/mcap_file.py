@@ -5,8 +5,6 @@ a chunk is one buffer and its message index one array. Records other than Messag
 by `mcap.records`.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

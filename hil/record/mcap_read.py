@@ -4,8 +4,6 @@ Unlike the `mcap` library's readers it goes through a file that has no summary o
 messages as positions in one buffer instead of one object each.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterator

@@ -1,16 +1,15 @@
 """What a run's samples amount to, as plain numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
+from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, jacobian_rate
-from hil.trajectory import PoseSample
+from hil.trajectory.path import PoseSample
 
 
 def total_variation(x: Array) -> Array:
@@ -40,19 +39,11 @@ def rms(x: Array) -> Array:
 def rotation_errors(R_d: Array, R: Array) -> Array:
     """Return the rotation vector of R_d R^T, row by row: what turns the pose onto the reference.
 
-    R_d, R : (n, 3, 3) or (n, 9), x_base = p + R x_platform. Returns (n, 3) rad, base frame, for errors below
-    half a turn. The angle is taken from sine and cosine, so a small one keeps its digits.
+    R_d, R : (n, 3, 3) or (n, 9), x_base = p + R x_platform. Returns (n, 3) rad, base frame.
     """
-    E = np.einsum("nij,nkj->nik", R_d.reshape(-1, 3, 3), R.reshape(-1, 3, 3))
-    axis = np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], axis=1) / 2
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, (np.trace(E, axis1=1, axis2=2) - 1) / 2)
-    factor = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0)
-    errors: Array = axis * factor[:, None]
-    return errors
-
-
-# -- a step of the set-point ---------------------------------------------------------------------------------
+    demanded, measured = (np.ascontiguousarray(x, np.float64).reshape(-1, 3, 3) for x in (R_d, R))
+    rows = [relative_rotation(m, d) for m, d in zip(measured, demanded, strict=True)]
+    return np.array(rows).reshape(-1, 3)
 
 
 class StepResponse(NamedTuple):
@@ -131,9 +122,6 @@ def _first_above(t: Array, share: Array, level: float) -> float:
         return float(t[0])
     weight = (level - share[k - 1]) / (share[k] - share[k - 1])
     return float(t[k - 1] + weight * (t[k] - t[k - 1]))
-
-
-# -- what the force along a path is made of ------------------------------------------------------------------
 
 
 class Share(NamedTuple):

@@ -31,7 +31,8 @@ from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
 from hil.record.recording import Scene
 from hil.record.ring import DROPPED, Ring
-from hil.record.schema import ENVIRONMENT, IDENTITY, LIBRARY, SUMMARY, row_type
+from hil.record.row import Table, columns_of
+from hil.record.schema import ENVIRONMENT, IDENTITY, LIBRARY, SUMMARY
 
 FLUSH_S = 0.1
 """Real time: a chunk at least this often; half of what may be lost when all is killed at once."""
@@ -65,17 +66,17 @@ class Histogram:
 class Recorder:
     """One log being written. State: the ring's read side, the file, what was counted."""
 
-    def __init__(self, ring: Ring, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]) -> None:
+    def __init__(
+        self, ring: Ring, table: Table, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]
+    ) -> None:
         self._ring = ring
-        self._lockstep = bool(setup["lockstep"])
+        identity = setup["identity"]
+        self._lockstep = identity["mode"] == "lockstep"
         self._encoder = Encoder(
-            ring.rows.dtype,
-            topic=setup["topic"],
-            epoch_ns=setup["epoch_ns"],
-            can_channel=setup["can_channel"],
-            units=setup["units"],
+            table,
+            epoch_ns=int(identity["epoch_ns"]),
+            can_channel=identity["can_channel"],
             scene=Scene(**setup["scene"]) if setup["scene"] else None,
-            view_every=setup["view_every"],
         )
         # fixed batches make the whole data section, not only its messages, the same for the same run
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
@@ -229,9 +230,10 @@ def main(arguments: list[str]) -> int:
     file: McapFile | None = None
     try:
         setup, attachments = read_setup(control_fd)
-        ring = Ring(ring_fd, row_type(setup["dtype"]), setup["ring_ticks"])
+        table = Table(setup["identity"]["topic"], columns_of(setup["identity"]["columns"]))
+        ring = Ring(ring_fd, table.dtype, setup["ring_ticks"])
         ring.close_fd()
-        recorder = Recorder(ring, setup, attachments)
+        recorder = Recorder(ring, table, setup, attachments)
         file = recorder.file
         control = _Control(control_fd, producer)
         answer({"ready": True})

@@ -4,8 +4,6 @@
 waits: when the ring is full the tick is dropped and counted. In lockstep it waits for room.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -24,6 +22,7 @@ from drivers.errors import LogError
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, set_up, spawn, write_all
 from hil.record.environment import environment
+from hil.record.layout import MAX_DATA
 from hil.record.ring import (
     DROPPED,
     EVENT,
@@ -40,8 +39,9 @@ from hil.record.ring import (
     fence,
     pack_item,
 )
-from hil.record.schema import CONFIGURATION, FORMAT, MAX_DATA, ROW_UNITS, check_row_type, describe_row_type
-from hil.signals import ROW, Operator, SetPoint
+from hil.record.row import TICKS, Table, describe
+from hil.record.schema import CONFIGURATION
+from hil.signals import Operator, SetPoint
 
 LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
 """2000-01-01T00:00:00Z: the UTC of t_ns = 0 in lockstep."""
@@ -50,6 +50,8 @@ LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 _SETPOINT = int(Operator.SETPOINT)
 _START_S = 20.0
 _PIECE = MAX_DATA
+VIEW_EVERY = 33
+"""Ticks between two messages of `/scene` and `/tf`."""
 
 
 class Scene(NamedTuple):
@@ -59,6 +61,7 @@ class Scene(NamedTuple):
     """(6, 3) m, base frame."""
     platform_joints: Sequence[Sequence[float]]
     """(6, 3) m, platform frame."""
+    every: int = VIEW_EVERY
 
 
 class LogSummary(NamedTuple):
@@ -101,101 +104,52 @@ class Recording:
         path: str | os.PathLike[str],
         *,
         configuration: str,
-        dtype: np.dtype[np.void] = ROW,
-        topic: str = "/tick",
+        table: Table = TICKS,
         attachments: Sequence[tuple[str, bytes]] = (),
         metadata: Mapping[str, object] | None = None,
-        units: Mapping[str, str] | None = None,
         scene: Scene | None = None,
-        view_every: int = 33,
         can_channel: str = "can0",
         lockstep: bool = False,
         ring_ticks: int = 8192,
         live: bool = False,
         reference_s: float | None = None,
     ) -> Self:
-        """Start a recorder process and open the log.
+        """Start a recorder process and open the log `path`, which is never overwritten.
 
-        Call it before the process is pinned or made real-time: the recorder inherits the affinity.
+        Call it before the process is pinned or made real-time: the recorder inherits the affinity. Text of
+        the configuration and further (name, content) are attached; `metadata` goes into the metadata record
+        `hil`, as JSON where it is not text. `table` has scalar columns `tick` and `t_ns`; `can_channel` is
+        the name of the bus in the frames. In `lockstep` time is simulated: wait where the ring of
+        `ring_ticks` is full, a fixed epoch, reproducible messages. `live` draws a status line on standard
+        error (rows of TICKS only), with the progress of a reference of `reference_s`.
 
-        Parameters
-        ----------
-        path
-            Final name of the log; never overwritten.
-        configuration
-            Text of the configuration, attached as `config.yaml`.
-        dtype, topic
-            Type of the rows (elements i8 or f8, with scalar columns `tick` and `t_ns`) and their topic.
-        attachments
-            Further (name, content).
-        metadata
-            Goes into the metadata record `hil`; values that are not text are written as JSON.
-        units
-            Unit of each column, for viewers; default: those of hil.signals.ROW.
-        scene, view_every
-            What `/scene` shows, and how many ticks lie between two messages of `/scene` and `/tf`.
-        can_channel
-            Name of the bus in the frames.
-        lockstep
-            Simulated time: wait when the ring is full, a fixed epoch, reproducible messages.
-        ring_ticks
-            Length of the ring.
-        live, reference_s
-            Draw a status line on standard error (rows of dtype ROW only), with the progress of a reference
-            of this length.
-
-        Raises
-        ------
-        LogError
-            The log exists, cannot be written, or the recorder does not start.
-        ValueError
-            The row type cannot be recorded.
-
+        Raises LogError where the log exists, cannot be written, or the recorder does not start; ValueError
+        where the table cannot be recorded.
         """
-        check_row_type(dtype)
+        table.check()
         file = Path(path).absolute()
-        now = time.time_ns()
-        epoch_ns = LOCKSTEP_EPOCH_NS if lockstep else now - time.monotonic_ns()
-        description = describe_row_type(dtype)
+        created_ns = LOCKSTEP_EPOCH_NS if lockstep else time.time_ns()
         files = [(CONFIGURATION, configuration.encode()), *attachments]
         setup = {
             "path": str(file),
-            "dtype": description,
-            "topic": topic,
             "ring_ticks": ring_ticks,
-            "lockstep": lockstep,
-            "epoch_ns": epoch_ns,
-            "created_ns": LOCKSTEP_EPOCH_NS if lockstep else now,
-            "can_channel": can_channel,
-            "units": dict(ROW_UNITS if units is None else units),
+            "created_ns": created_ns,
             "scene": scene._asdict() if scene else None,
-            "view_every": max(1, view_every),
             "live": live,
             "reference_s": reference_s,
             "attachments": [[name, len(data)] for name, data in files],
             "environment": environment(),
             "identity": {
                 **_texts(metadata or {}),
-                "format": FORMAT,
-                "topic": topic,
-                "dtype": json.dumps(description),
-                "epoch_ns": str(epoch_ns),
+                "topic": table.topic,
+                "columns": describe(table.columns),
+                "epoch_ns": str(created_ns if lockstep else created_ns - time.monotonic_ns()),
                 "can_channel": can_channel,
                 "mode": "lockstep" if lockstep else "realtime",
             },
         }
-        ring = Ring.create(dtype, ring_ticks)
-        process = spawn(ring)
-        try:
-            set_up(process, setup, [data for _, data in files])
-            reply = answer(process, _START_S)
-        except OSError:
-            reply = answer(process, 1.0)
-        if "ready" not in reply:
-            process.kill()
-            finish(process)
-            raise LogError(str(reply.get("error", f"{file}: the recorder process did not start")))
-        return cls(ring, process, file, lockstep=lockstep)
+        ring = Ring.create(table.dtype, ring_ticks)
+        return cls(ring, _start(ring, setup, [data for _, data in files]), file, lockstep=lockstep)
 
     @property
     def alive(self) -> bool:
@@ -226,12 +180,8 @@ class Recording:
         `sent_t_ns` gives the instant of each sent frame; by default it is the time of the tick.
         A 0-d array as `row` is fastest.
 
-        Raises
-        ------
-        LogError
-            In lockstep: the recorder has died, or one tick has more frames than the ring. Always: a frame of
-            more than 64 bytes.
-
+        Raises LogError for a frame of more than 64 bytes, and in lockstep where the recorder has died or one
+        tick has more frames than the ring.
         """
         count = len(received) + len(sent) + len(operator) + len(setpoints)
         if not self._has_room(count):
@@ -341,6 +291,21 @@ class Recording:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _start(ring: Ring, setup: Mapping[str, Any], files: Sequence[bytes]) -> subprocess.Popen[bytes]:
+    """Return the recorder process with its log open. Raises LogError."""
+    process = spawn(ring)
+    try:
+        set_up(process, setup, files)
+        reply = answer(process, _START_S)
+    except OSError:
+        reply = answer(process, 1.0)
+    if "ready" not in reply:
+        process.kill()
+        finish(process)
+        raise LogError(str(reply.get("error", f"{setup['path']}: the recorder process did not start")))
+    return process
 
 
 def _too_long(can_id: int, length: int) -> LogError:

@@ -28,7 +28,7 @@ ITEM = np.dtype(
         ("kind", "u1"),
         ("flags", "u1"),
         ("length", "u1"),
-        ("spare", "u1"),
+        ("bus", "u1"),
         ("data", "u1", (64,)),
     ]
 )

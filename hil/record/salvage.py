@@ -4,8 +4,6 @@ The original is read, never touched; the result is a new file. Complete chunks a
 chunk that is cut, the ticks that are complete.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from pathlib import Path

@@ -3,8 +3,6 @@
 Pictures only, at a low rate; nothing here is read back.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import Any
 

@@ -3,8 +3,6 @@
 Parameters of a leg stand in the order base x y z, platform x y z, offset, all in m; legs follow each other.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.special import gammaincc
 
 from drivers.arrays import Array
-from drivers.errors import ModelError
+from drivers.errors import CalibrationError
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.geometry import Platform
 
@@ -29,10 +27,6 @@ SHARE = 0.02
 """A parameter with more than this in what is not determined is not determined by itself."""
 WEAK = 1e-3
 """m: a combination less certain than this is worth a warning."""
-
-
-class CalibrationError(ModelError):
-    """Measurements that cannot calibrate: too few, not finite, of another robot or another unit."""
 
 
 @dataclass(frozen=True)
@@ -269,14 +263,7 @@ def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tupl
         return np.asarray(each.reshape(rows, 42) @ basis)
 
     fit = least_squares(
-        whitened,
-        np.zeros(rank),
-        jacobian,
-        method="lm",
-        xtol=1e-12,
-        ftol=1e-14,
-        gtol=1e-12,
-        max_nfev=500,
+        whitened, np.zeros(rank), jacobian, method="lm", xtol=1e-12, ftol=1e-14, gtol=1e-12, max_nfev=500
     )
     if not fit.success:
         raise CalibrationError(

@@ -4,8 +4,6 @@ Packs constants and checks arguments; the equations are in ``hil.robot.dynamics_
 those.
 """
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 import numpy as np
@@ -109,10 +107,7 @@ class Model:
         self.leg_spin = leg_spin
         self.code = CODES[variant]
         constants = pack_constants(
-            platform,
-            inertia_scale,
-            spin=leg_spin == "universal",
-            massless_legs=variant == "massless_legs",
+            platform, inertia_scale, spin=leg_spin == "universal", massless_legs=variant == "massless_legs"
         )
         reflected = inertia_scale * _per_leg("reflected_mass", "kg", reflected_mass)
         constants[kernels.REFLECTED : kernels.REFLECTED + 6] = reflected

@@ -6,14 +6,12 @@ joint from the constraint that its two hinges leave). ``c`` is the vector of con
 ``hil.robot.dynamics`` packs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, helper, kernel
 from hil.mathematics.linear_algebra import lu_factor, lu_solve, lu_solve_transposed
-from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, scale, sub
+from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
 from hil.robot.kinematics_kernels import jacobian_rate_twist, leg, leg_motion
 
 FULL = 0
@@ -49,8 +47,7 @@ SIZE = 173
 @helper
 def inertia_about_base(c: Array, l: float) -> float:
     """Return I(l) = I1 + I2 + m1 c1^2 + m2 (l - c2)^2, of a leg about its base joint, across its axis."""
-    m1, c1 = c[CYLINDER_MASS], c[CYLINDER_COM]
-    m2, c2 = c[ROD_MASS], c[ROD_COM]
+    m1, c1, m2, c2 = c[CYLINDER_MASS], c[CYLINDER_COM], c[ROD_MASS], c[ROD_COM]
     return float(c[TRANSVERSE] + m1 * c1 * c1 + m2 * (l - c2) * (l - c2))
 
 
@@ -96,8 +93,7 @@ def leg_bias(c: Array, i: int, l: float, s: Vector, dl: float, ds: Vector) -> Ve
     force = add(force, scale(2.0 * dl / l * (m2 * (l - c2) - inertia_about_base(c, l) / l), ds))
     if c[AXIAL] != 0.0:
         k = at(c, AXES + 3 * i)
-        x = dot(k, s)
-        dx = dot(k, ds)
+        x, dx = dot(k, s), dot(k, ds)
         rest = 1.0 - x * x
         turn = dot(cross(k, s), ds)
         spin = x / rest * turn
@@ -127,15 +123,10 @@ def fill_mass_matrix(c: Array, p: Array, R: Array, M: Array) -> None:
     m = c[MASS]
     x = rotate(R, at(c, COM))
     M[:] = 0.0
-    M[0, 0] = m
-    M[1, 1] = m
-    M[2, 2] = m
+    M[0, 0] = M[1, 1] = M[2, 2] = m
     for j in range(3):  # R I R^T, one column at a time
-        column = rotate_back(R, (1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0))
-        column = rotate(R, inertia_times(c, column))
-        M[3, 3 + j] = column[0]
-        M[4, 3 + j] = column[1]
-        M[5, 3 + j] = column[2]
+        column = rotate(R, inertia_times(c, row(R, j)))
+        M[3, 3 + j], M[4, 3 + j], M[5, 3 + j] = column
     M[0, 4] = m * x[2]  # force of alpha: m alpha x c = -m [c]x alpha
     M[0, 5] = -m * x[1]
     M[1, 3] = -m * x[2]
@@ -145,9 +136,8 @@ def fill_mass_matrix(c: Array, p: Array, R: Array, M: Array) -> None:
     for i in range(6):
         r = rotate(R, at(c, PLATFORM + 3 * i))
         l, s = leg(at(c, BASE + 3 * i), r, at(p, 0))
-        rows = leg_mass(c, i, l, s)
         # Row n of M_i J_i is [m_n, r x m_n], because m.(w x r) = (r x m).w.
-        m0, m1, m2 = rows
+        m0, m1, m2 = leg_mass(c, i, l, s)
         n0, n1, n2 = cross(r, m0), cross(r, m1), cross(r, m2)
         for j in range(3):
             M[0, j] += m0[j]
@@ -291,8 +281,7 @@ def coriolis_kernel(c: Array, p: Array, R: Array, twist: Array) -> Array:
 @kernel(VECTOR, VECTOR, MATRIX)
 def gravity_kernel(c: Array, p: Array, R: Array) -> Array:
     """Return G (6,)."""
-    f = np.empty(6)
-    rest = np.zeros(6)
+    f, rest = np.empty(6), np.zeros(6)
     newton_euler(c, p, R, at(c, GRAVITY), rest, rest, f)
     return f
 
@@ -321,11 +310,9 @@ def inverse_dynamics_kernel(
     model_force(c, code, p, R, twist, dtwist, f)
     for i in range(6):
         f[i] -= wrench[i]
-    J = work[0:6]
+    J, LU = work[0:6], work[6:12]
     fill_jacobian(c, code, p, R, J)
-    LU = work[6:12]
-    order = np.empty(6, np.int64)
-    tau = np.empty(6)
+    order, tau = np.empty(6, np.int64), np.empty(6)
     if lu_factor(J, LU, order):
         lu_solve_transposed(LU, order, f, tau, work[13])
         add_friction(c, p, R, twist, 1.0, tau)
@@ -392,19 +379,16 @@ def forward_dynamics_kernel(
     """Return dtwist = M^-1 (J^T (tau - friction) + wrench - H - G), (6,); nan where M is singular."""
     drive = tau.copy()
     add_friction(c, p, R, twist, -1.0, drive)
-    f = np.empty(6)
-    dtwist = np.zeros(6)
+    f, dtwist = np.empty(6), np.zeros(6)
     model_force(c, code, p, R, twist, dtwist, f)
-    J = np.empty((6, 6))
+    J, M, LU = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     fill_jacobian(c, code, p, R, J)
     for j in range(6):
         total = 0.0
         for i in range(6):
             total += J[i, j] * drive[i]
         f[j] = total + wrench[j] - f[j]
-    M = np.empty((6, 6))
     model_inertia(c, code, p, R, M)
-    LU = np.empty((6, 6))
     order = np.empty(6, np.int64)
     if lu_factor(M, LU, order):
         lu_solve(LU, order, f, dtwist)

@@ -1,7 +1,5 @@
 """From the commanded forces to those in the legs: a pure delay, a hold over one period, a first-order lag."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import NamedTuple
 

@@ -97,7 +97,8 @@ class Platform:
         keep(self, "platform_joints", _array("platform_joints", self.platform_joints, (6, 3)))
         keep(self, "gravity", _array("gravity", self.gravity, (3,)))
         if self.universal_joint_base_axes is not None:
-            keep(self, "universal_joint_base_axes", _unit_rows(self.universal_joint_base_axes))
+            axes = unit_rows("universal_joint_base_axes", self.universal_joint_base_axes)
+            keep(self, "universal_joint_base_axes", axes)
         keep(self, "platform", _body(self.platform))
         keep(self, "cylinder", _leg_body("cylinder", self.cylinder))
         keep(self, "rod", _leg_body("rod", self.rod))
@@ -237,12 +238,13 @@ def _leg_body(name: str, body: LegBody) -> LegBody:
     return LegBody(_number(f"{name}.mass", body.mass), _number(f"{name}.com", body.com), axial, transverse)
 
 
-def _unit_rows(value: ArrayLike) -> Array:
-    axes = _array("universal_joint_base_axes", value, (6, 3))
+def unit_rows(where: str, value: ArrayLike) -> Array:
+    """Return six directions of any length as unit vectors (6, 3); GeometryError at `where` for others."""
+    axes = _array(where, value, (6, 3))
     length = np.sqrt((axes**2).sum(axis=1, keepdims=True))
     if not (length > TOLERANCE).all():
-        raise GeometryError("universal_joint_base_axes", axes.tolist(), "six directions, none of length zero")
-    return _array("universal_joint_base_axes", axes / length, (6, 3))
+        raise GeometryError(where, axes.tolist(), "six directions, none of length zero")
+    return _array(where, axes / length, (6, 3))
 
 
 def _check_legs(a: Array, b: Array) -> None:

@@ -5,8 +5,6 @@ the next. An inertia tensor is always the matrix of the equations of motion, I =
 dm: products of inertia stand in it with the minus sign.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,11 +40,7 @@ def steiner(mass: float, d: ArrayLike) -> Array:
     """
     x, y, z = (float(v) for v in np.asarray(d, np.float64))
     return mass * np.array(
-        [
-            [y * y + z * z, -x * y, -x * z],
-            [-x * y, x * x + z * z, -y * z],
-            [-x * z, -y * z, x * x + y * y],
-        ]
+        [[y * y + z * z, -x * y, -x * z], [-x * y, x * x + z * z, -y * z], [-x * z, -y * z, x * x + y * y]]
     )
 
 

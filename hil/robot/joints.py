@@ -1,7 +1,5 @@
 """Joint centres on a circle, from a radius and angles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

@@ -3,8 +3,6 @@
 Checked faces of ``hil.robot.kinematics_kernels``; the loop calls the kernels.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -225,15 +223,9 @@ def forward_kinematics(
         Where the lengths cannot be reached, the iteration meets a singular pose or does not converge, or an
         argument is not finite, a length not positive, R0 no rotation.
     """
-    q = _check_lengths(q)
+    a, b, q = platform.base_joints, platform.platform_joints, _check_lengths(q)
     p, R, J, iterations, residual, _ = kernels.forward_kinematics_kernel(
-        platform.base_joints,
-        platform.platform_joints,
-        q,
-        check_vector("p0", p0, 3),
-        check_rotation(R0),
-        tolerance,
-        max_iterations,
+        a, b, q, check_vector("p0", p0, 3), check_rotation(R0), tolerance, max_iterations
     )
     bound = condition_kernel(J, platform.radius)
     if not residual <= tolerance or not bound < SINGULAR:
@@ -246,11 +238,7 @@ def forward_kinematics(
             R=R,
             iterations=iterations,
             condition=bound,
-            residual=float(
-                np.abs(
-                    kernels.leg_lengths_kernel(platform.base_joints, platform.platform_joints, p, R) - q
-                ).max()
-            ),
+            residual=float(np.abs(kernels.leg_lengths_kernel(a, b, p, R) - q).max()),
         )
     return Pose(p, R, iterations, residual)
 

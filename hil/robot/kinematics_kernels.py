@@ -5,23 +5,11 @@ x_base = p + R x_platform; all in m. Row i of the Jacobian is [s_i, (R b_i) x s_
 joint (Merlet, Parallel Robots, 2006, 5.3).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import (
-    INTEGER,
-    MATRIX,
-    OUT_MATRIX,
-    OUT_VECTOR,
-    REAL,
-    VECTOR,
-    direct,
-    helper,
-    kernel,
-)
-from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, helper, kernel
+from hil.mathematics.linear_algebra import lu_factor, lu_solve
 from hil.mathematics.rotations import cayley_step, orthonormalise
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
 
@@ -108,23 +96,6 @@ def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w:
     return dot(ds, u) + dot(s, cross(w, cross(w, r)))
 
 
-@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_VECTOR)
-def reference_kernel(
-    a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, q: Array, dq: Array, ddq: Array
-) -> None:
-    """Fill q, dq = J twist, ddq = J dtwist + (dJ/dt) twist, (6,)."""
-    v = at(twist, 0)
-    w = at(twist, 3)
-    for i in range(6):
-        r = rotate(R, row(b, i))
-        l, s = leg(row(a, i), r, at(p, 0))
-        u, dl, ds = leg_motion(l, s, r, v, w)
-        du = add(add(at(dtwist, 0), cross(at(dtwist, 3), r)), cross(w, cross(w, r)))
-        q[i] = l
-        dq[i] = dl
-        ddq[i] = dot(ds, u) + dot(s, du)
-
-
 @helper
 def joint_displacement(b: Array, R: Array, step: Array) -> float:
     """Return the largest displacement (m) of a platform joint under the small motion ``step`` (6,)."""
@@ -202,61 +173,6 @@ def forward_kinematics_kernel(
         a, b, q, p, R, tolerance, max_iterations, J, np.empty(6, np.int64), np.empty((9, 6))
     )
     return p, R, J, iterations, residual, hop
-
-
-@direct(
-    MATRIX,
-    MATRIX,
-    REAL,
-    VECTOR,
-    VECTOR,
-    VECTOR,
-    MATRIX,
-    REAL,
-    INTEGER,
-    OUT_VECTOR,
-    OUT_MATRIX,
-    OUT_VECTOR,
-    OUT_MATRIX,
-)
-def estimate_kernel(
-    a: Array,
-    b: Array,
-    radius: float,
-    q: Array,
-    dq: Array,
-    p0: Array,
-    R0: Array,
-    tolerance: float,
-    max_iterations: int,
-    p: Array,
-    R: Array,
-    twist: Array,
-    J: Array,
-) -> tuple[int, float, float, float]:
-    """Fill p, R, twist = J^-1 dq and J; return iterations, residual, condition, hop. Never raises.
-
-    Where Newton's method fails (residual inf), p and R are p0 and R0, and J, twist, condition belong there.
-    ``condition`` as in ``condition_kernel`` with r = ``radius``; inf and twist nan where J is singular. The
-    caller brings the arrays to fill: making them here would cost 0.3 us each.
-    """
-    p[:] = p0
-    R[:] = R0
-    order = np.empty(6, np.int64)
-    work = np.empty((25, 6))
-    LU = work[0:6]
-    iterations, residual, hop = newton(a, b, q, p, R, tolerance, max_iterations, J, order, work)
-    if residual == np.inf:
-        p[:] = p0
-        R[:] = R0
-        lengths_and_jacobian(a, b, p, R, work[6], J)
-    condition = np.inf
-    if lu_factor(J, LU, order):
-        lu_solve(LU, order, dq, twist)
-        condition = condition_from_lu(J, radius, LU, order, work[6:25])
-    else:
-        twist[:] = np.nan
-    return iterations, residual, condition, hop
 
 
 @kernel(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, REAL, INTEGER)

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from math import nan
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Flags, Ints
-from drivers.compiled.compiler import (
-    INTEGER,
-    OUT_INTEGERS,
-    OUT_MATRIX,
-    OUT_VECTOR,
-    REAL,
-    VECTOR,
-    direct,
-    helper,
-)
+from drivers.arrays import Array
+from drivers.compiled.compiler import OUT_MATRIX, direct, helper, record
+from drivers.signals import Fault, Mode, Stop, Warn
+from drivers.tick import TICK, part
 from hil.control.error_axes import error_axes
 from hil.safety.bus import bus_down, bus_noisy, refusals
 from hil.safety.certificate import (
@@ -46,13 +39,7 @@ from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
 from hil.safety.timing import is_degraded, is_late, late_history, missed_run, too_many_missed
-from hil.signal_types import MEASUREMENT, REFERENCE, STATE
-from hil.signals import Fault, Mode, Stop, Warn
 
-LATE, MISSED, REFUSED, DROPPED, RUNNING, NEWEST, MEMORY = range(7)
-"""What is remembered: late ticks, periods missed in a row, ticks with refused frames (bits, see the rules),
-the recorder's losses so far, whether all drives have been in RUN since the brakes opened, the newest row of
-the force window. MEMORY is their number."""
 _IDLE, _LOADING, _UNLOADING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.UNLOADING)
 _RELEASING, _STOPPING = int(Mode.RELEASING), int(Mode.STOPPING)
 _STALE, _DRIVE, _NOT_FINITE = int(Fault.STALE), int(Fault.DRIVE), int(Fault.NOT_FINITE)
@@ -65,124 +52,155 @@ _NO_STOP, _STOP_MISSED, _STOP_RECORDER = int(Stop.NONE), int(Stop.MISSED), int(S
 _FORCE_LIMIT, _FORCE_STEP, _FORCE_WINDOW = int(Warn.FORCE_LIMIT), int(Warn.FORCE_STEP), int(Warn.FORCE_WINDOW)
 
 
-@helper
-def judge_state(
-    mode: int, running: int, age: Ints, drive_state: Ints, length: Array, rate: Array, force: Array,
-    q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array,
-    residual: float, condition: float, hop: float,
-    q_d: Array, dq_d: Array, ddq_d: Array, twist_d: Array, dtwist_d: Array, limits: Array,
-) -> tuple[int, int, int]:  # fmt: skip
-    """Return fault bits, warning bits, and whether all drives have been in RUN since the brakes opened.
+LIMITS = np.dtype(
+    [
+        ("stale_warn_ticks", "<i8"),
+        ("stale_fault_ticks", "<i8"),
+        ("consistency_m", "<f8"),
+        ("condition", "<f8"),
+        ("length_min_m", "<f8"),
+        ("length_max_m", "<f8"),
+        ("stroke_margin_m", "<f8"),
+        ("deceleration_m_s2", "<f8"),
+        ("speed_m_s", "<f8"),
+        ("following_error_m", "<f8"),
+        ("following_error_s", "<f8"),
+        ("force_N", "<f8"),
+        ("force_step_N", "<f8"),
+        ("force_window_N", "<f8"),
+        ("missed_stop_ticks", "<i8"),
+        ("period_ns", "<i8"),
+        ("stop_on_recorder_loss", "<i8"),
+    ]
+)
+"""Section `limits`, and what else the rules compare with."""
+MEMORY = np.dtype(
+    [
+        ("late", "<i8"),  # the last ticks as bits, see `hil.safety.history`
+        ("missed", "<i8"),  # periods missed in a row
+        ("refused", "<i8"),  # ticks with refused frames, as bits
+        ("dropped", "<i8"),  # the recorder's losses so far
+        ("running", "<i8"),  # 1: all drives have been in RUN since the brakes opened
+        ("newest", "<i8"),  # row of the force window
+    ]
+)
+"""What the rules remember."""
+_TICK = record(
+    TICK, "mode", *part("input", "measurement", "estimate", "fusion", "reference", "effort", "verdict")
+)
 
-    Measurement, State, the estimate's quality, Reference and limits as in hil.signals and hil.config; the
-    reference is followed from RELEASING to STOPPING. Faults from LOADING to UNLOADING only.
+
+@helper
+def _finite(tick: Any) -> bool:
+    """Tell whether measurement, state and reference are all finite."""
+    measured = all_finite(tick.length) and all_finite(tick.rate) and all_finite(tick.drive_force)
+    state = all_finite(tick.q) and all_finite(tick.dq) and all_finite(tick.p) and all_finite(tick.R)
+    state = state and all_finite(tick.twist) and all_finite(tick.J)
+    reference = all_finite(tick.q_d) and all_finite(tick.dq_d) and all_finite(tick.ddq_d)
+    return measured and state and reference and all_finite(tick.twist_d) and all_finite(tick.dtwist_d)
+
+
+@helper
+def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
+    """Return fault bits and warning bits of legs, drives, estimate and reference.
+
+    The reference is followed from RELEASING to STOPPING. Faults from LOADING to UNLOADING only.
     """
     faults = warnings = 0
-    stale_warn, stale_fault, consistency, condition_max = limits[0], limits[1], limits[2], limits[3]
-    length_min, length_max, margin, deceleration = limits[4], limits[5], limits[6], limits[7]
-    speed, at_rest, per_speed = limits[8], limits[9], limits[10]
-    if mode > _IDLE and stale(age, stale_warn):
+    mode = tick.mode
+    if mode > _IDLE and stale(tick.counted_age, limits.stale_warn_ticks):
         warnings |= _WARN_STALE
     if mode < _LOADING or mode > _UNLOADING:
-        return faults, warnings, 0
+        memory.running = 0
+        return faults, warnings
     moving = _RELEASING <= mode <= _STOPPING
 
-    finite = all_finite(length) and all_finite(rate) and all_finite(force)
-    finite = finite and all_finite(q) and all_finite(dq) and all_finite(p) and all_finite(R)
-    finite = finite and all_finite(twist) and all_finite(J)
-    finite = finite and all_finite(q_d) and all_finite(dq_d) and all_finite(ddq_d)
-    finite = finite and all_finite(twist_d) and all_finite(dtwist_d)
-    if not finite:
+    if not _finite(tick):
         faults |= _NOT_FINITE
-
-    if stale(age, stale_fault):
+    if stale(tick.counted_age, limits.stale_fault_ticks):
         faults |= _STALE
-    run = all_running(drive_state)
-    if drive_lost(drive_state) or (moving and running != 0 and not run):
+    run = all_running(tick.drive_state)
+    if drive_lost(tick.drive_state) or (moving and memory.running != 0 and not run):
         faults |= _DRIVE
-    now_running = int(moving and (run or running != 0))
+    memory.running = int(moving and (run or memory.running != 0))
 
-    if inconsistent(residual, consistency):
+    if inconsistent(tick.fk_residual, limits.consistency_m):
         faults |= _KINEMATICS
-    if hopped(hop):
+    if hopped(tick.hop):
         faults |= _ASSEMBLY
-    if ill_conditioned(condition, condition_max):
+    if ill_conditioned(tick.condition, limits.condition):
         faults |= _CONDITION
 
-    if beyond_hard_end(q, length_min, length_max):
+    low, high, margin = limits.length_min_m, limits.length_max_m, limits.stroke_margin_m
+    if beyond_hard_end(tick.q, low, high):
         faults |= _STROKE
-    if too_fast_for_end(q, dq, length_min + margin, length_max - margin, deceleration):
+    if too_fast_for_end(tick.q, tick.dq, low + margin, high - margin, limits.deceleration_m_s2):
         faults |= _STROKE
-    if overspeed(dq, speed):
+    if overspeed(tick.dq, limits.speed_m_s):
         faults |= _SPEED
-    if moving and lagging(q, q_d, dq_d, at_rest, per_speed):
+    if moving and lagging(tick.q, tick.q_d, tick.dq_d, limits.following_error_m, limits.following_error_s):
         faults |= _FOLLOWING
-    return faults, warnings, now_running
+    return faults, warnings
 
 
 @helper
 def limit_effort(
-    tau: Array, history: Array, lows: Array, highs: Array, newest: int, skipped: int,
-    force: float, step: float, window: float, limited: Array,
-) -> tuple[int, int, int]:  # fmt: skip
-    """Fill the limited forces (6,) N; return fault bits, warning bits, and the new `newest`.
+    tick: Any, limits: Any, memory: Any, history: Array, lows: Array, highs: Array
+) -> tuple[int, int]:
+    """Fill tau with what the limits leave of tau_asked; return fault bits and warning bits.
 
-    history (n, 6) N is a ring of the forces sent, its newest row `newest`, lows and highs as in
-    `hil.safety.effort`; the forces held during `skipped` periods and the new ones are written into it. tau
-    (6,) N; asked for anything that is not finite, the answer is LAW and no force.
+    history (n, 6) N is a ring of the forces sent, its newest row `memory.newest`, lows and highs as in
+    `hil.safety.effort`; the forces held during skipped periods and the new ones are written into it. Asked
+    for anything that is not finite, the answer is LAW and no force.
     """
     faults = warnings = 0
-    limited[:] = tau
+    tau = tick.tau
+    tau[:] = tick.tau_asked
     if not all_finite(tau):
         faults = _LAW
-        limited[:] = 0.0
+        tau[:] = 0.0
     rows = history.shape[0]
+    newest = memory.newest
     last = history[newest].copy()
-    for _ in range(min(skipped, rows)):
+    for _ in range(min(tick.skipped, rows)):
         newest = (newest + 1) % rows
         remember(last, newest, history, lows, highs)
     low, high = window_extremes(lows, highs)
-    if limit_force(limited, force):
+    if limit_force(tau, limits.force_N):
         warnings |= _FORCE_LIMIT
-    if limit_step(limited, last, step):
+    if limit_step(tau, last, limits.force_step_N):
         warnings |= _FORCE_STEP
-    if limit_window(limited, low, high, window):
+    if limit_window(tau, low, high, limits.force_window_N):
         warnings |= _FORCE_WINDOW
-    newest = (newest + 1) % rows
-    remember(limited, newest, history, lows, highs)
-    return faults, warnings, newest
+    memory.newest = (newest + 1) % rows
+    remember(tau, memory.newest, history, lows, highs)
+    return faults, warnings
 
 
 @helper
-def judge_certificate(
-    running: int, late_ns: int, late: bool, skipped: int, unseen: int, age: Ints,
-    q: Array, dq: Array, p: Array, R: Array, twist: Array,
-    p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
-    watched: Array, figures: Array,
-) -> tuple[int, int]:  # fmt: skip
-    """Fill the figures of `hil.safety.certificate`; return fault bits and warning bits.
+def judge_certificate(tick: Any, running: int, late: bool, watched: Array) -> tuple[int, int]:
+    """Fill the Lyapunov columns, see `hil.safety.certificate`; return fault bits and warning bits.
 
-    running: not 0 while the brakes are open and the law moves the platform; unseen: not 0 where a leg's
-    encoder is not used and its length an estimate. Watched anew after a late, skipped, unseen or stale
-    tick, a jump of the reference, and a limit that acted on the forces.
+    running: not 0 while the brakes are open and the law moves the platform. Watched anew after a late,
+    skipped or stale tick, one with an unseen leg, a jump of the reference, and a limit that acted.
     """
-    figures[:] = nan
     if not watched.size:
         return 0, 0
     certificate, memory = watched[:CONSTANTS], watched[CONSTANTS:]
     if running == 0:
         forget(memory)
         return 0, 0
-    measured = unseen == 0 and not stale(age, 1)
-    whole = measured and not late and skipped == 0 and memory[PAST, UNREST] == 0.0
-    whole = whole and not jumped(certificate, memory, q_d, dq_d, ddq_d)
-    e, de, rate, feed = np.empty_like(q), np.empty_like(q), np.empty_like(q), np.empty_like(q)
-    error_axes(
-        certificate[SCALARS, POSE] > 0.0, q, dq, p, R, twist,
-        p_d, R_d, twist_d, dtwist_d, q_d, dq_d, ddq_d, e, de, rate, feed,
-    )  # fmt: skip
-    broken = watch(certificate, memory, e, de, rate, feed, whole, 1e-9 * abs(late_ns), 1.0 + skipped, figures)
-    remember_reference(memory, q_d, dq_d, ddq_d)
+    measured = tick.unseen == 0 and not stale(tick.counted_age, 1)
+    whole = measured and not late and tick.skipped == 0 and memory[PAST, UNREST] == 0.0
+    whole = whole and not jumped(certificate, memory, tick.q_d, tick.dq_d, tick.ddq_d)
+    e, de, rate, feed = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    error_axes(certificate[SCALARS, POSE] > 0.0, tick, e, de, rate, feed)
+    figures = np.empty(FIGURES)
+    late_s, periods = 1e-9 * abs(tick.lateness_ns), 1.0 + tick.skipped
+    broken = watch(certificate, memory, e, de, rate, feed, whole, late_s, periods, figures)
+    tick.lyapunov, tick.lyapunov_rate = figures[V], figures[DV]
+    tick.lyapunov_bound, tick.lyapunov_share = figures[BOUND], figures[SHARE]
+    remember_reference(memory, tick.q_d, tick.dq_d, tick.ddq_d)
     if not measured:
         unsettle(memory)
     action = certificate[SCALARS, ACTION]
@@ -191,75 +209,57 @@ def judge_certificate(
     return _CERTIFICATE if action > 1.0 else 0, _WARN_CERTIFICATE
 
 
-@direct(
-    INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER,
-    *MEASUREMENT, *STATE, REAL, REAL, *REFERENCE, VECTOR,
-    VECTOR, INTEGER, INTEGER, OUT_INTEGERS, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX,
-    OUT_MATRIX, OUT_VECTOR,
-)  # fmt: skip
-def judge_tick(
-    mode: int, lateness_ns: int, skipped: int,
-    sends_failed: int, bus_errors: int, bus_off: int, bus_overflow: int, recorder_alive: int, dropped: int,
-    unseen: int,
-    length: Array, rate: Array, force: Array, drive_state: Ints, _fault: Ints, age: Ints,
-    rejected: int, _tick: int, _blind: Flags,
-    q: Array, dq: Array, p: Array, R: Array, twist: Array, J: Array, _iterations: int, residual: float,
-    _wrench: Array, condition: float, hop: float,
-    p_d: Array, R_d: Array, twist_d: Array, dtwist_d: Array, q_d: Array, dq_d: Array, ddq_d: Array,
-    _t: float, tau: Array,
-    limits: Array, period_ns: int, stop_on_loss: int,
-    memory: Ints, history: Array, lows: Array, highs: Array,
-    watched: Array, limited: Array,
-) -> tuple[int, int, int, float, float, float, float]:  # fmt: skip
-    """Fill the limited forces (6,) N; return fault bits, warning bits, why to stop, and four figures.
-
-    The tick as in hil.signals, in the order of its values; limits, watched: see `Safety`; the figures are
-    those of `hil.safety.certificate`. Changes memory, the force window and what is watched. Fills nothing
-    where the drives are off.
-    """
+@helper
+def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
+    """Take note of this tick's time, bus and recorder; return warning bits."""
     warnings = 0
-    late = is_late(lateness_ns, period_ns)
-    memory[LATE] = late_history(memory[LATE], late, skipped)
-    memory[MISSED] = missed_run(memory[MISSED], skipped)
-    memory[REFUSED] = refusals(memory[REFUSED], sends_failed)
-    losing = recorder_losing(recorder_alive != 0, dropped, memory[DROPPED])
-    memory[DROPPED] = dropped
+    memory.late = late_history(memory.late, late, tick.skipped)
+    memory.missed = missed_run(memory.missed, tick.skipped)
+    memory.refused = refusals(memory.refused, tick.sends_failed)
     if late:
         warnings |= _WARN_LATE
-    if is_degraded(memory[LATE]):
+    if is_degraded(memory.late):
         warnings |= _WARN_DEGRADED
     if losing:
         warnings |= _WARN_RECORDER
-    if rejected > 0:
+    if tick.rejected > 0:
         warnings |= _WARN_REJECTED
-    if bus_noisy(bus_errors, bus_overflow, sends_failed):
+    if bus_noisy(tick.bus_errors, tick.bus_overflow, tick.sends_failed):
         warnings |= _WARN_BUS
-    faults, more, memory[RUNNING] = judge_state(
-        mode, memory[RUNNING], age, drive_state, length, rate, force,
-        q, dq, p, R, twist, J, residual, condition, hop,
-        q_d, dq_d, ddq_d, twist_d, dtwist_d, limits,
-    )  # fmt: skip
+    return warnings
+
+
+@direct(_TICK, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX)
+def judge_tick(
+    tick: Any, limits: Any, memory: Any, history: Array, lows: Array, highs: Array, watched: Array
+) -> tuple[int, int, int]:
+    """Fill tau, no force where the drives are off, and the Lyapunov columns.
+
+    Returns fault bits, warning bits and why to stop. Takes the tick whole but for what is sent: the rules
+    look at all of it. Changes memory, the force window and what is watched; see `Safety`.
+    """
+    late = is_late(tick.lateness_ns, limits.period_ns)
+    losing = recorder_losing(tick.recorder_alive != 0, tick.recorder_dropped, memory.dropped)
+    memory.dropped = tick.recorder_dropped
+    warnings = judge_loop(tick, memory, late, losing) | tick.fusion_warnings
+    faults, more = judge_state(tick, limits, memory)
     warnings |= more
-    figures = np.empty(FIGURES)
-    broken, more = judge_certificate(
-        memory[RUNNING], lateness_ns, late, skipped, unseen, age, q, dq, p, R, twist,
-        p_d, R_d, twist_d, dtwist_d, q_d, dq_d, ddq_d, watched, figures,
-    )  # fmt: skip
+    broken, more = judge_certificate(tick, memory.running, late, watched)
     faults |= broken
     warnings |= more
-    if mode < _LOADING or mode > _UNLOADING:
+    if tick.mode < _LOADING or tick.mode > _UNLOADING:
         history[:] = 0.0
         lows[:] = 0.0
         highs[:] = 0.0
-        return faults, warnings, _NO_STOP, nan, nan, nan, nan
-    if bus_down(bus_off != 0, memory[REFUSED]):
+        tick.tau[:] = 0.0
+        return faults, warnings, _NO_STOP
+    faults |= tick.fusion_faults
+    if bus_down(tick.bus_off != 0, memory.refused):
         faults |= _BUS
-    law, more, memory[NEWEST] = limit_effort(
-        tau, history, lows, highs, memory[NEWEST], skipped, limits[11], limits[12], limits[13], limited
-    )
+    law, more = limit_effort(tick, limits, memory, history, lows, highs)
     if watched.size:
         settle(watched[CONSTANTS:], more != 0)
-    stop = _STOP_MISSED if too_many_missed(memory[MISSED], limits[14]) else _NO_STOP
-    if losing and stop_on_loss != 0:
+    stop = _STOP_MISSED if too_many_missed(memory.missed, limits.missed_stop_ticks) else _NO_STOP
+    if losing and limits.stop_on_recorder_loss != 0:
         stop = _STOP_RECORDER
-    return faults | law, warnings | more, stop, figures[V], figures[DV], figures[BOUND], figures[SHARE]
+    return faults | law, warnings | more, stop

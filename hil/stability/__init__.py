@@ -3,8 +3,6 @@
 This file imports nothing before it is asked for: each question is a module of its own, and some are heavy.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 __all__ = ["Budget", "Report", "verify"]

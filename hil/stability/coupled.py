@@ -3,8 +3,6 @@
 Linear, so true for small errors around one pose.
 """
 
-from __future__ import annotations
-
 from functools import reduce
 from math import inf, pi
 

@@ -13,17 +13,14 @@ With an exact model Gamma = I and d = J M^-1 w. Masses believed to be s times wh
 and d = J M^-1 w - (1 - s) J M^-1 J^T tau, tau the force that the motion takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Array
+from drivers.arrays import ZERO6, Array
 from hil.mathematics.linear_algebra import condition_kernel
-from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import (
     FULL,
@@ -33,8 +30,8 @@ from hil.robot.dynamics_kernels import (
     mass_matrix_kernel,
 )
 from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel
-from hil.signals import NO_WRENCH
-from hil.trajectory import PoseSample
+from hil.stability.energy import displaced
+from hil.trajectory.path import PoseSample
 
 
 class Load(NamedTuple):
@@ -105,7 +102,7 @@ class Linearised:
         if self.axes == "joint":
             demanded = J @ s.dtwist + jacobian_rate_kernel(a, b, s.p, s.R, s.twist) @ s.twist
             x, dx = np.linalg.solve(J, np.column_stack([e, de])).T
-        p, R, twist = s.p - x[:3], rotation_from_vector(-x[3:]) @ s.R, s.twist - dx
+        (p, R), twist = displaced(s.p, s.R, -x), s.twist - dx
         J = jacobian_kernel(a, b, p, R)
         condition = condition_kernel(J, self.robot.platform.radius)
         if not np.isfinite(condition):
@@ -115,7 +112,7 @@ class Linearised:
         if self.axes == "joint":
             mobility = J @ mobility
         tau = self._tau(p, R, twist, J, demanded)
-        dtwist = forward_dynamics_kernel(self.robot.constants, FULL, p, R, twist, tau, NO_WRENCH)
+        dtwist = forward_dynamics_kernel(self.robot.constants, FULL, p, R, twist, tau, ZERO6)
         error = (J @ dtwist + bias if self.axes == "joint" else dtwist) - demanded
         per_force = mobility @ J.T
         columns = [self._tau(p, R, twist, J, demanded + axis) - tau for axis in np.eye(6)]
@@ -134,8 +131,8 @@ class Linearised:
     def _tau(self, p: Array, R: Array, twist: Array, J: Array, demanded: Array) -> Array:
         c, code = self.believed.constants, self.believed.code
         if self.axes == "joint":
-            return joint_idc_kernel(c, code, p, R, twist, J, demanded, NO_WRENCH)
-        return inverse_dynamics_kernel(c, code, p, R, twist, demanded, NO_WRENCH)
+            return joint_idc_kernel(c, code, p, R, twist, J, demanded, ZERO6)
+        return inverse_dynamics_kernel(c, code, p, R, twist, demanded, ZERO6)
 
 
 def along(linearised: Linearised, path: Iterable[PoseSample]) -> list[Local]:

@@ -18,8 +18,6 @@ PD with exact gravity compensation has S = e^T K_p e / 2: there dS = -J^T K_p e 
 the whole region. PD without it, or with a wrong weight, sags to where its springs carry what is left.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -61,8 +59,6 @@ class Basin(NamedTuple):
     level_J: float
     edge_p: Array
     """(3,) m: where S = level on the edge of the region."""
-    edge_R: Array
-    """(3, 3)."""
     reason: str
     """What is met there."""
 
@@ -178,4 +174,4 @@ def basin(
     found = [minimize(lambda u: edge(u)[0], u, method="Powell", options=options) for u in lowest]
     level, way = edge(min(found, key=lambda result: result.fun).x)
     p, R = displaced(start.p, start.R, way)
-    return Basin(float(level), p, R, outside(p, R) or "the edge of the region")
+    return Basin(float(level), p, outside(p, R) or "the edge of the region")

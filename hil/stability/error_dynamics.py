@@ -8,8 +8,6 @@ e is demanded minus measured, m or rad, and d the acceleration of the axis, m/s^
 does not know (its sign is of no consequence to a bound).
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 What `hil.estimation.predictor.Predictor` does to the whole state, here of one linearised axis.
 """
 
-from __future__ import annotations
-
 from math import floor
 
 import numpy as np

@@ -11,8 +11,6 @@ anywhere in the end, the tightest first:
   large for wn = 5 rad/s and 81 000 times for 20: it takes m and m/s for equals.
 """
 
-from __future__ import annotations
-
 from math import atan2, cos, exp, expm1, log, pi, sin, sqrt
 
 import numpy as np

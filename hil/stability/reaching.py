@@ -21,8 +21,6 @@ part of its own that helps:
     dy/dt = -(gamma - 1/2) K_D y + ((gamma - 1/2) K_D^2 / 2 - gamma K_P) e - gamma rho y / |y| - d
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import NamedTuple
 

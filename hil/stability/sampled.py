@@ -6,8 +6,6 @@ bus, drives and sampling. The controller gives u from y = [e, de] and the loop i
 its eigenvalues tell whether the sampled loop is stable, exactly and with all delays.
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import NamedTuple
 

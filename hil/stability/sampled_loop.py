@@ -1,12 +1,9 @@
 """The loop of a sampled controller and the delayed axis that inverse dynamics leaves: the axis, and margins.
 
 The axis is gain exp(-transport s) D(s) / s^2 behind a hold of one period, D the force loop of the drives,
-from drivers.arrays import Array
 from demanded acceleration to measured position and rate; it is sampled exactly, also where the transport is
 no whole number of periods.
 """
-
-from __future__ import annotations
 
 from math import ceil, inf, pi
 from typing import NamedTuple

@@ -17,8 +17,6 @@
   their corners at the worst instants, to first order: a survey, no enclosure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -28,7 +26,7 @@ from drivers.arrays import Array
 from hil.stability.disturbance import Linearised, Survey, along, around, summary
 from hil.stability.error_dynamics import Certificate, certificate
 from hil.stability.reachable import peak_gain
-from hil.trajectory import PoseSample
+from hil.trajectory.path import PoseSample
 
 ROUNDS = 12
 """Most enlargements of the tube."""

@@ -6,17 +6,15 @@ on it late; what the model does not know, d, acts on it at once:
     e'' = -(gain a + d),  a = exp(-T s) / (lag s + 1) u,  T = transport + half a period.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import comb, factorial
 
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.mathematics.linear_system import LinearSystem, lag, static
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight, rational
 
 
@@ -55,11 +53,6 @@ def drive(axis: DesignAxis) -> LinearSystem:
     return further.after(first)
 
 
-def lumped(axis: DesignAxis) -> DesignAxis:
-    """Return the axis with its lag as further dead time: of the same phase up to 1 / lag."""
-    return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
-
-
 def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
     """Return what comes between u and the acceleration it makes: delay, half a period, lag; with the gain."""
     delay = pade(1e-3 * axis.transport_ms + 0.5 / rate_Hz, order)
@@ -77,17 +70,47 @@ def body(inputs: Sequence[str]) -> LinearSystem:
 
 def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
     """Return the unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
-    n, axis = len(inputs), body(inputs)
-    # [d, noise, u] -> [d, noise, u, a] -> [a + d, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
-    split = static(np.vstack([np.eye(n + 2), np.eye(n + 2)[-1:]]))
-    acting = static(np.eye(n + 2)).beside(path)
-    joined = np.hstack([np.eye(n + 2), np.zeros((n + 2, 1))])
-    joined[0, -1] = 1.0
-    moved = axis.beside(static(np.eye(n + 1)))
+    acting = static(np.ones((1, 2))).after(static(np.eye(1)).beside(path))
+    return around(body(inputs).after(acting))
+
+
+def around(axis: LinearSystem) -> LinearSystem:
+    """Return the problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
+    n, h = len(axis.C) - 1, axis.period_s
+    # [d, noise, u] -> [d, u, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
+    order = static(np.eye(n + 2)[[0, n + 1, *range(1, n + 2)]], h)
     out = np.zeros((n + 2, 2 * n + 2))
     out[0, 0] = out[1, -1] = 1.0
     out[2:, 1 : n + 1] = out[2:, n + 1 : 2 * n + 1] = np.eye(n)
-    return static(out).after(moved).after(static(joined)).after(acting).after(split)
+    return static(out, h).after(axis.beside(static(np.eye(n + 1), h))).after(order)
+
+
+def weighted(design: Design, core: LinearSystem) -> LinearSystem:
+    """Return the problem from [d, noise, u] to [W_e e, W_u u, y] of one from [d, noise, u] to [e, u, y].
+
+    Around a sampled axis weights are mapped bilinearly: they matter far below the Nyquist frequency.
+
+    Raises SynthesisError for a weight that cannot be used.
+    """
+    h = core.period_s
+
+    def at(weight: LinearSystem) -> LinearSystem:
+        return weight.sampled(h, "bilinear") if h and weight.order else weight._replace(period_s=h)
+
+    error, control = design.weights.error, design.weights.control
+    into = at(disturbance_weight(design)).beside(at(noise_weight(design))).beside(static(np.eye(1), h))
+    out = at(error_weight(error)).beside(at(control_weight(control, design.rate_Hz)))
+    return out.beside(static(np.eye(len(design.inputs)), h)).after(core).after(into)
+
+
+def lumped(axis: DesignAxis) -> DesignAxis:
+    """Return the axis with its lag as further dead time: of the same phase up to 1 / lag."""
+    return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
+
+
+def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:
+    """Return the axis as the synthesis takes it."""
+    return lumped(axis) if design.lump_lag else axis
 
 
 def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
@@ -98,10 +121,5 @@ def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
 
     Raises SynthesisError for an axis or a weight that cannot be used.
     """
-    n = len(design.inputs)
-    axis = lumped(axis) if design.lump_lag else axis
-    core = four_block(actuator(axis, design.rate_Hz, design.delay_order), design.inputs)
-    into = disturbance_weight(design).beside(noise_weight(design)).beside(static(np.eye(1)))
-    weights = design.weights
-    out = error_weight(weights.error).beside(control_weight(weights.control, design.rate_Hz))
-    return out.beside(static(np.eye(n))).after(core).after(into)
+    path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
+    return weighted(design, four_block(path, design.inputs))

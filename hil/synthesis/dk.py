@@ -6,8 +6,6 @@ the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996, section 11.4). 
 need not be the global one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -15,8 +13,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from drivers.arrays import Array, ComplexArray
+from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem, static
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.hinf import hinf
 from hil.synthesis.mu import Block, UpperBound, upper_bound
 from hil.synthesis.structured import Structured

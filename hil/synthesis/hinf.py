@@ -5,8 +5,6 @@ Doyle (1988), here in the notation of Zhou, Doyle and Glover, *Robust and Optima
 17.1: D12 and D21 are brought to [0; I] and [0 I] by scaling, D22 is taken out and put back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,8 +12,8 @@ import numpy as np
 from scipy.linalg import lapack, matrix_balance, schur
 
 from drivers.arrays import Array
+from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem
-from hil.synthesis.errors import SynthesisError
 
 RANK = 1e-9
 """Singular value, relative to the largest, below which a direction is none."""
@@ -71,14 +69,6 @@ def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
             f"no controller at {gamma:g}, {ratio:g} times the optimum: numbers too far apart"
         )
     return Synthesis(found, gamma, gamma_opt)
-
-
-def central(P: LinearSystem, n_y: int, n_u: int, gamma: float) -> LinearSystem | None:
-    """Return the central controller for a given gamma, or None where gamma is below the optimum.
-
-    Raises SynthesisError as `hinf` does.
-    """
-    return _central(_normal(P, n_y, n_u), gamma)
 
 
 def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:

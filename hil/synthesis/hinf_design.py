@@ -3,17 +3,17 @@
 A design and an axis in, controller and figures out; no file.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import generalised_plant
-from hil.synthesis.errors import SynthesisError, computable
 from hil.synthesis.hinf import Synthesis, hinf
 from hil.synthesis.norm import norm
 from hil.synthesis.result import Judgement, described, judge
@@ -24,6 +24,23 @@ RATIOS = tuple(1.0 + 0.01 * k for k in range(1, 11))
 """gamma / gamma_opt, tried in this order."""
 CLOSE = 1.01
 """The norm may exceed gamma by this factor: what sampling, hold and the rational delay may cost."""
+
+
+@contextmanager
+def computable() -> Iterator[None]:
+    """Refuse numbers at which the algebra inside gives up, or warns: SciPy does near a singular matrix.
+
+    Raises SynthesisError.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield
+    except (np.linalg.LinAlgError, Warning) as error:
+        raise SynthesisError(
+            f"the numbers of the design are too far apart to compute with ({error}), allowed: weights of one "
+            "loop; look for a wrong unit"
+        ) from None
 
 
 class Designed(NamedTuple):
@@ -111,12 +128,7 @@ def floor_at_rest(design: Design) -> float:
 
 
 def _figures(
-    design: Design,
-    axis: DesignAxis,
-    found: Synthesis,
-    judged: Judgement,
-    continuous: float,
-    discrete: float,
+    design: Design, axis: DesignAxis, found: Synthesis, judged: Judgement, continuous: float, discrete: float
 ) -> dict[str, Any]:
     return {
         "gamma": found.gamma,

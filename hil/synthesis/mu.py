@@ -6,8 +6,6 @@ The smallest structured perturbation that makes the loop around M singular has t
 J. Doyle, The complex structured singular value, Automatica 29 (1993).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +15,6 @@ from drivers.errors import ModelError
 
 ZERO = 1e-6
 """Share of the first bound below which mu is as good as 0: real blocks may leave nothing of it."""
-
-
 PATIENCE = 5
 """Rounds of centring without a lower bound after which it is taken as found."""
 
@@ -181,9 +177,12 @@ def _balanced(M: ComplexArray, outputs: list[slice], inputs: list[slice]) -> Arr
 
 def _scaled(M: ComplexArray, D: Array, outputs: list[slice], inputs: list[slice]) -> ComplexArray:
     """Return D M D^-1 (N, outputs, inputs)."""
-    left = np.concatenate([np.repeat(D[:, k, None], o.stop - o.start, 1) for k, o in enumerate(outputs)], 1)
-    right = np.concatenate([np.repeat(D[:, k, None], i.stop - i.start, 1) for k, i in enumerate(inputs)], 1)
-    return np.asarray(left[:, :, None] * M / right[:, None, :], complex)
+    return np.asarray(_each(D, outputs)[:, :, None] * M / _each(D, inputs)[:, None, :], complex)
+
+
+def _each(x: Array, parts: list[slice]) -> Array:
+    """Return the figure of each block (N, blocks) for each of its rows or columns."""
+    return np.repeat(x, [part.stop - part.start for part in parts], axis=1)
 
 
 def _proven(x: Array, gains: ComplexArray, skew: ComplexArray, inputs: list[slice]) -> Array:
@@ -191,9 +190,7 @@ def _proven(x: Array, gains: ComplexArray, skew: ComplexArray, inputs: list[slic
     n = len(inputs)
     d2 = np.hstack([x[:, : n - 1], np.ones((len(x), 1))])
     left = np.einsum("Nk,Nkij->Nij", d2, gains) + np.einsum("Nk,Nkij->Nij", x[:, n - 1 :], skew)
-    d = np.sqrt(
-        np.concatenate([np.repeat(d2[:, k, None], i.stop - i.start, 1) for k, i in enumerate(inputs)], 1)
-    )
+    d = np.sqrt(_each(d2, inputs))
     return np.asarray(
         np.sqrt(np.maximum(np.linalg.eigvalsh(left / (d[:, :, None] * d[:, None, :]))[:, -1], 0.0))
     )
@@ -236,5 +233,4 @@ def _norms(v: ComplexArray, parts: list[slice]) -> Array:
 
 def _blockwise(v: ComplexArray, parts: list[slice], norms: Array) -> ComplexArray:
     """Return v with the norm of each part as given."""
-    factor = norms / np.maximum(_norms(v, parts), 1e-300)
-    return np.concatenate([v[:, part] * factor[:, k, None] for k, part in enumerate(parts)], 1)
+    return np.asarray(v * _each(norms / np.maximum(_norms(v, parts), 1e-300), parts))

@@ -3,8 +3,6 @@
 A design and an axis in, controller and figures out; no file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 from math import inf, pi
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.config.design_uncertainty import UncertaintyRanges
 from hil.mathematics.linear_system import LinearSystem
@@ -25,8 +24,7 @@ from hil.synthesis.dk import (
     scaled,
     with_own,
 )
-from hil.synthesis.errors import SynthesisError, computable
-from hil.synthesis.hinf_design import Designed
+from hil.synthesis.hinf_design import Designed, computable
 from hil.synthesis.mu import lower_bound
 from hil.synthesis.norm import norm
 from hil.synthesis.reduction import reduced
@@ -131,12 +129,7 @@ def over_frequency(problem: Structured, K: LinearSystem, omega: Array) -> tuple[
 
 
 def _figures(
-    design: Design,
-    axis: DesignAxis,
-    problem: Structured,
-    K: LinearSystem,
-    bounds: Bounds,
-    judged: Judgement,
+    design: Design, axis: DesignAxis, problem: Structured, K: LinearSystem, bounds: Bounds, judged: Judgement
 ) -> dict[str, Any]:
     assert design.uncertainty is not None
     omega, upper = bounds.omega, bounds.upper.bound

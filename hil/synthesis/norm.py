@@ -1,14 +1,12 @@
 """The H-infinity norm, independently of any synthesis."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem
-from hil.synthesis.errors import SynthesisError
 
 TOLERANCE = 1e-6
 """Relative, of the norm: it lies between the value returned and the same times 1 + 2e-6."""

@@ -4,8 +4,6 @@ D-K iteration makes controllers whose poles and zeros all but cancel. In balance
 is as easy to move by the inputs as to see in the outputs, its Hankel singular value says what it is worth.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import matrix_balance, solve_continuous_lyapunov
 

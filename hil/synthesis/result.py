@@ -1,7 +1,5 @@
 """What a synthesis hands over: the controller as the loop runs it, judged on the exact sampled loop."""
 
-from __future__ import annotations
-
 from math import pi
 from typing import Any, NamedTuple
 
@@ -9,12 +7,12 @@ import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from drivers.arrays import Array, ComplexArray
+from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
 from hil.mathematics.linear_system import LinearSystem
 from hil.stability.sampled_loop import Margins, margins
-from hil.synthesis.axis import actuator, four_block, lumped
-from hil.synthesis.errors import SynthesisError
+from hil.synthesis.axis import actuator, four_block, loop_axis
 from hil.synthesis.sampled import loop_gain, sampled_axis
 
 SLOW = 0.1
@@ -31,11 +29,6 @@ class Judgement(NamedTuple):
     """rad/s, of the loop of rational axis and continuous controller."""
     reasons: tuple[str, ...]
     """Why it must not be used; empty for a good one."""
-
-
-def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:
-    """Return the axis as the synthesis takes it."""
-    return lumped(axis) if design.lump_lag else axis
 
 
 def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:

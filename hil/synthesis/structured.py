@@ -8,19 +8,17 @@ I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7
 axes it covers: what holds for all of Delta holds for them.
 """
 
-from __future__ import annotations
-
 from math import pi
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.config.design_uncertainty import UncertaintyRanges
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import drive, pade
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 from hil.synthesis.wiring import Sum, well_scaled, wired

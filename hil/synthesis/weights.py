@@ -1,15 +1,13 @@
 """Weights from physical numbers: what the loop has to stand, and what it may do."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np
 from scipy.signal import tf2ss
 
+from drivers.errors import SynthesisError
 from hil.config.design import ControlWeight, Design, ErrorWeight, TransferFunction
 from hil.mathematics.linear_system import LinearSystem, static
-from hil.synthesis.errors import SynthesisError
 
 BEYOND = 2.0 * pi
 """Times the rate in Hz, rad/s: the control weight is flat from there, so that it is proper."""

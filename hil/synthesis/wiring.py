@@ -1,7 +1,5 @@
 """A block diagram, written down by the names of its signals, as one linear system."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

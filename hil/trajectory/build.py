@@ -1,7 +1,5 @@
 """From the configuration's `reference` section to a trajectory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -9,18 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.errors import ConfigurationError
-from hil.config import (
+from hil.config.reference import (
     Evaluated,
     HoldReference,
     LiveReference,
     MultisineReference,
-    Pose,
     ReferenceSettings,
     SampledReference,
     SinusoidReference,
     TimeOptimalReference,
     WaypointReference,
 )
+from hil.config.values import Pose
 from hil.trajectory.holding import hold_words
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.multisine import multisine_trajectory
@@ -54,22 +52,6 @@ def _hold(settings: HoldReference, context: Context) -> Trajectory:
     return hold_words(chi, settings.duration_s)
 
 
-def _waypoints(settings: WaypointReference, context: Context) -> Trajectory:  # noqa: ARG001
-    return waypoint_trajectory(settings)
-
-
-def _time_optimal(settings: TimeOptimalReference, context: Context) -> Trajectory:
-    return planned_trajectory(context.plan or plan(settings), settings.periods)
-
-
-def _sinusoids(settings: SinusoidReference, context: Context) -> Trajectory:
-    return SinusoidTrajectory(settings, context.home)
-
-
-def _multisine(settings: MultisineReference, context: Context) -> Trajectory:
-    return multisine_trajectory(settings, context.home)
-
-
 def _sampled(settings: SampledReference, context: Context) -> Trajectory:
     if context.folder is None:
         raise ConfigurationError(
@@ -86,10 +68,10 @@ def _live(settings: LiveReference, context: Context) -> Trajectory:
 
 BUILDERS: dict[type, Callable[..., Trajectory]] = {
     HoldReference: _hold,
-    WaypointReference: _waypoints,
-    TimeOptimalReference: _time_optimal,
-    SinusoidReference: _sinusoids,
-    MultisineReference: _multisine,
+    WaypointReference: lambda s, _: waypoint_trajectory(s),
+    TimeOptimalReference: lambda s, context: planned_trajectory(context.plan or plan(s), s.periods),
+    SinusoidReference: lambda s, context: SinusoidTrajectory(s, context.home),
+    MultisineReference: lambda s, context: multisine_trajectory(s, context.home),
     SampledReference: _sampled,
     LiveReference: _live,
 }

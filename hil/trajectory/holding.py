@@ -1,7 +1,5 @@
 """A trajectory that stays at one pose."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

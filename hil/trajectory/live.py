@@ -8,8 +8,6 @@ first over a window T = 2 A / jerk: a mean of what is bounded by V and A is boun
 derivative, (a(t) - a(t - T))/T, by 2 A / T.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

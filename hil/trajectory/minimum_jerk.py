@@ -3,8 +3,6 @@
 No LAPACK: its kernels differ in the last bit.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

@@ -1,7 +1,5 @@
 """A rest-to-rest move between two poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

@@ -3,8 +3,6 @@
 Random phases are drawn once, from the configured seed.
 """
 
-from __future__ import annotations
-
 import math
 from random import Random
 
@@ -13,9 +11,10 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import INTEGERS, VECTOR, kernel
 from drivers.errors import ConfigurationError
-from hil.config import MultisineAxis, MultisineReference, Pose, Sinusoid, SinusoidReference
+from hil.config.reference import MultisineAxis, MultisineReference, Sinusoid, SinusoidReference
+from hil.config.values import AXES, Pose
 from hil.mathematics.trigonometry import sincos
-from hil.trajectory.sinusoids import AXES, SinusoidTrajectory
+from hil.trajectory.sinusoids import SinusoidTrajectory
 
 POINTS_PER_CYCLE = 64
 """Of the highest line, where the peak is looked for: between two points it is at most 0.12 % higher."""

@@ -4,8 +4,7 @@ The six words chi = (x, y, z, rx, ry, rz) are the position in m and the rotation
 frame in the base frame.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -13,7 +12,8 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import OUT_MATRIX, OUT_VECTOR, helper
 from drivers.errors import ConfigurationError
-from hil.config import AxisLimits, Pose
+from hil.config.reference import AxisLimits, Waypoint
+from hil.config.values import Pose
 from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at
 
@@ -69,7 +69,7 @@ def quintic(u: float) -> tuple[float, float, float]:
     return s, ds, dds
 
 
-def six_words(pose: Pose) -> Array:
+def six_words(pose: Pose | Waypoint) -> Array:
     """Return chi (6,) of a configured pose: m and rad."""
     return np.concatenate([np.asarray(pose.position_m, float), np.deg2rad(pose.rotation_vector_deg)])
 
@@ -87,6 +87,14 @@ def axis_limits(limits: AxisLimits) -> Array:
             words(limits.jerk_m_s3, limits.jerk_deg_s3),
         ]
     )
+
+
+def words_of_points(points: Sequence[Pose] | Sequence[Waypoint]) -> Array:
+    """Return chi (n, 6) of `reference.points`. Raises ConfigurationError for a turn of more than a half."""
+    chi = np.array([six_words(point) for point in points])
+    for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
+        require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
+    return chi
 
 
 def require_half_turn(angle: float, where: str) -> None:

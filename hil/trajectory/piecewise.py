@@ -1,7 +1,5 @@
 """Piecewise polynomial paths: way-points and splines are both one of these."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

@@ -1,7 +1,5 @@
 """A path from a CSV file: one cubic spline per word through all rows."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path
@@ -10,12 +8,13 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from hil.config import SampledReference
+from hil.config.reference import SampledReference
+from hil.config.values import AXES
 from hil.trajectory.path import require_half_turn
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import require_closed
 
-HEADER = ("t_s", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
+HEADER = ("t_s", *AXES)
 
 
 def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:

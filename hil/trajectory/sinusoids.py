@@ -1,7 +1,5 @@
 """Sums of sinusoids about a centre, faded in and out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,11 +7,11 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import INTEGERS, MATRIX, REAL, VECTOR, direct, helper
 from drivers.errors import ConfigurationError
-from hil.config import Pose, SinusoidReference
+from hil.config.reference import SinusoidReference
+from hil.config.values import AXES, Pose
 from hil.mathematics.trigonometry import sincos
 from hil.trajectory.path import SAMPLE, PoseSample, blank, lift, quintic, require_half_turn, six_words
 
-AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 _TURN = 2.0 * math.pi
 
 

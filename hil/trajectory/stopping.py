@@ -1,7 +1,5 @@
 """A controlled stop: the same path, its time slowed to rest."""
 
-from __future__ import annotations
-
 from drivers.arrays import Array
 from drivers.compiled.compiler import REAL, VECTOR, kernel
 from hil.trajectory.path import PoseSample, Trajectory

@@ -1,7 +1,5 @@
 """A trajectory evaluated before the run, at the loop's ticks."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.errors import ConfigurationError

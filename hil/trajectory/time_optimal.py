@@ -3,8 +3,6 @@
 Ruckig plans while the trajectory is built; what runs in the cycle are its polynomials.
 """
 
-from __future__ import annotations
-
 import io
 from itertools import pairwise
 
@@ -14,8 +12,8 @@ from ruckig import Trajectory as Plan
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from hil.config import TimeOptimalReference
-from hil.trajectory.path import axis_limits, require_half_turn, six_words
+from hil.config.reference import TimeOptimalReference
+from hil.trajectory.path import axis_limits, words_of_points
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import SAME, require_closed
 
@@ -30,9 +28,7 @@ def time_optimal_path(settings: TimeOptimalReference) -> tuple[Array, Array]:
     line of the six words, where their limits allow that, and else within the same time. Raises
     ConfigurationError when a point is its neighbour's twin, or a repeated path does not close.
     """
-    chi = np.array([six_words(pose) for pose in settings.points])
-    for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
-        require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
+    chi = words_of_points(settings.points)
     for k, (a, b) in enumerate(pairwise(chi)):
         if np.abs(b - a).max() <= SAME:
             raise ConfigurationError(

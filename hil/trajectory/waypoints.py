@@ -1,7 +1,5 @@
 """Paths through way-points at given times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
@@ -10,9 +8,9 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from hil.config import Pose, WaypointReference
+from hil.config.reference import WaypointReference
 from hil.trajectory.minimum_jerk import minimum_jerk_coefficients
-from hil.trajectory.path import require_half_turn, six_words
+from hil.trajectory.path import words_of_points
 from hil.trajectory.piecewise import PiecewisePolynomial
 
 CUBIC = (0.0, 0.0, 3.0, -2.0, 0.0, 0.0)
@@ -38,10 +36,7 @@ INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
 
 
 def require_closed(chi: Array, periods: int | None, where: str) -> None:
-    """Refuse to repeat a path chi (n, 6) that does not end where it starts.
-
-    Raises ConfigurationError.
-    """
+    """Refuse to repeat a path chi (n, 6) that does not end where it starts. Raises ConfigurationError."""
     gap = float(np.max(np.abs(chi[-1] - chi[0])))
     if periods != 1 and gap > SAME:
         raise ConfigurationError(
@@ -64,14 +59,7 @@ def waypoint_trajectory(settings: WaypointReference) -> PiecewisePolynomial:
                 f"reference.points[{k + 1}].t_s: {t1:g} s is not after the point before it ({t0:g} s); "
                 "the times of the points must increase."
             )
-    chi = np.array(
-        [
-            six_words(Pose(position_m=point.position_m, rotation_vector_deg=point.rotation_vector_deg))
-            for point in settings.points
-        ]
-    )
-    for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
-        require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
+    chi = words_of_points(settings.points)
     require_closed(chi, settings.periods, "reference.points")
     coefficients = INTERPOLATIONS[settings.interpolation](np.array(times), chi)
     if times[0] > 0.0:

@@ -1,15 +1,13 @@
 """All maps of a workspace at once."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hil.workspace.limits import Progress, Surveyor
+from hil.workspace.limits import Progress, Surveyor, silent
 from hil.workspace.orientation import OrientationMap, map_orientations
-from hil.workspace.position import PLANES, PositionMap, Section, cut, map_positions
+from hil.workspace.position import PLANES, CrossSection, PositionMap, cut, map_positions
 from hil.workspace.shapes import Cylinder, Sphere, largest_cylinder, largest_sphere
 
 
@@ -18,7 +16,7 @@ class Workspace(NamedTuple):
 
     surveyor: Surveyor
     positions: PositionMap
-    sections: tuple[Section, ...]
+    sections: tuple[CrossSection, ...]
     """In the order of PLANES."""
     sphere: Sphere
     cylinder: Cylinder
@@ -26,10 +24,7 @@ class Workspace(NamedTuple):
 
 
 def explore(
-    surveyor: Surveyor,
-    resolution: int = 60,
-    position: ArrayLike | None = None,
-    progress: Progress | None = None,
+    surveyor: Surveyor, resolution: int = 60, position: ArrayLike | None = None, progress: Progress = silent
 ) -> Workspace:
     """Map positions and orientations, cut the three sections through home, fit the largest bodies.
 
@@ -40,21 +35,16 @@ def explore(
     WorkspaceError
         Where the legs leave no room about home, or ``position`` is not reached.
     """
-
-    def tell(what: str, share: float) -> None:
-        if progress is not None:
-            progress(what, share)
-
     positions = map_positions(surveyor, resolution, progress)
     sections = []
     for k, plane in enumerate(PLANES):
-        tell("sections", k / len(PLANES))
+        progress("sections", k / len(PLANES))
         sections.append(cut(surveyor, positions, plane))
     reach = float(np.linalg.norm(positions.points - surveyor.p, axis=1).max()) + positions.step
-    tell("largest sphere and cylinder", 0.0)
+    progress("largest sphere and cylinder", 0.0)
     sphere = largest_sphere(surveyor, positions.step, reach)
-    tell("largest sphere and cylinder", 0.5)
+    progress("largest sphere and cylinder", 0.5)
     cylinder = largest_cylinder(surveyor, positions.step, reach)
-    tell("orientations", 0.0)
+    progress("orientations", 0.0)
     orientations = map_orientations(surveyor, position, positions)
     return Workspace(surveyor, positions, tuple(sections), sphere, cylinder, orientations)

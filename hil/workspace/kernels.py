@@ -1,14 +1,8 @@
-"""Many poses at once: what each limit of the workspace looks at.
-
-Not in the loop: compiled by the command that needs it, and therefore not marked with a decorator, which would
-announce a compilation to every other command.
-"""
-
-from __future__ import annotations
+"""Many poses at once: the figures that the limits of the workspace are put on."""
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import MATRIX, OUT_MATRIX, REAL, VECTOR, helper, kernel
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve_transposed
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
@@ -46,7 +40,21 @@ def segment_distance(x: Vector, u: Vector, y: Vector, v: Vector) -> float:
     return float(np.sqrt(dot(d, d)))
 
 
-def survey(
+@helper
+def determinant_sign(LU: Array, order: Ints) -> float:
+    """Return the sign of det A, +-1, from its factors P A = L U."""
+    sign = 1.0
+    for i in range(6):
+        if LU[i, i] < 0.0:
+            sign = -sign
+        for j in range(i):
+            if order[j] > order[i]:
+                sign = -sign
+    return sign
+
+
+@kernel(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, OUT_MATRIX)
+def survey_kernel(
     c: Array,
     payload: Array,
     base_axes: Array,
@@ -92,14 +100,7 @@ def survey(
         tau[:] = np.nan
         if lu_factor(J, LU, order):
             lu_solve_transposed(LU, order, f, tau, work[12])
-            sign = 1.0
-            for i in range(6):
-                if LU[i, i] < 0.0:
-                    sign = -sign
-                for j in range(i):
-                    if order[j] > order[i]:
-                        sign = -sign
-            out[k, ORIENTATION] = sign
+            out[k, ORIENTATION] = determinant_sign(LU, order)
             out[k, CONDITION] = condition_from_lu(J, r, LU, order, work[13:32])
         clearance = np.inf
         for i in range(6):
@@ -109,6 +110,3 @@ def survey(
                     v = scale(l[j], at(J[j], 0))
                     clearance = min(clearance, segment_distance(row(a, i), u, row(a, j), v))
         out[k, CLEARANCE] = clearance
-
-
-survey_kernel = kernel(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, OUT_MATRIX)(survey)

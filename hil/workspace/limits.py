@@ -3,8 +3,6 @@
 All other files ask a `Surveyor` whether a pose is inside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,14 +12,14 @@ from numpy.typing import ArrayLike
 from drivers.arrays import Array, Flags, Ints
 from drivers.errors import ModelError
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
+from hil.robot.geometry import Platform, unit_rows
 from hil.robot.kinematics import check_rotation, check_vector
 from hil.robot.kinematics_kernels import jacobian_kernel
 from hil.workspace import kernels
 from hil.workspace.kernels import survey_kernel
 
 Progress = Callable[[str, float], None]
-"""Called with what is done and the share of it that is done, 0 to 1."""
+"""Called with what is being done and the share that is finished, 0 to 1."""
 
 KINDS = ("stroke", "joint angle", "force", "singularity", "interference")
 """Names of the limits; a kind is an index into it."""
@@ -30,6 +28,10 @@ CHUNK = 4096
 """Poses surveyed at once: some 1 MB of figures."""
 BISECTIONS = 30
 """Halvings of a step that leaves the workspace: 1e-9 of the step is left."""
+
+
+def silent(_what: str, _share: float) -> None:
+    """Report no progress."""
 
 
 class WorkspaceError(ModelError):
@@ -86,8 +88,8 @@ class Surveyor:
     ------
     WorkspaceError
         Where home is outside the limits; all that do not hold, with their values.
-    KinematicsError
-        Where an argument is no vector or no rotation.
+    GeometryError, KinematicsError
+        Where an argument is no direction, no vector or no rotation.
     """
 
     def __init__(
@@ -112,8 +114,10 @@ class Surveyor:
         if limits.leg_diameter is not None:
             self._watched = _distinct(platform, limits.leg_diameter)
         s = jacobian_kernel(platform.base_joints, platform.platform_joints, self.p, self.R)[:, :3]
-        self.base_axes = s.copy() if base_axes is None else _unit("base_axes", base_axes)
-        self.platform_axes = s @ self.R if platform_axes is None else _unit("platform_axes", platform_axes)
+        self.base_axes = s.copy() if base_axes is None else unit_rows("base_axes", base_axes)
+        self.platform_axes = (
+            s @ self.R if platform_axes is None else unit_rows("platform_axes", platform_axes)
+        )
         self.orientation = 0.0
         figures = self.survey(self.p, self.R)
         self.orientation = float(figures[0, kernels.ORIENTATION])
@@ -257,16 +261,6 @@ class Surveyor:
             f"legs {row[kernels.CLEARANCE]:.4f} m apart (allowed more than {lim.leg_diameter} m)",
         )
         return tuple(text for text, bad in zip(texts, broken, strict=True) if bad)
-
-
-def _unit(name: str, value: ArrayLike) -> Array:
-    axes = np.array(value, np.float64, order="C")
-    norm = np.sqrt((axes**2).sum(axis=-1, keepdims=True))
-    if axes.shape != (6, 3) or not (norm > 1e-9).all() or not np.isfinite(norm).all():
-        raise ModelError(
-            f"{name}: got {axes.tolist()}, allowed are six directions (6, 3), none of length zero"
-        )
-    return np.ascontiguousarray(axes / norm)
 
 
 def _distinct(platform: Platform, diameter: float) -> Array:

@@ -6,8 +6,6 @@ Tilt and torsion (Bonev and Ryu, 2001): R = R_home Rz(phi) Ry(theta) Rz(sigma - 
 leans by the tilt theta towards the azimuth phi, with the torsion sigma about it; all zero at home.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +15,7 @@ from drivers.arrays import Array, Ints
 from hil.robot.kinematics import check_vector
 from hil.workspace.limits import KINDS, Surveyor, WorkspaceError
 from hil.workspace.position import PositionMap
-from hil.workspace.rays import FREE, first_exit
+from hil.workspace.rays import FREE, first_exit, levels
 
 STEP = np.deg2rad(1.0)
 """Of the paths."""
@@ -93,9 +91,7 @@ def map_orientations(
         return np.tile(p, (len(t), 1)), surveyor.R @ tilt_torsion(zero, zero, sigma)
 
     (least, largest), stops = first_exit(surveyor, turns, 2, STEP, np.pi)
-    torsion = np.concatenate(
-        [-least * np.arange(LEVELS, 0, -1) / LEVELS, largest * np.arange(LEVELS + 1) / LEVELS]
-    )
+    torsion = levels(least, largest, LEVELS)
     azimuth = 2.0 * np.pi * np.arange(azimuths) / azimuths
     phi = np.tile(azimuth, len(torsion))
     sigma = np.repeat(torsion, azimuths)

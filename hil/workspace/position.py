@@ -3,8 +3,6 @@
 Path: along the grid, from node to neighbour; a step counts if its middle and its end keep all limits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -13,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from drivers.arrays import Array, Flags, Ints
-from hil.workspace.limits import CHUNK, KINDS, Progress, Surveyor, WorkspaceError
+from hil.workspace.limits import CHUNK, KINDS, Progress, Surveyor, WorkspaceError, silent
 
 PLANES = (("x", "z"), ("y", "z"), ("x", "y"))
 ZOOMS = 6
@@ -66,7 +64,7 @@ class PositionMap(NamedTuple):
         return {kind: float(n) / max(len(self.kinds), 1) for kind, n in zip(KINDS, counts, strict=True)}
 
 
-class Section(NamedTuple):
+class CrossSection(NamedTuple):
     """A plane through home, on a finer grid."""
 
     plane: tuple[str, str]
@@ -86,7 +84,7 @@ class Section(NamedTuple):
     """(k,) index into KINDS."""
 
 
-def map_positions(surveyor: Surveyor, resolution: int = 40, progress: Progress | None = None) -> PositionMap:
+def map_positions(surveyor: Surveyor, resolution: int = 40, progress: Progress = silent) -> PositionMap:
     """Map the translations that can be reached from home with home's orientation.
 
     Grid: home is a node; ``resolution`` steps along the longest side of the workspace's box. The volume is
@@ -141,10 +139,7 @@ def box_axes(box: Array, step: float) -> tuple[Array, ...]:
 
 
 def flood_grid(
-    surveyor: Surveyor,
-    axes: tuple[Array, ...],
-    seeds: Flags | None = None,
-    progress: Progress | None = None,
+    surveyor: Surveyor, axes: tuple[Array, ...], seeds: Flags | None = None, progress: Progress = silent
 ) -> Flood:
     """Flood a grid of translations about home from its ``seeds`` (default: home's node).
 
@@ -189,7 +184,9 @@ def flood_grid(
     return Flood(axes, reached.reshape(shape), tuple(points), tuple(kinds), tuple(joined), tuple(parts))
 
 
-def cut(surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str], resolution: int = 160) -> Section:
+def cut(
+    surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str], resolution: int = 160
+) -> CrossSection:
     """Return a section of the workspace through home.
 
     The plane's own grid is finer than the map's by a whole factor, so that the nodes of the map are among
@@ -220,7 +217,7 @@ def cut(surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str], reso
     singular_value[where[:, u], where[:, v]] = least
     points = np.concatenate([flood.crossings[u], flood.crossings[v]]) + surveyor.p
     kinds = np.concatenate([flood.kinds[u], flood.kinds[v]])
-    return Section(
+    return CrossSection(
         plane,
         axes[u] + surveyor.p[u],
         axes[v] + surveyor.p[v],
@@ -232,11 +229,10 @@ def cut(surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str], reso
     )
 
 
-def _inside(surveyor: Surveyor, X: Array, what: str, progress: Progress | None) -> Flags:
+def _inside(surveyor: Surveyor, X: Array, what: str, progress: Progress) -> Flags:
     found = np.empty(len(X), np.bool_)
     for k in range(0, len(X), CHUNK):
-        if progress is not None:
-            progress(what, k / len(X))
+        progress(what, k / len(X))
         found[k : k + CHUNK] = surveyor.inside(X[k : k + CHUNK] + surveyor.p, surveyor.R)
     return found
 
@@ -253,14 +249,13 @@ def _leaving(
 
 
 def _cross(
-    surveyor: Surveyor, start: Array, end: Array, half: Flags, what: str, progress: Progress | None
+    surveyor: Surveyor, start: Array, end: Array, half: Flags, what: str, progress: Progress
 ) -> tuple[Array, Ints]:
     """Return where steps leave the workspace, (n, 3) relative to home, and the limits met."""
     points = np.empty_like(start)
     kinds = np.empty(len(start), np.int64)
     for k in range(0, len(start), CHUNK):
-        if progress is not None:
-            progress(what, k / len(start))
+        progress(what, k / len(start))
         x, d = start[k : k + CHUNK], end[k : k + CHUNK] - start[k : k + CHUNK]
         high = np.where(half[k : k + CHUNK], 0.5, 1.0)
         t, kinds[k : k + CHUNK] = surveyor.leave(_line(surveyor, x, d), np.zeros(len(x)), high)

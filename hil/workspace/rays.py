@@ -1,6 +1,4 @@
-"""Paths out of the workspace: followed in small steps to the first that fails, then bisected."""
-
-from __future__ import annotations
+"""Rays, paths out of the workspace: followed in small steps to the first that fails, then bisected."""
 
 from collections.abc import Callable
 
@@ -13,6 +11,11 @@ Paths = Callable[[Array, Ints], tuple[Array, Array]]
 """(t (n,), which (n,)) -> poses P (n, 3), R (n, 3, 3) or (3, 3): path which[k] at t[k]; t = 0 is inside."""
 FREE = -1
 """Kind of a path that ends without having met a limit."""
+
+
+def levels(below: float, above: float, count: int) -> Array:
+    """Return (2 count + 1,) from -below to above, `count` even steps on either side of zero."""
+    return np.concatenate([-below * np.arange(count, 0, -1), above * np.arange(count + 1)]) / count
 
 
 def first_exit(surveyor: Surveyor, paths: Paths, count: int, step: float, end: float) -> tuple[Array, Ints]:

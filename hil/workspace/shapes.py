@@ -3,15 +3,13 @@
 Paths: straight lines from home, or from the cylinder's axis.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, Ints
 from hil.workspace.limits import Surveyor
-from hil.workspace.rays import first_exit
+from hil.workspace.rays import first_exit, levels
 
 DIRECTIONS = 1000
 CAPS = 6
@@ -74,7 +72,7 @@ def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
     """
     up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     (above, below), _ = _rays(surveyor, np.zeros((2, 3)), up, step, reach)
-    z = np.concatenate([-below * np.arange(LAYERS, 0, -1) / LAYERS, above * np.arange(LAYERS + 1) / LAYERS])
+    z = levels(below, above, LAYERS)
     free = _radii(surveyor, z, AZIMUTHS, step, reach)
     best = Cylinder(0.0, 0.0, 0.0)
     for first in range(LAYERS + 1):

@@ -3,8 +3,7 @@
 `Nodes` owns the drives.
 """
 
-from __future__ import annotations
-
+from functools import partial
 from math import exp, nan, pi
 
 import numpy as np
@@ -14,7 +13,7 @@ from drivers.config import DriveSettings
 from drivers.signals import INVALID, LEGS, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import kernels
-from plant_fmu.drives.faults import Present
+from plant_fmu.drives.faults.fault import Present
 from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS
 
 _NO_COUNTER = -1
@@ -23,7 +22,9 @@ _NO_COUNTER = -1
 class Drives:
     """Six drives that have just been powered up. Every array has one element a drive.
 
-    Mutable state: two matrices, whose rows are the attributes; `drive_kernels` says what they are.
+    `enter`, `obey` and `actuate` are the kernels of these names, on these drives.
+
+    Mutable state: two matrices, whose rows are the attributes; `kernels` says what they are.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
@@ -63,7 +64,10 @@ class Drives:
             exp(-x),
             (1.0 - exp(-x)) / x if x > 0.0 else 1.0,
         )
-        self._stage = np.array(stage, float)
+        common = np.array(stage, float)
+        self.enter = partial(kernels.enter, integers, reals)
+        self.obey = partial(kernels.obey, integers, reals, common)
+        self.actuate = partial(kernels.actuate, integers, reals, common)
 
     def disturb(self, present: Present, length: Array, rate: Array) -> None:
         """Let the faults of this instant act, the plant being there; an encoder freezes at what it reads."""
@@ -75,33 +79,10 @@ class Drives:
         self._reals[kernels.GAIN] = present.gain
         self._integers[kernels.STUCK] = [WORKS if stuck is None else stuck for stuck in present.stuck]
 
-    def enter(self, leg: int, state: int, fault: int) -> None:
-        """Move one drive to a state."""
-        kernels.enter(self._integers, self._reals, leg, state, fault)
-
-    def obey(
-        self,
-        length: Array,
-        rate: Array,
-        legs: Ints,
-        command: Array,
-        mode: int,
-        counter: int,
-        t_ns: int,
-    ) -> tuple[bool, bool, int, int]:
-        """As `drive_kernels.obey`."""
-        return kernels.obey(
-            self._integers, self._reals, self._stage, length, rate, legs, command, mode, counter, t_ns
-        )
-
     def encoders(
         self, length: Array, rate: Array, dt_s: float = 0.0, quantum_m: float = 0.0
     ) -> tuple[Array, Array, Ints]:
-        """Return what feedback tells: length m, rate m/s, state; see `drive_kernels.read_encoders`."""
-        l, dl, told = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS, np.int64)
-        kernels.read_encoders(self._integers, self._reals, length, rate, dt_s, quantum_m, l, dl, told)
-        return l, dl, told
-
-    def actuate(self, length: Array, rate: Array, lag: bool) -> bool:
-        """As `drive_kernels.actuate`."""
-        return kernels.actuate(self._integers, self._reals, self._stage, length, rate, lag)
+        """Return what feedback carries: length m, rate m/s, state; see `kernels.read_encoders`."""
+        l, dl, state = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS, np.int64)
+        kernels.read_encoders(self._integers, self._reals, length, rate, dt_s, quantum_m, l, dl, state)
+        return l, dl, state

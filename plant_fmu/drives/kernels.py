@@ -3,8 +3,6 @@
 A row of the two matrices is one quantity of six drives.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array, Ints
@@ -152,14 +150,14 @@ def read_encoders(
     quantum_m: float,
     l: Array,
     dl: Array,
-    told: Ints,
+    state: Ints,
 ) -> None:
     """Fill in what is read `dt_s` after the plant was at `length`, `rate`, in steps of `quantum_m` if > 0.
 
-    told: the states as feedback tells them.
+    state: DriveState, with INVALID for a lost encoder.
     """
     for leg in range(LEGS):
-        told[leg] = integers[STATE, leg] | integers[LOST, leg]
+        state[leg] = integers[STATE, leg] | integers[LOST, leg]
         at, dl[leg] = _encoder(integers, reals, length, rate, leg)
         at += dl[leg] * dt_s
         l[leg] = np.rint(at / quantum_m) * quantum_m if quantum_m > 0.0 else at

@@ -8,8 +8,6 @@ is exact. `Plant.step` is called once between two instants that matter, and once
 point while a drive controls by itself (damp, hold) or lags.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from math import floor
@@ -22,6 +20,7 @@ from drivers.arrays import Array, Ints
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.protocol import (
+    Answer,
     Configure,
     DeviceCommand,
     DriveProtocol,
@@ -35,7 +34,7 @@ from drivers.protocol import (
 from drivers.signals import LEGS, DriveFault
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
-from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.kernels import BOOT, BRAKE, FAULT, NEVER_NS, OFF, READY, RUN
 from plant_fmu.plant import Plant, Truth
 
@@ -72,7 +71,7 @@ class Snapshot(NamedTuple):
     """(6,) N, N m on the platform."""
     truth: Truth | None
     syncs: int
-    """SYNC frames heard since the start."""
+    """SYNC frames or polls heard since the start."""
     commands: int
     """Valid command frames with a new counter."""
     repeated: int
@@ -89,8 +88,8 @@ class Nodes:
     RUN, from the last valid command with a new counter. A fault latches until RESET; its reaction
     is the configured one if it strikes in RUN, otherwise the brake, so that no fault opens a brake.
 
-    Mutable state: the plant, six drives, the time, the generator of frame faults. Owner of all
-    of it; `start` resets it.
+    Mutable state: the plant, six drives, the protocol's memory at their end, the time, the generator of
+    frame faults. Owner of all of it; `start` resets it.
     """
 
     def __init__(
@@ -118,6 +117,7 @@ class Nodes:
         self._k = 0
         self._length, self._rate = self._plant.reset()
         self._drives = Drives(self._settings, self._emulation, self._h_s)
+        self._memory = self._protocol.power_up()
         self._beats = 0
         self._next_beat_ns = t0_ns
         self._calm_ns = t0_ns
@@ -153,7 +153,7 @@ class Nodes:
 
     @property
     def syncs(self) -> int:
-        """SYNC frames heard since the start."""
+        """SYNC frames or polls heard since the start."""
         return self._syncs
 
     def snapshot(self) -> Snapshot:
@@ -265,19 +265,22 @@ class Nodes:
             if arrived is None:
                 return
             frame = arrived
-        message = self._protocol.parse(frame)
-        match message:
-            case Sync():
-                self._latch(message, t, out)
-            case DeviceCommand():
-                self._obey(message, t, out)
-            case Configure():
-                self._configure(message, t, out)
-            case EmergencyStop():
-                for leg in range(LEGS):
-                    self._fail(leg, DriveFault.ESTOP, t, out)
-            case Rejected():
-                self._rejected += 1
+        self._memory, messages = self._protocol.parse(self._memory, frame)
+        for message in messages:
+            match message:
+                case Sync():
+                    self._latch(message, t, out)
+                case DeviceCommand():
+                    self._obey(message, t, out)
+                case Configure():
+                    self._configure(message, t, out)
+                case EmergencyStop(legs=legs):
+                    for leg in legs:
+                        self._fail(leg, DriveFault.ESTOP, t, out)
+                case Answer():
+                    self._send(message.leg, t, (message.frame,), out)
+                case Rejected():
+                    self._rejected += 1
 
     def _latch(self, sync: Sync, t: int, out: list[tuple[int, Frame]]) -> None:
         self._syncs += 1
@@ -288,14 +291,12 @@ class Nodes:
             force = self._drives.force
         quantum = self._emulation.encoder_resolution_m
         length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
-        frames = self._protocol.feedbacks(length, rate, force, state, sync.counter)
-        silent = self._present.silent
-        if self._faults.touches_frames or any(silent):
-            for leg, frame in enumerate(frames):
-                if not silent[leg]:
-                    self._send(t, frame, out)
+        frames = self._protocol.feedbacks(sync, length, rate, force, state)
+        if self._faults.touches_frames or any(self._present.silent):
+            for leg, frame in frames:
+                self._send(leg, t, (frame,), out)
         else:
-            out += [(t, frame) for frame in frames]
+            out += [(t, frame) for _, frame in frames]
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
         self._advance(t)
@@ -327,14 +328,16 @@ class Nodes:
             self._send_status(leg, t, out)
 
     def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
-        if not self._present.silent[leg]:
-            state, fault = int(self._drives.state[leg]), int(self._drives.fault[leg])
-            self._send(t, self._protocol.status(Status(leg, state, fault)), out)
+        state, fault = int(self._drives.state[leg]), int(self._drives.fault[leg])
+        self._send(leg, t, self._protocol.status(Status(leg, state, fault)), out)
 
-    def _send(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
-        if self._faults.touches_frames:
-            sent = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
-            if sent is None:
-                return
-            frame = sent
-        out.append((t, frame))
+    def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:
+        """Queue frames of one drive, as far as it is not silent and they are not lost."""
+        if self._present.silent[leg]:
+            return
+        for frame in frames:
+            sent: Frame | None = frame
+            if self._faults.touches_frames:
+                sent = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
+            if sent is not None:
+                out.append((t, sent))

@@ -5,8 +5,6 @@ latency later. Between grid points of the plant the pose is carried on by the tw
 the mean over the plant's last internal step, as of a device that integrates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
@@ -20,7 +18,7 @@ from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
-from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.nodes import Nodes, Snapshot
 from plant_fmu.plant import Plant, Truth
 
@@ -65,7 +63,6 @@ class SensedNodes(Nodes):
         self._sensors = sensors
         self._noise = noise
         self._gravity = np.array(gravity, float)
-        self._plan = FaultPlan() if faults is None else faults
         self._period_ns = {kind: 1e9 / getattr(settings, kind).rate_Hz for kind in sensors.kinds}
         self._measure: dict[str, Callable[[Moment], Array]] = {
             "tracker": self._pose,
@@ -84,7 +81,7 @@ class SensedNodes(Nodes):
         """When the last SYNC ended, and its Cycle."""
         self._dtwist = np.zeros(6)
         self._waiting: list[tuple[int, Frame]] = []
-        self._chance = np.random.default_rng((self._noise.seed, self._plan.seed))
+        self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
         """As `Nodes.step`, with the frames of the sensors among the drives'."""
@@ -143,7 +140,7 @@ class SensedNodes(Nodes):
             return
         frame = self._sensors.encode(kind, values.tolist(), self._sync[1], offset_s, self._count[kind])
         sent_ns = t_ns + round(settings.latency_ms * 1e6)
-        arrived = self._plan.pass_on(frame, (sent_ns - self._start_ns) * 1e-9, self._chance)
+        arrived = self._faults.pass_on(frame, (sent_ns - self._start_ns) * 1e-9, self._chance)
         if arrived is not None:
             self._waiting.append((sent_ns, arrived))
 

@@ -4,8 +4,6 @@ A foreign archive is hostile until each member has been looked at; nothing is wr
 and nothing is loaded.
 """
 
-from __future__ import annotations
-
 import lzma
 import stat
 import zipfile

@@ -3,8 +3,6 @@
 Other threads run meanwhile: one of them ends a child process whose FMU hangs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array, Bytes, Ints

@@ -3,8 +3,6 @@
 Each refusal says what the FMU offers.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
@@ -23,12 +21,7 @@ _INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64
     "Integer",
     "Enumeration",
 }
-_SI = {
-    "N": (1, 1, -2),
-    "N.m": (1, 2, -2),
-    "m": (0, 1, 0),
-    "m/s": (0, 1, -1),
-}
+_SI = {"N": (1, 1, -2), "N.m": (1, 2, -2), "m": (0, 1, 0), "m/s": (0, 1, -1)}
 """Unit -> exponents of kg, m, s."""
 _SPELLINGS = {"N.m": {"N.m", "Nm", "N*m", "N m"}, "m/s": {"m/s", "m.s-1", "m*s-1"}}
 
@@ -245,8 +238,7 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
         "length": reader.channel("length", spec.length, "output", ("m",)),
         "rate": reader.channel("rate", spec.rate, "output", ("m/s",)),
     }
-    if spec.truth is not None:
-        for name, count in (("position", 3), ("rotation", 9), ("twist", 6), ("applied_force", 6)):
-            outputs[name] = reader.channel("truth", [getattr(spec.truth, name)], "output", (), count)
+    for name, count in zip(spec.truth, (3, 9, 6, 6), strict=False):
+        outputs[name] = reader.channel("truth", [name], "output", (), count)
     starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
     return Interface(description, reader.major, library, inputs, outputs, starts)

@@ -4,8 +4,6 @@ Numbers cross in shared memory, one byte on a pipe says that they are there. Wha
 process (crash, hang, exit, change of directory or rounding mode), ours sees a PlantError.
 """
 
-from __future__ import annotations
-
 import contextlib
 import mmap
 import os
@@ -17,12 +15,12 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
+from drivers.child_process import start
 from drivers.errors import HilError, PlantError
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.spec import FmuSpec
@@ -32,37 +30,30 @@ START_TIMEOUT_S = 60.0
 STEP_TIMEOUT_S = 5.0
 _RESET, _STEP, _TRUTH, _CLOSE = range(4)
 _OK, _REFUSED = range(2)
-_TEXT = 4096
-_FIXED = 1024
-_LIFE_CHECK_MS = 1000
-_PACKAGES = os.pathsep.join(
-    filter(None, (str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")))
+_LAYOUT = np.dtype(
+    [(name, "i8") for name in ("command", "status")]
+    + [(name, "f8", 6) for name in ("force", "brake", "wrench")]
+    + [("dt", "f8"), ("measured", "f8", 12), ("truth", "f8", 24), ("text", "S4096")]
 )
-"""Where the child finds this package: with -P not in the user's working directory."""
+_LIFE_CHECK_MS = 1000
 
 
 class _Board:
-    """The shared memory: command, status, dt, 18 inputs, 12 measurements, 24 of truth, a text, the spec."""
+    """The shared memory: a record of `_LAYOUT`, and behind it the spec."""
 
     def __init__(self, memory: mmap.mmap) -> None:
         self.memory = memory
-        words: Ints = np.frombuffer(memory, np.int64, 4)
-        self.words = words
-        """command, status, bytes of text, bytes of spec."""
-        self.dt: Array = np.frombuffer(memory, np.float64, 1, 32)
-        self.force: Array = np.frombuffer(memory, np.float64, 6, 64)
-        self.brake: Array = np.frombuffer(memory, np.float64, 6, 112)
-        self.wrench: Array = np.frombuffer(memory, np.float64, 6, 160)
-        self.measured: Array = np.frombuffer(memory, np.float64, 12, 256)
-        self.truth: Array = np.frombuffer(memory, np.float64, 24, 512)
+        self.record = np.frombuffer(memory, _LAYOUT, 1)[0]
+        inputs: tuple[Array, ...] = tuple(self.record[name] for name in ("force", "brake", "wrench"))
+        self.force, self.brake, self.wrench = inputs
+        self.measured: Array = self.record["measured"]
+        self.truth: Array = self.record["truth"]
 
     def say(self, text: str) -> None:
-        data = text.encode()[:_TEXT]
-        self.memory[_FIXED : _FIXED + len(data)] = data
-        self.words[2] = len(data)
+        self.record["text"] = text.encode()
 
     def heard(self) -> str:
-        return bytes(self.memory[_FIXED : _FIXED + int(self.words[2])]).decode("utf-8", "replace")
+        return bytes(self.record["text"]).decode("utf-8", "replace")
 
     def release(self) -> None:
         """Drop the views, then the memory: a mapping with views on it cannot be closed."""
@@ -93,7 +84,7 @@ class ChildHost:
         # The child unpacks in here; whichever of us two is left removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         text = spec.to_json().encode()
-        size = _FIXED + _TEXT + len(text)
+        size = _LAYOUT.itemsize + len(text)
         memory_fd = os.memfd_create("fmu-board")
         command_r, self._command_w = os.pipe()
         self._reply_r, reply_w = os.pipe()
@@ -101,23 +92,15 @@ class ChildHost:
         try:
             os.ftruncate(memory_fd, size)
             memory = mmap.mmap(memory_fd, size)
-            memory[_FIXED + _TEXT :] = text
+            memory[_LAYOUT.itemsize :] = text
             self._board = _Board(memory)
-            self._board.words[3] = len(text)
             given = (memory_fd, command_r, reply_w, life_r)
             # Standard output is ours (a summary may go there); Ctrl-C is for us to handle, hence the session.
-            self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "plant_fmu.fmu.child",
-                    *map(str, given),
-                    str(os.getpid()),
-                    self._folder.name,
-                ],
+            self._process = start(
+                "plant_fmu.fmu.child",
+                *map(str, (*given, os.getpid(), self._folder.name)),
+                environment={"TMPDIR": self._folder.name},
                 pass_fds=given,
-                env={**os.environ, "TMPDIR": self._folder.name, "PYTHONPATH": _PACKAGES},
                 stdin=subprocess.DEVNULL,
                 stdout=2,
                 start_new_session=True,
@@ -156,13 +139,13 @@ class ChildHost:
                 f"died of {signal.Signals(-code).name}" if code < 0 else f"ended itself with exit code {code}"
             )
             raise self._end(f"{self.spec.path}: the FMU's process {how} when it was to {what}")
-        if self._board.words[1] != _OK:
+        if self._board.record["status"] != _OK:
             raise PlantError(self._board.heard())
 
     def _ask(self, command: int, timeout_s: float, what: str) -> None:
         if self._ended is not None:
             raise PlantError(self._ended)
-        self._board.words[0] = command
+        self._board.record["command"] = command
         with contextlib.suppress(BrokenPipeError):  # the reply pipe tells how the child ended
             os.write(self._command_w, b"!")
         self._wait(timeout_s, what)
@@ -184,13 +167,13 @@ class ChildHost:
         board.force[:] = force
         board.brake[:] = brake
         board.wrench[:] = wrench
-        board.dt[0] = dt_s
+        board.record["dt"] = dt_s
         self._ask(_STEP, self._step_timeout_s, "step")
         return self._measured()
 
     def truth(self) -> Truth | None:
         """As FmuHost.truth."""
-        if self.spec.truth is None:
+        if not self.spec.truth:
             return None
         self._ask(_TRUTH, self._step_timeout_s, "give its outputs")
         y = self._board.truth.copy()
@@ -198,7 +181,7 @@ class ChildHost:
 
     def applied_force(self) -> Array | None:
         """As FmuHost.applied_force, at no cost: it comes with the answer to every step."""
-        return None if self.spec.truth is None else self._board.truth[18:24].copy()
+        return self._board.truth[18:24].copy() if self.spec.truth else None
 
     def close(self) -> None:
         """Let the child free the FMU and end; stop it if it does not. A second call does nothing."""
@@ -240,10 +223,10 @@ def _attempt(board: _Board, work: Callable[[], Any]) -> Any:
     try:
         result = work()
     except HilError as error:
-        board.words[1] = _REFUSED
+        board.record["status"] = _REFUSED
         board.say(str(error))
         return None
-    board.words[1] = _OK
+    board.record["status"] = _OK
     return result
 
 
@@ -251,8 +234,7 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
     """Run in the child: load the FMU, then answer commands until told to close or the parent is gone."""
     threading.Thread(target=_end_with_parent, args=(life_fd, parent, folder), daemon=True).start()
     board = _Board(mmap.mmap(memory_fd, 0))
-    start = _FIXED + _TEXT
-    spec = FmuSpec.from_json(bytes(board.memory[start : start + int(board.words[3])]).decode())
+    spec = FmuSpec.from_json(board.memory[_LAYOUT.itemsize :].decode())
     host: FmuHost | None = _attempt(board, lambda: FmuHost(spec))
     os.write(reply_fd, b"!")
     if host is None:
@@ -269,12 +251,12 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
 
     tasks: dict[int, Callable[[], None]] = {
         _RESET: lambda: measure(host.reset()),
-        _STEP: lambda: measure(host.step(board.force, board.brake, board.wrench, float(board.dt[0]))),
+        _STEP: lambda: measure(host.step(board.force, board.brake, board.wrench, float(board.record["dt"]))),
         _TRUTH: true_state,
         _CLOSE: host.close,
     }
     while os.read(command_fd, 1):
-        command = int(board.words[0])
+        command = int(board.record["command"])
         _attempt(board, tasks[command])
         with contextlib.suppress(BrokenPipeError):  # the parent is gone: the next read says so
             os.write(reply_fd, b"!")

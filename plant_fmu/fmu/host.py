@@ -3,8 +3,6 @@
 The FMU shares our process: it can crash it. FMUs that we did not build belong into a child process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes as ct
 import os
@@ -26,7 +24,7 @@ from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members, extract, open_archive, read_member
 from plant_fmu.fmu.check import Interface, read_interface
 from plant_fmu.fmu.spec import FmuSpec
-from plant_fmu.plant import Truth
+from plant_fmu.plant import Truth, whole_steps
 
 _MESSAGES = 20
 _new = tuple.__new__
@@ -122,9 +120,9 @@ class FmuHost:
         del self._messages[:-_MESSAGES]
 
     def _said(self) -> str:
-        said = "; ".join(m for m in self._messages if m)
+        reported = "; ".join(m for m in self._messages if m)
         self._messages.clear()
-        return f": {said}" if said else ""
+        return f": {reported}" if reported else ""
 
     def _prepare_calls(self) -> None:
         face, fmu = self._interface, self._fmu
@@ -231,24 +229,12 @@ class FmuHost:
         that is not finite, or a call that the FMU refuses; its own message is part of the error's.
         """
         step = self.internal_step_s
-        n = round(dt_s / step) if 0.0 < dt_s < 1e9 * step else 0
-        if n < 1 or abs(dt_s - n * step) > 1e-9 * dt_s:
-            raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step!r} s")
+        n = whole_steps(dt_s, step)
         if not self._initialised:
             raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
         t_s = self._ticks * step
-        ended, status = fmu_call.exchange(
-            self._call,
-            force,
-            brake,
-            wrench,
-            t_s,
-            n * step,
-            self._inputs,
-            self._held,
-            self._outputs,
-            self._flags,
-        )
+        memory = self._inputs, self._held, self._outputs, self._flags
+        ended, status = fmu_call.exchange(self._call, force, brake, wrench, t_s, n * step, *memory)
         if ended != fmu_call.DONE:
             if ended == fmu_call.NOT_FINITE:
                 raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
@@ -260,7 +246,7 @@ class FmuHost:
 
     def truth(self) -> Truth | None:
         """Pose, twist and applied forces now; None where the FMU is not known to have them."""
-        if self.spec.truth is None:
+        if not self.spec.truth:
             return None
         if not self._initialised:
             raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
@@ -269,7 +255,7 @@ class FmuHost:
 
     def applied_force(self) -> Array | None:
         """Return the forces behind the drives' lag; None where the FMU is not known to have them."""
-        return None if self.spec.truth is None else self._applied
+        return self._applied if self.spec.truth else None
 
     def close(self) -> None:
         """Terminate, free, unload, remove the unpacked files. A second call does nothing."""

@@ -1,7 +1,5 @@
 """Makes the .fmu: finds a compiler, compiles the C sources, packs and caches."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import os
@@ -16,6 +14,7 @@ import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
+from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
 from plant_fmu.stewart.ctables import header, tables
 from plant_fmu.stewart.description import (
@@ -75,11 +74,9 @@ class Compiler(NamedTuple):
 
 def this_machine() -> str:
     """Key of TARGETS for the running interpreter. Raises PlantError for one that we do not build for."""
-    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(
-        platform.machine().lower(), platform.machine().lower()
-    )
-    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, sys.platform)
-    key = f"{system}-{machine}"
+    machine = platform.machine().lower()
+    system = {"win32": "windows"}.get(sys.platform, sys.platform)
+    key = f"{system}-{ {'amd64': 'x86_64', 'arm64': 'aarch64'}.get(machine, machine) }"
     if key not in TARGETS:
         raise PlantError(f"no FMU binary can be built for {key}; allowed are {', '.join(TARGETS)}")
     return key
@@ -113,13 +110,6 @@ def find_compiler(*, zig: bool = False) -> Compiler:
     raise PlantError(
         f"no {missing} found to build the plant's FMU; install one of: pip install ziglang, apt install gcc"
     )
-
-
-def cache_folder() -> Path:
-    """Return the per-user cache for built FMUs (XDG_CACHE_HOME, else ~/.cache)."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
-    return root / "hexapod-hil" / "fmu"
 
 
 def _source_files(version: FmiVersion) -> dict[str, bytes]:
@@ -213,7 +203,7 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
     sources = _source_files(fmi_version)
     sources["model.c"] = tables(guid).encode()
     recipe = repr((compiler.identity, FLAGS, keys, [TARGETS[k] for k in keys], fmi_version))
-    cached = cache_folder() / _digest({**sources, "recipe": recipe.encode()})[:24]
+    cached = cache_folder() / "fmu" / _digest({**sources, "recipe": recipe.encode()})[:24]
     cached = cached / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
     try:
         if not cached.is_file():

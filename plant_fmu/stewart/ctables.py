@@ -1,7 +1,5 @@
 """C tables from the variable table: offsets, start values, ranges and the instantiation token."""
 
-from __future__ import annotations
-
 from plant_fmu.stewart.variables import VARIABLES, limits
 
 _CAUSALITY = {"independent": "INDEPENDENT", "parameter": "PARAMETER", "input": "INPUT", "output": "OUTPUT"}

@@ -1,7 +1,5 @@
 """Model descriptions for FMI 2.0 and 3.0, build description and terminals, from the variable table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 from xml.etree import ElementTree as ET
@@ -97,6 +95,10 @@ def _variability(variable: Variable) -> dict[str, str]:
     return {"variability": "continuous"}
 
 
+def _dependencies(depends: Sequence[str]) -> dict[str, str]:
+    return {"dependencies": " ".join(depends), "dependenciesKind": " ".join(["dependent"] * len(depends))}
+
+
 def _head(root: ET.Element, version: FmiVersion, sources: Sequence[str]) -> None:
     state = "State" if version == "3.0" else "state"
     step = {"fixedInternalStepSize": repr(INTERNAL_STEP)} if version == "3.0" else {}
@@ -151,23 +153,11 @@ def model_description_3(token: str) -> bytes:
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [v for v in VARIABLES if v.causality == "output"]
     for v in outputs:
-        depends = [reference[name] for name in v.depends]
-        ET.SubElement(
-            structure,
-            "Output",
-            valueReference=reference[v.name],
-            dependencies=" ".join(depends),
-            dependenciesKind=" ".join(["dependent"] * len(depends)),
-        )
+        behind = _dependencies([reference[name] for name in v.depends])
+        ET.SubElement(structure, "Output", {"valueReference": reference[v.name], **behind})
     for v in outputs:
-        depends = [reference[name] for name in (*parameters_behind(v.name), *v.depends)]
-        ET.SubElement(
-            structure,
-            "InitialUnknown",
-            valueReference=reference[v.name],
-            dependencies=" ".join(depends),
-            dependenciesKind=" ".join(["dependent"] * len(depends)),
-        )
+        behind = _dependencies([reference[name] for name in (*parameters_behind(v.name), *v.depends)])
+        ET.SubElement(structure, "InitialUnknown", {"valueReference": reference[v.name], **behind})
     return _text(root)
 
 
@@ -215,13 +205,8 @@ def model_description_2(token: str, sources: Sequence[str]) -> bytes:
                 depends = indices(names)
                 if v.name == "applied_force":
                     depends = [indices([n])[k if by_name[n].size > 1 else 0] for n in names]
-                ET.SubElement(
-                    unknowns,
-                    "Unknown",
-                    index=str(place[v.name] + k + 1),
-                    dependencies=" ".join(depends),
-                    dependenciesKind=" ".join(["dependent"] * len(depends)),
-                )
+                index = str(place[v.name] + k + 1)
+                ET.SubElement(unknowns, "Unknown", {"index": index, **_dependencies(depends)})
     return _text(root)
 
 
@@ -248,40 +233,16 @@ def terminals() -> bytes:
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     group = ET.SubElement(root, "Terminals")
     for leg in range(1, 7):
-        terminal = ET.SubElement(
-            group,
-            "Terminal",
-            name=f"leg{leg}",
-            matchingRule="plug",
-            description=f"Drive and encoder of leg {leg}",
-        )
-        for member in ("force", "brake", "length", "rate", "applied_force"):
-            ET.SubElement(
-                terminal,
-                "TerminalMemberVariable",
-                variableName=member,
-                memberName=f"{member}[{leg}]",
-                variableKind="signal",
-            )
-    platform = ET.SubElement(
-        group,
-        "Terminal",
-        name="platform",
-        matchingRule="plug",
-        description="Motion of the platform, wrench on it",
-    )
-    for member in ("wrench", "position", "rotation", "twist", "acceleration"):
-        ET.SubElement(
-            platform, "TerminalMemberVariable", variableName=member, memberName=member, variableKind="signal"
-        )
+        names = ("force", "brake", "length", "rate", "applied_force")
+        members = {f"{name}[{leg}]": name for name in names}
+        _terminal(group, f"leg{leg}", f"Drive and encoder of leg {leg}", members)
+    names = ("wrench", "position", "rotation", "twist", "acceleration")
+    _terminal(group, "platform", "Motion of the platform, wrench on it", dict(zip(names, names, strict=True)))
     return _text(root)
 
 
-__all__ = [
-    "MODEL_IDENTIFIER",
-    "FmiVersion",
-    "build_description",
-    "model_description_2",
-    "model_description_3",
-    "terminals",
-]
+def _terminal(group: ET.Element, name: str, description: str, members: dict[str, str]) -> None:
+    terminal = ET.SubElement(group, "Terminal", name=name, matchingRule="plug", description=description)
+    for member, variable in members.items():
+        about = {"variableName": variable, "memberName": member, "variableKind": "signal"}
+        ET.SubElement(terminal, "TerminalMemberVariable", about)

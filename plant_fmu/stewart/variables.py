@@ -3,10 +3,8 @@
 A new variable is one row here and its use in ``sources/plant.c``.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 Causality = Literal["independent", "parameter", "input", "output"]
 
@@ -71,7 +69,6 @@ class Variable(NamedTuple):
     """One variable of the FMU; values flat in C order (last index fastest)."""
 
     name: str
-    causality: Causality
     type: str
     shape: tuple[int, ...]
     start: tuple[float, ...] | None
@@ -80,6 +77,7 @@ class Variable(NamedTuple):
     """Type of each element where `type` is Mixed."""
     depends: tuple[str, ...] = ()
     """Inputs that an output depends on directly."""
+    causality: Causality = "output"
 
     @property
     def size(self) -> int:
@@ -97,195 +95,77 @@ def _ring(radius: float, degrees: tuple[float, ...]) -> tuple[float, ...]:
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 ZEROS6 = (0.0,) * 6
 
+_Rows = tuple[tuple[Any, ...], ...]
+"""Arguments of Variable."""
+_MOTION = ("Velocity",) * 3 + ("AngularVelocity",) * 3
+
 # Start values: the platform of H. D. Taghirad, Parallel Robots (2013), chapter 5, at its home pose.
+# fmt: off
+_PARAMETERS: _Rows = (
+    ("base_joints", "Length", (6, 3), _ring(2.0, (0, 60, 120, 180, 240, 300)),
+     "Joint centres a_i in the base frame"),
+    ("platform_joints", "Length", (6, 3), _ring(1.0, (30, 30, 150, 150, 270, 270)),
+     "Joint centres b_i in the platform frame"),
+    ("mass", "Mass", (), (1150.0,), "Mass of the moving platform"),
+    ("com", "Length", (3,), (0.0,) * 3, "Its centre of mass, platform frame"),
+    ("inertia", "Inertia", (3, 3), (570.0, 0.0, 0.0, 0.0, 285.0, 0.0, 0.0, 0.0, 285.0),
+     "Its inertia about the centre of mass, platform axes"),
+    ("cylinder_mass", "Mass", (), (85.0,), "Mass of each leg's lower half"),
+    ("cylinder_com", "Distance", (), (0.75,), "Its centre of mass from the base joint, along the leg"),
+    ("cylinder_inertia", "PrincipalInertia", (2,), (0.0, 16.0),
+     "Its inertia about its centre of mass: axial, transverse"),
+    ("rod_mass", "Mass", (), (22.0,), "Mass of each leg's upper half"),
+    ("rod_com", "Distance", (), (0.75,), "Its centre of mass from the platform joint, along the leg"),
+    ("rod_inertia", "PrincipalInertia", (2,), (0.0, 4.1),
+     "Its inertia about its centre of mass: axial, transverse"),
+    ("gravity", "Acceleration", (3,), (0.0, 0.0, -9.81), "Gravity in the base frame"),
+    ("leg_spin", "LegSpin", (), (1.0,),
+     "Legs keep from turning about their axes, or turn as their base universal joints make them"),
+    ("universal_joint_base_axes", "Direction", (6, 3), (0.0, 0.0, 1.0) * 6,
+     "Base-side hinge axis of each universal joint, base frame, for leg_spin = universal"),
+    ("force_bandwidth", "Frequency", (), (0.0,),
+     "Corner frequency of the drives' first-order force loop; 0 is ideal"),
+    ("viscous_friction", "Damping", (6,), ZEROS6, "Viscous friction along each leg"),
+    ("coulomb_friction", "ForceBound", (6,), ZEROS6, "Dry friction along each leg, with stiction"),
+    ("reflected_mass", "Mass", (6,), ZEROS6, "Motor and screw inertia seen along each leg"),
+    ("length_min", "Distance", (6,), ZEROS6, "Lower end stop of each leg"),
+    ("length_max", "Distance", (6,), (1e6,) * 6, "Upper end stop of each leg"),
+    ("stop_stiffness", "Stiffness", (), (2e7,), "Stiffness of the end stops"),
+    ("stop_damping", "Damping", (), (1e5,), "Damping of the end stops while pressed"),
+    ("brake_force", "ForceBound", (6,), (20_000.0,) * 6, "Largest force of each leg's engaged brake"),
+    ("initial_position", "Length", (3,), (0.0, 0.0, 1.0), "Platform origin at the start"),
+    ("initial_rotation", "RotationElement", (3, 3), IDENTITY, "Platform to base at the start"),
+    ("initial_twist", "Mixed", (6,), ZEROS6,
+     "Velocity of the platform origin and angular velocity at the start, base frame, m/s and rad/s", _MOTION),
+    ("internal_step", "Time", (), (1e-4,), "Fixed step of the integrator (Runge-Kutta 4)"),
+)
+_INPUTS: _Rows = (
+    ("force", "Force", (6,), ZEROS6, "Commanded leg forces, > 0 extends"),
+    ("brake", "Engagement", (6,), (1.0,) * 6, "Brakes, engaged unless released"),
+    ("wrench", "Mixed", (6,), ZEROS6,
+     "Force and moment on the platform at its origin, base frame, N and N m",
+     ("Force",) * 3 + ("Torque",) * 3),
+)
+_OUTPUTS: _Rows = (
+    ("length", "Length", (6,), None, "Leg lengths, joint centre to joint centre"),
+    ("rate", "Velocity", (6,), None, "Leg rates"),
+    ("applied_force", "Force", (6,), None, "Leg forces behind the force lag, without friction",
+     (), ("force",)),
+    ("position", "Length", (3,), None, "Platform origin in the base frame"),
+    ("rotation", "RotationElement", (3, 3), None, "Platform to base"),
+    ("twist", "Mixed", (6,), None,
+     "Velocity of the platform origin and angular velocity, base frame, m/s and rad/s", _MOTION),
+    ("acceleration", "Mixed", (6,), None, "Time derivative of twist, m/s2 and rad/s2",
+     ("Acceleration",) * 3 + ("AngularAcceleration",) * 3, ("force", "brake", "wrench")),
+    ("kinetic_energy", "Energy", (), None, "Kinetic energy of platform, legs and reflected masses"),
+    ("potential_energy", "Energy", (), None, "Potential energy, zero level through the base origin"),
+)
+# fmt: on
 VARIABLES: tuple[Variable, ...] = (
-    Variable("time", "independent", "Time", (), None, "Simulation time"),
-    Variable(
-        "base_joints",
-        "parameter",
-        "Length",
-        (6, 3),
-        _ring(2.0, (0, 60, 120, 180, 240, 300)),
-        "Joint centres a_i in the base frame",
-    ),
-    Variable(
-        "platform_joints",
-        "parameter",
-        "Length",
-        (6, 3),
-        _ring(1.0, (30, 30, 150, 150, 270, 270)),
-        "Joint centres b_i in the platform frame",
-    ),
-    Variable("mass", "parameter", "Mass", (), (1150.0,), "Mass of the moving platform"),
-    Variable("com", "parameter", "Length", (3,), (0.0,) * 3, "Its centre of mass, platform frame"),
-    Variable(
-        "inertia",
-        "parameter",
-        "Inertia",
-        (3, 3),
-        (570.0, 0.0, 0.0, 0.0, 285.0, 0.0, 0.0, 0.0, 285.0),
-        "Its inertia about the centre of mass, platform axes",
-    ),
-    Variable("cylinder_mass", "parameter", "Mass", (), (85.0,), "Mass of each leg's lower half"),
-    Variable(
-        "cylinder_com",
-        "parameter",
-        "Distance",
-        (),
-        (0.75,),
-        "Its centre of mass from the base joint, along the leg",
-    ),
-    Variable(
-        "cylinder_inertia",
-        "parameter",
-        "PrincipalInertia",
-        (2,),
-        (0.0, 16.0),
-        "Its inertia about its centre of mass: axial, transverse",
-    ),
-    Variable("rod_mass", "parameter", "Mass", (), (22.0,), "Mass of each leg's upper half"),
-    Variable(
-        "rod_com",
-        "parameter",
-        "Distance",
-        (),
-        (0.75,),
-        "Its centre of mass from the platform joint, along the leg",
-    ),
-    Variable(
-        "rod_inertia",
-        "parameter",
-        "PrincipalInertia",
-        (2,),
-        (0.0, 4.1),
-        "Its inertia about its centre of mass: axial, transverse",
-    ),
-    Variable("gravity", "parameter", "Acceleration", (3,), (0.0, 0.0, -9.81), "Gravity in the base frame"),
-    Variable(
-        "leg_spin",
-        "parameter",
-        "LegSpin",
-        (),
-        (1.0,),
-        "Legs keep from turning about their axes, or turn as their base universal joints make them",
-    ),
-    Variable(
-        "universal_joint_base_axes",
-        "parameter",
-        "Direction",
-        (6, 3),
-        (0.0, 0.0, 1.0) * 6,
-        "Base-side hinge axis of each universal joint, base frame, for leg_spin = universal",
-    ),
-    Variable(
-        "force_bandwidth",
-        "parameter",
-        "Frequency",
-        (),
-        (0.0,),
-        "Corner frequency of the drives' first-order force loop; 0 is ideal",
-    ),
-    Variable("viscous_friction", "parameter", "Damping", (6,), ZEROS6, "Viscous friction along each leg"),
-    Variable(
-        "coulomb_friction",
-        "parameter",
-        "ForceBound",
-        (6,),
-        ZEROS6,
-        "Dry friction along each leg, with stiction",
-    ),
-    Variable(
-        "reflected_mass", "parameter", "Mass", (6,), ZEROS6, "Motor and screw inertia seen along each leg"
-    ),
-    Variable("length_min", "parameter", "Distance", (6,), ZEROS6, "Lower end stop of each leg"),
-    Variable("length_max", "parameter", "Distance", (6,), (1e6,) * 6, "Upper end stop of each leg"),
-    Variable("stop_stiffness", "parameter", "Stiffness", (), (2e7,), "Stiffness of the end stops"),
-    Variable("stop_damping", "parameter", "Damping", (), (1e5,), "Damping of the end stops while pressed"),
-    Variable(
-        "brake_force",
-        "parameter",
-        "ForceBound",
-        (6,),
-        (20_000.0,) * 6,
-        "Largest force of each leg's engaged brake",
-    ),
-    Variable(
-        "initial_position", "parameter", "Length", (3,), (0.0, 0.0, 1.0), "Platform origin at the start"
-    ),
-    Variable(
-        "initial_rotation", "parameter", "RotationElement", (3, 3), IDENTITY, "Platform to base at the start"
-    ),
-    Variable(
-        "initial_twist",
-        "parameter",
-        "Mixed",
-        (6,),
-        ZEROS6,
-        "Velocity of the platform origin and angular velocity at the start, base frame, m/s and rad/s",
-        ("Velocity",) * 3 + ("AngularVelocity",) * 3,
-    ),
-    Variable(
-        "internal_step", "parameter", "Time", (), (1e-4,), "Fixed step of the integrator (Runge-Kutta 4)"
-    ),
-    Variable("force", "input", "Force", (6,), ZEROS6, "Commanded leg forces, > 0 extends"),
-    Variable("brake", "input", "Engagement", (6,), (1.0,) * 6, "Brakes, engaged unless told otherwise"),
-    Variable(
-        "wrench",
-        "input",
-        "Mixed",
-        (6,),
-        ZEROS6,
-        "Force and moment on the platform at its origin, base frame, N and N m",
-        ("Force",) * 3 + ("Torque",) * 3,
-    ),
-    Variable("length", "output", "Length", (6,), None, "Leg lengths, joint centre to joint centre"),
-    Variable("rate", "output", "Velocity", (6,), None, "Leg rates"),
-    Variable(
-        "applied_force",
-        "output",
-        "Force",
-        (6,),
-        None,
-        "Leg forces behind the force lag, without friction",
-        depends=("force",),
-    ),
-    Variable("position", "output", "Length", (3,), None, "Platform origin in the base frame"),
-    Variable("rotation", "output", "RotationElement", (3, 3), None, "Platform to base"),
-    Variable(
-        "twist",
-        "output",
-        "Mixed",
-        (6,),
-        None,
-        "Velocity of the platform origin and angular velocity, base frame, m/s and rad/s",
-        ("Velocity",) * 3 + ("AngularVelocity",) * 3,
-    ),
-    Variable(
-        "acceleration",
-        "output",
-        "Mixed",
-        (6,),
-        None,
-        "Time derivative of twist, m/s2 and rad/s2",
-        ("Acceleration",) * 3 + ("AngularAcceleration",) * 3,
-        ("force", "brake", "wrench"),
-    ),
-    Variable(
-        "kinetic_energy",
-        "output",
-        "Energy",
-        (),
-        None,
-        "Kinetic energy of platform, legs and reflected masses",
-    ),
-    Variable(
-        "potential_energy",
-        "output",
-        "Energy",
-        (),
-        None,
-        "Potential energy, zero level through the base origin",
-    ),
+    Variable("time", "Time", (), None, "Simulation time", causality="independent"),
+    *(Variable(*row)._replace(causality="parameter") for row in _PARAMETERS),
+    *(Variable(*row)._replace(causality="input") for row in _INPUTS),
+    *(Variable(*row)._replace(causality="output") for row in _OUTPUTS),
 )
 INTERNAL_STEP = 1e-4
 STEP_SIZE = 1e-3

@@ -73,3 +73,14 @@ def test_the_examples_of_a_page_say_what_it_says(page):
     with np.printoptions():
         doctest.DocTestRunner().run(examples, out=heard.append)
     assert not heard, "".join(heard)
+
+
+def test_the_tree_on_the_map_has_one_line_for_every_room():
+    tree = (ROOT / "docs/guides/architecture.md").read_text().split("```")[1]
+    rooms = {line.split()[0] for line in tree.splitlines() if line.strip()}
+    there = {
+        f"{path.parent.name}/"
+        for name in ("drivers", "hil", "plant_fmu")
+        for path in (ROOT / name).glob("*/__init__.py")
+    }
+    assert rooms == there | {"drivers/", "hil/", "plant_fmu/", "configs/", "tests/", "docs/", "tools/"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import logging
 import warnings
 from pathlib import Path
@@ -16,9 +15,9 @@ from hypothesis import strategies as st
 
 import drivers
 from drivers import PROTOCOLS
-from drivers.config import BusSettings, DriveSettings
+from drivers.config import BusSettings, DriveSettings, SensorSettings, TrackerSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.protocol import LAYOUTS, LegsProtocol, legs_dbc
+from drivers.legs.protocol import LAYOUTS, LegsProtocol
 from drivers.protocol import (
     BRS,
     ERROR,
@@ -28,16 +27,22 @@ from drivers.protocol import (
     REMOTE,
     DeviceCommand,
     EmergencyStop,
-    Feedback,
     Frame,
     Received,
     Rejected,
     Status,
+    Sync,
 )
-from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Reaction, no_measurement
+from drivers.sensors import SensorProtocol
+from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Reaction
+from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
 
-DATABASE: Any = cantools.database.load_file(Path(drivers.__file__).with_name("legs.dbc"))
+FILES = [Path(drivers.__file__).parent / name for name in ("legs/legs.dbc", "sensors.dbc")]
+DATABASES: list[Any] = [cantools.database.load_file(file) for file in FILES]
+DATABASE = DATABASES[0]
+ALL_MESSAGES = [message for database in DATABASES for message in database.messages]
 P = {layout: LegsProtocol(layout, (1, 2, 3, 4, 5, 6)) for layout in LAYOUTS}
+SENSORS = SensorProtocol(BusSettings(), SensorSettings(tracker=TrackerSettings()))
 all_layouts = pytest.mark.parametrize("layout", LAYOUTS)
 
 
@@ -48,7 +53,7 @@ def received(*frames: Frame) -> list[Received]:
 def feedback(
     layout: str, counter: int, *, leg: int = 0, length: float = 1.5, state: int = DriveState.RUN
 ) -> Frame:
-    return P[layout].feedback(Feedback(leg, length, 0.25, 1000.0, state, counter))
+    return one_feedback(P[layout], leg, length, 0.25, 1000.0, state, counter)
 
 
 def damaged(frame: Frame, bit: int) -> Frame:
@@ -79,17 +84,25 @@ def resealed(frame: Frame, at: int, byte: int) -> Frame:
 # the DBC
 
 
-def test_dbc_loads_in_strict_cantools_without_a_warning(caplog):
+@pytest.mark.parametrize(("of", "name", "messages"), [(P["fd"], "legs.dbc", 36), (SENSORS, "sensors.dbc", 4)])
+def test_dbc_loads_in_strict_cantools_without_a_warning(caplog, of, name, messages):
+    file, text = of.database
     with warnings.catch_warnings(), caplog.at_level(logging.WARNING):
         warnings.simplefilter("error")
-        database: Any = cantools.database.load_string(legs_dbc(), "dbc", strict=True)
+        database: Any = cantools.database.load_string(text, "dbc", strict=True)
     assert not caplog.records
-    assert len(database.messages) == 39
+    assert (file, len(database.messages)) == (name, messages)
+
+
+def test_the_sensors_stamp_against_the_sync_of_the_drives():
+    ours, theirs = (database.get_message_by_name("SYNC") for database in DATABASES)
+    assert (ours.frame_id, ours.length) == (theirs.frame_id, theirs.length)
+    assert ours.encode({"Cycle": 0xA7}) == theirs.encode({"Cycle": 0xA7})
 
 
 def test_arbitration_order_is_estop_sync_command_feedback_sensors_config_status():
     order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "TRACKER", "IMU", "WRENCH", "CONFIG", "STATUS")
-    kinds = [m.name.split("_")[0] for m in sorted(DATABASE.messages, key=lambda m: m.frame_id)]
+    kinds = [m.name.split("_")[0] for m in sorted(ALL_MESSAGES, key=lambda m: m.frame_id)]
     assert list(dict.fromkeys(kinds)) == list(order)
 
 
@@ -101,7 +114,7 @@ def test_every_quantity_has_unit_and_range_and_every_enumeration_its_names():
         "WRENCH": dict.fromkeys(("FX", "FY", "FZ"), "N") | dict.fromkeys(("MX", "MY", "MZ"), "N m"),
     }
     choices = {"Source", "Mode", "State", "Invalid", "Fault", "Reaction", "Validity"}
-    for message in DATABASE.messages:
+    for message in ALL_MESSAGES:
         kind = sensors.get(message.name.split("_")[0])
         units = drives if kind is None else kind | {"Offset": "s"}
         for signal in message.signals:
@@ -123,7 +136,7 @@ def test_drive_enumerations_have_the_names_of_the_dbc():
 
 
 def test_fd_attributes_and_cycle_times():
-    for message in DATABASE.messages:
+    for message in ALL_MESSAGES:
         sensors = {"TRACKER_7": 5, "IMU_8": 2, "WRENCH_9": 1}
         fd = message.name.startswith(("COMMAND_FD", "COMMAND_IDEAL", "FEEDBACK_FD", "FEEDBACK_IDEAL"))
         fd = fd or message.name in sensors
@@ -160,13 +173,13 @@ def test_unknown_layout_is_refused():
 def test_node_numbers_move_identifiers_and_keep_legs(layout):
     protocol = LegsProtocol(layout, (127, 20, 30, 40, 50, 1))
     base = {"classic": 0x180, "fd": 0x280, "ideal": 0x380}[layout]
-    frames = [protocol.feedback(Feedback(leg, 1.0 + leg, 0.0, 0.0, 1, 3)) for leg in range(6)]
+    frames = [one_feedback(protocol, leg, 1.0 + leg, 0.0, 0.0, 1, 3) for leg in range(6)]
     assert [frame.id - base for frame in frames] == [127, 20, 30, 40, 50, 1]
-    assert protocol.decode(received(*frames), 3, no_measurement()).length.tolist() == [1, 2, 3, 4, 5, 6]
+    assert decode(protocol, received(*frames), 3)["length"].tolist() == [1, 2, 3, 4, 5, 6]
     assert [frame.id for frame in protocol.configure(0.01, Reaction.DAMP)] == [
         0x600 + node for node in (127, 20, 30, 40, 50, 1)
     ]
-    assert protocol.status(Status(1, 1, 0)).id == 0x714
+    assert protocol.status(Status(1, 1, 0))[0].id == 0x714
 
 
 @pytest.mark.parametrize(
@@ -199,7 +212,7 @@ def test_a_force_that_does_not_fit_is_refused_with_the_range(layout, force):
     forces = np.zeros(6)
     forces[4] = force
     with pytest.raises(ProtocolError, match="N are allowed"):
-        P[layout].command(Command(DriveMode.RUN, forces), 0)
+        command_frames(P[layout], Command(DriveMode.RUN, forces), 0)
 
 
 @pytest.mark.parametrize("watchdog_s", [0.0, -0.01, 1e-7, 5000.0, np.nan, np.inf])
@@ -217,17 +230,17 @@ def test_a_watchdog_that_does_not_fit_is_refused(watchdog_s):
     ],
 )
 def test_a_drive_saturates_what_its_feedback_cannot_carry(layout, ends):
-    frame = P[layout].feedback(Feedback(2, 1e12, np.inf, 1e12, DriveState.RUN, 0))
-    measurement = P[layout].decode(received(frame), 0, no_measurement())
-    got = (measurement.length[2], measurement.rate[2], measurement.force[2])
+    frame = one_feedback(P[layout], 2, 1e12, np.inf, 1e12, DriveState.RUN, 0)
+    measurement = decode(P[layout], received(frame), 0)
+    got = (measurement["length"][2], measurement["rate"][2], measurement["drive_force"][2])
     assert got == pytest.approx(ends, rel=1e-12)
-    assert measurement.rejected == 0
+    assert measurement["rejected"] == 0
 
 
 @all_layouts
 def test_a_drive_never_sends_a_nan(layout):
     with pytest.raises(ProtocolError, match="not a number"):
-        P[layout].feedback(Feedback(2, np.nan, 0.0, 0.0, DriveState.RUN, 0))
+        one_feedback(P[layout], 2, np.nan, 0.0, 0.0, DriveState.RUN, 0)
 
 
 # decode: what is refused
@@ -237,24 +250,24 @@ def test_a_drive_never_sends_a_nan(layout):
 def test_any_single_flipped_bit_of_a_feedback_is_refused(layout):
     frame = feedback(layout, 5)
     for bit in range(8 * len(frame.data)):
-        measurement = P[layout].decode(received(damaged(frame, bit)), 5, no_measurement())
-        assert measurement.rejected == 1
-        assert measurement.age[0] == NEVER
+        measurement = decode(P[layout], received(damaged(frame, bit)), 5)
+        assert measurement["rejected"] == 1
+        assert measurement["age"][0] == NEVER
 
 
 @all_layouts
 @pytest.mark.parametrize("change", [lambda d: d[:-1], lambda d: d + b"\0", lambda d: b""])
 def test_wrong_length_is_refused(layout, change):
     frame = feedback(layout, 5)
-    measurement = P[layout].decode(received(frame._replace(data=change(frame.data))), 5, no_measurement())
-    assert (measurement.rejected, measurement.age[0]) == (1, NEVER)
+    measurement = decode(P[layout], received(frame._replace(data=change(frame.data))), 5)
+    assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
 @all_layouts
 def test_a_feedback_under_another_identifier_is_refused(layout):
     frame = feedback(layout, 5)
-    measurement = P[layout].decode(received(frame._replace(id=frame.id + 1)), 5, no_measurement())
-    assert (measurement.rejected, measurement.age[1]) == (1, NEVER)
+    measurement = decode(P[layout], received(frame._replace(id=frame.id + 1)), 5)
+    assert (measurement["rejected"], measurement["age"][1]) == (1, NEVER)
 
 
 @all_layouts
@@ -262,8 +275,8 @@ def test_a_feedback_under_another_identifier_is_refused(layout):
 def test_an_unknown_state_is_refused(layout, state):
     at = {"classic": 6, "fd": 10, "ideal": 24}[layout]
     frame = resealed(feedback(layout, 5), at, state << 4 | 5)
-    measurement = P[layout].decode(received(frame), 5, no_measurement())
-    assert (measurement.rejected, measurement.age[0]) == (1, NEVER)
+    measurement = decode(P[layout], received(frame), 5)
+    assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
 @pytest.mark.parametrize("at", [0, 8, 16])
@@ -274,24 +287,24 @@ def test_a_float_that_is_not_finite_or_absurd_is_refused(at, word):
     frame = feedback("ideal", 5)
     for offset, byte in enumerate(bytes.fromhex(word)):
         frame = resealed(frame, at + offset, byte)
-    measurement = P["ideal"].decode(received(frame), 5, no_measurement())
-    assert (measurement.rejected, measurement.age[0]) == (1, NEVER)
+    measurement = decode(P["ideal"], received(frame), 5)
+    assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
 @pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\5\0", b"\1\6"])
 def test_a_senseless_status_is_refused(data):
-    measurement = P["fd"].decode(received(Frame(0x701, data)), 5, no_measurement())
-    assert measurement.rejected == 1
-    assert measurement.fault.tolist() == [0] * 6
+    measurement = decode(P["fd"], received(Frame(0x701, data)), 5)
+    assert measurement["rejected"] == 1
+    assert measurement["drive_fault"].tolist() == [0] * 6
 
 
 @all_layouts
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR])
 def test_frames_of_other_kinds_are_foreign(layout, flag):
     frame = feedback(layout, 5)
-    measurement = P[layout].decode(received(frame._replace(flags=frame.flags | flag)), 5, no_measurement())
-    assert (measurement.rejected, measurement.age[0]) == (0, NEVER)
-    assert P[layout].parse(Frame(0x001, b"", flag)) is None
+    measurement = decode(P[layout], received(frame._replace(flags=frame.flags | flag)), 5)
+    assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
+    assert parse(P[layout], Frame(0x001, b"", flag)) is None
 
 
 def test_foreign_identifiers_and_other_layouts_are_ignored_and_error_passive_senders_heard():
@@ -300,88 +313,91 @@ def test_foreign_identifiers_and_other_layouts_are_ignored_and_error_passive_sen
         Frame(0x200, b""),
         feedback("classic", 5),
         feedback("ideal", 5),
-        *P["fd"].sync(5),
+        *P["fd"].begin(None, 5),
     ]
-    measurement = P["fd"].decode(received(*strange), 5, no_measurement())
-    assert (measurement.rejected, measurement.age[0]) == (0, NEVER)
+    measurement = decode(P["fd"], received(*strange), 5)
+    assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
     frame = feedback("fd", 5)
-    assert P["fd"].decode(received(frame._replace(flags=frame.flags | ESI)), 5, no_measurement()).age[0] == 0
+    assert decode(P["fd"], received(frame._replace(flags=frame.flags | ESI)), 5)["age"][0] == 0
 
 
 # decode: ages
 
 
 def test_age_grows_by_one_a_tick_and_stops_at_never():
-    measurement = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
+    measurement = decode(P["fd"], received(feedback("fd", 5)), 5)
     ages = []
     for tick in range(6, 9):
-        measurement = P["fd"].decode((), tick, measurement)
-        ages.append(measurement.age.tolist())
+        measurement = decode(P["fd"], (), tick, measurement)
+        ages.append(measurement["age"].tolist())
     assert ages == [[n, *[NEVER] * 5] for n in (1, 2, 3)]
 
 
 @pytest.mark.parametrize("late", range(1, 9))
 def test_a_late_feedback_counts_with_its_age_when_nothing_newer_is_held(late):
-    measurement = P["fd"].decode(received(feedback("fd", (40 - late) & 15)), 40, no_measurement())
-    assert (measurement.age[0], measurement.length[0], measurement.rejected) == (late, 1.5, 0)
+    measurement = decode(P["fd"], received(feedback("fd", (40 - late) & 15)), 40)
+    assert (measurement["age"][0], measurement["length"][0], measurement["rejected"]) == (late, 1.5, 0)
 
 
 @pytest.mark.parametrize("ahead", range(1, 8))
 def test_a_counter_from_the_future_is_refused(ahead):
-    measurement = P["fd"].decode(received(feedback("fd", (40 + ahead) & 15)), 40, no_measurement())
-    assert (measurement.age[0], measurement.rejected) == (NEVER, 1)
+    measurement = decode(P["fd"], received(feedback("fd", (40 + ahead) & 15)), 40)
+    assert (measurement["age"][0], measurement["rejected"]) == (NEVER, 1)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_newer_of_two_feedbacks_wins_in_either_order(order):
     frames = [feedback("fd", 8, length=1.8), feedback("fd", 7, length=1.7)]
-    measurement = P["fd"].decode(received(*(frames[i] for i in order)), 8, no_measurement())
-    assert (measurement.age[0], measurement.length[0], measurement.rejected) == (0, pytest.approx(1.8), 0)
+    measurement = decode(P["fd"], received(*(frames[i] for i in order)), 8)
+    assert (measurement["age"][0], measurement["length"][0], measurement["rejected"]) == (
+        0,
+        pytest.approx(1.8),
+        0,
+    )
 
 
 def test_a_late_feedback_does_not_replace_what_the_tick_before_gave():
-    before = P["fd"].decode(received(feedback("fd", 7, length=1.7)), 7, no_measurement())
-    measurement = P["fd"].decode(received(feedback("fd", 6, length=1.6)), 8, before)
-    assert (measurement.age[0], measurement.length[0], measurement.rejected) == (1, 1.7, 0)
+    before = decode(P["fd"], received(feedback("fd", 7, length=1.7)), 7)
+    measurement = decode(P["fd"], received(feedback("fd", 6, length=1.6)), 8, before)
+    assert (measurement["age"][0], measurement["length"][0], measurement["rejected"]) == (1, 1.7, 0)
 
 
 def test_the_late_feedback_of_the_last_tick_fills_the_gap_it_left():
-    before = P["fd"].decode(received(feedback("fd", 6, length=1.6)), 6, no_measurement())
-    gap = P["fd"].decode((), 7, before)
-    measurement = P["fd"].decode(received(feedback("fd", 7, length=1.7)), 8, gap)
-    assert (gap.age[0], measurement.age[0], measurement.length[0]) == (1, 1, 1.7)
+    before = decode(P["fd"], received(feedback("fd", 6, length=1.6)), 6)
+    gap = decode(P["fd"], (), 7, before)
+    measurement = decode(P["fd"], received(feedback("fd", 7, length=1.7)), 8, gap)
+    assert (gap["age"][0], measurement["age"][0], measurement["length"][0]) == (1, 1, 1.7)
 
 
 def test_age_counts_ticks_and_not_calls():
-    before = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
-    assert P["fd"].decode((), 15, before).age[0] == 10
+    before = decode(P["fd"], received(feedback("fd", 5)), 5)
+    assert decode(P["fd"], (), 15, before)["age"][0] == 10
 
 
 def test_a_frame_from_before_the_tick_is_no_answer_to_its_sync_even_with_its_counter():
     frame = feedback("fd", 116 & 15, length=1.6)
-    before = P["fd"].decode(received(feedback("fd", 100, length=1.5)), 100, no_measurement())
-    late = P["fd"].decode([Received(999, frame)], 116, before, 1000)
-    assert (late.age[0], late.rejected, late.length[0]) == (16, 1, before.length[0])
-    fresh = P["fd"].decode([Received(1000, frame)], 116, before, 1000)
-    assert (fresh.age[0], fresh.rejected) == (0, 0)
+    before = decode(P["fd"], received(feedback("fd", 100, length=1.5)), 100)
+    late = decode(P["fd"], [Received(999, frame)], 116, before, 1000)
+    assert (late["age"][0], late["rejected"], late["length"][0]) == (16, 1, before["length"][0])
+    fresh = decode(P["fd"], [Received(1000, frame)], 116, before, 1000)
+    assert (fresh["age"][0], fresh["rejected"]) == (0, 0)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_fresh_is_a_feedback_with_this_ticks_counter(layout):
     for tick in (0, 5, 15, 16, 300):
-        assert P[layout].fresh(feedback(layout, tick & 15), tick)
-        assert not P[layout].fresh(feedback(layout, (tick - 1) & 15), tick)
-    assert not P[layout].fresh(P[layout].sync(5)[0], 5)
+        assert P[layout].fresh(Received(0, feedback(layout, tick & 15)), tick, 0)
+        assert not P[layout].fresh(Received(0, feedback(layout, (tick - 1) & 15)), tick, 0)
+    assert not P[layout].fresh(Received(0, P[layout].begin(None, 5)[0]), 5, 0)
 
 
 def test_decode_leaves_the_previous_measurement_alone():
-    before = P["fd"].decode(received(feedback("fd", 5)), 5, no_measurement())
-    kept = copy.deepcopy(before)
-    frames = received(feedback("fd", 6, length=2.0), P["fd"].status(Status(0, 4, 2)))
-    after = P["fd"].decode(frames, 6, before)
-    for field, expected in zip(before, kept, strict=True):
-        np.testing.assert_array_equal(field, expected)
-    assert (after.length[0], after.fault[0]) == (2.0, 2)
+    before = decode(P["fd"], received(feedback("fd", 5)), 5)
+    kept = before.tobytes()
+    frames = received(feedback("fd", 6, length=2.0), *P["fd"].status(Status(0, 4, 2)))
+    after = decode(P["fd"], frames, 6, before)
+    assert before.tobytes() == kept
+    assert (after["length"][0], after["drive_fault"][0]) == (2.0, 2)
 
 
 # decode: encoders that are lost
@@ -389,22 +405,31 @@ def test_decode_leaves_the_previous_measurement_alone():
 
 @all_layouts
 def test_a_length_that_its_drive_calls_invalid_does_not_count_but_state_and_force_do(layout):
-    before = P[layout].decode(received(feedback(layout, 5, length=1.5)), 5, no_measurement())
+    before = decode(P[layout], received(feedback(layout, 5, length=1.5)), 5)
     frame = feedback(layout, 6, length=1.9, state=DriveState.READY | INVALID)
-    after = P[layout].decode(received(frame, feedback(layout, 6, leg=1)), 6, before)
-    assert (after.length[0], after.rate[0], after.age[0]) == (before.length[0], before.rate[0], 1)
-    assert (after.state[0], after.rejected) == (DriveState.READY, 0)
-    assert after.blind.tolist() == [True, False, False, False, False, False]
-    assert after.force[0] == before.force[0] == (0.0 if layout == "classic" else 1000.0)
-    assert not P[layout].decode((), 7, after).blind.any(), "it is this tick's word"
+    after = decode(P[layout], received(frame, feedback(layout, 6, leg=1)), 6, before)
+    assert (after["length"][0], after["rate"][0], after["age"][0]) == (
+        before["length"][0],
+        before["rate"][0],
+        1,
+    )
+    assert (after["drive_state"][0], after["rejected"]) == (DriveState.READY, 0)
+    assert after["blind"].tolist() == [True, False, False, False, False, False]
+    assert after["drive_force"][0] == before["drive_force"][0] == (0.0 if layout == "classic" else 1000.0)
+    assert not decode(P[layout], (), 7, after)["blind"].any(), "it is this tick's word"
 
 
 def test_an_old_feedback_without_a_length_says_nothing_and_a_valid_one_ends_the_loss():
     frame = feedback("fd", 4, state=DriveState.RUN | INVALID)
-    late = P["fd"].decode(received(frame), 5, no_measurement())
-    assert (late.blind[0], late.age[0], late.rejected, late.state[0]) == (False, NEVER, 0, DriveState.BOOT)
-    back = P["fd"].decode(received(feedback("fd", 6)), 6, late)
-    assert (back.blind[0], back.age[0]) == (False, 0)
+    late = decode(P["fd"], received(frame), 5)
+    assert (late["blind"][0], late["age"][0], late["rejected"], late["drive_state"][0]) == (
+        False,
+        NEVER,
+        0,
+        DriveState.BOOT,
+    )
+    back = decode(P["fd"], received(feedback("fd", 6)), 6, late)
+    assert (back["blind"][0], back["age"][0]) == (False, 0)
 
 
 # device side
@@ -412,41 +437,41 @@ def test_an_old_feedback_without_a_length_says_nothing_and_a_valid_one_ends_the_
 
 @all_layouts
 def test_any_single_flipped_bit_of_a_command_is_refused_by_the_drives(layout):
-    for frame in P[layout].command(Command(DriveMode.RUN, np.arange(6.0) * 100), 5):
+    for frame in command_frames(P[layout], Command(DriveMode.RUN, np.arange(6.0) * 100), 5):
         for bit in range(8 * len(frame.data)):
-            assert isinstance(P[layout].parse(damaged(frame, bit)), Rejected)
-        assert isinstance(P[layout].parse(frame._replace(data=frame.data[:-1])), Rejected)
+            assert isinstance(parse(P[layout], damaged(frame, bit)), Rejected)
+        assert isinstance(parse(P[layout], frame._replace(data=frame.data[:-1])), Rejected)
 
 
 @all_layouts
 def test_an_unknown_mode_is_refused_by_the_drives(layout):
     at = {"classic": 6, "fd": 24, "ideal": 48}[layout]
-    for frame in P[layout].command(Command(DriveMode.RUN, np.zeros(6)), 5):
-        assert isinstance(P[layout].parse(resealed(frame, at, 0x45)), Rejected)
-        assert isinstance(P[layout].parse(resealed(frame, at, 0x35)), DeviceCommand)
+    for frame in command_frames(P[layout], Command(DriveMode.RUN, np.zeros(6)), 5):
+        assert isinstance(parse(P[layout], resealed(frame, at, 0x45)), Rejected)
+        assert isinstance(parse(P[layout], resealed(frame, at, 0x35)), DeviceCommand)
 
 
 def test_a_command_that_is_not_finite_is_refused_by_the_drives():
-    (frame,) = P["ideal"].command(Command(DriveMode.RUN, np.zeros(6)), 5)
-    assert isinstance(P["ideal"].parse(resealed(resealed(frame, 15, 0x7F), 14, 0xF0)), Rejected)
+    (frame,) = command_frames(P["ideal"], Command(DriveMode.RUN, np.zeros(6)), 5)
+    assert isinstance(parse(P["ideal"], resealed(resealed(frame, 15, 0x7F), 14, 0xF0)), Rejected)
 
 
 @pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0)])
 def test_a_senseless_configuration_is_refused_by_the_drives(at, byte):
     frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: byte 0 alone holds the watchdog
-    assert isinstance(P["fd"].parse(resealed(frame, at, byte)), Rejected)
-    assert isinstance(P["fd"].parse(damaged(frame, 3)), Rejected)
+    assert isinstance(parse(P["fd"], resealed(frame, at, byte)), Rejected)
+    assert isinstance(parse(P["fd"], damaged(frame, 3)), Rejected)
 
 
 @pytest.mark.parametrize("data", [b"", b"\0", b"\x55\xaa"])
 def test_an_emergency_stop_counts_whatever_it_carries(data):
-    assert P["fd"].parse(Frame(0x001, data)) == EmergencyStop()
+    assert parse(P["fd"], Frame(0x001, data)) == EmergencyStop()
 
 
 def test_drives_ignore_what_is_not_for_them():
-    assert P["fd"].parse(feedback("fd", 1)) is None
-    assert P["fd"].parse(Frame(0x100, bytes(8))) is None
-    assert isinstance(P["fd"].parse(Frame(0x080, b"")), Rejected)
+    assert parse(P["fd"], feedback("fd", 1)) is None
+    assert parse(P["fd"], Frame(0x100, bytes(8))) is None
+    assert isinstance(parse(P["fd"], Frame(0x080, b"")), Rejected)
 
 
 # round trips
@@ -469,12 +494,12 @@ FORCE_RESOLUTION = {"classic": 2.0, "fd": 1e-3, "ideal": 0.0}
     leg=st.integers(0, 5),
 )
 def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, state, tick, leg):
-    frame = P[layout].feedback(Feedback(leg, length, rate, force, state, tick & 15))
-    measurement = P[layout].decode(received(frame), tick, no_measurement())
-    assert measurement.age[leg] == 0
-    assert measurement.state[leg] == state
+    frame = one_feedback(P[layout], leg, length, rate, force, state, tick & 15)
+    measurement = decode(P[layout], received(frame), tick)
+    assert measurement["age"][leg] == 0
+    assert measurement["drive_state"][leg] == state
     sent = (length, rate, force)
-    got = (measurement.length[leg], measurement.rate[leg], measurement.force[leg])
+    got = (measurement["length"][leg], measurement["rate"][leg], measurement["drive_force"][leg])
     for value, back, resolution in zip(sent, got, RESOLUTION[layout], strict=True):
         if resolution is not None:
             assert abs(value - back) <= resolution / 2 * (1 + 1e-6)
@@ -498,10 +523,10 @@ def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, sta
     tick=st.integers(0, 1 << 40),
 )
 def test_command_round_trip_and_cantools_agree(layout, force, mode, tick):
-    frames = P[layout].command(Command(mode, np.array(force)), tick)
+    frames = command_frames(P[layout], Command(mode, np.array(force)), tick)
     back: dict[int, float] = {}
     for frame in frames:
-        parsed = P[layout].parse(frame)
+        parsed = parse(P[layout], frame)
         assert isinstance(parsed, DeviceCommand)
         assert (parsed.mode, parsed.counter) == (mode, tick & 15)
         back.update(zip(parsed.legs, parsed.force, strict=True))
@@ -519,7 +544,7 @@ def test_command_round_trip_and_cantools_agree(layout, force, mode, tick):
 @given(st.floats(1e-6, 4000), st.sampled_from(Reaction))
 def test_configuration_round_trip(watchdog_s, reaction):
     for leg, frame in enumerate(P["fd"].configure(watchdog_s, reaction)):
-        parsed: Any = P["fd"].parse(frame)
+        parsed: Any = parse(P["fd"], frame)
         assert (parsed.leg, parsed.reaction) == (leg, reaction)
         assert parsed.watchdog_s == pytest.approx(watchdog_s, abs=0.51e-6)
 
@@ -528,12 +553,13 @@ def test_configuration_round_trip(watchdog_s, reaction):
 def test_six_feedbacks_at_once_are_those_of_each_drive_alone(layout):
     length, rate, force = np.linspace(1.0, 2.0, 6), np.linspace(-0.5, 0.5, 6), np.linspace(-9e3, 9e3, 6)
     state = np.array([0, 1, 2, 3, 4, 3 | INVALID], np.int64)
-    together = P[layout].feedbacks(length, rate, force, state, 0x2B)
+    legs, together = zip(*P[layout].feedbacks(Sync(0x2B), length, rate, force, state), strict=True)
+    assert legs == (0, 1, 2, 3, 4, 5)
     alone = [
-        P[layout].feedback(Feedback(leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB))
+        one_feedback(P[layout], leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB)
         for leg in range(6)
     ]
-    assert together == alone
+    assert list(together) == alone
     assert [frame.id for frame in together] == sorted({frame.id for frame in together})
 
 
@@ -541,4 +567,4 @@ def test_six_feedbacks_at_once_are_those_of_each_drive_alone(layout):
 @pytest.mark.parametrize("legs", [0, 5, 7])
 def test_a_command_for_another_number_of_legs_is_refused(layout: str, legs: int) -> None:
     with pytest.raises(ProtocolError, match="does not fit"):
-        P[layout].command(Command(DriveMode.RUN, np.zeros(legs)), 0)
+        command_frames(P[layout], Command(DriveMode.RUN, np.zeros(legs)), 0)

@@ -1,61 +1,32 @@
-"""localcan: bit time, arbitration, killed participants, python-can's own tools."""
+"""localcan: bit time, arbitration, killed participants."""
 
 from __future__ import annotations
 
-import asyncio
-import errno
 import itertools
 import os
-import pty
 import select
-import shutil
-import signal
 import stat
 import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
-import can
 import pytest
 
 from drivers.can.bus_time import BitTiming
-from drivers.can.localcan import Participant
-from drivers.can.localcan.interface import LocalCanBus
-from drivers.can.localcan.participant import OWN
+from drivers.can.collect import collect
+from drivers.can.localcan.participant import OWN, Participant
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import BusError
-from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Frame, Received
 
+pytestmark = pytest.mark.usefixtures("runtime")
 FAST = BitTiming(1_000_000, 5_000_000)
 SLOW = BitTiming(125_000, 125_000)
 CRAWL = BitTiming(2_000, 2_000)
 """A frame of 8 bytes takes 67.5 ms: what has to happen meanwhile does so on a busy machine, too."""
 CLASSIC_8_BYTES = 135
 """Worst-case bits, hence 135 us at 1 Mbit/s."""
-
-
-@pytest.fixture(autouse=True)
-def runtime(monkeypatch):
-    # not tmp_path: a socket's path has to be shorter than 108 characters
-    folder = tempfile.mkdtemp(prefix="lc")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-    yield Path(folder)
-    shutil.rmtree(folder)
-
-
-@pytest.fixture
-def join():
-    nodes: list[Participant] = []
-
-    def open_node(timing=FAST, fd=True, **options):
-        nodes.append(Participant("t", timing, fd=fd, **options))
-        return nodes[-1]
-
-    yield open_node
-    for node in nodes:
-        node.close()
 
 
 def soon(seconds=2.0):
@@ -92,7 +63,7 @@ def test_a_frame_takes_its_bit_time(join):
     before = time.monotonic_ns()
     assert a.send([Frame(0x123, b"12345678")]) == 1
     assert b.receive() == []
-    (received,) = b.wait(soon())
+    (received,) = collect(b, soon())
     after = time.monotonic_ns()
     assert received.frame == Frame(0x123, b"12345678", 0)
     assert before + CLASSIC_8_BYTES * 500_000 <= received.t_ns <= after
@@ -102,7 +73,7 @@ def test_frames_follow_each_other_on_the_wire(join):
     a, b = join(), join()
     frames = [Frame(0x100 + i, bytes(8)) for i in range(20)]
     a.send(frames)
-    received = b.drain(soon(), frozenset(frame.id for frame in frames))
+    received = collect(b, soon(), frozenset(frame.id for frame in frames))
     times = [r.t_ns for r in received]
     assert [r.frame for r in received] == frames
     assert {t - s for s, t in itertools.pairwise(times)} == {CLASSIC_8_BYTES * 1000}
@@ -116,7 +87,7 @@ def test_lowest_identifier_wins_when_the_bus_falls_free(join):
     b.send([Frame(0x200, b"b"), Frame(0x100 << 18, b"x", EXTENDED)])
     a.send([Frame(0x100, b"", REMOTE)])
     b.send([Frame(0x100, b"")])
-    received = c.drain(soon(), {0x700, 0x200, 0x300})
+    received = collect(c, soon(), {0x700, 0x200, 0x300})
     assert [(r.frame.id, r.frame.flags) for r in received] == [
         (0x700, 0),
         (0x100, 0),
@@ -133,7 +104,7 @@ def test_every_participant_sees_the_same_order_and_times(join):
         a.send([Frame(0x200 - i, b"a")])
         b.send([Frame(0x100 + i, b"b")])
     last = soon(0.3)
-    seen_by_b, seen_by_c = b.drain(last, {0x7FF}), c.drain(last, {0x7FF})
+    seen_by_b, seen_by_c = collect(b, last, {0x7FF}), collect(c, last, {0x7FF})
     assert len(seen_by_c) == 20
     assert [(r.t_ns, r.frame.id) for r in seen_by_b] == [(r.t_ns, r.frame.id) for r in seen_by_c]
     assert sum(bool(r.frame.flags & OWN) for r in seen_by_b) == 10
@@ -142,11 +113,11 @@ def test_every_participant_sees_the_same_order_and_times(join):
 def test_drain_returns_when_all_wanted_have_come_and_at_the_deadline_otherwise(join):
     a, b = join(CRAWL), join(CRAWL)
     a.send([Frame(1, bytes(8)), Frame(2, bytes(8)), Frame(3, bytes(8))])
-    assert [r.frame.id for r in b.drain(soon(), {1, 2})] == [1, 2]
+    assert [r.frame.id for r in collect(b, soon(), {1, 2})] == [1, 2]
     deadline = soon(0.1)
-    assert [r.frame.id for r in b.drain(deadline, {3, 4})] == [3]
+    assert [r.frame.id for r in collect(b, deadline, {3, 4})] == [3]
     assert 0 <= time.monotonic_ns() - deadline < 60_000_000
-    assert b.drain(soon(), frozenset()) == []
+    assert collect(b, soon(), frozenset()) == []
 
 
 def test_send_queue_is_bounded_and_can_be_flushed(join):
@@ -155,7 +126,7 @@ def test_send_queue_is_bounded_and_can_be_flushed(join):
     # one of them may have started
     assert 6 <= a.flush_tx() <= 8
     assert a.send([Frame(0x77, b"")]) == 1
-    assert b.drain(soon(), {0x77})[-1].frame.id == 0x77
+    assert collect(b, soon(), {0x77})[-1].frame.id == 0x77
 
 
 def test_slow_reader_loses_the_oldest_and_is_told(join):
@@ -178,8 +149,8 @@ def test_error_frame_goes_before_all_that_waits(join):
     a, b, c = join(CRAWL), join(CRAWL), join(CRAWL)
     a.send([Frame(0x10, bytes(8))])
     a.send([Frame(0x01, b"")])
-    b.inject_error()
-    received = c.drain(soon(), {0x01})
+    b.send([Frame(0, b"", ERROR)])
+    received = collect(c, soon(), {0x01})
     assert [(r.frame.id, r.frame.flags) for r in received] == [(0x10, 0), (0, ERROR), (0x01, 0)]
 
 
@@ -205,13 +176,13 @@ def test_killed_in_full_flight_leaves_the_bus_usable(join):
     a, b = join(), join()
     for _ in range(4):
         child = start("while True: node.send([Frame(0x555, bytes(8))] * 4); node.receive()")
-        assert b.wait(soon())
+        assert collect(b, soon())
         time.sleep(0.05)
         end(child)
         time.sleep(0.02)
         b.receive()
         a.send([Frame(0x10, b"alive")])
-        assert b.drain(soon(1), {0x10})[-1].frame.data == b"alive"
+        assert collect(b, soon(1), {0x10})[-1].frame.data == b"alive"
     # the sender has noticed the deaf sockets and the newcomer has swept them
     late = join()
     assert len([slot for slot in late._wire.slots() if slot.serial]) == 3
@@ -228,8 +199,8 @@ def test_killed_with_the_lock_held_and_the_queue_half_rebuilt(join):
     assert a.send([Frame(0x20, bytes(8))] * 60) == 60
     child.communicate("die\n", timeout=10)
     a.send([Frame(0x22, b"x")])
-    assert b.drain(soon(), {0x22})[-1].frame == Frame(0x22, b"x")
-    assert 0 < a.lost == b.lost <= 60
+    assert collect(b, soon(), {0x22})[-1].frame == Frame(0x22, b"x")
+    assert 0 < a.overflow == b.overflow <= 60
     assert a.flush_tx() == 0
 
 
@@ -253,7 +224,7 @@ def test_leftovers_of_a_dead_bus_do_not_disturb_the_next(join, runtime):
     # other timing than the dead bus had, none of its frames, and no trace at the end
     a, b = join(SLOW), join(SLOW)
     a.send([Frame(0x10, b"new")])
-    assert [r.frame.id for r in b.wait(soon())] == [0x10]
+    assert [r.frame.id for r in collect(b, soon())] == [0x10]
     a.close()
     b.close()
     assert list((runtime / "hexapod-hil").iterdir()) == []
@@ -294,150 +265,10 @@ time.sleep(1)
     received: list[Received] = []
     deadline = soon(10)
     while len(received) < 4000 and time.monotonic_ns() < deadline:
-        received += node.wait(soon(0.5))
+        received += collect(node, soon(0.5))
     end(child)
     assert [int.from_bytes(r.frame.data, "little") for r in received] == list(range(4000))
     # 34 bit + (5 + 32 + stuff 9 + 4 + 17 + 6) bit at 5 Mbit/s = 34 + 14.6 us, ISO 11898-1
     gaps = [t.t_ns - s.t_ns for s, t in itertools.pairwise(received)]
     assert min(gaps) == 48_600
     assert node.overflow == 0
-
-
-def next_message(bus: can.BusABC) -> can.Message:
-    received = bus.recv(1.0)
-    assert received is not None
-    return received
-
-
-def message(identifier, data=b"", **options):
-    return can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **options)
-
-
-def test_python_can_sees_the_bus_under_its_entry_point():
-    with (
-        can.Bus("t", "localcan", bitrate=1_000_000, data_bitrate=5_000_000, fd=True, ignore_config=True) as a,
-        can.Bus("t", "localcan", receive_own_messages=True, ignore_config=True) as b,
-    ):
-        assert isinstance(a, LocalCanBus)
-        assert b.protocol == can.CanProtocol.CAN_FD
-        before = time.time()
-        a.send(message(0x42, bytes(12), is_fd=True, bitrate_switch=True))
-        got = next_message(b)
-        assert before <= got.timestamp <= time.time()
-        assert (got.arbitration_id, got.is_fd, got.bitrate_switch, got.dlc, got.is_rx) == (
-            0x42,
-            True,
-            True,
-            12,
-            True,
-        )
-        b.send(message(0x43))
-        assert not next_message(b).is_rx
-        assert next_message(a).arbitration_id == 0x43
-        assert isinstance(b, LocalCanBus)
-        b.node.inject_error()
-        assert next_message(a).is_error_frame
-        a.set_filters([{"can_id": 0x50, "can_mask": 0x7FF}])
-        b.send(message(0x4F))
-        b.send(message(0x50))
-        assert next_message(a).arbitration_id == 0x50
-        assert {"interface": "localcan", "channel": "t"} in can.detect_available_configs("localcan")
-
-
-def test_python_can_refusals():
-    with LocalCanBus("t", bitrate=125_000, fd=False) as bus:
-        with pytest.raises(can.CanInitializationError, match="125000"):
-            LocalCanBus("t", bitrate=250_000)
-        with pytest.raises(can.CanOperationError) as caught:  # noqa: PT012 - the 65th or a later one
-            for _ in range(200):
-                bus.send(message(0x1, bytes(8)))
-        assert caught.value.error_code == errno.ENOBUFS
-        bus.flush_tx_buffer()
-        with pytest.raises(can.CanOperationError, match="classic"):
-            bus.send(message(0x1, is_fd=True))
-
-
-def test_asyncio_reader_gets_all_messages_over_the_file_descriptor():
-    async def run():
-        with LocalCanBus("t", bitrate=1_000_000, fd=False) as a, LocalCanBus("t") as b:
-            reader = can.AsyncBufferedReader()
-            notifier = can.Notifier(b, [reader], loop=asyncio.get_running_loop())
-            for burst in range(5):
-                for i in range(10):
-                    a.send(message(0x100 + 10 * burst + i, bytes(8)))
-                await asyncio.sleep(0.005 * burst)
-            identifiers = [
-                (await asyncio.wait_for(reader.get_message(), 2)).arbitration_id for _ in range(50)
-            ]
-            notifier.stop()
-            return identifiers
-
-    identifiers = asyncio.run(run())
-    assert sorted(identifiers) == list(range(0x100, 0x100 + 50))
-
-
-def participants(node):
-    return len([slot for slot in node._wire.slots() if slot.serial])
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + 15
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-def test_python_can_logger_records_the_bus(join, tmp_path):
-    node = join()
-    path = tmp_path / "bus.log"
-    # where the tests run in the background SIGINT is ignored, and so it would be in here
-    start = (
-        "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "runpy.run_module('can.logger', run_name='__main__')"
-    )
-    logger = subprocess.Popen(
-        [sys.executable, "-c", start, "-i", "localcan", "-c", "t", "-f", str(path)],
-        stdout=subprocess.DEVNULL,
-    )
-    try:
-        wait_for(lambda: participants(node) == 2)
-        node.send([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)])
-        time.sleep(0.3)
-        logger.send_signal(signal.SIGINT)
-        assert logger.wait(10) == 0
-    finally:
-        logger.kill()
-        logger.wait()
-    with can.LogReader(path) as log:
-        messages = list(log)
-    assert [m.arbitration_id for m in messages] == list(range(0x100, 0x100 + 50))
-    assert [bytes(m.data) for m in messages] == [bytes([i] * 12) for i in range(50)]
-    assert participants(node) == 1
-
-
-def test_python_can_viewer_shows_the_bus(join):
-    node = join()
-    master, slave = pty.openpty()
-    viewer = subprocess.Popen(
-        [sys.executable, "-m", "can.viewer", "-i", "localcan", "-c", "t"],
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        env={**os.environ, "TERM": "xterm", "LINES": "40", "COLUMNS": "120"},
-    )
-    os.close(slave)
-    screen = b""
-    try:
-        wait_for(lambda: participants(node) == 2)
-        deadline = time.monotonic() + 10
-        while b"5A5" not in screen and time.monotonic() < deadline:
-            node.send([Frame(0x5A5, b"\xc0\xff\xee")])
-            if select.select([master], [], [], 0.05)[0]:
-                screen += os.read(master, 65536)
-        os.write(master, b"q")
-        assert viewer.wait(10) == 0
-    finally:
-        viewer.kill()
-        viewer.wait(10)
-        os.close(master)
-    assert b"5A5" in screen

@@ -21,16 +21,18 @@ from drivers.protocol import (
     Configure,
     DeviceCommand,
     EmergencyStop,
-    Feedback,
     Frame,
     Received,
     Status,
     Sync,
 )
 from drivers.sensors import SensorProtocol
-from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction, no_measurement
+from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
 
-DATABASE: Any = cantools.database.load_file(Path(drivers.__file__).with_name("legs.dbc"))
+DATABASE: Any = cantools.database.Database()
+for name in ("legs/legs.dbc", "sensors.dbc"):
+    DATABASE.add_dbc_file(Path(drivers.__file__).parent / name)
 NODES = (1, 2, 3, 4, 5, 6)
 P = {layout: LegsProtocol(layout, NODES) for layout in ("classic", "fd", "ideal")}
 S = SensorProtocol(
@@ -54,7 +56,7 @@ class Vector(NamedTuple):
 
 VECTORS = [
     Vector("ESTOP", P["fd"].emergency_stop()[0], 0x001, 0, "00", {"Source": 0}),
-    Vector("SYNC", P["fd"].sync(TICK)[0], 0x080, 0, "A7", {"Cycle": 167}),
+    Vector("SYNC", P["fd"].begin(None, TICK)[0], 0x080, 0, "A7", {"Cycle": 167}),
     Vector(
         "CONFIG_3",
         P["fd"].configure(0.0125, Reaction.HOLD)[2],
@@ -66,7 +68,7 @@ VECTORS = [
     ),
     Vector(
         "STATUS_6",
-        P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP)),
+        P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP))[0],
         0x706,
         0,
         "04 02",
@@ -74,7 +76,7 @@ VECTORS = [
     ),
     Vector(
         "COMMAND_CLASSIC_A",
-        P["classic"].command(Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[0],
+        command_frames(P["classic"], Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[0],
         0x100,
         0,
         # 1000/2 = 500 = 0x01F4; -2000/2 = -1000 = 0x10000 - 0x03E8 = 0xFC18; 60000/2 = 30000 = 0x7530;
@@ -84,7 +86,7 @@ VECTORS = [
     ),
     Vector(
         "COMMAND_CLASSIC_B",
-        P["classic"].command(Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[1],
+        command_frames(P["classic"], Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[1],
         0x101,
         0,
         # 2/2 = 1; -2/2 = -1 = 0xFFFF; -60000/2 = -30000 = 0x10000 - 0x7530 = 0x8AD0
@@ -93,7 +95,7 @@ VECTORS = [
     ),
     Vector(
         "COMMAND_FD",
-        P["fd"].command(Command(DriveMode.RUN, FD_FORCE), TICK)[0],
+        command_frames(P["fd"], Command(DriveMode.RUN, FD_FORCE), TICK)[0],
         0x110,
         FD | BRS,
         # in mN: 1000500 = 0x000F4434; -1; 60000000 = 0x03938700; minus that = 0xFC6C7900; 0; 256 = 0x100
@@ -112,7 +114,7 @@ VECTORS = [
     ),
     Vector(
         "COMMAND_IDEAL",
-        P["ideal"].command(Command(DriveMode.RUN, IDEAL_FORCE), TICK)[0],
+        command_frames(P["ideal"], Command(DriveMode.RUN, IDEAL_FORCE), TICK)[0],
         0x120,
         FD | BRS,
         # IEEE 754: exponent + 1023 in 11 bits, then the fraction. 1 -> 0x3FF0..., -2 -> 0xC000..., 0.5 -> 0x3FE0...,
@@ -134,7 +136,7 @@ VECTORS = [
     ),
     Vector(
         "FEEDBACK_CLASSIC_1",
-        P["classic"].feedback(Feedback(0, 1.5, -0.25, 1234.0, DriveState.RUN, 7)),
+        one_feedback(P["classic"], 0, 1.5, -0.25, 1234.0, DriveState.RUN, 7),
         0x181,
         0,
         # 1.5/1e-7 = 15000000 = 0x00E4E1C0; -0.25/1e-4 = -2500 = 0x10000 - 0x09C4 = 0xF63C; state 3 above counter 7
@@ -143,7 +145,7 @@ VECTORS = [
     ),
     Vector(
         "FEEDBACK_FD_2",
-        P["fd"].feedback(Feedback(1, 1.2345678, -0.25, 1234.0, DriveState.RUN, 7)),
+        one_feedback(P["fd"], 1, 1.2345678, -0.25, 1234.0, DriveState.RUN, 7),
         0x282,
         FD | BRS,
         # 12345678 = 0x00BC614E; -0.25/1e-7 = -2500000 = 2^32 - 0x002625A0 = 0xFFD9DA60; 1234/2 = 617 = 0x0269
@@ -160,7 +162,7 @@ VECTORS = [
     ),
     Vector(
         "FEEDBACK_FD_2",
-        P["fd"].feedback(Feedback(1, 1.2345678, -0.25, 1234.0, DriveState.RUN | INVALID, 7)),
+        one_feedback(P["fd"], 1, 1.2345678, -0.25, 1234.0, DriveState.RUN | INVALID, 7),
         0x282,
         FD | BRS,
         # as before; the highest bit of byte 10 says that length and rate are of no use
@@ -177,7 +179,7 @@ VECTORS = [
     ),
     Vector(
         "FEEDBACK_IDEAL_1",
-        P["ideal"].feedback(Feedback(0, 1.5, -0.25, 60_000.0, DriveState.RUN, 7)),
+        one_feedback(P["ideal"], 0, 1.5, -0.25, 60_000.0, DriveState.RUN, 7),
         0x381,
         FD | BRS,
         # 1.5 -> 0x3FF8...; -0.25 = -2^-2 -> 0xBFD0...; 60000 as in the command
@@ -304,9 +306,9 @@ def frame_of(message: str) -> Frame:
 
 
 def test_drives_read_the_vectors():
-    assert P["fd"].parse(frame_of("ESTOP")) == EmergencyStop()
-    assert P["fd"].parse(frame_of("SYNC")) == Sync(0xA7)
-    configure = P["fd"].parse(frame_of("CONFIG_3"))
+    assert parse(P["fd"], frame_of("ESTOP")) == EmergencyStop()
+    assert parse(P["fd"], frame_of("SYNC")) == Sync(0xA7)
+    configure = parse(P["fd"], frame_of("CONFIG_3"))
     assert isinstance(configure, Configure)
     assert (configure.leg, configure.reaction) == (2, Reaction.HOLD)
     assert configure.watchdog_s == pytest.approx(0.0125, rel=1e-15)
@@ -314,14 +316,14 @@ def test_drives_read_the_vectors():
         ("A", ((0, 1, 2), DriveMode.RUN, [1000.0, -2000.0, 60_000.0], 7)),
         ("B", ((3, 4, 5), DriveMode.RUN, [2.0, -2.0, -60_000.0], 7)),
     ):
-        classic = P["classic"].parse(frame_of(f"COMMAND_CLASSIC_{half}"))
+        classic = parse(P["classic"], frame_of(f"COMMAND_CLASSIC_{half}"))
         assert isinstance(classic, DeviceCommand)
         assert (classic.legs, classic.mode, classic.force.tolist(), classic.counter) == expected
-    fd = P["fd"].parse(frame_of("COMMAND_FD"))
+    fd = parse(P["fd"], frame_of("COMMAND_FD"))
     assert isinstance(fd, DeviceCommand)
     assert fd.legs == (0, 1, 2, 3, 4, 5)
     assert fd.force == pytest.approx((1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256), rel=1e-15)
-    ideal = P["ideal"].parse(frame_of("COMMAND_IDEAL"))
+    ideal = parse(P["ideal"], frame_of("COMMAND_IDEAL"))
     assert isinstance(ideal, DeviceCommand)
     assert (ideal.legs, ideal.mode, ideal.counter) == ((0, 1, 2, 3, 4, 5), DriveMode.RUN, 7)
     assert ideal.force.tolist() == [1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75]
@@ -337,11 +339,11 @@ def test_drives_read_the_vectors():
 )
 def test_controller_reads_the_vectors(layout, message, leg, length, force):
     frames = [Received(0, frame_of(message)), Received(1, frame_of("STATUS_6"))]
-    measurement = P[layout].decode(frames, TICK, no_measurement())
-    assert measurement.length[leg] == pytest.approx(length, rel=1e-15)
-    assert measurement.rate[leg] == pytest.approx(-0.25, rel=1e-15)
-    assert measurement.force[leg] == force
-    assert measurement.state[leg] == DriveState.RUN
-    assert measurement.age[leg] == 0
-    assert measurement.fault.tolist() == [0, 0, 0, 0, 0, DriveFault.ESTOP]
-    assert measurement.rejected == 0
+    measurement = decode(P[layout], frames, TICK)
+    assert measurement["length"][leg] == pytest.approx(length, rel=1e-15)
+    assert measurement["rate"][leg] == pytest.approx(-0.25, rel=1e-15)
+    assert measurement["drive_force"][leg] == force
+    assert measurement["drive_state"][leg] == DriveState.RUN
+    assert measurement["age"][leg] == 0
+    assert measurement["drive_fault"].tolist() == [0, 0, 0, 0, 0, DriveFault.ESTOP]
+    assert measurement["rejected"] == 0

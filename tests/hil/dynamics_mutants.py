@@ -30,7 +30,7 @@ MUTATIONS = {
     "rod mass dropped": (MODEL, "c[kernels.ROD_MASS] = k * rod.mass", "pass"),
     "cylinder mass dropped": (MODEL, "c[kernels.CYLINDER_MASS] = k * cylinder.mass", "pass"),
     "cylinder and rod exchanged": (MODEL, "cylinder, rod = platform.cylinder, platform.rod", "rod, cylinder = platform.cylinder, platform.rod"),
-    "inertia not rotated in M": (KERNELS, "column = rotate(R, inertia_times(c, column))", "column = at(c, INERTIA + 3 * j)"),
+    "inertia not rotated in M": (KERNELS, "column = rotate(R, inertia_times(c, row(R, j)))", "column = at(c, INERTIA + 3 * j)"),
     "inertia not rotated in the moment": (KERNELS, "return force, add(rotate(R, turning)", "return force, add(turning"),
     "parallel axis doubled": (MODEL, "+ m * (square", "+ 2 * m * (square"),
     "parallel axis left out": (MODEL, "+ m * (square", "+ 0 * m * (square"),

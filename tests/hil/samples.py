@@ -3,8 +3,9 @@
 import numpy as np
 
 from drivers.protocol import BRS, ESI, EXTENDED, FD, Frame, Received
+from drivers.tick import ROW
 from hil.record.log import Tick
-from hil.signals import ROW, SetPoint
+from hil.signals import SetPoint
 
 FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED)
 CAN_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from drivers.signals import Refusal
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.admission import Admission
 from hil.robot.dynamics import Model
-from hil.signals import Refusal
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())
 HOME = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

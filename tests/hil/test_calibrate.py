@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest, norm
 
+from drivers.errors import CalibrationError
 from hil.robot import calibration as module
-from hil.robot.calibration import CalibrationError, Measurements, calibrate, suspicion
+from hil.robot.calibration import Measurements, calibrate, suspicion
 from hil.robot.geometry import Platform
 
 HEXAGON = np.deg2rad([-10, 10, 110, 130, 230, 250])

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from drivers.config import WrenchSensorSettings
-from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Feedback, Received
-from drivers.signals import DriveMode, DriveState
+from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Received
+from drivers.signals import DriveMode, DriveState, Fault, Mode, Warn
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
-from hil.loop.daemon import fault_text
+from hil.loop.report import fault_text
 from hil.robot.kinematics import leg_lengths
-from hil.signals import Fault, Mode, Operator, TickInput, Warn
+from hil.signals import Operator, TickInput
+from tests.drivers.legs_frames import one_feedback, parse
 
 PERIOD_NS = 1_000_000
 
@@ -30,7 +31,7 @@ class Drives:
     def feedback(self, tick):
         t_ns = tick * PERIOD_NS + 200_000
         return tuple(
-            Received(t_ns, self.protocol.feedback(Feedback(i, l, self.rate, 0.0, s, tick & 15)))
+            Received(t_ns, one_feedback(self.protocol, i, l, self.rate, 0.0, s, tick & 15))
             for i, (l, s) in enumerate(zip(self.length, self.state, strict=True))
             if i not in self.silent
         )
@@ -42,7 +43,7 @@ class Drives:
             DriveMode.RUN: DriveState.RUN,
         }
         for frame in frames:
-            match self.protocol.parse(frame):
+            match parse(self.protocol, frame):
                 case Configure() as c:
                     self.configured.append(c)
                     self.state[c.leg] = DriveState.OFF
@@ -229,7 +230,7 @@ def test_a_reset_forgets_the_load_of_a_sensor_that_fell_silent():
 def test_an_emergency_stop_goes_to_the_wire_first(bench):
     bench.until(Mode.APPROACH)
     out = bench.step((Operator.ESTOP,))
-    assert isinstance(bench.cycle.parts.protocol.parse(out.frames[0]), EmergencyStop)
+    assert isinstance(parse(bench.cycle.parts.protocol, out.frames[0]), EmergencyStop)
     assert bench.cycle.faults & Fault.ESTOP
     assert bench.drives.commands[-1].mode == DriveMode.OFF
 
@@ -259,6 +260,23 @@ def test_drives_that_stayed_powered_are_set_up_anew(bench):
     bench.drives.state = [DriveState.OFF] * 6
     bench.until(Mode.IDLE)
     assert sorted(c.leg for c in bench.drives.configured) == sorted([*range(6)] * 3)
+
+
+def test_the_operators_reset_sets_up_every_drive_anew(bench):
+    bench.until(Mode.IDLE)
+    assert len(bench.drives.configured) == 18
+    bench.step((Operator.ESTOP,))
+    bench.step((Operator.RESET,))
+    bench.until(Mode.IDLE)
+    assert sorted(c.leg for c in bench.drives.configured[18:]) == sorted([*range(6)] * 3)
+
+
+def test_what_came_before_the_loop_woke_up_is_no_answer_to_its_sync(bench):
+    bench.until(Mode.IDLE)
+    late = bench.step(lateness_ns=199_999).row
+    assert (late["age"].tolist(), late["rejected"]) == ([0] * 6, 0)
+    later = bench.step(lateness_ns=200_001).row
+    assert (later["age"].tolist(), later["rejected"]) == ([1] * 6, 6)
 
 
 def test_reset_is_sent_a_few_times_only_so_that_a_standing_fault_stays(bench):

@@ -4,10 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from drivers.signals import Refusal
 from hil.loop.daemon import _answer
 from hil.loop.steering import Steering
-from hil.signals import Refusal, SetPoint
-from hil.trajectory import LiveTrajectory
+from hil.signals import SetPoint
+from hil.trajectory.live import LiveTrajectory
 
 START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 

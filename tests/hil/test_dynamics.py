@@ -15,7 +15,9 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import forward_dynamics_kernel, inverse_dynamics_kernel, joint_idc_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import KinematicsError, jacobian, jacobian_rate
-from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel, reference_kernel
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
+from hil.trajectory.path import PoseSample
+from tests.records import referred
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
@@ -175,9 +177,8 @@ def closed_loop(law, dt=1e-3, hold=0):
 
     def control(t, p, R, twist):
         pose = book_reference(t)
-        q, dq, ddq = np.empty(6), np.empty(6), np.empty(6)
-        p_d, R_d, twist_d, dtwist_d = pose
-        reference_kernel(a, b, p_d, R_d, twist_d, dtwist_d, q, dq, ddq)
+        tick = referred(platform, PoseSample(*pose))
+        q, dq, ddq = tick["q_d"], tick["dq_d"], tick["ddq_d"]
         J = jacobian_kernel(a, b, p, R)
         return law(pose, q, dq, ddq, p, R, twist, J, q - leg_lengths_kernel(a, b, p, R), dq - J @ twist)
 

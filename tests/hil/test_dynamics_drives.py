@@ -12,15 +12,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ModelError
-from hil.config import InverseDynamicsSettings, ModelSettings
-from hil.control import LawContext, build_law
-from hil.loop.reference import complete
+from hil.config.model import ModelSettings
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.control.law import LawContext
 from hil.robot.dynamics import Model, Variant
 from hil.robot.dynamics_kernels import joint_idc_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import KinematicsError
-from hil.signals import State
-from hil.trajectory import PoseSample, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from tests.records import arrived, asked
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
@@ -217,13 +218,12 @@ def test_the_configured_law_believes_in_the_configured_drives(per_leg):
     )
     settings = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0, model=believed)
     platform, J = PLATFORMS[case["geometry"]], np.array(e["jacobian"])
-    reference = complete(platform, PoseSample(p, R, twist, dtwist))
-    state = State(reference.q, reference.dq, p, R, twist, J, 0, 0.0)
+    tick = arrived(platform, PoseSample(p, R, twist, dtwist), J=J)
     dq, ddq = np.array(e["rates"]), np.array(e["length_accels"])
     legs = np.array(e["leg_forces"]) + np.linalg.solve(J.T, wrench)  # the state has no wrench
     expected = legs + m * ddq + b * dq + c * np.sign(dq)
     context = LawContext(platform, "none", 1e-3, hold(p, R))
-    assert relative(build_law(settings, context).effort(state, reference, np.zeros(6)).tau, expected) <= 1e-9
+    assert relative(asked(settings.build(context), tick), expected) <= 1e-9
 
 
 @pytest.mark.parametrize("name", ["reflected_mass", "viscous", "coulomb", "sliding_speed"])

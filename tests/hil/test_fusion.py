@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.sensors import Readings, Sample
-from drivers.signals import Measurement, no_measurement
-from hil.config import FusionSettings
+from drivers.tick import Record
+from hil.config.estimation import FusionSettings
+from hil.estimation.fused_pose import PoseFusion
 from hil.estimation.fusion import LEFT_OUT_TICKS, SLIP_TICKS, FusedEstimator
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
+from tests.records import altered, record_of
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())["geometry"]
 PLATFORM = Platform.from_dict(BOOK)
@@ -56,7 +58,7 @@ class Truth:
         self.R = Rotation.from_rotvec(T * self.twist[3:] + T * T / 2 * a[3:]) * self.R
         self.twist = self.twist + T * a
 
-    def measure(self, *, noise: float = 1.0) -> Measurement:
+    def measure(self, *, noise: float = 1.0) -> Record:
         q, dq = legs(self.p, self.R, self.twist)
         s, normal = self.settings, self.chance.standard_normal
         return measurement(q + noise * s.length_std_m * normal(6), dq + noise * s.rate_std_m_s * normal(6))
@@ -76,11 +78,9 @@ def legs(p, R, twist):
     return l, np.sum(d / l[:, None] * u, axis=1)
 
 
-def measurement(q, dq, *, lost=()) -> Measurement:
+def measurement(q, dq, *, lost=()) -> Record:
     """All drives off: the filter takes the acceleration as zero."""
-    age = np.zeros(6, np.int64)
-    age[list(lost)] = 9
-    return no_measurement()._replace(length=q, rate=dq, age=age)
+    return record_of(length=q, rate=dq, age=[9 * (leg in lost) for leg in range(6)])
 
 
 def estimator(settings=LOOSE, tracker=TRACKER, imu=None, start=None):
@@ -90,13 +90,31 @@ def estimator(settings=LOOSE, tracker=TRACKER, imu=None, start=None):
     return found
 
 
+class Fused:
+    """A tick that the filter has filled, and its health."""
+
+    def __init__(self, found, tick, measured, readings, t_ns=None):
+        self.record = altered(measured, tick=tick)
+        t_ns = tick * MS if t_ns is None else t_ns
+        self.health = found.update(self.record, t_ns, readings, ZERO, ZERO)
+
+    def __getitem__(self, name):
+        return self.record[name]
+
+    @property
+    def used(self):
+        return tuple(bool(self.record["legs_used"] >> leg & 1) for leg in range(6))
+
+
 def update(found, tick, measured, samples=()):
-    return found.update(tick, tick * MS, measured, Readings(tracker=tuple(samples)), ZERO, ZERO)
+    return Fused(found, tick, measured, Readings(tracker=tuple(samples)))
 
 
 def error(fused, truth):
-    turned = Rotation.from_matrix(fused.R).inv()
-    return np.concatenate((truth.p - fused.p, (truth.R * turned).as_rotvec(), truth.twist - fused.twist))
+    turned = Rotation.from_matrix(fused["R"]).inv()
+    return np.concatenate(
+        (truth.p - fused["p"], (truth.R * turned).as_rotvec(), truth.twist - fused["twist"])
+    )
 
 
 # -- against a plain one ---------------------------------------------------------------------------------------
@@ -172,7 +190,7 @@ def test_it_is_the_plain_filter_with_a_leg_lost_and_a_tracker_between_ticks():
         truth.step()
         m = truth.measure()
         lost = lost_leg(tick)
-        fused = update(found, tick, measurement(m.length, m.rate, lost=lost), samples)
+        fused = update(found, tick, measurement(m["length"], m["rate"], lost=lost), samples)
         if samples:
             plain.predict(share * T)
             z = np.array(samples[0].values)
@@ -191,14 +209,14 @@ def test_it_is_the_plain_filter_with_a_leg_lost_and_a_tracker_between_ticks():
             l, dl = legs(p, R, twist)
             return np.concatenate((l[kept], dl[kept]))
 
-        z = np.concatenate((m.length[kept], m.rate[kept]))
+        z = np.concatenate((m["length"][kept], m["rate"][kept]))
         plain.update(both, z, np.repeat([LOOSE.length_std_m, LOOSE.rate_std_m_s], len(kept)) ** 2)
         P = found._covariances[found._newest]
         scale = np.sqrt(np.outer(plain.P.diagonal(), plain.P.diagonal()))
         assert np.abs((P - plain.P) / scale).max() < 1e-5
-        assert np.abs(fused.p - plain.p).max() < 1e-8
-        assert (Rotation.from_matrix(fused.R) * plain.R.inv()).magnitude() < 1e-8
-        assert np.abs(fused.twist - plain.twist).max() < 1e-6
+        assert np.abs(fused["p"] - plain.p).max() < 1e-8
+        assert (Rotation.from_matrix(fused["R"]) * plain.R.inv()).magnitude() < 1e-8
+        assert np.abs(fused["twist"] - plain.twist).max() < 1e-6
         assert fused.used == tuple(leg not in lost for leg in range(6))
 
 
@@ -217,7 +235,7 @@ def test_its_errors_are_as_large_as_it_says(lost):
             samples = [truth.track(tick - 1, 0.0)] if tick % 5 == 0 else []
             truth.step()
             m = truth.measure()
-            fused = update(found, tick, measurement(m.length, m.rate, lost=lost), samples)
+            fused = update(found, tick, measurement(m["length"], m["rate"], lost=lost), samples)
         e = error(fused, truth)
         nees.append(e @ np.linalg.solve(found._covariances[found._newest], e) / 12)
     assert np.mean(nees) == pytest.approx(1.0, abs=5 * np.sqrt(2 / (12 * runs)))
@@ -237,9 +255,9 @@ def test_a_late_sample_leaves_the_filter_as_if_it_had_been_in_time():
         m = truth.measure()
         a = update(prompt, tick, m, samples)
         b = update(tardy, tick, m, [sample for due, sample in waiting if due == tick])
-    assert np.array_equal(a.p, b.p)
-    assert np.array_equal(a.R, b.R)
-    assert np.array_equal(a.twist, b.twist)
+    assert np.array_equal(a["p"], b["p"])
+    assert np.array_equal(a["R"], b["R"])
+    assert np.array_equal(a["twist"], b["twist"])
     assert np.array_equal(prompt._covariances[prompt._newest], tardy._covariances[tardy._newest])
 
 
@@ -253,7 +271,7 @@ def test_a_late_sample_is_taken_at_its_own_instant():
         truth.step()
         waiting.append(Sample(tick, 0.0, (*truth.p, *truth.R.as_rotvec())))
         fused = update(found, tick, truth.measure(noise=0.0), [waiting[-9]] if len(waiting) > 8 else [])
-        innovations.append(fused.tracker_innovation)
+        innovations.append(fused["innovation_tracker"])
     assert np.abs(innovations[50:]).max() < 1e-4
 
 
@@ -268,9 +286,9 @@ def test_a_sample_older_than_the_memory_or_stamped_ahead_is_passed_over():
         m = truth.measure()
         a = update(found, tick, m, [old, ahead] if tick > 41 else [])
         b = update(without, tick, m)
-        assert a.tracker == 0
-    assert np.array_equal(a.p, b.p)
-    assert a.missed, "no sample of use for five periods"
+        assert a["tracker"] == 0
+    assert np.array_equal(a["p"], b["p"])
+    assert a.health.missed, "no sample of use for five periods"
 
 
 def test_missed_ticks_and_a_late_loop_are_taken_into_account():
@@ -288,10 +306,10 @@ def test_missed_ticks_and_a_late_loop_are_taken_into_account():
         now = tick * MS + late
         truth.p = p0 + truth.twist[:3] * now * 1e-9
         q, dq = legs(truth.p, truth.R, truth.twist)
-        fused = found.update(tick, now, measurement(q, dq), Readings(), ZERO, ZERO)
+        fused = Fused(found, tick, measurement(q, dq), Readings(), now)
         if k > 5:
             assert all(fused.used)
-            assert np.abs(fused.innovation).max() < 1e-7
+            assert np.abs(fused["innovation_q"]).max() < 1e-7
 
 
 # -- encoders --------------------------------------------------------------------------------------------------
@@ -314,9 +332,9 @@ def test_an_encoder_that_slips_by_2_mm_is_left_out_at_once_and_named(leg):
     for tick in range(100, 130):
         fused = update(found, tick, measurement(q, dq))
         assert fused.used == tuple(i != leg for i in range(6))
-        assert fused.slipped == tuple(i == leg and tick >= 99 + SLIP_TICKS for i in range(6))
-        assert fused.innovation[leg] == pytest.approx(2e-3, abs=1e-5)
-    assert np.abs(fused.p - truth.p).max() < 1e-5
+        assert fused.health.slipped == tuple(i == leg and tick >= 99 + SLIP_TICKS for i in range(6))
+        assert fused["innovation_q"][leg] == pytest.approx(2e-3, abs=1e-5)
+    assert np.abs(fused["p"] - truth.p).max() < 1e-5
 
 
 def test_a_push_that_moves_all_legs_is_no_slip_and_is_followed():
@@ -324,9 +342,9 @@ def test_a_push_that_moves_all_legs_is_no_slip_and_is_followed():
     for tick in range(100, 130):
         truth.p = truth.p + np.array([0.0, 0.0, 1e-3])
         fused = update(found, tick, measurement(*legs(truth.p, truth.R, np.array([0, 0, 1.0, 0, 0, 0]))))
-        assert not any(fused.slipped)
+        assert not any(fused.health.slipped)
         assert all(fused.used)
-        assert np.abs(fused.p - truth.p).max() < 2e-5
+        assert np.abs(fused["p"] - truth.p).max() < 2e-5
 
 
 def test_a_leg_that_is_off_by_less_than_a_slip_is_believed_in_the_end():
@@ -344,14 +362,31 @@ def test_a_silent_and_a_blind_leg_are_lost_and_come_back():
     q, dq = legs(truth.p, truth.R, ZERO)
     for tick in range(100, 110):
         age = np.array([tick - 99, 0, 0, 0, 0, 0])
-        blind = np.array([False, False, False, True, False, False])
-        m = measurement(q, dq)._replace(age=age + np.array([0, 0, 0, tick - 99, 0, 0]), blind=blind)
+        ages = age + np.array([0, 0, 0, tick - 99, 0, 0])
+        m = altered(measurement(q, dq), age=ages, blind=[0, 0, 0, 1, 0, 0])
         fused = update(found, tick, m)
         assert fused.used == (False, True, True, False, True, True)
-        assert fused.lost == (tick >= 101, False, False, True, False, False)
+        assert fused.health.lost == (tick >= 101, False, False, True, False, False)
     fused = update(found, 110, measurement(q, dq))
     assert all(fused.used)
-    assert not any(fused.lost)
+    assert not any(fused.health.lost)
+
+
+def test_an_age_that_may_be_lost_does_not_count_and_a_leg_that_is_not_used_makes_errors_estimates():
+    settings = FusionSettings(may_lose_legs=[2])
+    truth = Truth(7)
+    found = PoseFusion(FusedEstimator(PLATFORM, Model(PLATFORM), settings, TRACKER, None, T), settings)
+    found.start(0, 0, truth.p, truth.R.as_matrix())
+    for tick, lost, ages, unseen in (
+        (1, (), [0] * 6, 0),
+        (2, (2,), [0] * 6, 1),
+        (3, (4,), [0, 0, 0, 0, 9, 0], 1),
+        (4, (), [0] * 6, 0),
+    ):
+        record = altered(measurement(*legs(truth.p, truth.R, ZERO), lost=lost), tick=tick)
+        found.estimate(record, tick * MS, Readings(), ZERO, ZERO)
+        assert record["counted_age"].tolist() == ages
+        assert record["unseen"] == unseen
 
 
 def test_the_tracker_alone_bounds_what_a_lost_leg_leaves_open():
@@ -361,9 +396,9 @@ def test_the_tracker_alone_bounds_what_a_lost_leg_leaves_open():
         samples = [truth.track(tick - 1, 0.0)] if tick % 5 == 0 and tick < 2000 else []
         fused = update(found, tick, measurement(q, dq, lost=(0,)), samples)
         if tick == 1999:
-            with_it = fused.position_std
+            with_it = fused.health.position_std
     assert with_it < 0.4e-3
-    assert fused.position_std > 10 * with_it, "a second without"
+    assert fused.health.position_std > 10 * with_it, "a second without"
 
 
 def test_a_tracker_sample_that_is_far_off_is_refused():
@@ -371,13 +406,11 @@ def test_a_tracker_sample_that_is_far_off_is_refused():
     m = measurement(*legs(truth.p, truth.R, ZERO))
     wrong = Sample(99, 0.0, (truth.p[0] + 0.05, *truth.p[1:], *truth.R.as_rotvec()))
     fused = update(found, 100, m, [wrong])
-    assert fused.tracker == -1
-    assert fused.tracker_innovation[0] == pytest.approx(0.05, abs=1e-5)
-    assert np.abs(fused.p - truth.p).max() < 1e-6
-    assert (
-        update(found, 101, m, [wrong._replace(tick=100, values=(*truth.p, *truth.R.as_rotvec()))]).tracker
-        == 1
-    )
+    assert fused["tracker"] == -1
+    assert fused["innovation_tracker"][0] == pytest.approx(0.05, abs=1e-5)
+    assert np.abs(fused["p"] - truth.p).max() < 1e-6
+    right = wrong._replace(tick=100, values=(*truth.p, *truth.R.as_rotvec()))
+    assert update(found, 101, m, [right])["tracker"] == 1
 
 
 # -- IMU -------------------------------------------------------------------------------------------------------
@@ -398,7 +431,7 @@ def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
         w += imu.angular_rate_std_rad_s * truth.chance.standard_normal(3)
         f += imu.specific_force_std_m_s2 * truth.chance.standard_normal(3)
         sample = Sample(tick - 1, 0.999e-3, (*w, *f))
-        fused = found.update(tick, tick * MS, truth.measure(), Readings(imu=(sample,)), ZERO, ZERO)
+        fused = Fused(found, tick, truth.measure(), Readings(imu=(sample,)))
     x, P = found._states[found._newest], found._covariances[found._newest]
     std = np.sqrt(P.diagonal())
     assert np.abs(x[18:21] - gyro_bias).max() < 5 * std[12:15].max() < 2e-3
@@ -406,4 +439,4 @@ def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
     without = estimator(start=truth)
     for tick in range(1, 200):
         alone = update(without, tick, truth.measure())
-    assert fused.std[:3].max() < alone.std[:3].max()
+    assert fused["pose_std"][:3].max() < alone["pose_std"][:3].max()

@@ -6,18 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from hil.identify import (
-    AxisSignals,
-    IdentificationError,
-    Response,
-    Spectra,
-    axis_response,
-    estimate,
-    fit_axes,
-    periodic,
-    segmented,
-    uncertainty,
-)
+from drivers.errors import IdentificationError
+from hil.identify.axis_fit import fit_axes, uncertainty
+from hil.identify.linearised import AxisSignals
+from hil.identify.nominal import axis_response
+from hil.identify.response import Response, estimate
+from hil.identify.spectra import Spectra, periodic, segmented
 
 T = 1e-3
 LAG = 0.8e-3

@@ -19,7 +19,9 @@ from hil.robot.kinematics import (
     jacobian_rate,
     leg_lengths,
 )
-from hil.robot.kinematics_kernels import forward_kinematics_kernel, leg_lengths_kernel, reference_kernel
+from hil.robot.kinematics_kernels import forward_kinematics_kernel, leg_lengths_kernel
+from hil.trajectory.path import PoseSample
+from tests.records import referred
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
@@ -52,12 +54,10 @@ def test_a_state_agrees_with_the_rigid_body_engines(case):
     assert relative(J @ twist, e["rates"], 1.0) <= 1e-9
     ddq = J @ dtwist + jacobian_rate(platform, p, R, twist) @ twist
     assert relative(ddq, e["length_accels"], 1.0) <= 1e-9
-    a, b = platform.base_joints, platform.platform_joints
-    q, dq, ddq = np.empty(6), np.empty(6), np.empty(6)
-    reference_kernel(a, b, np.array(p), np.array(R), twist, dtwist, q, dq, ddq)
-    assert relative(q, e["lengths"]) <= 1e-9
-    assert relative(dq, e["rates"], 1.0) <= 1e-9
-    assert relative(ddq, e["length_accels"], 1.0) <= 1e-9
+    tick = referred(platform, PoseSample(np.array(p), np.array(R), twist, dtwist))
+    assert relative(tick["q_d"], e["lengths"]) <= 1e-9
+    assert relative(tick["dq_d"], e["rates"], 1.0) <= 1e-9
+    assert relative(tick["ddq_d"], e["length_accels"], 1.0) <= 1e-9
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -6,8 +6,9 @@ import io
 
 import numpy as np
 
+from drivers.signals import Mode, Warn
+from drivers.tick import ROW
 from hil.record.live import LiveView
-from hil.signals import ROW, Mode, Warn
 
 
 def rows(count, **columns):

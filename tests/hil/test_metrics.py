@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from hil.config import WaypointReference
+from hil.config.reference import WaypointReference
 from hil.record.metrics import (
     bandwidth_Hz,
     force_shares,
@@ -21,7 +21,7 @@ from hil.record.metrics import (
 )
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.trajectory import waypoint_trajectory
+from hil.trajectory.waypoints import waypoint_trajectory
 
 
 def test_total_variation_is_the_way_up_and_down_however_finely_sampled():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.signals import DriveMode, DriveState
+from drivers.signals import DriveMode, DriveState, Mode
 from hil.loop.modes import Durations, Facts, drive_mode, next_mode, overdue
-from hil.signals import Mode, Operator
+from hil.signals import Operator
 
 DURATIONS = Durations(load=0.3, release=0.1)
 QUIET = Facts(

@@ -6,28 +6,26 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from drivers.signals import DriveState, Measurement
+from drivers.signals import DriveState, Mode, Warn
 from hil.app.configuration.configuration import load
-from hil.config import (
-    DelayCompensation,
-    InverseDynamicsSettings,
-    LimitSettings,
-    MonitorSettings,
-    PDSettings,
-    PoseInverseDynamicsSettings,
-    RobustInverseDynamicsSettings,
-    SlidingModeSettings,
-    UncertaintySettings,
-)
+from hil.config.delay import DelayCompensation
+from hil.config.limits import LimitSettings
+from hil.config.monitor import MonitorSettings
 from hil.control import LAWS
 from hil.control.error_axes import error_axes as kernel
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.control.law import LawSettings
+from hil.control.pd import PDSettings
+from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
+from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
+from hil.control.sliding_mode import SlidingModeSettings
+from hil.control.uncertainty import UncertaintySettings
 from hil.mathematics.rotations import rotation_from_vector, rotation_vector
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
 from hil.safety import Safety
 from hil.safety.certificate import NO_WATCH
-from hil.signals import NO_FUSION, Effort, Estimate, Fusion, Mode, Reference, State, TickInput, Warn
-from hil.stability.monitor import REASONS, build_watch, error_axes
+from hil.stability.monitor import build_watch, certified
+from tests.records import record_of
 
 T = 1e-3
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
@@ -37,9 +35,9 @@ PLAIN = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0)
 
 @pytest.fixture(scope="module")
 def platform():
-    from hil.app.configuration.configuration import platform_dict  # noqa: PLC0415
+    from hil.app.configuration.platform import build_platform  # noqa: PLC0415
 
-    return Platform.from_dict(platform_dict(load("virtual").platform))
+    return build_platform(load("virtual").platform)
 
 
 def test_the_constants_of_a_critically_damped_law(platform):
@@ -92,16 +90,16 @@ def test_a_law_has_a_certificate_or_a_reason(platform):
         reaching_m_s2=1.0,
         boundary_layer_m_s=0.0,
     )
-    assert "switches" in str(error_axes(switching))
-    certified = {
+    assert "switches" in str(certified(switching))
+    watched = {
         "inverse_dynamics",
         "partial_linearisation",
         "pose_inverse_dynamics",
         "sliding_mode",
         "robust_inverse_dynamics",
     }
-    assert certified.isdisjoint(REASONS)
-    assert set(LAWS) <= certified | set(REASONS)
+    unsaid = {name for name, law in LAWS.items() if law.uncertified == LawSettings.uncertified}
+    assert unsaid == watched
 
 
 def test_the_error_of_the_pose_and_its_exact_rate():
@@ -119,8 +117,8 @@ def test_the_error_of_the_pose_and_its_exact_rate():
     out = [np.empty(6) for _ in range(4)]
     p, p_d, v, v_d = np.arange(12.0).reshape(4, 3) ** 2
     twist, twist_d, dtwist_d = np.hstack([v, R @ w]), np.hstack([v_d, R_d @ w_d]), np.arange(6.0)
-    six = np.zeros(6)
-    kernel(True, six, six, p, R, twist, p_d, R_d, twist_d, dtwist_d, six, six, six, *out)
+    tick = record_of(p=p, R=R, twist=twist, p_d=p_d, R_d=R_d, twist_d=twist_d, dtwist_d=dtwist_d)
+    kernel(True, tick[()], *out)
     np.testing.assert_allclose(out[0], np.hstack([p_d - p, rotation_vector(R_d @ R.T)]))
     np.testing.assert_allclose(out[1], np.hstack([v_d - v, slope]), atol=1e-8)
     np.testing.assert_array_equal(out[2:], [twist_d, dtwist_d])
@@ -144,7 +142,7 @@ class Axes:
         self.x = np.zeros((6, 5))  # e, de, acceleration that acts, disturbance, command
         self.command = np.zeros(6)
 
-    def tick(self, d, *, late_ns=0, off=0.0, age=0, fusion=NO_FUSION):
+    def tick(self, d, *, late_ns=0, off=0.0, **columns):
         """Return the figures and whether the watch alarms; then one period under d.
 
         late_ns: the encoders are read so late; off: the error of leg 0 seems so much more.
@@ -153,19 +151,16 @@ class Axes:
         self.x[:, 4] = self.command
         e, de = (self.x @ expm(self.rates * 1e-9 * late_ns).T)[:, :2].T
         e[0] += off
-        run = np.full(6, int(DriveState.RUN))
-        none = np.zeros(6, np.int64)
-        ages = np.array([age, 0, 0, 0, 0, 0])
-        measurement = Measurement(np.ones(6), np.zeros(6), np.zeros(6), run, none, ages, 0)
-        state = State(1.0 - e, -de, np.zeros(3), np.eye(3), np.zeros(6), np.eye(6), 1, 0.0)
-        still = np.zeros(6)
-        reference = Reference(np.zeros(3), np.eye(3), still, still, np.ones(6), still, still)
-        inp = TickInput(0, 0, late_ns, 0, (), 0, 0, False, 0, True, 0, (), 0)
-        estimate = Estimate(state, 1.0, 0.0, fusion)
-        verdict = self.safety.judge(inp, measurement, estimate, reference, Effort(still), Mode.TRACKING)
+        tick = record_of(
+            mode=Mode.TRACKING, lateness_ns=late_ns, recorder_alive=1, drive_state=DriveState.RUN,
+            length=1.0, q=1.0 - e, dq=-de, R=np.eye(3), J=np.eye(6), condition=1.0, R_d=np.eye(3), q_d=1.0,
+            **{"age": 0, **columns},
+        )  # fmt: skip
+        verdict = self.safety.judge(tick)
         self.command = -400.0 * e - 40.0 * de
         self.x = self.x @ self.step.T
-        return verdict.certificate, bool(verdict.warnings & Warn.CERTIFICATE)
+        figures = [float(tick[f"lyapunov{name}"]) for name in ("", "_rate", "_bound", "_share")]
+        return figures, bool(verdict.warnings & Warn.CERTIFICATE)
 
 
 @pytest.fixture(scope="module")
@@ -205,8 +200,8 @@ def test_nor_does_it_where_ticks_are_late(exact):
 
 def test_an_error_that_is_an_estimate_says_nothing(exact):
     """A length carried on, or estimated without its encoder, may be off, and jumps when it is heard again."""
-    none = np.zeros(6, np.int64)
-    for unseen in ({"age": 1}, {"fusion": Fusion(used=0b111110, lost=1, ages=none)}):
+    one_old = {"age": [1, 0, 0, 0, 0, 0], "counted_age": [1, 0, 0, 0, 0, 0]}
+    for unseen in (one_old, {"legs_used": 0b111110, "legs_lost": 1, "unseen": 1}):
         axes = Axes(exact)
         for _ in range(5):
             axes.tick(0.0)
@@ -217,8 +212,8 @@ def test_an_error_that_is_an_estimate_says_nothing(exact):
         assert axes.tick(0.0)[0][3] < 1.0
     seen = Axes(exact)
     for _ in range(5):
-        seen.tick(0.0, fusion=Fusion(used=0b111111, ages=none))
-    assert seen.tick(0.0, off=1e-3, fusion=Fusion(used=0b111111, ages=none))[1], "a measured one does"
+        seen.tick(0.0, legs_used=0b111111)
+    assert seen.tick(0.0, off=1e-3, legs_used=0b111111)[1], "a measured one does"
 
 
 def test_a_law_that_looks_ahead_does_not_see_the_disturbance_coming(platform):

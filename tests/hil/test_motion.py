@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.trajectory import PiecewisePolynomial, hold, quintic_move
+from hil.trajectory.holding import hold
+from hil.trajectory.move import quintic_move
+from hil.trajectory.piecewise import PiecewisePolynomial
 
 T = 1e-3
 HERE, THERE = np.zeros(3), np.array([0.1, 0.0, 0.0])

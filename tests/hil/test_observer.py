@@ -14,7 +14,7 @@ from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
-from hil.signals import State
+from tests.records import altered, record_of
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -47,17 +47,21 @@ def moved(model, wrench, count=60):
 def state_of(x):
     p, R, twist = x[:3], x[3:12].reshape(3, 3).copy(), x[12:]
     J = jacobian(PLATFORM, p, R)
-    return State(leg_lengths(PLATFORM, p, R), J @ twist, p, R, twist, J, 0, 0.0)
+    return record_of(q=leg_lengths(PLATFORM, p, R), dq=J @ twist, p=p, R=R, twist=twist, J=J)
 
 
 def observer(model=None):
     return WrenchObserver(model or Model(PLATFORM), ForcePath(T, 0.0, 0.0), BANDWIDTH)
 
 
+def observe(observer, tick, state, drive_state=RUN):
+    return observer.observe(altered(state, tick=tick, drive_state=drive_state))
+
+
 def follow(observer, states, forces, drive_state=RUN):
     found = []
     for k, state in enumerate(states):
-        found.append(observer.observe(k, state, drive_state))
+        found.append(observe(observer, k, state, drive_state))
         if k < len(forces):
             observer.sent(forces[k])
     return np.array(found)
@@ -77,7 +81,7 @@ def test_a_constant_wrench_is_seen_through_a_first_order_filter(pushed):
 
 def test_no_wrench_no_estimate_however_it_moves():
     states, forces = moved(Model(PLATFORM), np.zeros(6))
-    assert np.abs(states[-1].twist).max() > 0.005, "it moves"
+    assert np.abs(states[-1]["twist"]).max() > 0.005, "it moves"
     assert np.abs(follow(observer(), states, forces)).max() < 0.05
 
 
@@ -94,12 +98,12 @@ def test_a_skipped_tick_is_bridged():
     one, other = observer(model), observer(model)
     for k in range(10):
         for each in (one, other):
-            each.observe(k, still, RUN)
+            observe(each, k, still)
             each.sent(HOLDING + 100.0)
     for k in range(10, 15):
-        one.observe(k, still, RUN)
+        observe(one, k, still)
         one.sent(HOLDING + 100.0)
-    np.testing.assert_allclose(other.observe(15, still, RUN), one.observe(15, still, RUN), rtol=1e-9)
+    np.testing.assert_allclose(observe(other, 15, still), observe(one, 15, still), rtol=1e-9)
 
 
 def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed):
@@ -108,11 +112,11 @@ def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed
     seen = follow(each, states, forces)[-1]
     one_shut = [*RUN[:5], DriveState.READY]
     for n, drive_state in enumerate([one_shut, READY, READY]):
-        np.testing.assert_array_equal(each.observe(100 + n, states[0], drive_state), seen)
-    assert not each.observe(103, states[0], OFF).any()
-    assert not each.observe(104, states[0], READY).any()
-    assert not each.observe(105, states[0], RUN).any(), "the first open tick has nothing to compare with"
-    assert each.observe(106, states[1], RUN).any()
+        np.testing.assert_array_equal(observe(each, 100 + n, states[0], drive_state), seen)
+    assert not observe(each, 103, states[0], OFF).any()
+    assert not observe(each, 104, states[0], READY).any()
+    assert not observe(each, 105, states[0]).any(), "the first open tick has nothing to compare with"
+    assert observe(each, 106, states[1]).any()
 
 
 def test_reset_repeats_to_the_bit(pushed):

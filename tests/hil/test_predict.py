@@ -15,7 +15,7 @@ from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
-from hil.signals import State
+from tests.records import altered, record_of
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -30,16 +30,24 @@ def state_of(case):
     p, R = np.array(case["p"]), rotation_from_vector(np.array(case["rotvec"]))
     twist = np.array(case["v"] + case["omega"])
     J = jacobian(PLATFORM, p, R)
-    return State(leg_lengths(PLATFORM, p, R), J @ twist, p, R, twist, J, 0, 0.0, WRENCH)
+    q = leg_lengths(PLATFORM, p, R)
+    return record_of(q=q, dq=J @ twist, p=p, R=R, twist=twist, J=J, wrench=WRENCH)
 
 
 def predictor_at(state, force, change):
     """Return a predictor that has seen `force` for long, then one command with `change` on top."""
     predictor = Predictor(MODEL, ForcePath(T, BUS, LAG), HOLD)
     for tick in range(30):
-        predictor.ahead(tick, state, free=False)
+        moved(predictor, tick, state, free=False)
         predictor.sent(force if tick < 29 else force + change)
     return predictor
+
+
+def moved(predictor, tick, state, *, free=True):
+    """The record of a tick with the state as the predictor moves it on."""
+    record = altered(state, tick=tick)
+    predictor.ahead(record, free=free)
+    return record
 
 
 def integrated(state, force, command):
@@ -51,7 +59,7 @@ def integrated(state, force, command):
         dtwist = MODEL.forward_dynamics(x[:3], R, twist, f, WRENCH)
         return np.concatenate([twist[:3], dR.ravel(), dtwist, (command - f) / LAG])
 
-    x = np.concatenate([state.p, state.R.ravel(), state.twist, force])
+    x = np.concatenate([state["p"], state["R"].ravel(), state["twist"], force])
     x = solve_ivp(derivative, (0.0, BUS + LAG + HOLD), x, rtol=1e-11, atol=1e-13).y[:, -1]
     return x[:3], x[3:12].reshape(3, 3), x[12:18]
 
@@ -59,29 +67,30 @@ def integrated(state, force, command):
 @pytest.mark.parametrize("case", MOVING, ids=lambda c: f"t={c['t']:.2f}")
 def test_prediction_is_the_motion_under_the_forces_on_their_way(case):
     state, force = state_of(case), np.array(case["force"])
-    found = predictor_at(state, force, CHANGE).ahead(30, state, free=True)
+    found = moved(predictor_at(state, force, CHANGE), 30, state)
     arrived = force + CHANGE * (1.0 - exp(-(T - BUS) / LAG))
     p, R, twist = integrated(state, arrived, force + CHANGE)
-    assert np.abs(found.p - state.p).max() > 5e-4, "there is something to predict"
-    np.testing.assert_allclose(found.p, p, rtol=0, atol=1e-6)
-    assert Rotation.from_matrix(found.R @ R.T).magnitude() < 1e-6
-    np.testing.assert_allclose(found.twist, twist, rtol=0, atol=1e-4)
+    assert np.abs(found["p"] - state["p"]).max() > 5e-4, "there is something to predict"
+    np.testing.assert_allclose(found["p"], p, rtol=0, atol=1e-6)
+    assert Rotation.from_matrix(found["R"] @ R.T).magnitude() < 1e-6
+    np.testing.assert_allclose(found["twist"], twist, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("case", MOVING[:2], ids=lambda c: f"t={c['t']:.2f}")
 def test_lengths_rates_and_jacobian_are_those_of_the_predicted_pose(case):
     state = state_of(case)
-    found = predictor_at(state, np.array(case["force"]), CHANGE).ahead(30, state, free=True)
-    np.testing.assert_allclose(found.R @ found.R.T, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(found.q, leg_lengths(PLATFORM, found.p, found.R), atol=1e-13)
-    np.testing.assert_allclose(found.J, jacobian(PLATFORM, found.p, found.R), atol=1e-13)
-    np.testing.assert_allclose(found.dq, found.J @ found.twist, atol=1e-13)
-    assert found.wrench is state.wrench
+    found = moved(predictor_at(state, np.array(case["force"]), CHANGE), 30, state)
+    np.testing.assert_allclose(found["R"] @ found["R"].T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(found["q"], leg_lengths(PLATFORM, found["p"], found["R"]), atol=1e-13)
+    np.testing.assert_allclose(found["J"], jacobian(PLATFORM, found["p"], found["R"]), atol=1e-13)
+    np.testing.assert_allclose(found["dq"], found["J"] @ found["twist"], atol=1e-13)
+    assert (found["wrench"] == WRENCH).all()
 
 
 def test_behind_closed_brakes_nothing_moves():
     state = state_of(MOVING[0])
-    assert predictor_at(state, CHANGE, CHANGE).ahead(30, state, free=False) is state
+    found = moved(predictor_at(state, CHANGE, CHANGE), 30, state, free=False)
+    assert found.tobytes() == altered(state, tick=30).tobytes()
 
 
 def test_reset_repeats_to_the_bit():
@@ -90,7 +99,7 @@ def test_reset_repeats_to_the_bit():
     predictor.reset()
     fresh = Predictor(MODEL, ForcePath(T, BUS, LAG), HOLD)
     for tick in range(5):
-        a, b = (each.ahead(tick, state, free=True) for each in (predictor, fresh))
-        assert a.p.tobytes() + a.twist.tobytes() == b.p.tobytes() + b.twist.tobytes()
+        a, b = (moved(each, tick, state) for each in (predictor, fresh))
+        assert a.tobytes() == b.tobytes()
         predictor.sent(force)
         fresh.sent(force)

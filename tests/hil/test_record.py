@@ -4,25 +4,32 @@ import stat
 import subprocess
 import sys
 import time
+from enum import IntEnum, IntFlag
+from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import LogError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.signals import DriveFault, DriveState, Fault, Mode
+from drivers.tick import PER_LEG, RECORDED, ROW, XYZ, Column
+from hil.app.plant_columns import PLANT
 from hil.record import Recording, Scene
 from hil.record.log import Log
 from hil.record.recorder import Histogram
+from hil.record.row import TICKS, Table, columns_of, describe, names_of
 from hil.record.salvage import salvage
 from hil.record.scene import quaternion
-from hil.signals import ROW
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, random_rows, random_ticks, record
 
 HEXAGON = [[np.cos(t), np.sin(t), 0.0] for t in np.arange(6) * np.pi / 3]
+COUNTED = (Column("output", "tick", int, "", ""), Column("output", "t_ns", int, "ns", ""))
 EPOCH_2000 = 946_684_800_000_000_000  # date -u -d 2000-01-01 +%s
 
 
@@ -53,9 +60,14 @@ def test_protobuf_reads_every_column_and_frame_as_it_was_given(tmp_path):
     for (message, parsed), tick in zip(rows, ticks, strict=True):
         assert message.sequence == tick.row["tick"]
         assert message.log_time == message.publish_time == EPOCH_2000 + tick.row["t_ns"]
-        for name in ROW.names or ():
-            value = np.array(getattr(parsed, name), ROW[name].base)
-            np.testing.assert_array_equal(value, tick.row[name])
+        for column in RECORDED:
+            named = issubclass(column.type, (IntEnum, IntFlag))
+            value = getattr(parsed, f"{column.name}_number" if named else column.name)
+            if column.elements:
+                value = [getattr(value, element) for element in column.elements]
+            np.testing.assert_array_equal(
+                np.reshape(np.array(value, ROW[column.name].base), column.shape), tick.row[column.name]
+            )
     frames = [(m, d) for topic, m, d in messages if topic == "/can"]
     expected = [
         (tick, t, frame, direction)
@@ -71,7 +83,7 @@ def test_protobuf_reads_every_column_and_frame_as_it_was_given(tmp_path):
         assert stamp.seconds * 10**9 + stamp.nanos == message.log_time == EPOCH_2000 + t_ns
         assert message.publish_time == EPOCH_2000 + tick.row["t_ns"]
         assert (parsed.id, parsed.data, parsed.direction) == (frame.id, frame.data, direction)
-        assert (parsed.tick, parsed.channel) == (tick.row["tick"], "vcan7")
+        assert (parsed.tick, parsed.channel, parsed.bus) == (tick.row["tick"], "vcan7", 0)
         assert parsed.dlc == codes[len(frame.data)]
         bits = {
             "is_rtr": REMOTE,
@@ -313,20 +325,105 @@ def test_rows_of_another_kind_go_to_their_own_topic(tmp_path):
     dtype = np.dtype([("tick", "<i8"), ("t_ns", "<i8"), ("p", "<f8", (3,)), ("energy", "<f8")])
     ticks = random_ticks(400, dtype=dtype)
     path = tmp_path / "plant.mcap"
-    with Recording.start(
-        path, configuration="", dtype=dtype, topic="/plant", units={"energy": "J"}, lockstep=True
-    ) as recording:
+    columns = (
+        *COUNTED,
+        Column("output", "p", float, "m", "", XYZ, (3,)),
+        Column("output", "energy", float, "J", ""),
+    )
+    with Recording.start(path, configuration="", table=Table("/plant", columns), lockstep=True) as recording:
         record(recording, ticks)
     log = Log.open(path)
-    assert (log.topic, log.dtype) == ("/plant", dtype)
+    assert (log.topic, log.dtype, log.columns) == ("/plant", dtype, columns)
     assert_same(log.ticks(), ticks)
     assert {m.DESCRIPTOR.full_name for topic, _, m in decoded(path) if topic == "/plant"} == {"hil.Plant"}
 
 
-@pytest.mark.parametrize("bad", [[("tick", "<i8"), ("t_ns", "<i8"), ("x", "<f4")], [("tick", "<i8")]])
-def test_rows_without_the_constant_layout_are_refused(tmp_path, bad):
+def named(kind: Any, **values: int) -> Any:
+    return kind("Named", values)
+
+
+BAD = {
+    "no t_ns": COUNTED[:1],
+    "a tick of floats": (Column("output", "tick", float, "", ""), COUNTED[1]),
+    "64 elements": (*COUNTED, Column("output", "x", float, "", "", tuple(f"e{i}" for i in range(64)), (64,))),
+    "64 flags": (*COUNTED, Column("output", "x", named(IntFlag, **{f"B{i}": 1 << i for i in range(64)}), "", "")),
+    "flags per leg": (*COUNTED, Column("output", "x", Fault, "", "", PER_LEG, (6,))),
+    "a name for 127": (*COUNTED, Column("output", "x", named(IntEnum, ZERO=0, TOP=127), "", "")),
+    "no name for 0": (*COUNTED, Column("output", "x", named(IntEnum, ONE=1), "", "")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("columns", BAD.values(), ids=BAD)
+def test_a_table_that_the_messages_cannot_carry_is_refused(tmp_path, columns):
     with pytest.raises(ValueError, match="row"):
-        Recording.start(tmp_path / "a.mcap", configuration="", dtype=np.dtype(bad))
+        Recording.start(tmp_path / "a.mcap", configuration="", table=Table("/tick", columns))
+
+
+@pytest.mark.parametrize("count", [15, 16, 63])
+def test_protobuf_reads_as_many_flags_and_elements_as_a_column_may_have(tmp_path, count):
+    flags = named(IntFlag, **{f"B{i}": 1 << i for i in range(count)})
+    columns = (
+        *COUNTED,
+        Column("output", "x", flags, "", ""),
+        Column("output", "y", float, "m", "", tuple(f"e{i}" for i in range(count)), (count,)),
+    )
+    table = Table("/tick", columns)
+    rows = np.zeros(2, table.dtype)
+    rows["x"] = [1 << count - 1 | 4, 0]
+    rows["y"][1] = np.arange(count)
+    with Recording.start(tmp_path / "a.mcap", configuration="", table=table, lockstep=True) as recording:
+        for row in rows:
+            recording.tick(row, (), ())
+    seen = [d for topic, _, d in decoded(tmp_path / "a.mcap") if topic == "/tick"]
+    assert [f.name for f, on in seen[0].x.ListFields() if on] == ["B2", f"B{count - 1}"]
+    assert not [f.name for f, on in seen[1].x.ListFields() if on]
+    assert [getattr(seen[1].y, f"e{i}") for i in range(count)] == list(range(count))
+    assert Log.open(tmp_path / "a.mcap").rows().tobytes() == rows.tobytes()
+
+
+def test_a_viewer_finds_the_names_of_modes_flags_legs_and_axes_and_the_units(tmp_path):
+    rows = np.zeros(3, ROW)
+    rows["tick"] = range(3)
+    rows["mode"] = [Mode.TRACKING, 99, -1]
+    rows["faults"] = [Fault.STALE | Fault.LAW, 0, -1]
+    rows["drive_state"][:, 4] = [DriveState.FAULT, DriveState.RUN, 127]
+    rows["drive_fault"][:, 2] = [DriveFault.SENSOR, 0x8130, 2**40]
+    rows["q"][0, 5] = 1.25
+    rows["p"][0, 1] = -0.5
+    rows["R"][0, 2, 1] = 0.125
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        for row in rows:
+            recording.tick(row, (), ())
+    seen = [d for topic, _, d in decoded(tmp_path / "a.mcap") if topic == "/tick"]
+
+    def name(message, field):
+        kind = message.DESCRIPTOR.fields_by_name[field].enum_type
+        value = kind.values_by_number.get(getattr(message, field))
+        return value.name if value else getattr(message, field)
+
+    assert [name(d, "mode") for d in seen] == ["TRACKING", 99, "UNNAMED"]
+    assert [d.mode_number for d in seen] == [5, 99, -1]
+    flags = [[f.name for f, on in d.faults.ListFields() if on] for d in seen]
+    assert flags[:2] == [["STALE", "LAW"], []]
+    assert len(flags[2]) == 15
+    assert [name(d.drive_state, "leg_4") for d in seen] == ["FAULT", "RUN", "UNNAMED"]
+    assert [name(d.drive_fault, "leg_2") for d in seen] == ["SENSOR", "UNNAMED", "UNNAMED"]
+    assert [d.drive_fault_number.leg_2 for d in seen] == [4, 0x8130, 2**40]
+    assert (seen[0].q.leg_5, seen[0].p.y, seen[0].R.zy) == (1.25, -0.5, 0.125)
+    assert Log.open(tmp_path / "a.mcap").rows().tobytes() == rows.tobytes()
+    schema = next(s for s in mcap_summary(tmp_path / "a.mcap").schemas.values() if s.name == "hil.Tick")
+    described = FileDescriptorSet.FromString(schema.data).file[0]
+    number = [f.name for f in described.message_type[0].field].index("dq")
+    comments = {tuple(at.path): at.leading_comments for at in described.source_code_info.location}
+    assert comments[4, 0, 2, number] == " leg rate [m/s]\n"
+
+
+def test_a_table_of_columns_comes_back_from_its_description():
+    again = columns_of(describe(RECORDED))
+    assert [c._replace(type=int) for c in again] == [c._replace(type=int, part="output") for c in RECORDED]
+    for a, b in zip(again, RECORDED, strict=True):
+        assert (a.type.__name__, a.kind) == (b.type.__name__, b.kind)
+        assert names_of(a) == names_of(b)
 
 
 def test_the_platform_is_drawn_where_the_row_has_it(tmp_path):
@@ -334,10 +431,10 @@ def test_the_platform_is_drawn_where_the_row_has_it(tmp_path):
     rows["tick"] = np.arange(100)
     rows["t_ns"] = np.arange(100) * 1_000_000
     rows["p"] = [0.1, -0.2, 1.5]
-    rows["R"] = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).ravel()  # 90 degrees about z
+    rows["R"] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # 90 degrees about z
     path = tmp_path / "a.mcap"
     with Recording.start(
-        path, configuration="", lockstep=True, scene=Scene(HEXAGON, HEXAGON), view_every=25
+        path, configuration="", lockstep=True, scene=Scene(HEXAGON, HEXAGON, every=25)
     ) as recording:
         for row in rows:
             recording.tick(row, (), ())
@@ -362,6 +459,12 @@ def test_quaternions_agree_with_scipy():
     for axis in np.eye(3):
         half_turn = Rotation.from_rotvec(np.pi * axis)
         np.testing.assert_allclose(np.abs(quaternion(half_turn.as_matrix())[:3]), axis, atol=1e-12)
+
+
+@pytest.mark.parametrize(("table", "dtype"), [(TICKS, ROW), (PLANT, PLANT.dtype)], ids=["ticks", "plant"])
+def test_a_row_goes_into_the_ring_without_a_conversion_of_each_column(table, dtype):
+    """NumPy copies at once only where both types are one object: 12 us a tick instead of 120."""
+    assert table.dtype is dtype
 
 
 def test_throughput_is_far_from_the_limits(tmp_path, record_property):

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.config import Pose, WaypointReference
-from hil.loop.reference import complete
+from hil.config.reference import WaypointReference
+from hil.config.values import Pose
 from hil.robot.geometry import Platform
-from hil.trajectory import build_trajectory
+from hil.trajectory.build import build_trajectory
+from tests.records import referred
 
 BOOK = json.loads((Path(__file__).parent.parent / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -30,24 +31,22 @@ TRAJECTORY = build_trajectory(
 
 def test_lengths_and_rates_are_the_books():
     for state in BOOK["states"]:
-        reference = complete(PLATFORM, TRAJECTORY.sample(state["t"]))
-        np.testing.assert_allclose(reference.q, state["length"], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(reference.dq, state["rate"], rtol=0, atol=1e-9)
+        reference = referred(PLATFORM, TRAJECTORY.sample(state["t"]))
+        np.testing.assert_allclose(reference["q_d"], state["length"], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(reference["dq_d"], state["rate"], rtol=0, atol=1e-9)
 
 
 def test_leg_acceleration_is_the_derivative_of_the_rate():
     h = 1e-3
     for t in np.linspace(0.05, 0.95, 19):
-        ddq = complete(PLATFORM, TRAJECTORY.sample(t)).ddq
-        rate = {k: complete(PLATFORM, TRAJECTORY.sample(t + k * h / 2)).dq for k in (-2, -1, 1, 2)}
+        ddq = referred(PLATFORM, TRAJECTORY.sample(t))["ddq_d"]
+        rate = {k: referred(PLATFORM, TRAJECTORY.sample(t + k * h / 2))["dq_d"] for k in (-2, -1, 1, 2)}
         expected = (4 * (rate[1] - rate[-1]) / h - (rate[2] - rate[-2]) / (2 * h)) / 3
         np.testing.assert_allclose(ddq, expected, rtol=0, atol=1e-8)
 
 
 def test_the_pose_passes_through_untouched():
     sample = TRAJECTORY.sample(0.3)
-    reference = complete(PLATFORM, sample)
-    assert reference.p is sample.p
-    assert reference.R is sample.R
-    assert reference.twist is sample.twist
-    assert reference.dtwist is sample.dtwist
+    reference = referred(PLATFORM, sample)
+    for name, value in sample._asdict().items():
+        assert reference[name + "_d"].tobytes() == value.tobytes()

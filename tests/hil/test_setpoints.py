@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import RunError
+from drivers.signals import Refusal
 from hil.loop.setpoints import AT_MOST, SetPointSender, SetPointSocket, parse, socket_path
-from hil.signals import Refusal, SetPoint
+from hil.signals import SetPoint
 
 
 @pytest.fixture

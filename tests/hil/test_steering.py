@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from drivers.signals import Refusal
 from hil.loop.steering import Counts, Steering
-from hil.signals import Refusal, SetPoint, explain
-from hil.trajectory import LiveTrajectory
+from hil.signals import SetPoint, explain
+from hil.trajectory.live import LiveTrajectory
 
 START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])

@@ -12,17 +12,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from hil.config import (
+from hil.config.reference import (
     HoldReference,
     MultisineReference,
-    Pose,
     SampledReference,
     Sinusoid,
     SinusoidReference,
     TimeOptimalReference,
     WaypointReference,
 )
-from hil.trajectory import StoppingTrajectory, Trajectory, build_trajectory, hold, quintic_move
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.holding import hold
+from hil.trajectory.move import quintic_move
+from hil.trajectory.path import Trajectory
+from hil.trajectory.stopping import StoppingTrajectory
 
 DATA = Path(__file__).parent.parent / "data"
 HOME = Pose(position_m=(0.1, -0.2, 1.0), rotation_vector_deg=(3.0, -4.0, 5.0))

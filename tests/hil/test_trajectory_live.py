@@ -5,8 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from hil.config import LiveReference, Pose
-from hil.trajectory import LiveTrajectory, build_trajectory
+from hil.config.reference import LiveReference
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.live import LiveTrajectory
 
 PERIOD = 1e-3
 V, A, J = 0.3, 1.0, 10.0

@@ -5,8 +5,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
 
-from hil.config import Pose, WaypointReference
-from hil.trajectory import build_trajectory
+from hil.config.reference import WaypointReference
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
 from hil.trajectory.minimum_jerk import minimum_jerk_coefficients
 
 T = np.array([0.0, 0.7, 1.9, 2.2, 4.0])

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.config import MultisineReference, Pose
-from hil.trajectory import build_trajectory
+from hil.config.reference import MultisineReference
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
 
 HOME = Pose(position_m=(0.1, 0.0, 1.0))
 PERIOD, RAMP, RATE = 10.0, 2.0, 200

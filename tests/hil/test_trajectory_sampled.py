@@ -7,8 +7,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from drivers.errors import ConfigurationError
-from hil.config import Pose, SampledReference
-from hil.trajectory import build_trajectory
+from hil.config.reference import SampledReference
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
 
 DATA = Path(__file__).parent.parent / "data"
 HOME = Pose(position_m=(0, 0, 1))

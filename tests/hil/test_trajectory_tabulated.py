@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.config import (
+from hil.config.reference import (
     HoldReference,
     MultisineReference,
-    Pose,
     SampledReference,
     SinusoidReference,
     TimeOptimalReference,
     WaypointReference,
 )
+from hil.config.values import Pose
 from hil.loop.motion import Motion
-from hil.trajectory import build_trajectory
+from hil.trajectory.build import build_trajectory
 from hil.trajectory.tabulated import TabulatedTrajectory
 
 DATA = Path(__file__).parent.parent / "data"

@@ -8,8 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from hil.config import Pose, TimeOptimalReference
-from hil.trajectory import build_trajectory, plan
+from hil.config.reference import TimeOptimalReference
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.time_optimal import plan
 
 HOME = Pose(position_m=(0, 0, 1))
 LIMITS = {

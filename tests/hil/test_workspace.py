@@ -10,19 +10,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from hil.robot.geometry import Platform
-from hil.workspace import (
-    KINDS,
-    Limits,
-    Surveyor,
-    WorkspaceError,
-    cut,
-    largest_cylinder,
-    largest_sphere,
-    map_orientations,
-    map_positions,
-)
-from hil.workspace.orientation import tilt_torsion
-from hil.workspace.position import PLANES
+from hil.workspace.limits import KINDS, Limits, Surveyor, WorkspaceError
+from hil.workspace.orientation import map_orientations, tilt_torsion
+from hil.workspace.position import PLANES, cut, map_positions
+from hil.workspace.shapes import largest_cylinder, largest_sphere
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())["geometry"]
 HOME = np.array([0.0, 0.0, 1.0])

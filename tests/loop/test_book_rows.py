@@ -17,20 +17,23 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 from scipy.spatial.transform import Rotation
 
+from drivers.signals import Fault, Mode, Stop, Warn
 from hil.app.check.command import inspect
-from hil.app.compose import build_cycle, build_nodes, feedback_window_s, pose_arrays
-from hil.app.configuration.configuration import load, loads, platform_dict
+from hil.app.compose import build_cycle, build_nodes, feedback_window_s
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.sim.lockstep import Lockstep
-from hil.control import LawContext, build_law
-from hil.estimation.pose import Estimate
-from hil.loop.reference import complete
-from hil.robot.geometry import Platform
+from hil.control.law import LawContext
 from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
-from hil.signals import NO_WRENCH, Fault, Mode, Operator, State, Verdict, Warn
-from hil.trajectory import build_trajectory
-from plant_fmu.drives.faults import FaultPlan, WrenchStep
-from plant_fmu.plants import stewart_parameters
+from hil.safety.guard import Verdict
+from hil.signals import Operator
+from hil.trajectory.build import build_trajectory
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.plant import Robot
 from plant_fmu.stewart.build import build
+from plant_fmu.stewart.plant import stewart_parameters
+from tests.records import asked, referred
 
 ROWS = json.loads((Path(__file__).parents[1] / "data" / "book_closed_loop.json").read_text())["rows"]
 LOADED = "joint_FF_PD_exact_10kN_step_xyz_from_0.5s_1kHz_ZOH"
@@ -229,8 +232,9 @@ class LetPass:
     def reset(self):
         pass
 
-    def judge(self, _inp, _measurement, _estimate, _reference, effort, _mode):
-        return Verdict(effort.tau, Warn.NONE, Fault.NONE)
+    def judge(self, tick):
+        tick["tau"] = tick["tau_asked"]
+        return Verdict(Warn.NONE, Fault.NONE, Stop.NONE)
 
 
 class Follow:
@@ -246,11 +250,12 @@ class Follow:
     def acquire(self, _q):
         return True
 
-    def update(self, q, _dq):
+    def update(self, tick):
         truth = self.plant.truth()
-        J = jacobian(self.platform, truth.p, truth.R)
-        residual = float(np.abs(leg_lengths(self.platform, truth.p, truth.R) - q).max())
-        return Estimate(truth.p, truth.R, truth.twist, J, 0, residual, 1.0, 0.0)
+        tick["p"], tick["R"], tick["twist"] = truth.p, truth.R, truth.twist
+        tick["J"] = jacobian(self.platform, truth.p, truth.R)
+        tick["fk_residual"] = np.abs(leg_lengths(self.platform, truth.p, truth.R) - tick["q"]).max()
+        tick["condition"] = 1.0
 
 
 def let_pass_and_follow(cycle, plant):
@@ -288,9 +293,9 @@ class WithoutBend:
     def reset(self):
         self.law.reset()
 
-    def effort(self, state, reference, shortfall):
-        bend = jacobian_rate(self.platform, state.p, state.R, state.twist) @ state.twist
-        return self.law.effort(state, reference._replace(ddq=reference.ddq + bend), shortfall)
+    def effort(self, tick):
+        bend = jacobian_rate(self.platform, tick["p"], tick["R"], tick["twist"]) @ tick["twist"]
+        tick["tau_law"] = asked(self.law, tick, ddq_d=tick["ddq_d"] + bend)
 
 
 def drop_bend(cycle, _plant):
@@ -335,7 +340,7 @@ class Accelerations:
         c = configuration
         p, R = pose_arrays(c.platform.home)
         ends = np.full(6, c.platform.length_min_m), np.full(6, c.platform.length_max_m)
-        given = stewart_parameters(c.plant.model, platform_dict(c.platform), *ends, p, R)
+        given = stewart_parameters(c.plant.model, Robot(platform_dict(c.platform), *ends, p, R))
         self.parameters = {k: v for k, v in given.items() if k != "leg_spin"}
 
     def __call__(self, p, R, twist, tau):
@@ -353,7 +358,7 @@ class Accelerations:
 
 def integrate(configuration, law, accelerations, dt=2e-3, seconds=2.0):
     """Runge and Kutta's fourth order on p, twist and the rotation vector of each step; return the fields."""
-    platform = Platform.from_dict(platform_dict(configuration.platform))
+    platform = build_platform(configuration.platform)
     trajectory = build_trajectory(configuration.reference, configuration.platform.home, Path())
     p, R = pose_arrays(configuration.platform.home)
     twist = np.zeros(6)
@@ -365,12 +370,12 @@ def integrate(configuration, law, accelerations, dt=2e-3, seconds=2.0):
         here = np.ascontiguousarray(Rotation.from_rotvec(r).as_matrix() @ R)
         J = jacobian(platform, x[:3], here)
         q = leg_lengths(platform, x[:3], here)
-        state = State(q, J @ twist, x[:3].copy(), here, twist.copy(), J, 0, 0.0, NO_WRENCH)
-        reference = complete(platform, trajectory.sample(t))
-        tau = law.effort(state, reference, NO_WRENCH).tau
+        state = {"q": q, "dq": J @ twist, "p": x[:3], "R": here, "twist": twist, "J": J}
+        tick = referred(platform, trajectory.sample(t), **state)
+        tau = asked(law, tick)
         w = twist[3:]
         dr = w - np.cross(r, w) / 2 + np.cross(r, np.cross(r, w)) / 12
-        now = state.p, here, reference.p, reference.R, q, reference.q, tau
+        now = *(tick[name] for name in ("p", "R", "p_d", "R_d", "q", "q_d")), tau
         return np.concatenate([twist[:3], dr, accelerations(x[:3], here, twist, tau)]), now
 
     steps = round(seconds / dt)
@@ -390,9 +395,9 @@ def integrate(configuration, law, accelerations, dt=2e-3, seconds=2.0):
 
 
 def law_of(configuration):
-    platform = Platform.from_dict(platform_dict(configuration.platform))
+    platform = build_platform(configuration.platform)
     trajectory = build_trajectory(configuration.reference, configuration.platform.home, Path())
-    return build_law(configuration.controller, LawContext(platform, "none", 1e-3, trajectory))
+    return configuration.controller.build(LawContext(platform, "none", 1e-3, trajectory))
 
 
 ROUNDING = [

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.record.log import Log
-from hil.signals import Mode
 from tests.loop import unrecorded
 
 AFTER_A_HOLD = """reference:

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.signals import DriveState
+from drivers.signals import DriveState, Mode
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
-from hil.signals import Mode, Operator
+from hil.signals import Operator
 from tests.loop import unrecorded
 
 QUINTIC = """\

@@ -14,14 +14,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from hil.app.configuration.configuration import load, loads, platform_dict
+from drivers.signals import Mode
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import build_platform
 from hil.app.sim.command import simulate
 from hil.mathematics.rotations import rotation_from_vector
 from hil.record.log import Log
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
-from hil.signals import Mode
 
 HOME_m = np.array([0.0, 0.0, 1.0])
 W_N = 20.0
@@ -30,7 +30,7 @@ DIRECTIONS = {
     "askew": ([0.6, -0.48, 0.64], [-0.48, 0.64, 0.6]),
 }
 directions = pytest.mark.parametrize("direction", DIRECTIONS)
-PLATFORM = Platform.from_dict(platform_dict(load("ideal").platform))
+PLATFORM = build_platform(load("ideal").platform)
 
 
 def track(law, direction, folder, *, metres=0.02, degrees=5.0, rate_Hz=1000, hold=False):

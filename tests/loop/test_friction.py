@@ -16,8 +16,9 @@ from hil.app.configuration.configuration import load, loads
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from plant_fmu.config import StewartPlant
-from plant_fmu.plants import stewart_parameters
+from plant_fmu.plant import Robot
 from plant_fmu.stewart.build import build
+from plant_fmu.stewart.plant import stewart_parameters
 from tests.loop import unrecorded
 
 TRUTH = json.loads((Path(__file__).parents[1] / "data" / "rigid_body_cases.json").read_text())
@@ -68,8 +69,13 @@ def test_the_plant_accelerates_as_the_model_says_in_every_moving_state(accelerat
     for case in MOVING:
         s, geometry = case["state"], TRUTH["geometries"][case["geometry"]]
         p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
-        parameters = stewart_parameters(settings, {**geometry, "leg_spin": spin}, LOW, HIGH, p, R, twist)
-        drives = {"viscous_friction": VISCOUS, "coulomb_friction": COULOMB, "reflected_mass": REFLECTED}
+        parameters = stewart_parameters(settings, Robot({**geometry, "leg_spin": spin}, LOW, HIGH, p, R))
+        drives = {
+            "initial_twist": twist,
+            "viscous_friction": VISCOUS,
+            "coulomb_friction": COULOMB,
+            "reflected_mass": REFLECTED,
+        }
         plant = acceleration(parameters | drives, s["f"])
         platform = Platform.from_dict(geometry)
         model = Model(platform, leg_spin=spin, reflected_mass=REFLECTED, viscous=VISCOUS, coulomb=COULOMB)

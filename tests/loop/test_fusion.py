@@ -13,14 +13,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
+from drivers.signals import Fault, Mode, Warn
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
-from hil.loop.daemon import fault_text
+from hil.loop.report import fault_text
 from hil.record.log import Log
-from hil.signals import Fault, Mode, Operator, Warn
-from plant_fmu.drives.faults import EncoderFreeze, EncoderLost, EncoderOffset, FaultPlan, Silence, WrenchStep
+from hil.signals import Operator
+from plant_fmu.drives.faults.encoder import EncoderFreeze, EncoderLost, EncoderOffset
+from plant_fmu.drives.faults.leg import Silence
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 
 TRACKER = "  tracker: {rate_Hz: 200, position_std_m: 1e-3, orientation_std_deg: 0.1}\n"
 FUSED = "estimation:\n  pose: fused\n"
@@ -92,7 +96,7 @@ def run(configuration, *faults, seed=1):
             rows.append(out.row)
             truths.append((inp.t_ns + 65_000, nodes.snapshot()))  # SYNC takes 65 us
 
-    mode = lockstep.run(None, observe)
+    mode = lockstep.run(None, observe).mode
     plant.close()
     found = np.array(rows, rows[0].dtype)
     return Run(mode, cycle.faults, fault_text(cycle), found, error_of(found, truths), warned)

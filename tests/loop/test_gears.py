@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from hil.app.compose import build_nodes
-from hil.app.configuration.configuration import load, loads, platform_dict
-from hil.loop.reference import complete
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import build_platform
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
-from hil.trajectory import build_trajectory
+from hil.trajectory.build import build_trajectory
 from tests.loop import unrecorded
+from tests.records import referred
 
 W_N = 20.0
 SHARE_kg = 1000.0
@@ -48,7 +48,7 @@ def geared(reflected_kg):
 
 def path():
     c = load("ideal")
-    return Platform.from_dict(platform_dict(c.platform)), build_trajectory(c.reference, c.platform.home, None)
+    return build_platform(c.platform), build_trajectory(c.reference, c.platform.home, None)
 
 
 def slowest_and_fastest(reflected_kg):
@@ -118,10 +118,10 @@ def pushed_on_mm(configuration):
         q, dq = plant.reset()
         peak = 0.0
         for k in range(2000):
-            r = complete(platform, trajectory.sample(k * PERIOD_S))
-            e, de = r.q - q, r.dq - dq
+            r = referred(platform, trajectory.sample(k * PERIOD_S))
+            e, de = r["q_d"] - q, r["dq_d"] - dq
             peak = max(peak, float(np.abs(e).max()))
-            tau = law.kp_N_m * e + law.kv_N_s_m * de + law.feedforward_mass_kg * r.ddq
+            tau = law.kp_N_m * e + law.kv_N_s_m * de + law.feedforward_mass_kg * r["ddq_d"]
             q, dq = plant.step(tau, np.zeros(6), np.zeros(6), PERIOD_S)
     finally:
         plant.close()

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 import yaml
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.record.metrics import total_variation
-from hil.signals import Mode
-from plant_fmu.drives.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,15 +18,15 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.arrays import Rows
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.section_file import read_section
 from hil.app.identify.axes import axes_of_log, excited_axes
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.config.axis_model import AxisModel
-from hil.identify import Fit
+from hil.identify.axis_fit import Fit
 from hil.record.log import Log
-from hil.signals import Mode
 
 T = 1e-3
 TRANSPORT_S, LAG_S = 0.5e-3, 1 / 1257

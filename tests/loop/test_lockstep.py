@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import arbitrate, frame_time_ns, priority
+from drivers.can.arbitration import arbitrate, priority
+from drivers.can.bus_time import frame_time_ns
 from drivers.protocol import Frame
+from drivers.signals import Mode
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
-from hil.signals import Mode, Operator
+from hil.signals import Operator
 
 
 @pytest.fixture(scope="module")

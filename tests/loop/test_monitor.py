@@ -10,13 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.signals import Fault, Mode, Warn
+from drivers.tick import ROW
 from hil.app.compose import bit_timing, build_cycle, build_nodes, bus_budget, feedback_window_s
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
-from hil.signals import ROW, Fault, Mode, Operator, Warn
-from plant_fmu.drives.faults import FaultPlan, LegGain, WrenchStep
+from hil.signals import Operator
+from plant_fmu.drives.faults.leg import LegGain
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 
 SLIDING = """controller:
   law: sliding_mode

@@ -9,7 +9,8 @@ PROGRAM = """
 from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
-from hil.signals import Mode, Operator
+from drivers.signals import Mode
+from hil.signals import Operator
 from numba.core import dispatcher
 
 c = load("virtual")

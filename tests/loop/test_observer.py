@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.platform import platform_dict
+from hil.app.configuration.platform import build_platform
 from hil.app.sim.command import simulate
 from hil.record.log import Log
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
-from hil.signals import Mode
-from plant_fmu.drives.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 HOLD = "reference: {type: hold, duration_s: 1.25}\n"
@@ -97,7 +97,7 @@ def loaded():
 def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_they_do(loaded):
     """The force is built up to what holds platform and load, by statics."""
     last = loaded[loaded["mode"] == Mode.LOADING][-1]
-    platform = Platform.from_dict(platform_dict(load("virtual").platform))
+    platform = build_platform(load("virtual").platform)
     on_platform = jacobian(platform, last["p"], last["R"].reshape(3, 3)).T @ last["tau"]
     assert on_platform[0] == pytest.approx(-1000.0, abs=5.0)
     free = loaded[np.isin(loaded["mode"], [Mode.RELEASING, Mode.APPROACH, Mode.TRACKING])]
@@ -116,7 +116,7 @@ def test_fed_back_it_removes_the_static_error(held, source, capsys):
             f"{1e6 * np.abs(fed_back).max():.2f} um with the {source}"
         )
     c = load("virtual")
-    platform = Platform.from_dict(platform_dict(c.platform))
+    platform = build_platform(c.platform)
     home, level = np.array(c.platform.home.position_m), np.eye(3)
     M = Model(platform).mass_matrix(home, level)
     expected = -jacobian(platform, home, level) @ np.linalg.solve(M, np.array(LOAD)) / 20.0**2

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.record.log import Log
-from hil.signals import Mode
 from tests.loop import unrecorded
 
 DATA = Path(__file__).parents[1] / "data"

@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from drivers.signals import Mode
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 from hil.record.metrics import total_variation
-from hil.signals import Mode
-from plant_fmu.drives.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
+from drivers.signals import Mode, Refusal, Warn
 from hil.app.check.command import inspect
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
@@ -11,7 +12,7 @@ from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.loop.replay import replay
 from hil.record.log import Log
-from hil.signals import Mode, Refusal, SetPoint, Warn
+from hil.signals import SetPoint
 
 LIVE = """reference:
   type: live

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.record.log import Log
-from hil.signals import Mode
 from tests.loop import unrecorded
 from tests.loop.test_engage import both_ends, until
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.app.configuration.configuration import load, loads
-from hil.config import PDSettings
+from hil.control.pd import PDSettings
 from tests.loop import unrecorded
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_closed_loop.json").read_text())["rows"]

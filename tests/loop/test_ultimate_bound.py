@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.stability.command import assess
-from hil.signals import Mode
-from plant_fmu.drives.faults import FaultPlan, WrenchStep
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))

@@ -11,8 +11,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.clock import collector_paused
 from hil.record.figures import figures
-from hil.signals import Mode
-from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.faults.plan import FaultPlan
 
 
 def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[dict[str, Any], np.ndarray]:
@@ -26,8 +25,8 @@ def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[
         lockstep = Lockstep(cycle, nodes, timing, feedback_window_s(c, rate))
         kept: list[np.ndarray] = []
         with collector_paused():
-            mode = lockstep.run(None, lambda inp, opening, out: kept.append(out.row))
+            ending = lockstep.run(None, lambda inp, opening, out: kept.append(out.row))
     finally:
         plant.close()
     rows = np.array(kept, kept[0].dtype)
-    return {"success": mode is Mode.PARKED and not cycle.faults, **figures(rows)}, rows
+    return {"success": ending.success, **figures(rows)}, rows

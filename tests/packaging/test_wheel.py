@@ -71,7 +71,8 @@ def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
 
 
 @pytest.mark.parametrize(
-    "pattern", ["drivers/legs/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"]
+    "pattern",
+    ["drivers/legs/legs.dbc", "drivers/sensors.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"],
 )
 def test_data_is_inside(wheel, pattern):
     with zipfile.ZipFile(wheel) as archive:
@@ -97,9 +98,12 @@ def test_what_is_compiled_is_found_by_the_same_sources_elsewhere_and_by_no_other
     shutil.copytree(installed, other)
     source = other / "hil/robot/kinematics_kernels.py"
     source.write_bytes(source.read_bytes() + b"# as if edited\n")
-    script = "from drivers.compiled.compiler import FIRST_COMPILATION; print(FIRST_COMPILATION)"
-    said = [outside(place, tmp_path, "-c", script).stdout for place in (installed, other)]
-    assert said == ["False\n", "True\n"]
+    script = (
+        "import sys; from drivers.compiled.cache import before_compiling; "
+        "before_compiling(lambda: sys.exit('compiles')); import hil.app.compose"
+    )
+    ends = [outside(place, tmp_path, "-c", script) for place in (installed, other)]
+    assert [(end.returncode, end.stderr) for end in ends] == [(0, ""), (1, "compiles\n")]
 
 
 def test_hil_sim_runs_from_the_wheel(installed, tmp_path):

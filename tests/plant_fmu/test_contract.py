@@ -1,6 +1,7 @@
 """What every plant owes its callers, whatever stands behind it."""
 
 import json
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
-from plant_fmu.plants import open_plant, stewart_plant
+from plant_fmu.plant import Robot
+from plant_fmu.plants import PLANTS, open_plant
 from plant_fmu.stewart.build import build
+from plant_fmu.stewart.plant import stewart_plant
 
 BOOK = {
     "base_joints": [[2 * np.cos(a), 2 * np.sin(a), 0] for a in np.radians([0, 60, 120, 180, 240, 300])],
@@ -19,14 +22,14 @@ BOOK = {
     "rod": {"mass": 22, "com": 0.75, "inertia_axial": None, "inertia_transverse": 4.1},
     "gravity": [0, 0, -9.81],
 }
-ROBOT = (BOOK, np.full(6, 1.0), np.full(6, 2.5), np.array([0.0, 0.0, 1.0]), np.eye(3))
+ROBOT = Robot(BOOK, np.full(6, 1.0), np.full(6, 2.5), np.array([0.0, 0.0, 1.0]), np.eye(3))
 FORCE = np.array([3700.0, 3600.0, 3650.0, 3500.0, 3620.0, 3610.0])
 OPEN, SHUT, CALM = np.zeros(6), np.ones(6), np.zeros(6)
 
 
 def stewart(version, isolation):
     return lambda: stewart_plant(
-        StewartPlant(type="stewart", fmi_version=version, isolation=isolation), *ROBOT
+        StewartPlant(type="stewart", fmi_version=version, isolation=isolation), ROBOT
     )
 
 
@@ -49,12 +52,12 @@ def mapped(version, isolation):
                 **names,
             }
         )
-        return open_plant(PlantSettings(model=settings), *ROBOT, folder=build(version).parent)
+        return open_plant(settings, ROBOT, build(version).parent)
 
     return make
 
 
-PLANTS = {
+MADE = {
     "bench": lambda: Bench(BenchPlant(type="bench")),
     **{f"stewart-{v}-{i}": stewart(v, i) for v in ("2.0", "3.0") for i in ("in_process", "child_process")},
     "foreign-2.0-in_process": mapped("2.0", "in_process"),
@@ -62,9 +65,13 @@ PLANTS = {
 }
 
 
-@pytest.fixture(scope="module", params=PLANTS)
+def test_every_kind_of_plant_in_the_configuration_can_be_opened():
+    assert set(get_args(PlantSettings.model_fields["model"].annotation)) == set(PLANTS)
+
+
+@pytest.fixture(scope="module", params=MADE)
 def plant(request):
-    plant = PLANTS[request.param]()
+    plant = MADE[request.param]()
     yield plant
     plant.close()
 
@@ -191,6 +198,6 @@ def test_a_wrench_lifts(plant):
 
 
 def test_the_platform_dictionary_survives_json():
-    plant = stewart_plant(StewartPlant(type="stewart"), json.loads(json.dumps(BOOK)), *ROBOT[1:])
+    plant = stewart_plant(StewartPlant(type="stewart"), ROBOT._replace(platform=json.loads(json.dumps(BOOK))))
     assert plant.reset()[0] == pytest.approx(np.full(6, 1.592450434036), abs=1e-12)
     plant.close()

@@ -4,47 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, nan
+from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from drivers.errors import ConfigurationError
 from drivers.protocol import Frame
-from plant_fmu.drives.faults import (
-    EncoderFreeze,
-    EncoderOffset,
-    Fault,
-    FaultPlan,
-    FrameCorruption,
-    FrameLoss,
-    LegGain,
-    Silence,
-    StuckBrake,
-    WrenchStep,
-)
+from plant_fmu.drives.faults import FAULTS
+from plant_fmu.drives.faults.encoder import EncoderFreeze, EncoderOffset
+from plant_fmu.drives.faults.fault import Fault, LegFault
+from plant_fmu.drives.faults.frames import FrameCorruption, FrameLoss
+from plant_fmu.drives.faults.leg import LegGain, Silence, StuckBrake
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 
 FRAME = Frame(0x282, bytes(range(12)), 6)
 
 
 @pytest.mark.parametrize(
-    "make",
+    ("make", "key"),
     [
-        lambda: EncoderFreeze(leg=6),
-        lambda: EncoderFreeze(leg=-1),
-        lambda: Silence(leg=0, start_s=2.0, stop_s=1.0),
-        lambda: Silence(leg=0, start_s=-1.0),
-        lambda: Silence(leg=0, start_s=inf),
-        lambda: Silence(leg=0, start_s=nan),
-        lambda: EncoderOffset(leg=0, offset_m=nan),
-        lambda: LegGain(leg=0, gain=inf),
-        lambda: WrenchStep(wrench=(0.0, 0.0, nan, 0.0, 0.0, 0.0)),
-        lambda: FrameLoss(probability=1.1),
-        lambda: FrameCorruption(probability=nan),
+        (lambda: EncoderFreeze(leg=6), "leg"),
+        (lambda: EncoderFreeze(leg=-1), "leg"),
+        (lambda: Silence(leg=0, start_s=2.0, stop_s=1.0), "start_s < stop_s"),
+        (lambda: Silence(leg=0, start_s=1.0, stop_s=1.0), "start_s < stop_s"),
+        (lambda: Silence(leg=0, stop_s=nan), "start_s < stop_s"),
+        (lambda: Silence(leg=0, start_s=-1.0), "start_s"),
+        (lambda: Silence(leg=0, start_s=inf), "start_s"),
+        (lambda: Silence(leg=0, start_s=nan), "start_s"),
+        (lambda: EncoderOffset(leg=0, offset_m=nan), "offset_m"),
+        (lambda: LegGain(leg=0, gain=inf), "gain"),
+        (lambda: WrenchStep(wrench=(0.0, 0.0, nan, 0.0, 0.0, 0.0)), "wrench"),
+        (lambda: FrameLoss(probability=1.1), "probability"),
+        (lambda: FrameCorruption(probability=nan), "probability"),
     ],
 )
-def test_senseless_faults_are_refused(make: Callable[[], Fault]):
-    with pytest.raises(ConfigurationError, match=r"needed|leg is|finite|probability"):
+def test_senseless_faults_are_refused(make: Callable[[], Fault], key: str):
+    with pytest.raises(ValidationError, match=rf"(?m)^{key}|error, {key}"):
         make()
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_fault_of_the_table_changes_a_plan_that_was_without_faults(name):
+    more: dict[str, Any] = {"encoder_offset": {"offset_m": 1e-3}, "wrench_step": {"wrench": (1.0,) * 6}}
+    where = {"leg": 5} if issubclass(FAULTS[name], LegFault) else {}
+    plan = FaultPlan([FAULTS[name](**where, **more.get(name, {}))])
+    healthy = FaultPlan().present(0.0)
+    changed = str(vars(plan.present(0.0))) != str(vars(healthy))
+    passed = plan.pass_on(FRAME, 0.0, np.random.default_rng(0)) == FRAME
+    assert changed is passed
 
 
 def test_faults_are_present_from_start_until_just_before_stop():

@@ -19,7 +19,9 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
 from drivers.sensors import Readings, SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
-from plant_fmu.drives.faults import FaultPlan, FrameCorruption, FrameLoss, WrenchStep
+from plant_fmu.drives.faults.frames import FrameCorruption, FrameLoss
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.plant import Truth
 
@@ -88,7 +90,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     rejected = 0
     for tick in range(ticks):
         synced = 7 * MS + tick * MS + sync_after_us * US
-        out = nodes.step(synced, [Received(synced, DRIVES.sync(tick)[0])])
+        out = nodes.step(synced, [Received(synced, DRIVES.begin(None, tick)[0])])
         assert [t for t, _ in out] == sorted(t for t, _ in out)
         readings = protocol.decode([Received(t, frame) for t, frame in out], tick, readings)
         rejected += readings.rejected
@@ -186,7 +188,7 @@ def test_without_sync_there_is_no_stamp_and_no_sample():
     nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, EXACT, G)
     out = nodes.step(200 * MS, [])
     assert {frame.id for _, frame in out} <= set(range(0x701, 0x707))
-    out = nodes.step(201 * MS, [Received(201 * MS, DRIVES.sync(1)[0])])
+    out = nodes.step(201 * MS, [Received(201 * MS, DRIVES.begin(None, 1)[0])])
     out = nodes.step(500 * MS, [])
     stamped = [t for t, frame in out if frame.id == 0x407]
     assert 200 * MS < max(stamped) < (201 + 66 + 6) * MS, "after that no stamp reaches back"

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.realtime.bench import Listener, Process
+from tests.realtime.rig import Listener, Process
 
 
 @pytest.fixture

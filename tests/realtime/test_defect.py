@@ -10,7 +10,7 @@ import pytest
 
 from drivers.signals import LEGS, DriveFault
 from hil.record.log import Log
-from tests.realtime.bench import Process, configuration
+from tests.realtime.rig import Process, configuration
 
 pytestmark = pytest.mark.realtime(patient=True)
 

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from drivers.protocol import DeviceCommand
-from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Fault, Mode
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.record.log import Log
 from hil.record.salvage import salvage
-from hil.signals import Fault, Mode
-from tests.realtime.bench import FIFO, ROOT, Listener, Process, configuration, gone, wait_until_gone
+from tests.drivers.legs_frames import parse
+from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, gone, wait_until_gone
 
 pytestmark = pytest.mark.realtime
 
@@ -63,7 +63,7 @@ def last_command(file: Path, log: Log) -> tuple[int, int]:
     found = (0, -1)
     for tick in log.ticks():
         for t_ns, frame in tick.received:
-            message = protocol.parse(frame)
+            message = parse(protocol, frame)
             if isinstance(message, DeviceCommand):
                 found = (t_ns, message.mode)
     return found
@@ -204,7 +204,7 @@ def test_a_killed_plant_faults_the_daemon_within_10_ms(tmp_path: Path, start: St
     modes = {
         message.mode
         for tick in after
-        for message in (protocol.parse(frame) for frame in tick.sent)
+        for message in (parse(protocol, frame) for frame in tick.sent)
         if isinstance(message, DeviceCommand)
     }
     assert len(after) >= 5

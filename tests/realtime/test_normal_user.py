@@ -16,9 +16,8 @@ from typing import Any
 
 import pytest
 
-from drivers.compiled import compiler as compile_cache
-from plant_fmu.stewart import build
-from tests.realtime.bench import ROOT, Process, configuration
+from drivers.compiled.cache import CACHE_FOLDER
+from tests.realtime.rig import ROOT, Process, configuration
 
 pytestmark = pytest.mark.realtime
 
@@ -49,8 +48,7 @@ def ordinary(folder: Path) -> dict[str, Any]:
         return {"preexec_fn": without_rights}
     user = pwd.getpwnam("nobody")
     home = folder / "home"
-    for cache in {compile_cache.CACHE_FOLDER, build.cache_folder()}:
-        shutil.copytree(cache, home / ".cache" / cache.name, dirs_exist_ok=True)
+    shutil.copytree(CACHE_FOLDER, home / ".cache" / CACHE_FOLDER.name)
     for path in (folder, *folder.rglob("*")):
         os.chown(path, user.pw_uid, user.pw_gid)
     variables = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "NUMBA_"))}

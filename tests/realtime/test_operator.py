@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.signals import LEGS, DriveFault, DriveState
+from drivers.signals import LEGS, DriveFault, DriveState, Fault, Mode
 from hil.record.log import Log
-from hil.signals import Fault, Mode
-from tests.realtime.bench import FIFO, Listener, Process, configuration
+from tests.realtime.rig import FIFO, Listener, Process, configuration
 
 pytestmark = pytest.mark.realtime(patient=True)
 

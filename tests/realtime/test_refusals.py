@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from drivers.signals import Mode
 from hil.record.log import Log
-from hil.signals import Mode
-from tests.realtime.bench import CHANNEL, Listener, Process, configuration
+from tests.realtime.rig import CHANNEL, Listener, Process, configuration
 
 pytestmark = pytest.mark.realtime(patient=True)
 

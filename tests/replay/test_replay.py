@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from drivers.protocol import Received
+from drivers.signals import Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.loop.replay import replay
 from hil.record.log import Log
-from hil.signals import Mode
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from drivers.signals import Mode
 from hil.cli import main
 from hil.record.log import Log
-from hil.signals import Mode
 from tests.hil.rewrite import rewrite_log
 
 RECEIVED = 1

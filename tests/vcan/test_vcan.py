@@ -65,7 +65,7 @@ def test_run_and_plant_work_together_over_vcan0_at_50_Hz_for_10_s(tmp_path):
     done = beside_vcan("bridge", share, limit_s=240.0)
     assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
     database = cantools.database.can.Database()
-    database.add_dbc_file(str(ROOT / "drivers" / "legs.dbc"))
+    database.add_dbc_file(str(ROOT / "drivers/legs/legs.dbc"))
     names = {message.frame_id: message.name for message in database.messages}
     heard = read_log(share / "candump.log")
     assert {frame.identifier for frame in heard} <= names.keys()

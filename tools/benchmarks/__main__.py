@@ -4,8 +4,6 @@ A benchmark, not a test: it exits 0 whatever the figures are, and 1 where a part
 marks are for two cores with SCHED_FIFO and nothing else to do.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,7 +16,7 @@ from drivers.errors import HilError
 from hil.app.output import check_json_path, write_json
 from hil.loop.clock import fifo_allowed
 from hil.record import environment
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import EARLY, FAILED, Figure, lines
 from tools.benchmarks.fmu import fmu
 from tools.benchmarks.laws import laws
@@ -28,7 +26,7 @@ from tools.benchmarks.memory import memory
 from tools.benchmarks.realtime import realtime
 from tools.benchmarks.tick import tick
 
-PARTS: dict[str, Callable[[Bench], list[Figure]]] = {
+PARTS: dict[str, Callable[[Benchmark], list[Figure]]] = {
     "realtime": realtime,
     "tick": tick,
     "mathematics": mathematics,
@@ -92,7 +90,7 @@ def main(only: str | None, seconds: float, memory_minutes: float, json_file: Pat
     Examples:
       python -m tools.benchmarks                              everything, about three minutes
       python -m tools.benchmarks --only mathematics
-      python -m tools.benchmarks --memory-minutes 10 --json bench.json
+      python -m tools.benchmarks --memory-minutes 10 --json benchmark.json
 
     The marks are for two cores with SCHED_FIFO and nothing else to do. Logs go to a folder
     under runs/ that is removed at the end.
@@ -104,7 +102,7 @@ def main(only: str | None, seconds: float, memory_minutes: float, json_file: Pat
         if json_file is not None:
             write_json(json_file, summary)
     except HilError as error:
-        click.echo(f"bench: {error}", err=True)
+        click.echo(f"benchmark: {error}", err=True)
         sys.exit(2)
     sys.exit(0 if summary["success"] else 1)
 
@@ -117,14 +115,16 @@ def run_parts(names: list[str], seconds: float, memory_minutes: float) -> dict[s
     """
     runs = Path("runs")
     runs.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="bench-", dir=runs, ignore_cleanup_errors=True) as folder:
-        bench = Bench(Path(folder), seconds, memory_minutes, lambda text: click.echo(f"... {text}", err=True))
-        here = machine(bench.configuration.loop.priority)
+    with tempfile.TemporaryDirectory(prefix="benchmark-", dir=runs, ignore_cleanup_errors=True) as folder:
+        benchmark = Benchmark(
+            Path(folder), seconds, memory_minutes, lambda text: click.echo(f"... {text}", err=True)
+        )
+        here = machine(benchmark.configuration.loop.priority)
         click.echo(f"{', '.join(v if k != 'cores' else f'{v} cores' for k, v in here.items())}\n")
         parts: dict[str, list[Figure]] = {}
         for name in names:
             try:
-                parts[name] = PARTS[name](bench)
+                parts[name] = PARTS[name](benchmark)
             except HilError as error:
                 parts[name] = [Figure(FAILED, note=str(error))]
             click.echo("\n".join(lines(TITLES[name], parts[name])) + "\n")
@@ -134,7 +134,7 @@ def run_parts(names: list[str], seconds: float, memory_minutes: float) -> dict[s
     failed = [name for name, figures in parts.items() if any(f.name in (FAILED, EARLY) for f in figures)]
     return {
         "success": not failed,
-        "kind": "bench",
+        "kind": "benchmark",
         "machine": here,
         "marks_met": len(judged) - len(missed),
         "marks": len(judged),

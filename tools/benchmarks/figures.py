@@ -1,7 +1,5 @@
 """What the benchmark gives: figures, the mark beside each, and whether it is met."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """One step of our FMU: in C alone, through the host in this process, and in a child process."""
 
-from __future__ import annotations
-
 import ctypes
 import time
 
@@ -13,7 +11,7 @@ from plant_fmu.fmu.call import STEP, do_step
 from plant_fmu.fmu.child import ChildHost
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.plant import Plant
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
 
 STEPS = 4000
@@ -23,10 +21,10 @@ STEP_S = 1e-3
 _now = time.perf_counter_ns
 
 
-def fmu(bench: Bench) -> list[Figure]:
+def fmu(benchmark: Benchmark) -> list[Figure]:
     """Step the platform at its weight's force, brakes open, 1 ms at a time."""
-    c = bench.configuration
-    bench.say("the FMU, in process and in a child process")
+    c = benchmark.configuration
+    benchmark.say("the FMU, in process and in a child process")
     cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
     rest = np.zeros(6)
     weight = cycle.statics.inverse_dynamics(cycle.parts.home_p, cycle.parts.home_R, rest, rest)

@@ -1,7 +1,5 @@
 """The mathematics of a tick under each control law: forward kinematics and the law; and what may be added."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 
@@ -9,17 +7,20 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS, DriveState
+from drivers.tick import Record, copy_of
 from hil.app.compare.laws import chosen
 from hil.app.compose import build_cycle, build_observer, build_predictor
-from hil.config import DelayCompensation, InverseDynamicsSettings, StateSpaceSettings, WrenchSettings
+from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController
-from hil.control import Law, LawContext, build_law
+from hil.config.wrench import WrenchSettings
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.control.law import LawContext
+from hil.control.state_space import StateSpaceSettings
 from hil.estimation.pose import Estimator
 from hil.loop.parts import Parts
-from hil.loop.reference import complete
-from hil.signals import Reference, State
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
+from tools.benchmarks.mathematics import along
 
 TICK = Mark(40.0, of=("median",))
 """us, one tick of mathematics with any law."""
@@ -27,34 +28,28 @@ FULL_ORDER = Mark(20.0, of=("median",))
 """us, the same with a controller of mu synthesis that nobody has reduced."""
 STATES = 24
 """More than D-K iteration ends with for the shipped design: 16."""
-TICKS = 2000
-"""One period of the path at 1 kHz."""
 OFF = np.full(LEGS, 1e-4)
 """m: how far the legs are off the path."""
-_NONE = np.zeros(LEGS)
-_RUN = [int(DriveState.RUN)] * LEGS
-Work = Callable[[int, State, Reference], object]
+Work = Callable[[Record], object]
 _now = time.perf_counter_ns
 
 
-def laws(bench: Bench) -> list[Figure]:
+def laws(benchmark: Benchmark) -> list[Figure]:
     """Follow one period of the path with each law, then with a predictor and an observer beside none."""
-    bench.say("each law along one period of the path")
-    c = bench.configuration
+    benchmark.say("each law along one period of the path")
+    c = benchmark.configuration
     period = 1.0 / c.loop.rate_Hz
     parts = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
-    path = [complete(parts.platform, parts.trajectory.sample(k * period), k * period) for k in range(TICKS)]
+    path = along(parts, c.loop.rate_Hz)
     context = LawContext(parts.platform, parts.leg_spin, period, parts.trajectory)
     figures = []
     own = {name: settings for name, settings in chosen(c).items() if settings.law != "state_space"}
     for name, settings in own.items():
-        figures.append(
-            Figure(name, spread(_follow(parts, path, _effort(build_law(settings, context)))), "us", TICK)
-        )
+        figures.append(Figure(name, spread(_follow(parts, path, settings.build(context).effort)), "us", TICK))
     designed = StateSpaceSettings(law="state_space", controller_file="mu")
-    law = build_law(designed, context._replace(controller=_full_order(c.loop.rate_Hz)))
+    law = designed.build(context._replace(controller=_full_order(c.loop.rate_Hz)))
     states = Figure(
-        "state_space", spread(_follow(parts, path, _effort(law))), "us", FULL_ORDER, f"{STATES} states"
+        "state_space", spread(_follow(parts, path, law.effort)), "us", FULL_ORDER, f"{STATES} states"
     )
     figures.append(states)
 
@@ -70,13 +65,13 @@ def laws(bench: Bench) -> list[Figure]:
     assert predictor is not None
     assert observer is not None
 
-    def look_ahead(k: int, state: State, r: Reference) -> None:
-        predictor.ahead(k, state, free=True)
-        predictor.sent(r.q)
+    def look_ahead(tick: Record) -> None:
+        predictor.ahead(tick, free=True)
+        predictor.sent(tick["q_d"])
 
-    def observe(k: int, state: State, r: Reference) -> None:
-        observer.observe(k, state, _RUN)
-        observer.sent(r.q)
+    def observe(tick: Record) -> None:
+        observer.observe(tick)
+        observer.sent(tick["q_d"])
 
     for name, work in {
         "no law, delay compensation": look_ahead,
@@ -104,18 +99,16 @@ def _full_order(rate_Hz: float) -> LinearController:
     )
 
 
-def _effort(law: Law) -> Work:
-    return lambda _, state, reference: law.effort(state, reference, _NONE)
-
-
-def _follow(parts: Parts, path: list[Reference], work: Work) -> Array:
+def _follow(parts: Parts, path: list[Record], work: Work) -> Array:
     """Return the ns of each tick: the pose from lengths that are off the path, and `work`."""
-    estimator = Estimator(parts.platform, path[0].p, path[0].R)
+    estimator = Estimator(parts.platform, path[0]["p_d"], path[0]["R_d"])
     times = np.zeros(len(path))
-    for k, r in enumerate(path):
-        q = r.q + OFF
+    for k, each in enumerate(path):
+        tick = copy_of(each)
+        tick["q"] += OFF
+        tick["drive_state"] = DriveState.RUN
         begun = _now()
-        p, R, twist, J, iterations, residual, _, _ = estimator.update(q, r.dq)
-        work(k, State(q, r.dq, p, R, twist, J, iterations, residual), r)
+        estimator.update(tick)
+        work(tick)
         times[k] = _now() - begun
     return times

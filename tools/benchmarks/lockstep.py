@@ -1,7 +1,5 @@
 """Without a clock: the speed of `hil sim`, of `hil replay`, and of a recorder that is fed without pause."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import numpy as np
 from hil.app.compose import attachments, build_scene
 from hil.app.replay import replay_log
 from hil.record import Recording
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, number, spread
 from tools.benchmarks.process import cpu_s
 
@@ -19,9 +17,9 @@ TICKS = 12_000
 RING = 16_384
 
 
-def simulation(bench: Bench) -> list[Figure]:
+def simulation(benchmark: Benchmark) -> list[Figure]:
     """Run both ends of the bus in one process, recording."""
-    summary = bench.simulated
+    summary = benchmark.simulated
     factor = {"": summary["real_time_factor"]}
     return [
         Figure(
@@ -34,10 +32,10 @@ def simulation(bench: Bench) -> list[Figure]:
     ]
 
 
-def replaying(bench: Bench) -> list[Figure]:
+def replaying(benchmark: Benchmark) -> list[Figure]:
     """Run the log of that through the same code."""
-    log = Path(bench.simulated["log"])
-    bench.say(f"hil replay {log.name}")
+    log = Path(benchmark.simulated["log"])
+    benchmark.say(f"hil replay {log.name}")
     verdict, summary = replay_log(log)
     return [
         Figure(
@@ -50,13 +48,13 @@ def replaying(bench: Bench) -> list[Figure]:
     ]
 
 
-def recorder(bench: Bench) -> list[Figure]:
+def recorder(benchmark: Benchmark) -> list[Figure]:
     """Feed recorded ticks of the simulated run into a recording, without pause."""
-    entries = bench.held.entries[:TICKS]
-    c = bench.configuration
-    bench.say(f"{len(entries)} ticks into the recorder")
+    entries = benchmark.held.entries[:TICKS]
+    c = benchmark.configuration
+    benchmark.say(f"{len(entries)} ticks into the recorder")
     recording = Recording.start(
-        bench.folder / "recorder.mcap",
+        benchmark.folder / "recorder.mcap",
         configuration=c.text,
         attachments=attachments(c),
         scene=build_scene(c),

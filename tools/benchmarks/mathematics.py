@@ -1,21 +1,21 @@
 """Forward kinematics and exact inverse dynamics: the kernels, plain NumPy, and MuJoCo where installed."""
 
-from __future__ import annotations
-
 import time
 from importlib.util import find_spec
 
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.tick import Record, copy_of, new_record
 from hil.app.compose import build_cycle
 from hil.control.inverse_dynamics import JointInverseDynamics
 from hil.estimation.pose import Estimator
-from hil.loop.reference import complete
+from hil.loop.parts import Parts
+from hil.loop.reference import fill_reference
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
-from hil.signals import Reference, State
-from tools.benchmarks.bench import Bench
+from hil.trajectory.path import PoseSample
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
 from tools.benchmarks.plain import PlainPose, PlainRobot, forward_kinematics, joint_inverse_dynamics
 
@@ -28,14 +28,14 @@ TICKS = 2000
 _now = time.perf_counter_ns
 
 
-def mathematics(bench: Bench) -> list[Figure]:
+def mathematics(benchmark: Benchmark) -> list[Figure]:
     """Follow one period of the path, tick by tick, with each of them."""
-    bench.say("kernels and plain NumPy along one period of the path")
-    c = bench.configuration
+    benchmark.say("kernels and plain NumPy along one period of the path")
+    c = benchmark.configuration
     parts = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
     law = parts.law
     assert isinstance(law, JointInverseDynamics)
-    path = [complete(parts.platform, parts.trajectory.sample(k / c.loop.rate_Hz)) for k in range(TICKS)]
+    path = along(parts, c.loop.rate_Hz)
     kernels, tau = _kernels(law, path)
     arrays, expected = _plain(law, path)
     difference = float(np.abs(tau - expected).max() / np.abs(expected).max())
@@ -53,57 +53,72 @@ def mathematics(bench: Bench) -> list[Figure]:
     return figures + _mujoco(law.model, path)
 
 
-def _kernels(law: JointInverseDynamics, path: list[Reference]) -> tuple[Array, Array]:
+def along(parts: Parts, rate_Hz: float) -> list[Record]:
+    """Return the ticks of one period of the path: the reference, and the legs on it."""
+    path = []
+    for k in range(TICKS):
+        tick = new_record()
+        fill_reference(parts.platform, parts.trajectory.sample(k / rate_Hz), tick)
+        tick["tick"], tick["t_d"] = k, k / rate_Hz
+        tick["q"], tick["dq"] = tick["q_d"], tick["dq_d"]
+        path.append(tick)
+    return path
+
+
+def _kernels(law: JointInverseDynamics, path: list[Record]) -> tuple[Array, Array]:
     """Return times (n, 3) ns and tau (n, 6) of what the loop calls."""
-    estimator = Estimator(law.model.platform, path[0].p, path[0].R)
+    estimator = Estimator(law.model.platform, path[0]["p_d"], path[0]["R_d"])
     times = np.zeros((len(path), 3))
     tau = np.zeros((len(path), 6))
-    for k, r in enumerate(path):
+    for k, each in enumerate(path):
+        tick = copy_of(each)
         begun = _now()
-        found = estimator.update(r.q, r.dq)
+        estimator.update(tick)
         located = _now()
-        state = State(r.q, r.dq, found.p, found.R, found.twist, found.J, found.iterations, found.residual)
-        ready = _now()
-        tau[k] = law.effort(state, r, np.zeros(6)).tau
+        law.effort(tick)
         done = _now()
-        times[k] = located - begun, done - ready, done - begun
+        tau[k] = tick["tau_law"]
+        times[k] = located - begun, done - located, done - begun
     return times, tau
 
 
-def _plain(law: JointInverseDynamics, path: list[Reference]) -> tuple[Array, Array]:
+def _plain(law: JointInverseDynamics, path: list[Record]) -> tuple[Array, Array]:
     """Return the same of the NumPy version."""
     robot = PlainRobot.of(law.model.platform)
-    pose = PlainPose(path[0].p, path[0].R, path[0].twist, np.zeros((6, 6)))
+    pose = PlainPose(path[0]["p_d"], path[0]["R_d"], path[0]["twist_d"], np.zeros((6, 6)))
+    K_P, K_D = law.gains["K_P"], law.gains["K_D"]
     times = np.zeros((len(path), 3))
     tau = np.zeros((len(path), 6))
-    for k, r in enumerate(path):
+    for k, tick in enumerate(path):
+        q, dq, q_d, dq_d, ddq_d = (tick[name] for name in ("q", "dq", "q_d", "dq_d", "ddq_d"))
         begun = _now()
-        pose = forward_kinematics(robot, r.q, r.dq, pose.p, pose.R)
+        pose = forward_kinematics(robot, q, dq, pose.p, pose.R)
         located = _now()
-        ddq = r.ddq + law.K_D * (r.dq - r.dq) + law.K_P * (r.q - r.q)
+        ddq = ddq_d + K_D * (dq_d - dq) + K_P * (q_d - q)
         tau[k] = joint_inverse_dynamics(robot, pose, ddq)
         done = _now()
         times[k] = located - begun, done - located, done - begun
     return times, tau
 
 
-def _mujoco(model: Model, path: list[Reference]) -> list[Figure]:
+def _mujoco(model: Model, path: list[Record]) -> list[Figure]:
     """Compare with MuJoCo's inverse dynamics: pose, twist and acceleration given, no forward kinematics."""
     try:
         from tools.benchmarks.mujoco_model import MujocoRobot  # noqa: PLC0415 - needs the extra
     except ImportError as error:
-        why = str(error).splitlines()[0] if find_spec("mujoco") else "not installed (extra `bench`)"
+        why = str(error).splitlines()[0] if find_spec("mujoco") else "not installed (extra `benchmark`)"
         return [Figure("MuJoCo's inverse dynamics", note=why)]
 
-    robot = MujocoRobot(model.platform, path[0].p, path[0].R)
+    robot = MujocoRobot(model.platform, path[0]["p_d"], path[0]["R_d"])
     times = np.zeros((len(path), 2))
     worst = peak = 0.0
     nothing = np.zeros(6)
-    for k, r in enumerate(path):
+    for k, tick in enumerate(path):
+        motion = PoseSample(tick["p_d"], tick["R_d"], tick["twist_d"], tick["dtwist_d"])
         begun = _now()
-        tau = inverse_dynamics_kernel(model.constants, model.code, r.p, r.R, r.twist, r.dtwist, nothing)
+        tau = inverse_dynamics_kernel(model.constants, model.code, *motion, nothing)
         times[k, 0] = _now() - begun
-        robot.place(r.p, r.R, r.twist, r.dtwist)
+        robot.place(*motion)
         begun = _now()
         robot.inverse()
         times[k, 1] = _now() - begun

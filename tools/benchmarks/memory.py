@@ -1,7 +1,5 @@
 """Resident memory of the daemon, seen from outside: `hil run` as users start it."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
@@ -12,7 +10,7 @@ from typing import IO
 
 from drivers.errors import RunError
 from hil.record.log import Log
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark
 from tools.benchmarks.patience import patience_figures
 from tools.benchmarks.process import resident_kB
@@ -25,19 +23,19 @@ CLOSE_S = 300.0
 MARK_MINUTES = 10.0
 
 
-def memory(bench: Bench) -> list[Figure]:
+def memory(benchmark: Benchmark) -> list[Figure]:
     """Run the daemon with its plant, and look at its memory once a second."""
-    c = bench.endless
-    minutes = bench.memory_minutes
-    log = bench.folder / "memory.mcap"
-    bench.say(f"memory of hil run for {minutes:g} min, after {SETTLE_S:g} s to settle")
+    c = benchmark.endless
+    minutes = benchmark.memory_minutes
+    log = benchmark.folder / "memory.mcap"
+    benchmark.say(f"memory of hil run for {minutes:g} min, after {SETTLE_S:g} s to settle")
     command = [sys.executable, "-m", "hil.cli", "run", c.source, "--plant", "--log", str(log)]
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True)
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=output, start_new_session=True)
         try:
-            _wait_for(log, process, said)
+            _wait_for(log, process, output)
             time.sleep(SETTLE_S)
-            samples = _watch(process, minutes * 60.0, said)
+            samples = _watch(process, minutes * 60.0, output)
         finally:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -47,9 +45,9 @@ def memory(bench: Bench) -> list[Figure]:
                 process.kill()
                 process.wait()
         if process.returncode:
-            raise RunError(_ended(process, said))
+            raise RunError(_ended(process, output))
     rows = Log.open(log).rows()
-    return memory_figures(samples, minutes) + patience_figures(rows, c, bench.configuration)
+    return memory_figures(samples, minutes) + patience_figures(rows, c, benchmark.configuration)
 
 
 def memory_figures(samples_kB: list[int], minutes: float) -> list[Figure]:
@@ -70,24 +68,24 @@ def _growth_mark(minutes: float) -> Mark | None:
     return Mark(2.0) if minutes >= MARK_MINUTES else None
 
 
-def _wait_for(log: Path, process: subprocess.Popen[bytes], said: IO[bytes]) -> None:
+def _wait_for(log: Path, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:
     """Wait until the recorder has opened the log: the loop begins next."""
     end = time.monotonic() + START_S
     while not log.exists():
         if process.poll() is not None:
-            raise RunError(_ended(process, said))
+            raise RunError(_ended(process, output))
         if time.monotonic() > end:
             raise RunError(f"hil run has not begun within {START_S:g} s")
         time.sleep(0.1)
 
 
-def _watch(process: subprocess.Popen[bytes], seconds: float, said: IO[bytes]) -> list[int]:
+def _watch(process: subprocess.Popen[bytes], seconds: float, output: IO[bytes]) -> list[int]:
     """Return the resident memory once a second, first and last instant included, kB."""
     begun = time.monotonic()
     samples = []
     while True:
         if process.poll() is not None:
-            raise RunError(_ended(process, said))
+            raise RunError(_ended(process, output))
         samples.append(resident_kB(process.pid))
         rest = begun + seconds - time.monotonic()
         if rest <= 0:
@@ -95,7 +93,7 @@ def _watch(process: subprocess.Popen[bytes], seconds: float, said: IO[bytes]) ->
         time.sleep(min(1.0, rest))
 
 
-def _ended(process: subprocess.Popen[bytes], said: IO[bytes]) -> str:
-    said.seek(0)
-    text = said.read().decode(errors="replace").strip()
+def _ended(process: subprocess.Popen[bytes], output: IO[bytes]) -> str:
+    output.seek(0)
+    text = output.read().decode(errors="replace").strip()
     return f"hil run ended with exit code {process.returncode}: {text[-2000:]}"

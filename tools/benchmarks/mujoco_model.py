@@ -5,8 +5,6 @@ leg azimuth alpha, latitude beta and extension x of s = Q (sin beta, -sin alpha 
 Q turning z to the leg's first direction.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 
 import numpy as np

@@ -1,15 +1,13 @@
 """Limits so patient that a stall of the host does not end a run, and what the stalls would have ended."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Flags, Rows
+from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration
-from hil.config import LimitSettings
-from hil.signals import Mode
+from hil.config.limits import LimitSettings
 from tools.benchmarks.figures import Figure
 
 PATIENCE_S = 0.2

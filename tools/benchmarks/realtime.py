@@ -3,8 +3,6 @@
 It runs `hil.loop.daemon.run`; only its bus looks at a clock as well.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from array import array
@@ -18,17 +16,18 @@ from drivers.can.bus import Bus, Link
 from drivers.can.runtime_folder import RoleLock
 from drivers.errors import RunError
 from drivers.protocol import Frame, Received
-from hil.app.compose import attachments, build_cycle, build_scene, feedback_window_s
+from drivers.signals import Mode
+from hil.app.compose import build_cycle, feedback_window_s, record
 from hil.app.configuration.configuration import Configuration
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import RELAXED_WATCHDOG_S, patience
 from hil.loop.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time
-from hil.loop.daemon import Ending, OperatorPanel, run
-from hil.record import LogSummary, Recording
+from hil.loop.course import Course, Ending
+from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.record import LogSummary
 from hil.record.figures import figures as run_figures
 from hil.record.log import Log
-from hil.signals import Mode
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.cyclictest import cyclictest
 from tools.benchmarks.figures import EARLY, Figure, Mark, spread
 from tools.benchmarks.patience import patience_figures
@@ -87,8 +86,8 @@ class Measured(NamedTuple):
     """Processor time of the recorder over the run's, %."""
 
 
-def measure(c: Configuration, bench: Bench) -> Measured:
-    """Run the daemon's loop for `bench.seconds` with its plant.
+def measure(c: Configuration, benchmark: Benchmark) -> Measured:
+    """Run the daemon's loop for `benchmark.seconds` with its plant.
 
     Raises HilError as `hil run` does, KeyboardInterrupt once it has parked after one.
     """
@@ -102,18 +101,8 @@ def measure(c: Configuration, bench: Bench) -> Measured:
         bus = stack.enter_context(StampedBus.open(c.bus, role="controller"))
         assert isinstance(bus, StampedBus)
         stack.enter_context(panel.attached())
-        plant = stack.enter_context(SupervisedPlant(c, bench.folder / "run-plant.mcap"))
-        recording = stack.enter_context(
-            Recording.start(
-                bench.folder / "run.mcap",
-                configuration=c.text,
-                attachments=attachments(c),
-                metadata={"kind": "run", "rate_Hz": rate, "watchdog_s": watchdog_s},
-                scene=build_scene(c),
-                can_channel=c.bus.channel,
-                ring_ticks=c.recording.ring_ticks,
-            )
-        )
+        plant = stack.enter_context(SupervisedPlant(c, benchmark.folder / "run-plant.mcap"))
+        recording = stack.enter_context(record(c, cycle, benchmark.folder / "run.mcap", "run"))
         recorder = recording._process.pid  # noqa: SLF001 - its start is not part of the figure
         bus.flush_tx()
         bus.drain_now()
@@ -121,7 +110,8 @@ def measure(c: Configuration, bench: Bench) -> Measured:
             used, begun = cpu_s(recorder), time.monotonic()
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
             window_ns = round(feedback_window_s(c, rate) * 1e9)
-            ending = run(cycle, bus, deadlines, recording, panel, window_ns, bench.seconds)
+            shell = Shell(bus, deadlines, recording, panel, window_ns)
+            ending = run(Course(cycle, benchmark.seconds), shell)
             wall = time.monotonic() - begun
         closed = recording.close({"ending": ending.mode.name, "reason": ending.reason})
         plant.finish()
@@ -130,14 +120,14 @@ def measure(c: Configuration, bench: Bench) -> Measured:
     return Measured(bus, ending, granted, rate, closed, 100.0 * (closed.recorder_cpu_s - used) / wall)
 
 
-def realtime(bench: Bench) -> list[Figure]:
+def realtime(benchmark: Benchmark) -> list[Figure]:
     """Run the loop in real time, the plant in a second process, the recorder in a third.
 
     Raises HilError as `hil run` does, RunError also for a run that never powered the drives.
     """
-    c = bench.endless
-    bench.say(f"the loop in real time for {bench.seconds:g} s")
-    m = measure(c, bench)
+    c = benchmark.endless
+    benchmark.say(f"the loop in real time for {benchmark.seconds:g} s")
+    m = measure(c, benchmark)
     early = "" if m.ending.success else m.ending.reason or m.ending.mode.name
     rows = Log.open(m.closed.path).rows()
     summary = run_figures(rows)
@@ -153,7 +143,7 @@ def realtime(bench: Bench) -> list[Figure]:
         *([Figure(EARLY, note=early)] if early else []),
         Figure("rate", {"": m.rate_Hz}, "Hz", note="; ".join(filter(None, (f"{len(rows)} ticks", slow)))),
         Figure("wake-up lateness", summary["wake_up_us"], "us"),
-        _beside(c, bench, slack_us),
+        _beside(c, benchmark, slack_us),
         Figure("SYNC to six feedbacks", answered, "us", note="or window over"),
         Figure("SYNC to command sent", spread(command, largest=True), "us"),
         Figure("stale ticks", {"": _percent(stale, powered)}, "%", Mark(0.5), f"{stale} of {powered}"),
@@ -164,16 +154,16 @@ def realtime(bench: Bench) -> list[Figure]:
             Mark(0.1),
             f"{skipped} of {len(rows) + skipped}",
         ),
-        *patience_figures(rows, c, bench.configuration),
+        *patience_figures(rows, c, benchmark.configuration),
         Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
         Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
         compute_figure(rows["compute_ns"][rows["mode"] == Mode.TRACKING]),
     ]
 
 
-def _beside(c: Configuration, bench: Bench, slack_us: float) -> Figure:
+def _beside(c: Configuration, benchmark: Benchmark, slack_us: float) -> Figure:
     name = "  cyclictest beside it"
-    seconds = min(CYCLICTEST_S, bench.seconds)
+    seconds = min(CYCLICTEST_S, benchmark.seconds)
     found = cyclictest(c.loop.priority, round(1e6 / c.loop.rate_Hz), seconds)
     if isinstance(found, str):
         return Figure(name, note=found)

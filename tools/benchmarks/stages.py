@@ -1,19 +1,17 @@
 """Cycles that look at a clock: around the whole step, or as each of its stages begins."""
 
-from __future__ import annotations
-
 import time
 from array import array
-from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Ints
 from drivers.protocol import Frame
-from drivers.signals import Command
+from drivers.signals import Command, Mode
+from drivers.tick import Record
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
-from hil.signals import Effort, Estimate, Mode, TickInput, TickOutput
+from hil.signals import TickInput, TickOutput
 from tools.benchmarks.figures import Figure, Mark, spread
 
 COMPUTE = Mark(40.0)
@@ -71,24 +69,22 @@ class StagedCycle(Cycle):
         self.stamps.append(self.mode)
         return out
 
-    def _estimate(self, *values: Any) -> Estimate:
+    def _estimate(self, tick: Record, last: Record, latched_ns: int) -> None:
         self.stamps.append(_now())
-        estimate = super()._estimate(*values)
+        super()._estimate(tick, last, latched_ns)
         self.stamps.append(_now())
-        return estimate
 
-    def _effort(self, *values: Any) -> tuple[Effort, Array]:
+    def _effort(self, tick: Record) -> None:
         self.stamps.append(_now())
-        effort = super()._effort(*values)
+        super()._effort(tick)
         self.stamps.append(_now())
-        return effort
 
-    def _command(self, *values: Any) -> Command:
+    def _command(self, tick: Record) -> Command:
         self.stamps.append(_now())
-        return super()._command(*values)
+        return super()._command(tick)
 
-    def _setup(self, tick: int) -> tuple[Frame, ...]:
-        frames = super()._setup(tick)
+    def _set_up(self, tick: Record) -> tuple[Frame, ...]:
+        frames = super()._set_up(tick)
         self.stamps.append(_now())  # the row comes next
         return frames
 

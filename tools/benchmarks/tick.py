@@ -1,33 +1,25 @@
 """What one tick computes, whole and stage by stage, with everything in the caches."""
 
-from __future__ import annotations
-
 import gc
 
 from hil.app.compose import build_cycle
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.loop.replay import replay
-from tools.benchmarks.bench import Bench
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, spread
-from tools.benchmarks.stages import (
-    StagedCycle,
-    TimedCycle,
-    compute_figure,
-    quietest_figure,
-    stage_figures,
-)
+from tools.benchmarks.stages import StagedCycle, TimedCycle, compute_figure, quietest_figure, stage_figures
 
 SLEEP_S = 1e-5
 """As short as a sleep can be: it is not its length that counts."""
 
 
-def tick(bench: Bench) -> list[Figure]:
+def tick(benchmark: Benchmark) -> list[Figure]:
     """Feed the recorded ticks of the simulated run from memory to a cycle, one after the other."""
-    bench.say(f"{len(bench.held.entries)} ticks from memory, three times through the cycle")
-    whole, slept = TimedCycle(_parts(bench)), TimedCycle(_parts(bench), SLEEP_S)
-    staged = StagedCycle(_parts(bench))
-    different = max(_feed(bench, cycle) for cycle in (staged, whole, slept))
+    benchmark.say(f"{len(benchmark.held.entries)} ticks from memory, three times through the cycle")
+    whole, slept = TimedCycle(_parts(benchmark)), TimedCycle(_parts(benchmark), SLEEP_S)
+    staged = StagedCycle(_parts(benchmark))
+    different = max(_feed(benchmark, cycle) for cycle in (staged, whole, slept))
     ns = whole.compute_ns()
     figures = [
         compute_figure(ns),
@@ -41,16 +33,16 @@ def tick(bench: Bench) -> list[Figure]:
     )
 
 
-def _parts(bench: Bench) -> Parts:
-    c = bench.configuration
+def _parts(benchmark: Benchmark) -> Parts:
+    c = benchmark.configuration
     return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
 
 
-def _feed(bench: Bench, cycle: Cycle) -> int:
+def _feed(benchmark: Benchmark, cycle: Cycle) -> int:
     """Return how many of the ticks came out differently."""
     gc.collect()
     gc.disable()  # as the daemon does
     try:
-        return replay(bench.held, cycle).different_ticks
+        return replay(benchmark.held, cycle).different_ticks
     finally:
         gc.enable()

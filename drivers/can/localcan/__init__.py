@@ -4,7 +4,3 @@ No broker: the wire is a piece of shared memory under a file lock (`wire`), arbi
 looks, and a participant (`participant`) sees a frame when its last bit would have been on a real wire.
 `interface.LocalCanBus` is its face to python-can.
 """
-
-from drivers.can.localcan.participant import Participant
-
-__all__ = ["Participant"]

@@ -1,7 +1,5 @@
 """LocalCanBus: localcan as a python-can interface, so that its viewer, logger and player work on it."""
 
-from __future__ import annotations
-
 import errno
 import time
 from collections import deque
@@ -11,6 +9,7 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from drivers.can.bus_time import BitTiming
+from drivers.can.collect import collect
 from drivers.can.localcan.participant import DEFAULT_TIMING, OWN, Participant
 from drivers.can.localcan.wire import VERSION
 from drivers.can.runtime_folder import runtime_folder
@@ -94,16 +93,11 @@ class LocalCanBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_FD if self._node.fd else can.CanProtocol.CAN_20
         super().__init__(channel, can_filters, **kwargs)
 
-    @property
-    def node(self) -> Participant:
-        """The participant beneath: frames, nanoseconds, error injection."""
-        return self._node
-
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         inbox = self._inbox
         if not inbox:
             deadline = _FOREVER_NS if timeout is None else time.monotonic_ns() + int(timeout * 1e9)
-            inbox.extend(self._node.wait(deadline))
+            inbox.extend(collect(self._node, deadline))
         message = to_message(inbox.popleft(), self._epoch_ns, self._channel) if inbox else None
         # select() on fileno() has to return as long as there is something to take
         if inbox:

@@ -1,22 +1,19 @@
 """One participant on a localcan channel, in Frames and nanoseconds of CLOCK_MONOTONIC."""
 
-from __future__ import annotations
-
 import os
-import select
-import socket
 import time
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from pathlib import Path
 
-from drivers.can.bus_time import FD_LENGTHS, BitTiming, arbitrate, frame_time_ns, priority
+from drivers.can.arbitration import arbitrate, priority
+from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_time_ns
+from drivers.can.localcan.doorbell import Doorbell
 from drivers.can.localcan.wire import QUEUE, RECORD, RING, VERSION, Slot, Wire
 from drivers.can.runtime_folder import forget_in_child, runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.protocol import ERROR, EXTENDED, FD, Frame, Received
 
-OWN = 1 << 15
+OWN = 1 << 6
 """Flag of a Received frame that this participant has sent itself (only with `own`)."""
 DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
 TX_LIMIT = 64
@@ -27,6 +24,8 @@ _LENGTHS = frozenset(FD_LENGTHS)
 _AGAIN_NS = 20_000_000
 _SLICE_S = 0.1
 _FOREVER = 1 << 62
+_NOTHING = (b"", b"", 0)
+"""Nothing ahead: the record on the wire, the records queued, when the bus falls free."""
 
 
 class Participant:
@@ -36,8 +35,8 @@ class Participant:
     `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
     `tx_limit`: frames that may wait for the bus before `send` takes no more.
 
-    Mutable state: the shared wire; the read position and `overflow`, frames lost to slow reading; the
-    kinds of frames that have passed the check, with priority and duration.
+    Mutable state: the shared wire; the read position, what lay ahead of it at the last look, and how many
+    frames slow reading has lost; the kinds of frames that have passed the check, with priority and duration.
     Raises BusError when the timing disagrees or the folder cannot be used.
     """
 
@@ -51,21 +50,19 @@ class Participant:
         spin_us: float = 50.0,
         tx_limit: int = TX_LIMIT,
     ) -> None:
-        self.overflow = 0
+        self._missed = 0
         self._own = own
         self._spin_ns = int(spin_us * 1000)
         self._tx_limit = tx_limit
-        self._underway = 0
+        self._ahead = _NOTHING
         self._fixed: BitTiming | None = None
         self._known: dict[tuple[int, int, int], tuple[int, int]] = {}
         self._dead: set[int] = set()
-        self._folder = runtime_folder()
-        self._name = safe_name(channel)
         self.channel = channel
         self._closed = True
-        self._wire = Wire(self._folder / f"{self._name}.wire{VERSION}")
-        self._bell = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._bell.setblocking(False)
+        self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{VERSION}")
+        self._bell = Doorbell(channel)
+        self.fileno = self._bell.fileno
         try:
             self._join(timing, fd)
         except BaseException:
@@ -77,22 +74,9 @@ class Participant:
         forget_in_child(self)
 
     # joining and leaving
-    def _path(self, serial: int) -> str:
-        return f"{self._folder}/{self._name}.{serial}"
-
-    def _ring(self, serial: int) -> bool:
-        """Ring a doorbell; return whether anybody lives behind it."""
-        try:
-            self._bell.sendto(b"", self._path(serial))
-        except (ConnectionRefusedError, FileNotFoundError):
-            return False
-        except BlockingIOError:
-            pass
-        return True
-
     def _remove(self, serial: int) -> None:
         self._wire.unregister(serial)
-        Path(self._path(serial)).unlink(missing_ok=True)
+        self._bell.remove(serial)
 
     def _join(self, timing: BitTiming | None, fd: bool | None) -> None:
         wire = self._wire
@@ -100,7 +84,7 @@ class Participant:
         for slot in wire.slots():
             if not slot.serial:
                 continue
-            if self._ring(slot.serial):
+            if self._bell.ring(slot.serial):
                 others.append(slot)
             else:
                 self._remove(slot.serial)
@@ -109,17 +93,11 @@ class Participant:
         self._agree(timing, fd, others)
         self._cursor = wire.advance(time.monotonic_ns())[0]
         self.serial = wire.register(os.getpid())
-        path = self._path(self.serial)
         try:
-            Path(path).unlink(missing_ok=True)
-            self._bell.bind(path)
-            Path(path).chmod(0o600)
-        except OSError as error:
+            self._bell.bind(self.serial)
+        except BusError:
             wire.unregister(self.serial)
-            raise BusError(
-                f"localcan: cannot open the socket {path}: {error}; "
-                "set XDG_RUNTIME_DIR to a folder of your own with a short path"
-            ) from error
+            raise
 
     def _agree(self, timing: BitTiming | None, fd: bool | None, others: list[Slot]) -> None:
         wire = self._wire
@@ -153,7 +131,7 @@ class Participant:
         self._wire.lock()
         try:
             self._remove(self.serial)
-            if not any(slot.serial and self._ring(slot.serial) for slot in self._wire.slots()):
+            if not any(slot.serial and self._bell.ring(slot.serial) for slot in self._wire.slots()):
                 self._wire.path.unlink(missing_ok=True)
         finally:
             self._wire.unlock()
@@ -205,7 +183,7 @@ class Participant:
         finally:
             wire.unlock()
         for serial in listeners:
-            if not self._ring(serial):
+            if not self._bell.ring(serial):
                 self._dead.add(serial)
         return taken
 
@@ -231,10 +209,6 @@ class Participant:
             self._known[id_, flags, len(data)] = cost
         return *cost, id_, flags & ~OWN, data
 
-    def inject_error(self) -> None:
-        """Put an error frame on the bus, ahead of everything that waits."""
-        self.send((Frame(0, b"", ERROR),))
-
     def flush_tx(self) -> int:
         """Drop this node's frames that have not started; return how many."""
         self._wire.lock()
@@ -245,48 +219,22 @@ class Participant:
             self._wire.unlock()
 
     # receiving
+    off = False
+    """This bus cannot go off."""
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far: to slow reading, or queued when a participant died that held the wire."""
+        return self._missed + self._wire.lost
+
     def receive(self) -> list[Received]:
         """Return what has ended since the last call, in the order of the wire. Does not block."""
-        return self._look(time.monotonic_ns())[0]
-
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
-        """Receive until one frame of every wanted identifier has come, or the deadline.
-
-        An empty `wanted` is fulfilled at once.
-        """
-        return self._collect(deadline_ns, wanted, first=False)
-
-    def wait(self, deadline_ns: int) -> list[Received]:
-        """Receive until something has come, or the deadline."""
-        return self._collect(deadline_ns, frozenset(), first=True)
-
-    def _collect(self, deadline_ns: int, wanted: AbstractSet[int], *, first: bool) -> list[Received]:
-        received: list[Received] = []
-        missing = set(wanted)
-        while True:
-            now = time.monotonic_ns()
-            new, flying, waiting, free = self._look(now)
-            received += new
-            if missing:
-                missing.difference_update([frame.id for _, frame in new if not frame.flags & ERROR])
-            if not missing and (received or not first):
-                return received
-            if now >= deadline_ns:
-                return received
-            wake = self._foresee(flying, waiting, free, missing) if flying or waiting else None
-            if wake is None:
-                self._sleep_for_bell(deadline_ns)
-            else:
-                self._sleep_until(min(wake, deadline_ns))
-
-    def _look(self, now: int) -> tuple[list[Received], bytes, bytes, int]:
-        """Return (received, the record on the wire now, the records queued, when the bus falls free)."""
-        wire = self._wire
+        wire, now = self._wire, time.monotonic_ns()
         wire.lock()
         try:
             head, queued, free = wire.advance(now)
             if head - self._cursor > RING:
-                self.overflow += head - RING - self._cursor
+                self._missed += head - RING - self._cursor
                 self._cursor = head - RING
             raw = wire.sent(self._cursor, head)
             waiting = wire.waiting(queued)
@@ -299,9 +247,9 @@ class Participant:
             raw = raw[: -RECORD.size]
             head -= 1
         self._cursor = head
-        self._underway = len(flying) + len(waiting)
+        self._ahead = flying, waiting, free
         if not raw:
-            return [], flying, waiting, free
+            return []
         me = self.serial
         received = []
         for end, _, _, sender, id_, flags, length, data in RECORD.iter_unpack(raw):
@@ -309,13 +257,29 @@ class Participant:
                 received.append(Received(end, Frame(id_, data[:length], flags)))
             elif self._own:
                 received.append(Received(end, Frame(id_, data[:length], flags | OWN)))
-        return received, flying, waiting, free
+        return received
 
-    def _foresee(self, flying: bytes, waiting: bytes, free: int, missing: set[int]) -> int | None:
-        """Return when all missing identifiers (none: the next foreign frame) will have ended.
+    # waiting
+    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
+        """Sleep until all missing identifiers (none: the next foreign frame) will have ended.
+
+        Sleeps until somebody sends where that cannot be foreseen, and at most until the deadline.
+        """
+        end = self._foresee(missing)
+        if end is not None:
+            self._sleep_until(min(end, deadline_ns))
+        elif self.arm(idle=False):
+            left = (deadline_ns - time.monotonic_ns()) * 1e-9
+            if left > 0:
+                # in slices: a ring can be lost when the one who rings is killed
+                self._bell.wait(min(left, _SLICE_S))
+
+    def _foresee(self, missing: AbstractSet[int]) -> int | None:
+        """Return when all missing identifiers will have ended, as far as the last look can tell.
 
         A frame queued later can only push this instant back, unless it is itself awaited.
         """
+        flying, waiting, free = self._ahead
         flight = [(free, r[3], r[4], r[5]) for r in RECORD.iter_unpack(flying)]
         if waiting:
             records = list(RECORD.iter_unpack(waiting))
@@ -332,7 +296,6 @@ class Participant:
                 return int(end)
         return None
 
-    # waiting
     def _sleep_until(self, t_ns: int) -> None:
         left = t_ns - time.monotonic_ns() - self._spin_ns
         if left > 0:
@@ -340,14 +303,6 @@ class Participant:
         end = min(t_ns, time.monotonic_ns() + self._spin_ns)
         while time.monotonic_ns() < end:
             pass
-
-    def _sleep_for_bell(self, deadline_ns: int) -> None:
-        if not self.arm(idle=False):
-            return
-        left = (deadline_ns - time.monotonic_ns()) * 1e-9
-        if left > 0:
-            # in slices: a ring can be lost when the one who rings is killed
-            select.select([self._bell], [], [], min(left, _SLICE_S))
 
     def arm(self, *, idle: bool = True) -> bool:
         """Empty the doorbell and ask for the next ring, unless something has come since the last look.
@@ -362,16 +317,12 @@ class Participant:
             head, queued, free = wire.advance(now)
             flying = 1 if free > now and head > self._cursor else 0
             underway = (flying + queued) * RECORD.size
-            news = head - flying > self._cursor or underway != self._underway
+            news = head - flying > self._cursor or underway != len(self._ahead[0]) + len(self._ahead[1])
             if news or (idle and underway):
                 if idle:
-                    self._ring(self.serial)
+                    self._bell.ring(self.serial)
                 return False
-            try:
-                while True:
-                    self._bell.recv(1)
-            except BlockingIOError:
-                pass
+            self._bell.silence()
             wire.set_rung(self.serial, 0)
             return True
         finally:
@@ -379,16 +330,7 @@ class Participant:
 
     def ring(self) -> None:
         """Make `fileno` readable: frames were received that the reader has not taken yet."""
-        self._ring(self.serial)
-
-    @property
-    def lost(self) -> int:
-        """Queued frames that vanished because a participant was killed while it held the wire."""
-        return self._wire.lost
-
-    def fileno(self) -> int:
-        """Return a file descriptor that is readable when frames may have come."""
-        return self._bell.fileno()
+        self._bell.ring(self.serial)
 
 
 def _describe(timing: BitTiming, fd: bool) -> str:

@@ -7,8 +7,6 @@ holder that the queue was being rebuilt, and it starts over with an empty one. F
 queued frames the queue, before the count that makes them visible.
 """
 
-from __future__ import annotations
-
 import fcntl
 import mmap
 import os
@@ -17,7 +15,8 @@ import threading
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.can.bus_time import BitTiming, arbitrate
+from drivers.can.arbitration import arbitrate
+from drivers.can.bus_time import BitTiming
 from drivers.errors import BusError
 
 VERSION = 1

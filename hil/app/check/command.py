@@ -1,27 +1,22 @@
 """`hil check CONFIG`: what bus, legs and limits say about a configuration before anything moves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers import PROTOCOLS
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
 from hil.app.check.controller import report_controller
 from hil.app.check.findings import Report
 from hil.app.check.monitor import report_monitor
-from hil.app.compose import build_admission
-from hil.app.configuration.configuration import Configuration, load, platform_dict
-from hil.app.configuration.consistency import bus_budget
+from hil.app.compose import build_admission, build_protocol, drive_setup
+from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Problem, parse
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
-from hil.config import (
-    HoldReference,
-    LiveReference,
-)
+from hil.config.reference import LiveReference
 from hil.loop.clock import real_time
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
@@ -29,7 +24,8 @@ from hil.robot.geometry import Platform
 from hil.robot.kinematics import condition, jacobian, leg_lengths
 from hil.safety.guard import WINDOW_S
 from hil.signals import explain
-from hil.trajectory import axis_limits, build_trajectory, six_words
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.path import axis_limits, six_words
 
 
 def check(path: str | Path) -> Report:
@@ -44,7 +40,7 @@ def check(path: str | Path) -> Report:
 def inspect(c: Configuration) -> Report:
     """Return the report on a loaded configuration. Raises ConfigurationError as `check`."""
     report = Report(c.name)
-    platform = Platform.from_dict(platform_dict(c.platform))
+    platform = build_platform(c.platform)
     model = Model(platform, leg_spin=c.platform.leg_spin)
     _robot(report, c, platform, model)
     _bus(report, c)
@@ -57,11 +53,10 @@ def inspect(c: Configuration) -> Report:
 
 
 def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
-    home = build_trajectory(_hold(c), c.platform.home, c.folder).sample(0.0)
-    still = np.zeros(6)
-    q = leg_lengths(platform, home.p, home.R)
-    tau = model.inverse_dynamics(home.p, home.R, still, still)
-    number = condition(platform, home.p, home.R)
+    home, still = pose_arrays(c.platform.home), np.zeros(6)
+    q = leg_lengths(platform, *home)
+    tau = model.inverse_dynamics(*home, still, still)
+    number = condition(platform, *home)
     report.sections["robot at home"] = [
         f"leg lengths    {_six(q, 4)} m (stroke {c.platform.length_min_m:g} to {c.platform.length_max_m:g})",
         f"static forces  {_six(tau, 1)} N",
@@ -88,12 +83,12 @@ def _bus(report: Report, c: Configuration) -> None:
         "total_us": budget.total_ns / 1e3,
         "allowed_rate_Hz": budget.allowed_rate_Hz,
     }
-    protocol = PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+    protocol = build_protocol(c)
+    opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
+    asked = {frame.id for frame in opening} | protocol.feedback_ids
     timing = BitTiming(c.bus.bitrate_bit_s, c.bus.data_bitrate_bit_s)
     times = {
-        f.id: frame_time_ns(len(f.data), f.flags, timing)
-        for f in (*protocol.cyclic_frames(), *protocol.sync(0))
-        if f.id in protocol.feedback_ids or f.id == protocol.sync(0)[0].id
+        f.id: frame_time_ns(len(f.data), f.flags, timing) for f in protocol.cyclic_frames() if f.id in asked
     }
     feedback_us = sum(times.values()) / 1e3
     window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
@@ -123,7 +118,7 @@ def refuse_unreachable(c: Configuration) -> None:
 
     Raises ConfigurationError with the first instant of each limit that it breaks.
     """
-    platform = Platform.from_dict(platform_dict(c.platform))
+    platform = build_platform(c.platform)
     _walk_within_limits(c, platform, Model(platform, leg_spin=c.platform.leg_spin))
 
 
@@ -232,10 +227,6 @@ def _permissions(report: Report, c: Configuration) -> None:
             f"no SCHED_FIFO: {then}. To get it: `ulimit -r {c.loop.priority}` from a limits.conf entry "
             f"`@realtime - rtprio {c.loop.priority}` (and `- memlock unlimited`), or CAP_SYS_NICE"
         )
-
-
-def _hold(c: Configuration) -> HoldReference:
-    return HoldReference(type="hold", pose=c.platform.home)
 
 
 def _line(c: Configuration, message: str) -> str:

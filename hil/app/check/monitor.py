@@ -1,22 +1,20 @@
 """The part of `hil check` that says whether the loop's certificate is watched."""
 
-from __future__ import annotations
-
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
-from hil.stability.monitor import error_axes
+from hil.stability.monitor import certified
 
 
 def report_monitor(report: Report, c: Configuration) -> None:
     """Say whether the law has a certificate, and what breaks it."""
-    axes, action = error_axes(c.controller), c.monitor.action
-    report.figures["monitor"] = {"watched": not isinstance(axes, str), "action": action}
-    if isinstance(axes, str):
-        report.sections["controller"].append(f"not monitored: {axes}")
+    dynamics, action = certified(c.controller), c.monitor.action
+    report.figures["monitor"] = {"watched": not isinstance(dynamics, str), "action": action}
+    if isinstance(dynamics, str):
+        report.sections["controller"].append(f"not monitored: {dynamics}")
         return
     what = {"log": "shows in the log alone", "warn": "warns", "fault": "faults"}[action]
     unit = f"{c.monitor.disturbance_m_s2:g} m/s^2"
-    if axes.pose:
+    if dynamics.pose:
         unit += f" or {c.monitor.disturbance_rad_s2:g} rad/s^2"
     report.sections["controller"].append(
         f"monitored: growth of the error beyond what a disturbance of {unit} explains {what}"

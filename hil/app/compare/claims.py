@@ -3,14 +3,12 @@
 Sections are those of chapter 6, Control of Parallel Manipulators; docs/theory has its equations.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hil.app.compare.measure import Outcome
-from hil.config import ControllerSettings
+from hil.control import ControllerSettings
 from hil.record.metrics import Share
 
 POOR = 10.0
@@ -44,7 +42,7 @@ class Evidence(NamedTuple):
         return f"{law} {row.fault}" if row.fault else f"{law} {self.error(law):.3g} mm"
 
 
-class Verdict(NamedTuple):
+class Finding(NamedTuple):
     """Whether a claim holds, and the figures that say so."""
 
     holds: bool
@@ -58,35 +56,35 @@ class Claim(NamedTuple):
     text: str
     needs: tuple[str, ...]
     """Laws that have to be among the compared ones."""
-    judge: Callable[[Evidence], Verdict | None]
+    judge: Callable[[Evidence], Finding | None]
     """None where what it takes was not measured."""
     yardstick: str | None = None
     """The law whose error is the measure: where it faulted, there is none."""
 
 
-def _pd_poor(e: Evidence) -> Verdict:
+def _pd_poor(e: Evidence) -> Finding:
     poor = e.error("pd") > POOR * e.error("inverse_dynamics")
-    return Verdict(poor, f"peak: {e.says('pd')}, {e.says('inverse_dynamics')}")
+    return Finding(poor, f"peak: {e.says('pd')}, {e.says('inverse_dynamics')}")
 
 
-def _less_at_rest(law: str) -> Callable[[Evidence], Verdict | None]:
+def _less_at_rest(law: str) -> Callable[[Evidence], Finding | None]:
     """Return the judge of whether a law has little of the error that PD has at rest."""
 
-    def judge(e: Evidence) -> Verdict | None:
+    def judge(e: Evidence) -> Finding | None:
         left, whole = e.at_rest(law), e.at_rest("pd")
         if math.isnan(left) or math.isnan(whole):
             return None
-        return Verdict(whole > POOR * left, f"at rest: pd {whole:.3g} mm, {law} {left:.3g} mm")
+        return Finding(whole > POOR * left, f"at rest: pd {whole:.3g} mm, {law} {left:.3g} mm")
 
     return judge
 
 
-def _feedforward(e: Evidence) -> Verdict:
+def _feedforward(e: Evidence) -> Finding:
     good = e.error("feedforward_pd") * BETTER < e.error("pd")
-    return Verdict(good, f"peak: {e.says('pd')}, {e.says('feedforward_pd')}")
+    return Finding(good, f"peak: {e.says('pd')}, {e.says('feedforward_pd')}")
 
 
-def _linear(e: Evidence) -> Verdict | None:
+def _linear(e: Evidence) -> Finding | None:
     s = e.settings.get("inverse_dynamics")
     wn, zeta = getattr(s, "wn_rad_s", math.nan), getattr(s, "damping_ratio", math.nan)
     measured = float(e.rows["inverse_dynamics"].figures.get("bandwidth_Hz", math.nan))
@@ -94,7 +92,7 @@ def _linear(e: Evidence) -> Verdict | None:
         return None  # differs from leg to leg: no one bandwidth
     expected = second_order_bandwidth_Hz(wn, zeta)
     text = f"bandwidth {measured:.3g} Hz; wn {wn:g} rad/s, zeta {zeta:g} have {expected:.3g} Hz"
-    return Verdict(abs(measured / expected - 1.0) < 0.05, text)
+    return Finding(abs(measured / expected - 1.0) < 0.05, text)
 
 
 def second_order_bandwidth_Hz(wn: float, zeta: float) -> float:
@@ -103,44 +101,35 @@ def second_order_bandwidth_Hz(wn: float, zeta: float) -> float:
     return wn / (2.0 * math.pi) * math.sqrt(a + math.sqrt(a**2 + 1.0))
 
 
-def _H_small(e: Evidence) -> Verdict:
+def _H_small(e: Evidence) -> Finding:
     h = e.shares["H"]
-    return Verdict(h.share < 0.01, f"at most {100 * h.share:.2g} % of the leg force, {h.force_N:.3g} N")
+    return Finding(h.share < 0.01, f"at most {100 * h.share:.2g} % of the leg force, {h.force_N:.3g} N")
 
 
-def _J_dot_small(e: Evidence) -> Verdict:
+def _J_dot_small(e: Evidence) -> Finding:
     j = e.shares["J_dot"]
     text = (
         f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; "
         f"peak: {e.says('printed')}, {e.says('inverse_dynamics')}"
     )
-    return Verdict(e.error("printed") < CLOSE * e.error("inverse_dynamics"), text)
+    return Finding(e.error("printed") < CLOSE * e.error("inverse_dynamics"), text)
 
 
-def _constant(e: Evidence) -> Verdict:
+def _constant(e: Evidence) -> Finding:
     text = ", ".join(e.says(law) for law in ("constant", "constant_MG", "inverse_dynamics"))
-    return Verdict(e.error("constant") < POOR * e.error("inverse_dynamics"), f"peak: {text}")
+    return Finding(e.error("constant") < POOR * e.error("inverse_dynamics"), f"peak: {text}")
 
 
-def _partial(e: Evidence) -> Verdict:
+def _partial(e: Evidence) -> Finding:
     text = ", ".join(e.says(law) for law in ("partial_linearisation", "inverse_dynamics"))
-    return Verdict(e.error("partial_linearisation") < POOR * e.error("inverse_dynamics"), f"peak: {text}")
+    return Finding(e.error("partial_linearisation") < POOR * e.error("inverse_dynamics"), f"peak: {text}")
 
 
 CLAIMS: tuple[Claim, ...] = (
     Claim(
-        "6.1.1",
-        "PD on leg lengths tracks poorly",
-        ("pd", "inverse_dynamics"),
-        _pd_poor,
-        "inverse_dynamics",
+        "6.1.1", "PD on leg lengths tracks poorly", ("pd", "inverse_dynamics"), _pd_poor, "inverse_dynamics"
     ),
-    Claim(
-        "6.1.1",
-        "PD leaves a static error",
-        ("pd", "inverse_dynamics"),
-        _less_at_rest("inverse_dynamics"),
-    ),
+    Claim("6.1.1", "PD leaves a static error", ("pd", "inverse_dynamics"), _less_at_rest("inverse_dynamics")),
     Claim(
         "6.1.1",
         "gravity compensation takes PD's static error away",
@@ -180,7 +169,7 @@ def judge(evidence: Evidence) -> list[dict[str, Any]]:
     for claim in CLAIMS:
         measured = all(law in evidence.rows and evidence.rows[law].figures for law in claim.needs)
         if measured and not (claim.yardstick and evidence.rows[claim.yardstick].fault):
-            verdict = claim.judge(evidence)
-            if verdict is not None:
-                found.append({"section": claim.section, "claim": claim.text, **verdict._asdict()})
+            finding = claim.judge(evidence)
+            if finding is not None:
+                found.append({"section": claim.section, "claim": claim.text, **finding._asdict()})
     return found

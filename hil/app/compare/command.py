@@ -1,7 +1,5 @@
 """`hil compare CONFIG`: all laws on one platform, trajectory, disturbance and model mismatch."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,17 +14,18 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from hil.app.compare.claims import Evidence, judge
 from hil.app.compare.conditions import paths, with_law, without_limits
-from hil.app.compare.laws import chosen, figures, with_scale
+from hil.app.compare.laws import chosen, desired_loop, with_scale
 from hil.app.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
 from hil.app.compare.plot import draw
-from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform
 from hil.app.output import picture_path
 from hil.app.reachability import span_s
-from hil.config import CompareSettings, ControllerSettings, DisturbanceSettings
+from hil.control import ControllerSettings
 from hil.record.metrics import Share, force_shares
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
-from hil.trajectory import build_trajectory
+from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant
 
 OWN = "own"
@@ -66,10 +65,10 @@ def compare(
     settings = chosen(c, laws)
     extra = _path_laws(c, settings, path_laws)
     believed = {name: with_scale(s, c.compare.inertia_scale) for name, s in settings.items()}
-    bench = without_limits(c) if lift_limits else c
+    compared = without_limits(c) if lift_limits else c
     duration = _duration(c, duration_s)
     _refuse_late(c, duration)
-    work = _jobs(bench, believed, extra, duration)
+    work = _jobs(compared, believed, extra, duration)
     done = {(o.law, o.path): o for o in _perform(work, jobs, progress)}
     own = {name: done[name, OWN] for name in settings}
     losses = {name: _along(name, work, done) for name in extra}
@@ -157,16 +156,16 @@ def _refuse_late(c: Configuration, duration: float) -> None:
 def _jobs(
     c: Configuration, settings: dict[str, ControllerSettings], extra: Iterable[str], duration: float
 ) -> list[Job]:
-    settle = max(SETTLE_PERIODS / figures(c).wn, 0.3)
+    settle = max(SETTLE_PERIODS / desired_loop(c).wn, 0.3)
     step, disturbance = c.compare.step, c.compare.disturbance
     work = [
         Job(name, OWN, with_law(c, s), duration, disturbance, step, settle) for name, s in settings.items()
     ]
     for name in extra:
         own = with_law(c, settings[name])
-        for path, bench in paths(own).items():
-            if bench != own:  # the last one is the row of the table
-                work.append(Job(name, path, bench, duration, disturbance, None, settle))
+        for path, changed in paths(own).items():
+            if changed != own:  # the last one is the row of the table
+                work.append(Job(name, path, changed, duration, disturbance, None, settle))
     return work
 
 
@@ -177,7 +176,7 @@ def _along(name: str, work: Iterable[Job], done: dict[tuple[str, str], Outcome])
 
 
 def _perform(work: list[Job], jobs: int | None, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield every outcome, in the order in which they are ready; one more run is told before each."""
+    """Yield every outcome, in the order in which they are ready; progress is reported before each."""
     count = min(len(work), jobs or len(os.sched_getaffinity(0)))
     outcomes = map(measure, work) if count <= 1 else _in_processes(work, count)
     for n in range(len(work)):
@@ -218,7 +217,7 @@ def _pool(count: int) -> ProcessPoolExecutor:
 def _shares(c: Configuration, duration: float) -> dict[str, Share]:
     """Return what terms of the exact model take of the force along the reference."""
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
-    model = Model(Platform.from_dict(platform_dict(c.platform)), leg_spin=c.platform.leg_spin)
+    model = Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
     # Just inside the end, where the path still moves: outside it rests.
     times = np.linspace(0.0, duration * (1 - 1e-12), SHARE_SAMPLES)
     return force_shares(model, map(trajectory.sample, times.tolist()))
@@ -246,6 +245,3 @@ def _title(c: Configuration, *, lift_limits: bool) -> str:
 
 def _numbers(values: Iterable[float]) -> str:
     return f"({', '.join(f'{x:g}' for x in values)})"
-
-
-__all__ = ["compare", "with_options"]

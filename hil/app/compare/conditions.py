@@ -1,12 +1,9 @@
-"""The benches of a comparison: the configuration's own, and what it is when its losses are taken out."""
-
-from __future__ import annotations
+"""The paths of a comparison: the configuration, and what it is when its losses are taken out."""
 
 from typing import Any
 
 from hil.app.configuration.configuration import Configuration
-from hil.config import ControllerSettings
-from hil.config.model_based import ModelBasedSettings
+from hil.control import ControllerSettings
 from plant_fmu.config import StewartPlant
 
 PATHS = ("ideal", "encoders", "bus", "drives")
@@ -14,7 +11,7 @@ PATHS = ("ideal", "encoders", "bus", "drives")
 
 
 def paths(c: Configuration) -> dict[str, Configuration]:
-    """Return the ideal bench and what it becomes: quantised encoders, then bus time, then the drives' lag.
+    """Return the ideal configuration and what it becomes: encoder quanta, then bus time, then drive lag.
 
     ideal: lengths and rates are exact numbers of the tick, no bus time, the force acts at once. What changes
     nothing is left out: a configuration without bus time has no bus to add. Where law or wrench observer
@@ -28,9 +25,9 @@ def paths(c: Configuration) -> dict[str, Configuration]:
     exact = without_bus.plant.drives.model_copy(update={"encoder_resolution_m": 0.0})
     ideal = without_bus.model_copy(update={"plant": without_bus.plant.model_copy(update={"drives": exact})})
     found: dict[str, Configuration] = {}
-    for name, bench in zip(PATHS, (ideal, without_bus, without_lag, c), strict=True):
-        if bench not in found.values():
-            found[name] = bench
+    for name, changed in zip(PATHS, (ideal, without_bus, without_lag, c), strict=True):
+        if changed not in found.values():
+            found[name] = changed
     return found
 
 
@@ -48,8 +45,8 @@ def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
     wrench = c.estimation.wrench.model_copy(update=delays_ms)
     changes: dict[str, Any] = {"estimation": c.estimation.model_copy(update={"wrench": wrench})}
     law = c.controller
-    if isinstance(law, ModelBasedSettings) and law.delay_compensation is not None:
-        delay = law.delay_compensation.model_copy(update=delays_ms)
+    if law.lookahead is not None:
+        delay = law.lookahead.model_copy(update=delays_ms)
         some = delay.bus_ms or delay.drive_lag_ms or delay.hold_ms
         changes["controller"] = law.model_copy(update={"delay_compensation": delay if some else None})
     return c.model_copy(update=changes)

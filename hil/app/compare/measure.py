@@ -1,9 +1,7 @@
-"""One law on one bench: along the reference, and a step of the set-point at home.
+"""One law on one configuration: along the reference, and a step of the set-point at home.
 
 What a law does wrong is a result: it never raises for it.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -13,27 +11,23 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.errors import HilError
-from hil.app.compose import (
-    bit_timing,
-    build_cycle,
-    build_nodes,
-    bus_budget,
-    feedback_window_s,
-    pose_arrays,
-)
+from drivers.signals import Fault, Mode
+from drivers.tick import ROW
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.compare import DisturbanceSettings, StepSettings
 from hil.app.configuration.configuration import Configuration
-from hil.app.sim.lockstep import Lockstep
-from hil.config import DisturbanceSettings, StepSettings
+from hil.app.configuration.platform import pose_arrays
+from hil.app.sim.lockstep import build_lockstep
+from hil.config.values import AXES
 from hil.loop.clock import collector_paused
-from hil.loop.daemon import NO_DRIVES_S
+from hil.loop.course import Course
 from hil.mathematics.rotations import rotation_from_vector
 from hil.record.figures import errors, limited_ticks, pose_errors
 from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
-from hil.signals import ROW, Fault, Mode, Operator
-from hil.trajectory import PoseSample, Trajectory
-from plant_fmu.drives.faults import FaultPlan, WrenchStep
+from hil.trajectory.path import PoseSample, Trajectory
+from plant_fmu.drives.faults.load import WrenchStep
+from plant_fmu.drives.faults.plan import FaultPlan
 
-AXES = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
 SETTLE_PERIODS = 30.0
 """Time constants 1 / wn before and after a step: exp(-30) is nothing, and an integral is slower."""
 TRACE_SAMPLES = 2000
@@ -116,9 +110,6 @@ def _measure(job: Job) -> Outcome:
     return Outcome(job.law, job.path, fault, fault_s, figures, traces)
 
 
-# -- running -------------------------------------------------------------------------------------------------
-
-
 def _run(
     c: Configuration,
     duration_s: float,
@@ -128,27 +119,20 @@ def _run(
 ) -> Rows:
     """Return the rows from the start until `duration_s` of the trajectory, its end, or a fault."""
     rate = c.loop.rate_Hz
-    budget = bus_budget(c, rate)
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
     nodes, physics = build_nodes(c, faults)
     rows: list[Rows] = []
     begun: int | None = None
     ticks = math.floor(duration_s * rate + 1e-6)
-    operator: tuple[Operator, ...] = ()
-    engaged = False
+    course = Course(cycle)
     try:
-        lockstep = Lockstep(
-            cycle, nodes, None if budget is None else bit_timing(c), feedback_window_s(c, rate)
-        )
+        lockstep = build_lockstep(c, cycle, nodes)
         while True:
-            rows.append(lockstep.step(operator)[2].row)
-            operator = ()
+            rows.append(lockstep.step(course.commands(lockstep.tick + 1))[2].row)
             mode = cycle.mode
-            if not engaged and mode is Mode.IDLE:
-                operator, engaged = (Operator.ENGAGE,), True
             if mode is Mode.TRACKING and begun is None:
                 begun = lockstep.tick
-            over = mode is Mode.FAULT or (mode is Mode.WAITING and lockstep.tick > NO_DRIVES_S * rate)
+            over = mode is Mode.FAULT or course.ending(lockstep.tick)
             if over or (begun is not None and (mode is not Mode.TRACKING or lockstep.tick - begun >= ticks)):
                 return np.array(rows, ROW)
     finally:
@@ -175,9 +159,6 @@ def _fault(rows: Rows) -> str | None:
     if not (rows["mode"] == Mode.TRACKING).any():
         return f"did not start: {Mode(int(last['mode'])).name}"
     return None
-
-
-# -- figures -------------------------------------------------------------------------------------------------
 
 
 def _tracking(rows: Rows) -> dict[str, Any]:

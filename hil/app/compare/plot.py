@@ -1,7 +1,5 @@
 """A comparison as a picture: error and force over time, the step, the losses path by path."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,15 +18,10 @@ LINES = ("-", "--", ":")
 def draw(
     laws: Mapping[str, Outcome], paths: Mapping[str, Mapping[str, Outcome]], file: Path, title: str
 ) -> Path:
-    """Draw a comparison into a PNG file.
-
-    Raises OSError where it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    """Draw a comparison into a PNG file. Raises OSError where it cannot be written."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(14, 10), layout="constrained")
-    FigureCanvasAgg(figure)
     (errors, forces), (steps, losses) = figure.subplots(2, 2)
     styles = {name: {"color": f"C{k % 10}", "linestyle": LINES[k // 10 % 3]} for k, name in enumerate(laws)}
     for name, o in laws.items():
@@ -83,12 +76,7 @@ def _losses(axes: Any, paths: Mapping[str, Mapping[str, Outcome]]) -> None:
     for k, stage in enumerate(stages):
         rows = [found.get(stage) for found in paths.values()]
         heights = [0.0 if o is None else o.figures.get("peak_leg_error_mm", 0.0) for o in rows]
-        bars = axes.bar(
-            place + (k - (len(stages) - 1) / 2) * width,
-            heights,
-            width,
-            color=(*BLUE, shades[k]),
-        )
+        bars = axes.bar(place + (k - (len(stages) - 1) / 2) * width, heights, width, color=(*BLUE, shades[k]))
         hatches = ["//" if o is not None and o.fault else "" for o in rows]
         for bar, hatch in zip(bars, hatches, strict=True):
             bar.set_hatch(hatch)

@@ -1,7 +1,5 @@
 """The comparison as tables on the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

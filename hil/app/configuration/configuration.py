@@ -3,49 +3,43 @@
 Every problem of a file is reported at once, each as `file:line:column: path: what, allowed, given`.
 """
 
-from __future__ import annotations
-
 import importlib.resources
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import PrivateAttr, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
-from drivers.config import BusSettings, DriveSettings, Section, SensorSettings
+from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError
+from drivers.section import Section
 from hil.app.configuration import problems as translate
-from hil.app.configuration.consistency import RULES
-from hil.app.configuration.platform import platform_dict
+from hil.app.configuration.compare import CompareSettings
+from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.section_file import read_text
-from hil.app.configuration.yaml_positions import Document, Position, Problem, parse
-from hil.config import (
-    CompareSettings,
-    ControllerSettings,
-    EngageSettings,
-    EstimationSettings,
-    LimitSettings,
-    LoopSettings,
-    MonitorSettings,
-    PlatformSettings,
-    RecordingSettings,
-    ReferenceSettings,
-)
+from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
+from hil.config.estimation import EstimationSettings
+from hil.config.limits import LimitSettings
+from hil.config.loop import LoopSettings
+from hil.config.monitor import MonitorSettings
+from hil.config.platform import PlatformSettings
+from hil.config.reference import ReferenceSettings
+from hil.config.running import EngageSettings, RecordingSettings
+from hil.control import ControllerSettings
 from plant_fmu.config import PlantSettings
-
-__all__ = ["Configuration", "load", "loads", "platform_dict", "shipped"]
 
 Command = Literal["run", "plant", "sim", "replay", "check"]
 
 
 class Configuration(Section):
-    """One bench: robot, bus, drives, controller, what to do, what to refuse."""
+    """Robot, bus, drives, controller, what to do, what to refuse."""
 
     name: str = ""
     """Short name, used in log file names; default is the file's name."""
     description: str = ""
-    """What this bench is, in a sentence or two."""
+    """What this configuration is, in a sentence or two."""
     platform: PlatformSettings
     bus: BusSettings
     drives: DriveSettings = DriveSettings()
@@ -112,7 +106,11 @@ class Configuration(Section):
             raise ConfigurationError(*found)
 
 
-SCHEMA = Configuration.model_json_schema()
+@cache
+def json_schema() -> dict[str, Any]:
+    """Return the schema of a whole configuration. Not to be changed."""
+    return Configuration.model_json_schema()
+
 
 _ALONE: dict[str, type[Section]] = {
     field: create_model(field, __base__=Section, **{field: (info.annotation, info)})  # type: ignore[call-overload]
@@ -157,11 +155,12 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
             sections |= _section(field, info, document, found)
         found += _unknown_sections(document)
         for rule in RULES:
-            if all(need in sections for need in rule.needs):
-                for path, message in rule.check(*(sections[need] for need in rule.needs), folder):
+            names = needs(rule)
+            if all(name in sections for name in names):
+                for path, message in rule(*(sections[name] for name in names), folder):
                     found.append(Problem(document.value_position(path), path, message))
     if found:
-        raise ConfigurationError(*(p.line(name) for p in sorted(set(found), key=_order)))
+        raise ConfigurationError(*lines(found, name))
     configuration = Configuration(**({"name": Path(name).stem} | sections))
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
     return configuration
@@ -173,7 +172,7 @@ def _section(field: str, info: FieldInfo, document: Document, found: list[Proble
     if field not in document.value:
         if not info.is_required():
             return {} if field == "name" else {field: info.get_default()}
-        allowed = translate.describe(translate.at((field,), None, SCHEMA), SCHEMA)
+        allowed = translate.describe(translate.at((field,), None, json_schema()), json_schema())
         found.append(Problem(Position(1, 1), (field,), f"missing, allowed: {allowed}"))
         return {}
     text = json.dumps({field: document.value[field]})
@@ -182,7 +181,7 @@ def _section(field: str, info: FieldInfo, document: Document, found: list[Proble
         return {field: getattr(_ALONE[field].model_validate_json(text, strict=True), field)}
     except ValidationError as error:
         already = {p.path for p in document.problems}
-        for problem in translate.problems(error, document, SCHEMA):
+        for problem in translate.problems(error, document, json_schema()):
             if problem.path not in already:
                 found.append(problem)
         return {}
@@ -191,11 +190,7 @@ def _section(field: str, info: FieldInfo, document: Document, found: list[Proble
 def _unknown_sections(document: Document) -> list[Problem]:
     assert document.value is not None
     return [
-        Problem(document.key_position((key,)), (key,), translate.unknown_key((key,), document, SCHEMA))
+        Problem(document.key_position((key,)), (key,), translate.unknown_key((key,), document, json_schema()))
         for key in document.value
         if key not in Configuration.model_fields
     ]
-
-
-def _order(problem: Problem) -> tuple[Position, str]:
-    return problem.position, problem.message

@@ -4,61 +4,48 @@ A rule is a pure function from valid sections to (path, message) pairs; it is as
 needs are valid. Only rules that are handed a folder look at other files.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Callable, Iterator
+from inspect import signature
 from pathlib import Path as FilePath
-from typing import NamedTuple
 
 import numpy as np
 
-from drivers import PROTOCOLS
-from drivers.can import bus_time
-from drivers.can.bus_time import BitTiming
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, HilError
-from drivers.sensors import KINDS, OLDEST, SensorProtocol
+from drivers.sensors import KINDS, OLDEST
+from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable
-from hil.app.configuration.platform import platform_dict
+from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path
-from hil.config import (
-    CompareSettings,
-    ControllerSettings,
-    EstimationSettings,
-    FeedforwardPDSettings,
+from hil.config.estimation import EstimationSettings
+from hil.config.limits import LimitSettings
+from hil.config.loop import LoopSettings
+from hil.config.platform import PlatformSettings
+from hil.config.reference import (
     HoldReference,
-    LimitSettings,
     LiveReference,
-    LoopSettings,
-    ModelBasedSettings,
     MultisineReference,
-    PlatformSettings,
-    Pose,
     ReferenceSettings,
     SampledReference,
     SinusoidReference,
     TimeOptimalReference,
     WaypointReference,
 )
-from hil.control.feedforward_pd import ENDLESS
-from hil.robot.geometry import GeometryError, Platform
+from hil.config.values import Pose
+from hil.control import ControllerSettings
+from hil.robot.geometry import GeometryError
 from hil.robot.kinematics import leg_lengths
 from hil.stability.monitor import certified_law
-from hil.trajectory import build_trajectory
+from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 
 Finding = tuple[Path, str]
 Folder = FilePath | None
 """Folder of the configuration file; None: do not look at other files."""
-
-
-class Rule(NamedTuple):
-    """`check` takes the needed sections in order, then the folder."""
-
-    needs: tuple[str, ...]
-    check: Callable[..., Iterator[Finding]]
+Rule = Callable[..., Iterator[Finding]]
 
 
 def watchdog(drives: DriveSettings, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
@@ -103,32 +90,22 @@ def bit_rates(bus: BusSettings, _: Folder) -> Iterator[Finding]:
         yield ("bus", "data_bitrate_bit_s"), message
 
 
+_KEYED = re.compile(r"(?:(bus|drives)(?:\.(\w+))?(?:\[(\d+)\])?: )?(.*)", re.DOTALL)
+"""An error that may begin with the key that it objects to."""
+
+
 def bus_load(
     bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, loop: LoopSettings, _: Folder
 ) -> Iterator[Finding]:
-    """Refuse frames that do not fit into a frame's bytes or into the period, with the arithmetic."""
+    """Refuse what the protocol or the sensors cannot do, and frames that do not fit the period."""
     try:
         bus_budget(bus, drives, sensors, loop.rate_Hz)
     except HilError as error:
-        text = str(error)
-        where = ("bus", "layout") if text.startswith("bus.layout: ") else ("bus",)
-        yield where, text.removeprefix(f"{'.'.join(where)}: ")
-
-
-def bus_budget(
-    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
-) -> bus_time.BusBudget | None:
-    """Return the bus time of the fullest tick at `rate_Hz`; None for the ideal layout, which takes no time.
-
-    Raises ConfigurationError with the arithmetic when it is more than `max_load_percent`, or where the layout
-    has no room for a configured sensor's frame.
-    """
-    frames = SensorProtocol(bus, sensors).cyclic_frames(rate_Hz)
-    if bus.layout == "ideal":
-        return None
-    frames = PROTOCOLS[drives.protocol](bus, drives).cyclic_frames() + frames
-    timing = BitTiming(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
-    return bus_time.check(frames, timing, rate_Hz, bus.max_load_percent)
+        found = _KEYED.fullmatch(str(error))
+        assert found is not None
+        section, key, index, message = found.groups()
+        where: Path = (section or "bus", key) if key else (section or "bus",)
+        yield (*where, int(index)) if index else where, message
 
 
 def node_numbers(drives: DriveSettings, sensors: SensorSettings, _: Folder) -> Iterator[Finding]:
@@ -195,9 +172,7 @@ def live_preview(
     controller: ControllerSettings, reference: ReferenceSettings, _: Folder
 ) -> Iterator[Finding]:
     """Refuse to look ahead along a path that is not known yet."""
-    if not isinstance(reference, LiveReference) or not isinstance(controller, ModelBasedSettings):
-        return
-    if controller.delay_compensation is not None:
+    if isinstance(reference, LiveReference) and controller.lookahead is not None:
         message = (
             "looks ahead along the reference, and where set-points will send a live one is not known, "
             "allowed with reference.type live: leave it out"
@@ -219,7 +194,7 @@ def emulated_sensors(plant: PlantSettings | None, sensors: SensorSettings, _: Fo
 def geometry(platform: PlatformSettings, _: Folder) -> Iterator[Finding]:
     """Refuse a platform that is none."""
     try:
-        Platform.from_dict(platform_dict(platform))
+        build_platform(platform)
     except GeometryError as error:
         first = error.where.split(",")[0]
         path = ("platform", *(int(w) if w.isdigit() else KEYS.get(w, w) for w in first.split(".")))
@@ -294,15 +269,16 @@ def reference_path(
             yield ("reference", "path") if sampled else ("reference",), str(error)
 
 
-def feedforward_table(
+def endless_reference(
     controller: ControllerSettings, reference: ReferenceSettings, platform: PlatformSettings, folder: Folder
 ) -> Iterator[Finding]:
-    """Refuse forces that are to be computed before a run which has no end."""
-    if not isinstance(controller, FeedforwardPDSettings) or controller.evaluation == "online":
+    """Refuse a reference without end to a law that needs one."""
+    if controller.endless is None:
         return
     with contextlib.suppress(ConfigurationError):  # no path at all: `reference_path` says so
         if build_trajectory(reference, platform.home, folder or FilePath()).duration_s is None:
-            yield ("controller", "evaluation"), ENDLESS
+            key, reason = controller.endless
+            yield ("controller", key), reason
 
 
 def designed_controllers(
@@ -361,13 +337,12 @@ def bench_rest(plant: PlantSettings | None, platform: PlatformSettings, _: Folde
 def _within(platform: PlatformSettings, limits: LimitSettings, pose: Pose, path: Path) -> Iterator[Finding]:
     """Find the legs whose length at `pose` is outside the soft ends of the stroke."""
     try:
-        robot = Platform.from_dict(platform_dict(platform))
+        robot = build_platform(platform)
     except HilError:
         return
     low = platform.length_min_m + limits.stroke_margin_m
     high = platform.length_max_m - limits.stroke_margin_m
-    at = build_trajectory(HoldReference(type="hold", pose=pose), pose, FilePath()).sample(0.0)
-    q = leg_lengths(robot, at.p, at.R)
+    q = leg_lengths(robot, *pose_arrays(pose))
     outside = np.flatnonzero((q < low) | (q > high))
     if outside.size:
         legs = ", ".join(f"leg {i} {q[i]:.4f}" for i in outside)
@@ -376,26 +351,14 @@ def _within(platform: PlatformSettings, limits: LimitSettings, pose: Pose, path:
 
 
 RULES: tuple[Rule, ...] = (
-    Rule(("drives", "loop"), watchdog),
-    Rule(("drives", "limits"), rated_force),
-    Rule(("loop",), feedback_window),
-    Rule(("bus",), bit_rates),
-    Rule(("bus", "drives", "sensors", "loop"), bus_load),
-    Rule(("drives", "sensors"), node_numbers),
-    Rule(("sensors", "loop"), sensor_rates),
-    Rule(("estimation", "sensors", "bus"), fusion_sources),
-    Rule(("estimation", "sensors"), measured_wrench),
-    Rule(("controller", "reference"), live_preview),
-    Rule(("platform",), geometry),
-    Rule(("platform", "limits"), stroke),
-    Rule(("reference", "platform", "limits"), reference_poses),
-    Rule(("reference", "platform"), reference_path),
-    Rule(("controller", "reference", "platform"), feedforward_table),
-    Rule(("controller", "compare", "loop"), designed_controllers),
-    Rule(("monitor", "controller"), certified_law),
-    Rule(("plant", "loop"), plant_steps),
-    Rule(("plant", "sensors"), emulated_sensors),
-    Rule(("plant",), plant_lag),
-    Rule(("plant",), fmu_file),
-    Rule(("plant", "platform"), bench_rest),
-)
+    watchdog, rated_force, feedback_window, bit_rates, bus_load, node_numbers, sensor_rates,
+    fusion_sources, measured_wrench, live_preview, geometry, stroke, reference_poses, reference_path,
+    endless_reference, designed_controllers, certified_law, plant_steps, emulated_sensors, plant_lag,
+    fmu_file, bench_rest,
+)  # fmt: skip
+"""A parameter has the name of its section; the last one is the folder."""
+
+
+def needs(rule: Rule) -> tuple[str, ...]:
+    """Return the sections that a rule looks at, in the order of its arguments."""
+    return tuple(signature(rule).parameters)[:-1]

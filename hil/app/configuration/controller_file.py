@@ -1,7 +1,5 @@
 """The controller of law `state_space`: where its file is, and whether the loop can run what it holds."""
 
-from __future__ import annotations
-
 import importlib.resources
 from pathlib import Path
 from typing import Any
@@ -11,10 +9,10 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from hil.app.configuration.section_file import read_section
 from hil.app.configuration.yaml_positions import Problem
-from hil.config import ControllerSettings, StateSpaceSettings
 from hil.config.linear_controller import LinearController
-from hil.control import Law
-from hil.control.state_space import StateSpace, require_rate
+from hil.control import ControllerSettings
+from hil.control.law import Law
+from hil.control.state_space import StateSpace, StateSpaceSettings, require_rate
 
 ROUNDING = 1e-9
 """An integrator's pole is at 1, give or take this much."""

@@ -1,13 +1,11 @@
 """Section `platform` resolved: joints from circles; CAD, shapes and payload as one rigid body."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from hil.config import (
+from hil.config.platform import (
     BoxShape,
     CylinderShape,
     Frame,
@@ -18,11 +16,11 @@ from hil.config import (
     RigidBodySettings,
     Shape,
     SphereShape,
-    Vector3,
 )
+from hil.config.values import Pose, Vector3
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot import inertia, joints
-from hil.robot.geometry import Body
+from hil.robot.geometry import Body, Platform
 
 
 def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
@@ -51,6 +49,16 @@ def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
     if settings.universal_joint_base_axes is not None:
         result["universal_joint_base_axes"] = settings.universal_joint_base_axes
     return result
+
+
+def build_platform(settings: PlatformSettings) -> Platform:
+    """Return the controller's robot. Raises GeometryError as `platform_dict`."""
+    return Platform.from_dict(platform_dict(settings))
+
+
+def pose_arrays(pose: Pose) -> tuple[Array, Array]:
+    """Return p (3,) m and R (3, 3) of a configured pose."""
+    return np.array(pose.position_m, float), _rotation(pose.rotation_vector_deg)
 
 
 def joint_list(given: list[Vector3] | JointCircle) -> list[list[float]]:
@@ -115,47 +123,8 @@ def _shape(shape: Shape, mass: float) -> Array:
 
 
 def _rotation(vector_deg: Vector3) -> Array:
-    return rotation_from_vector(np.deg2rad(np.array(vector_deg)))
+    return rotation_from_vector(np.deg2rad(np.array(vector_deg, float)))
 
 
 def _lists(rows: Array) -> list[list[float]]:
     return [[float(x) for x in row] for row in rows]
-
-
-def resolved_figures(settings: PlatformSettings) -> dict[str, Any]:
-    """Return the resolved figures as plain values: joints, and platform and payload as one body."""
-    body = platform_body(settings)
-    return {
-        "base_joints_m": joint_list(settings.base_joints_m),
-        "platform_joints_m": joint_list(settings.platform_joints_m),
-        "mass_kg": body.mass,
-        "com_m": body.com.tolist(),
-        "inertia_kg_m2": body.inertia.tolist(),
-        "principal_moments_kg_m2": list(inertia.principal_moments(body.inertia)),
-        "bodies": 1 + len(settings.platform.payload),
-    }
-
-
-def resolved_lines(settings: PlatformSettings) -> list[str]:
-    """Return the resolved figures as lines for a report; joints only where a circle gave them."""
-    figures = resolved_figures(settings)
-    count = figures["bodies"]
-    I = figures["inertia_kg_m2"]
-    diagonal, products = [I[k][k] for k in range(3)], [I[0][1], I[0][2], I[1][2]]
-    rows = [
-        ("mass", f"{figures['mass_kg']:g} kg" + (f" ({count} bodies)" if count > 1 else "")),
-        ("com", f"{_row(figures['com_m'], '.4f')} m"),
-        ("inertia", f"xx yy zz {_row(diagonal, '.5g')} kg m^2 about the com"),
-    ]
-    if any(products):
-        rows.append(("", f"xy xz yz {_row(products, '.5g')} kg m^2 (minus the integral)"))
-        rows.append(("principal", f"{_row(figures['principal_moments_kg_m2'], '.5g')} kg m^2"))
-    for key in ("base_joints_m", "platform_joints_m"):
-        if isinstance(getattr(settings, key), JointCircle):
-            label = f"{key.partition('_')[0]} joints"
-            rows += [(label * (k == 0), f"{_row(row, '.6f')} m") for k, row in enumerate(figures[key])]
-    return [f"{label:<17}{text}" for label, text in rows]
-
-
-def _row(numbers: list[float], form: str) -> str:
-    return " ".join(f"{x:{form}}" for x in numbers)

@@ -3,8 +3,6 @@
 What is allowed is read from the model's own JSON Schema, so it cannot drift from the check.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -17,33 +15,13 @@ from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
 
 Schema = dict[str, Any]
 
-UNITS = frozenset(
-    {
-        *(
-            "m",
-            "mm",
-            "um",
-            "m2",
-            "m3",
-            "s",
-            "s2",
-            "ms",
-            "us",
-            "ns",
-            "min",
-            "h",
-            "kg",
-            "g",
-            "t",
-            "N",
-            "kN",
-            "Nm",
-            "W",
-        ),
-        *("V", "A", "Hz", "kHz", "MHz", "rad", "deg", "percent", "bit", "ticks"),
-    }
-)
+UNITS = frozenset({
+    "m", "mm", "um", "m2", "m3", "s", "s2", "ms", "us", "ns", "min", "h", "kg", "g", "t", "N", "kN", "Nm",
+    "W", "V", "A", "Hz", "kHz", "MHz", "rad", "deg", "percent", "bit", "ticks",
+})  # fmt: skip
 """Words that count as a unit at the end of a key."""
+FORMER_KEYS: dict[str, str] = {}
+"""Key that was removed or renamed, as a dotted path without list indices -> what to write instead."""
 
 
 def problems(error: ValidationError, document: Document, schema: Schema) -> list[Problem]:
@@ -158,6 +136,14 @@ def _path(loc: tuple[str | int, ...], data: Value, *, missing: bool) -> Path:
     return (*path, loc[-1]) if missing else tuple(path)
 
 
+_WHAT = {
+    "literal_error": "unknown value",
+    **dict.fromkeys(("too_short", "too_long"), "wrong number of entries"),
+    **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "out of range"),
+}
+"""By pydantic's name of an error: what we call it."""
+
+
 def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schema) -> tuple[str, Problem]:
     """Return a class of problem, for the de-duplication of union alternatives, and the problem."""
     if kind == "extra_forbidden":
@@ -190,15 +176,7 @@ def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schem
     allowed = describe(at(path, document.value, schema), schema)
     if kind == "finite_number" or (isinstance(item["input"], float) and not math.isfinite(item["input"])):
         return "value", Problem(position, path, f"not a finite number, allowed: {allowed}, given: {given}")
-    what = {
-        "literal_error": "unknown value",
-        "too_short": "wrong number of entries",
-        "too_long": "wrong number of entries",
-        "greater_than": "out of range",
-        "greater_than_equal": "out of range",
-        "less_than": "out of range",
-        "less_than_equal": "out of range",
-    }.get(kind)
+    what = _WHAT.get(kind)
     if what == "wrong number of entries" and isinstance(item["input"], list):
         given = f"{len(item['input'])} entries"
     if what:
@@ -209,7 +187,10 @@ def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schem
 
 
 def unknown_key(path: Path, document: Document, schema: Schema) -> str:
-    """Name the unit that is missing or wrong, else the nearest key, else all keys."""
+    """Say what to write for a former key; else name the missing or wrong unit, the nearest key, all keys."""
+    advice = FORMER_KEYS.get(".".join(item for item in path if isinstance(item, str)))
+    if advice is not None:
+        return f"no longer a key, write {advice}"
     known = list(at(path[:-1], document.value, schema).get("properties", {}))
     key = str(path[-1])
     free = [k for k in known if not document.has((*path[:-1], k))]

@@ -1,7 +1,5 @@
 """The JSON Schema of a configuration, for editors."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json
@@ -11,8 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from drivers.config import Section
-from hil.app.configuration.configuration import SCHEMA
+from drivers.section import Section
+from hil.app.configuration.configuration import json_schema
 
 FILE = "hil.schema.json"
 """Beside the shipped configurations, which name it in their first line."""
@@ -20,7 +18,7 @@ FILE = "hil.schema.json"
 
 def schema() -> dict[str, Any]:
     """Return the schema, JSON Schema draft 2020-12, with the docstrings of the keys as descriptions."""
-    whole = deepcopy(SCHEMA)
+    whole = deepcopy(json_schema())
     models = {model.__name__: model for model in _sections(Section)}
     for name, section in (("Configuration", whole), *whole["$defs"].items()):
         for key, words in _docstrings(models[name]).items():

@@ -3,21 +3,19 @@
 Every problem is reported at once, each as `file:line:column: path: what, allowed, given`.
 """
 
-from __future__ import annotations
-
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import TypeVar
 
 import yaml
 from pydantic import ValidationError
 
-from drivers.config import Section
 from drivers.errors import ConfigurationError
+from drivers.section import Section
 from hil.app.configuration import problems as translate
-from hil.app.configuration.yaml_positions import Document, Problem, parse
+from hil.app.configuration.yaml_positions import Document, lines, parse
+from hil.app.files import write_whole
 
 Kind = TypeVar("Kind", bound=Section)
 
@@ -57,7 +55,7 @@ def read_section(path: Path, kind: type[Kind]) -> tuple[Kind, Document]:
         except ValidationError as error:
             found += translate.problems(error, document, kind.model_json_schema())
     if found:
-        raise ConfigurationError(*(p.line(str(path)) for p in sorted(set(found), key=_order)))
+        raise ConfigurationError(*lines(found, str(path)))
     return section, document
 
 
@@ -74,12 +72,7 @@ def write_section(path: Path, section: Section, remark: str) -> None:
         default_flow_style=None,
     )
     try:
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".yaml", delete=False) as file:
-            file.write(text)
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(file.name).chmod(0o666 & ~umask)
-        Path(file.name).replace(path)
+        write_whole(path, text)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -112,7 +105,3 @@ def _says(path: Path, name: str) -> bool:
     except (OSError, UnicodeDecodeError):
         return False
     return document.value is not None and document.value.get("kind") == name
-
-
-def _order(problem: Problem) -> tuple[tuple[int, int], str]:
-    return problem.position, problem.message

@@ -5,10 +5,8 @@ YAML 1.1: ``1e3`` is a number, ``010`` is ten, ``no`` and ``12:30`` are text. Wh
 and a reader of the file would not expect (two equal keys, aliases, tags) is a problem.
 """
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import yaml
@@ -37,6 +35,11 @@ class Problem(NamedTuple):
         """Return `file:line:column: path: message`."""
         place = f"{source}:{self.position.line}:{self.position.column}: "
         return f"{place}{path_text(self.path)}: {self.message}" if self.path else place + self.message
+
+
+def lines(problems: Iterable[Problem], source: str) -> list[str]:
+    """Return each problem once, in the order of the text."""
+    return [p.line(source) for p in sorted(set(problems), key=lambda p: (p.position, p.message))]
 
 
 class Document(NamedTuple):

@@ -1,7 +1,5 @@
 """`hil design`: a design file in, a controller file out."""
 
-from __future__ import annotations
-
 import importlib.resources
 from collections.abc import Callable
 from pathlib import Path
@@ -67,10 +65,7 @@ def axis_of(design: Design, folder: Path, model: Path | None) -> DesignAxis:
             )
         return design.nominal
     found = read_section(file, AxisModel)[0]
-    for key, given, wanted in (
-        ("axes", found.axes, design.axes),
-        ("rate_Hz", found.rate_Hz, design.rate_Hz),
-    ):
+    for key, given, wanted in (("axes", found.axes, design.axes), ("rate_Hz", found.rate_Hz, design.rate_Hz)):
         if given != wanted:
             raise ConfigurationError(f"{file}: {key}: {given}, allowed: that of the design, {wanted}")
     gains = np.array(found.nominal.gain)

@@ -1,29 +1,27 @@
 """What the loop of a designed controller leaves with a configuration's delay, for `hil check`."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.app.loop_delay import LoopDelay
 from hil.config.linear_controller import LinearController
 from hil.stability.sampled import Axis, analyse
 from hil.stability.sampled_loop import sampled_controller
 
 
-class Verdict(NamedTuple):
-    """Lines, figures and warnings of a report."""
+class LoopFinding(NamedTuple):
+    """What `hil check` prints of the loop."""
 
     lines: list[str]
     figures: dict[str, Any]
     warnings: list[str]
 
 
-def judge(
-    name: str, controller: LinearController, transport_s: float, lag_s: float, least_deg: float
-) -> Verdict:
+def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: float) -> LoopFinding:
     """Return what controller `name` is and what its loop leaves, and warn of less than `least_deg`."""
-    loop = analyse(Axis(1.0 / controller.rate_Hz, transport_s, lag_s), sampled_controller(controller))
+    loop = analyse(Axis(*delay), sampled_controller(controller))
+    transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
     radius, left = float(np.abs(loop.poles).max()), loop.margins
     order = len(controller.A)
     figures = {
@@ -31,18 +29,18 @@ def judge(
         "method": controller.method,
         "axes": controller.axes,
         "rate_Hz": controller.rate_Hz,
-        "transport_ms": 1e3 * transport_s,
-        "lag_ms": 1e3 * lag_s,
+        "transport_ms": transport_ms,
+        "lag_ms": lag_ms,
         "pole_radius": radius,
     }
     what = f"controller {name}: {controller.method}, order {order} on each {controller.axes} axis"
-    delays = f"{1e3 * transport_s:.1f} ms of transport and {1e3 * lag_s:.1f} ms of lag"
+    delays = f"{transport_ms:.1f} ms of transport and {lag_ms:.1f} ms of lag"
     if left is None:
         warning = (
             f"controller.controller_file: unstable with {delays}: a pole of the sampled loop at "
             f"{radius:.4f}, allowed: below 1; design for this delay"
         )
-        return Verdict([what, f"unstable with {delays}"], figures, [warning])
+        return LoopFinding([what, f"unstable with {delays}"], figures, [warning])
     figures |= {
         "cross_over_rad_s": left.crossover_rad_s,
         "phase_margin_deg": left.phase_deg,
@@ -58,4 +56,4 @@ def judge(
         f"crosses over at {left.crossover_rad_s:.0f} rad/s; {delays} leave {left.phase_deg:.0f} degrees of "
         f"phase margin, sensitivity at most {left.peak_S:.2f}"
     )
-    return Verdict([what, what_is_left], figures, warnings)
+    return LoopFinding([what, what_is_left], figures, warnings)

@@ -1,7 +1,5 @@
 """A design as a picture: closed loop against its weights, open loop, what a step of the disturbance does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +17,10 @@ STEP_S = 0.3
 
 
 def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: str) -> Path:
-    """Draw a designed loop, exact and sampled, into a PNG file.
-
-    Raises OSError where it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    """Draw a designed loop, exact and sampled, into a PNG file. Raises OSError where it cannot be written."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(13, 8.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
     K, inputs = made.judged.sampled, design.inputs
     legs = sampled_axis(axis, design.rate_Hz, inputs)

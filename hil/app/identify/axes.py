@@ -1,7 +1,5 @@
 """`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,11 +8,14 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import HilError
+from drivers.signals import Mode
 from hil.app.compose import with_attachments
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.section_file import check_section_path, write_section
 from hil.app.identify.delay import (
     Excited,
+    delay_figures,
+    delay_rows,
     exact_model,
     excitation_force,
     excitation_pose,
@@ -24,27 +25,12 @@ from hil.app.identify.delay import (
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.app.identify.plot import draw
 from hil.app.output import picture_path
-from hil.config import MultisineReference, SinusoidReference
-from hil.config.axis_model import (
-    AxisModel,
-    AxisResponse,
-    AxisSpace,
-    NominalAxis,
-    UncertaintyProfile,
-)
-from hil.identify import (
-    Fit,
-    Response,
-    Spectra,
-    Uncertainty,
-    axis_excitation,
-    estimate,
-    fit_axes,
-    periodic,
-    segmented,
-    uncertainty,
-)
-from hil.signals import Mode
+from hil.config.axis_model import AxisModel, AxisResponse, AxisSpace, NominalAxis, UncertaintyProfile
+from hil.config.reference import MultisineReference, SinusoidReference
+from hil.identify.axis_fit import Fit, Uncertainty, fit_axes, uncertainty
+from hil.identify.excitation import axis_excitation
+from hil.identify.response import Response, estimate
+from hil.identify.spectra import Spectra, periodic, segmented
 
 NAMES: dict[AxisSpace, tuple[str, ...]] = {
     "joint": tuple(f"leg {k}" for k in range(6)),
@@ -134,8 +120,7 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
             lag_ms=_rounded(1e3 * fit.lag_s),
         ),
         uncertainty=UncertaintyProfile(
-            frequency_Hz=[_rounded(f) for f in bound.frequency_Hz],
-            bound=[_rounded(b) for b in bound.bound],
+            frequency_Hz=[_rounded(f) for f in bound.frequency_Hz], bound=[_rounded(b) for b in bound.bound]
         ),
         measured=[_measured(response, axis) for axis in range(6)],
     )
@@ -182,13 +167,7 @@ def summary(identified: Identified, path: Path, files: Outputs) -> dict[str, Any
         "model": str(files.model),
         "picture": str(files.picture),
         "axes": model.axes,
-        "total_ms": 1e3 * fit.total_s,
-        "total_std_ms": 1e3 * fit.total_std_s,
-        "transport_ms": 1e3 * fit.transport_s,
-        "transport_std_ms": 1e3 * fit.transport_std_s,
-        "lag_ms": 1e3 * fit.lag_s,
-        "lag_std_ms": 1e3 * fit.lag_std_s,
-        "hold_ms": 0.5e3 / model.rate_Hz,
+        **delay_figures(fit, 0.5 / model.rate_Hz),
         "gain": fit.gain.tolist(),
         "gain_std": fit.gain_std.tolist(),
         "coherent_lines": coherent,
@@ -202,12 +181,6 @@ def summary(identified: Identified, path: Path, files: Outputs) -> dict[str, Any
 
 def report(result: dict[str, Any], model: AxisModel) -> list[str]:
     """Return what the user reads."""
-
-    def row(name: str, key: str, remark: str) -> str:
-        std = result.get(f"{key}_std_ms")
-        sure = "" if std is None else f" +- {2 * std:.4f}"
-        return f"  {name:12} {result[f'{key}_ms']:8.4f}{sure:11} ms   {remark}"
-
     profile = model.uncertainty
     f, bound = np.array(profile.frequency_Hz), np.array(profile.bound)
     marks = [x for x in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if f[0] <= x <= f[-1]]
@@ -222,10 +195,7 @@ def report(result: dict[str, Any], model: AxisModel) -> list[str]:
     lines = [
         f"From demanded acceleration to measured position, {model.axes} axes (+- two standard deviations):",
         f"  gain         {of_gain}; 1 where model and robot agree",
-        row("transport", "transport", "SYNC to feedback, computing, command: pure delay"),
-        row("drive lag", "lag", "time constant of the drives' force loop"),
-        row("hold", "hold", "half a period, by design"),
-        row("total", "total", "slope of the phase"),
+        *delay_rows(result, "slope of the phase"),
         f"Bound of |P/P0 - 1|, 95 %: {bounds}{coupling}",
         f"{result['blocks']} {kind}, {f[0]:g} to {f[-1]:g} Hz; {fewest}; {moved}",
     ]

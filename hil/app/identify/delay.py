@@ -1,7 +1,5 @@
 """`hil identify --delay`, and what all of `hil identify` shares: runs made for it, and logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,18 +10,21 @@ from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import DriveState
 from hil.app.check.command import refuse_unreachable
-from hil.app.configuration.configuration import Configuration, loads, platform_dict
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.platform import build_platform
 from hil.app.configuration.yaml_positions import parse
+from hil.app.replay import open_run
 from hil.app.run.command import run_daemon
 from hil.app.sim.command import simulate
-from hil.config import Evaluated, HoldReference, ModelBasedSettings, ModelSettings, Pose
+from hil.config.model import ModelSettings
+from hil.config.reference import Evaluated, HoldReference
+from hil.config.values import Pose
 from hil.control.model import build_model
-from hil.identify import Delay, Motion, force_delay
-from hil.identify.excitation import excitation
-from hil.record.log import Log
+from hil.identify.axis_fit import Fit
+from hil.identify.delay import Delay, Motion, force_delay
+from hil.identify.excitation import delay_excitation
 from hil.record.mcap_file import MAGIC
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 
 DURATION_S = 4.0
 FORCE_SHARE = 0.02
@@ -65,7 +66,7 @@ def excited(configuration: Configuration, force_N: float | None, duration_s: flo
     """
     c = configuration
     force = excitation_force(c, force_N)
-    reference = excitation(
+    reference = delay_excitation(
         exact_model(c), excitation_pose(c), c.loop.rate_Hz, force, duration_s or DURATION_S
     )
     return excited_by(c, reference, force)
@@ -110,9 +111,9 @@ def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excite
 def exact_model(configuration: Configuration) -> Model:
     """Return the full model with what the controller believes of friction and inertia, where it does."""
     c = configuration
-    settings = c.controller.model if isinstance(c.controller, ModelBasedSettings) else ModelSettings()
-    full = settings.model_copy(update={"variant": "full", "frozen_at": None})
-    return build_model(full, Platform.from_dict(platform_dict(c.platform)), c.platform.leg_spin)
+    believed = c.controller.believed or ModelSettings()
+    full = believed.model_copy(update={"variant": "full", "frozen_at": None})
+    return build_model(full, build_platform(c.platform), c.platform.leg_spin)
 
 
 def motion_of(rows: Rows, period_s: float) -> Motion:
@@ -138,17 +139,8 @@ def motion_of(rows: Rows, period_s: float) -> Motion:
 
 
 def recorded_run(path: Path) -> Recorded:
-    """Return what a log of `hil run` or `hil sim` holds.
-
-    Raises LogError for what is no such log.
-    """
-    log = Log.open(path)
-    run = log.metadata.get("hil", {})
-    if run.get("kind") not in {"run", "sim"}:
-        raise LogError(
-            f"{path}: holds a log of kind {run.get('kind')!r}; only logs of `hil run` and `hil sim` tell"
-        )
-    configuration = loads(log.configuration, f"{path}:config.yaml")
+    """Return what a log of `hil run` or `hil sim` holds. Raises LogError for what is no such log."""
+    log, run, configuration = open_run(path)
     return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
 
 
@@ -166,13 +158,7 @@ def delay_of_log(path: Path) -> dict[str, Any]:
 def summary(delay: Delay) -> dict[str, Any]:
     """Return a delay as plain values, and the section of the configuration that compensates it."""
     return {
-        "total_ms": 1e3 * delay.total_s,
-        "total_std_ms": 1e3 * delay.total_std_s,
-        "transport_ms": 1e3 * delay.transport_s,
-        "transport_std_ms": 1e3 * delay.transport_std_s,
-        "lag_ms": 1e3 * delay.lag_s,
-        "lag_std_ms": 1e3 * delay.lag_std_s,
-        "hold_ms": 1e3 * delay.hold_s,
+        **delay_figures(delay, delay.hold_s),
         "separable": delay.separable,
         "explained_percent": 100.0 * delay.explained,
         "gain": delay.gain.tolist(),
@@ -187,20 +173,39 @@ def summary(delay: Delay) -> dict[str, Any]:
     }
 
 
+def delay_figures(found: Delay | Fit, hold_s: float) -> dict[str, float]:
+    """Return transport, lag, hold and their sum in ms, with standard deviations."""
+    return {
+        "total_ms": 1e3 * found.total_s,
+        "total_std_ms": 1e3 * found.total_std_s,
+        "transport_ms": 1e3 * found.transport_s,
+        "transport_std_ms": 1e3 * found.transport_std_s,
+        "lag_ms": 1e3 * found.lag_s,
+        "lag_std_ms": 1e3 * found.lag_std_s,
+        "hold_ms": 1e3 * hold_s,
+    }
+
+
+def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
+    """Return a line for each of `delay_figures`; `total` says what their sum is."""
+    rows = []
+    for name, key, remark in (
+        ("transport", "transport", "SYNC to feedback, computing, command: pure delay"),
+        ("drive lag", "lag", "time constant of the drives' force loop"),
+        ("hold", "hold", "half a period, by design"),
+        ("total", "total", total),
+    ):
+        std = figures.get(f"{key}_std_ms")
+        sure = "" if std is None else f" +- {2 * std:.4f}"
+        rows.append(f"  {name:12} {figures[f'{key}_ms']:8.4f}{sure:11} ms   {remark}")
+    return rows
+
+
 def report(result: dict[str, Any]) -> list[str]:
     """Return what the user reads: the delays, how sure they are, and what to write where."""
-
-    def row(name: str, key: str, remark: str) -> str:
-        std = result.get(f"{key}_std_ms")
-        sure = "" if std is None else f" +- {2 * std:.4f}"
-        return f"  {name:12} {result[f'{key}_ms']:8.4f}{sure:11} ms   {remark}"
-
     lines = [
         "From the measurement to the force that answers it (+- two standard deviations):",
-        row("transport", "transport", "SYNC to feedback, computing, command: pure delay"),
-        row("drive lag", "lag", "time constant of the drives' force loop"),
-        row("hold", "hold", "half a period, by design"),
-        row("total", "total", "what the law looks ahead by"),
+        *delay_rows(result, "what the law looks ahead by"),
         f"{result['periods']} periods; the commands explain {result['explained_percent']:.2f} % of what "
         "varies; gain of each leg " + " ".join(f"{g:.3f}" for g in result["gain"]),
     ]

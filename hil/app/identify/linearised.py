@@ -1,7 +1,5 @@
 """The linearised axes of a log or a configuration: which law, which axes, which part of the run."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import gcd, lcm
 from typing import NamedTuple
@@ -9,34 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Flags, Ints, Rows
-from drivers.errors import ConfigurationError, LogError
-from hil.app.configuration.configuration import Configuration, platform_dict
+from drivers.errors import ConfigurationError, IdentificationError, LogError
+from drivers.signals import Mode
+from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of
-from hil.config import (
-    ModelBasedSettings,
-    ModelSettings,
-    MultisineReference,
-    PartialLinearisationSettings,
-    ReferenceSettings,
-    SinusoidReference,
-)
+from hil.app.configuration.platform import build_platform
 from hil.config.axis_model import AxisSpace
+from hil.config.reference import MultisineReference, ReferenceSettings, SinusoidReference
+from hil.control import LAWS
 from hil.control.model import build_model
-from hil.identify import AxisSignals, IdentificationError, demanded_accelerations, state_of
+from hil.identify.linearised import AxisSignals, demanded_accelerations, state_of
 from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
-from hil.signals import Mode
 from hil.trajectory.multisine import pick_lines
 
-SPACES: dict[str, AxisSpace] = {
-    "inverse_dynamics": "joint",
-    "partial_linearisation": "joint",
-    "sliding_mode": "joint",
-    "robust_inverse_dynamics": "joint",
-    "pose_inverse_dynamics": "pose",
-}
-"""Laws that linearise the robot -> the axes in which they do; state_space has those of its file."""
 LEAST_MOTION_m = 1e-4
 """Of the leg that moves most; what moves less is lost in encoder steps and friction."""
 
@@ -64,22 +48,16 @@ def linearised_law(c: Configuration) -> LinearisedLaw:
     Raises ConfigurationError for a law that does not linearise, or a controller's file that cannot be used.
     """
     settings = c.controller
-    space = SPACES.get(settings.law)
     controller = controller_of(settings, c.folder)
-    if controller is not None:
-        space = controller.axes
-    if space is None:
+    space = settings.axes if controller is None else controller.axes
+    if space is None or space == "designed" or settings.believed is None:
+        allowed = ", ".join(name for name, law in LAWS.items() if law.axes is not None)
         raise ConfigurationError(
             f"{c.source}: controller.law: {settings.law} demands no acceleration, so there is no linearised "
-            f"axis to identify, allowed: {', '.join(SPACES)}, state_space"
+            f"axis to identify, allowed: {allowed}"
         )
-    if isinstance(settings, PartialLinearisationSettings):
-        believed = ModelSettings(variant="no_H", **dict(settings.model))
-    else:
-        assert isinstance(settings, ModelBasedSettings)
-        believed = settings.model
-    model = build_model(believed, Platform.from_dict(platform_dict(c.platform)), c.platform.leg_spin)
-    return LinearisedLaw(space, model, not isinstance(settings, PartialLinearisationSettings))
+    model = build_model(settings.believed, build_platform(c.platform), c.platform.leg_spin)
+    return LinearisedLaw(space, model, settings.compensates_wrench)
 
 
 def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSignals, Array]:

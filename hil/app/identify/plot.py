@@ -1,7 +1,5 @@
 """An axis model as a picture: magnitude, phase, coherence and bound over frequency."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +15,9 @@ def draw(model: AxisModel, path: Path, title: str) -> Path:
     Magnitude and phase are those of P s^2 / gain, from demanded to acting acceleration: on 1/s^2 itself
     neither delay nor lag could be seen. Raises OSError where the file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(12, 8.5), layout="constrained")
-    FigureCanvasAgg(figure)
     (magnitude, coherence), (phase, bound) = figure.subplots(2, 2, sharex=True)
     T = 1.0 / model.rate_Hz
     names = [f"leg {k}" for k in range(6)] if model.axes == "joint" else ["x", "y", "z", "rx", "ry", "rz"]

@@ -1,7 +1,5 @@
 """`hil run`: the daemon on the controller PC, in real time, against drives or the plant that it starts."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator
@@ -12,22 +10,23 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
-from drivers.can.bus_time import BusBudget
 from drivers.errors import LogError, RunError
-from hil.app.compose import attachments, build_cycle, build_scene, bus_budget, feedback_window_s
+from drivers.signals import Mode
+from hil.app.compose import build_cycle, bus_budget, feedback_window_s, record
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.output import console, log_path, warn
 from hil.app.replay import replay_log
 from hil.app.run.plant_process import SupervisedPlant
-from hil.app.run.rate_selection import pace, stalled
+from hil.app.run.rate_selection import select_rate, stalled
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
-from hil.loop.daemon import NO_DRIVES_S, Ending, OperatorPanel, run
+from hil.loop.course import NO_DRIVES, NO_DRIVES_S, Course, Ending
+from hil.loop.cycle import Cycle
+from hil.loop.daemon import OperatorPanel, Shell, run
 from hil.loop.setpoints import SetPointSocket
-from hil.record import LogSummary, Recording
+from hil.record import LogSummary
 from hil.record.figures import figures, picture
 from hil.record.log import Log
-from hil.signals import Mode
 
 FAULT_TICKS_SHOWN = 50
 _ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault"}
@@ -50,80 +49,51 @@ def run_daemon(
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
     `slow` says why the loop is to run at the rate that this machine holds without real time. The key
-    `stalled` says that the machine did not keep the configured rate and that a slower loop outlasts more.
+    `stalled` says that the machine stalled and a slower loop would have survived it.
     Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
     c.require("run")
     panel = OperatorPanel()
     plant_summary: dict[str, Any] | None = None
-    plant_trouble = ""
     with contextlib.ExitStack() as stack:
         stack.enter_context(_startable())
         stack.enter_context(panel.attached())
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
-        rate, watchdog_s = pace(c, with_plant=with_plant, lack=slow)
-        budget = bus_budget(c, rate)
+        rate, watchdog_s = select_rate(c, with_plant=with_plant, lack=slow)
         cycle = build_cycle(c, rate, watchdog_s)
         path = log_path(c.recording.folder, c.name, log)
         plant = None
         if with_plant:
             plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap")))
-        recording = stack.enter_context(
-            Recording.start(
-                path,
-                configuration=c.text,
-                attachments=attachments(c),
-                metadata={"kind": "run", "rate_Hz": rate, "watchdog_s": watchdog_s},
-                scene=build_scene(c),
-                can_channel=c.bus.channel,
-                ring_ticks=c.recording.ring_ticks,
-                live=console.is_terminal,
-                reference_s=cycle.parts.trajectory.duration_s,
-            )
-        )
-        setpoints = None
-        if cycle.parts.steering is not None:
-            setpoints = stack.enter_context(SetPointSocket(c.bus.interface, c.bus.channel))
+        recording = stack.enter_context(record(c, cycle, path, "run", live=console.is_terminal))
+        live = cycle.parts.steering is not None
+        setpoints = stack.enter_context(SetPointSocket(c.bus.interface, c.bus.channel)) if live else None
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
             window_ns = round(feedback_window_s(c, rate) * 1e9)
-            ending = run(
-                cycle,
-                bus,
-                deadlines,
-                recording,
-                panel,
-                window_ns,
-                duration_s,
-                reset=reset,
-                setpoints=setpoints,
-            )
-        if plant is not None:
-            plant_trouble = plant.trouble()
-        trouble = _trouble(ending, c, plant_trouble, with_plant=with_plant)
+            shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints)
+            ending = run(Course(cycle, duration_s, reset=reset), shell)
+        trouble = _trouble(ending, c, "" if plant is None else plant.trouble(), with_plant=with_plant)
         if trouble:
             recording.event(time.monotonic_ns(), "error", ending.unexpected or trouble)
-        closed = recording.close(
-            {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
-        )
+        end = {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
+        closed = recording.close(end)
         if plant is not None:
             plant_summary = plant.finish()
-    law = law_figures(c.controller, cycle.parts.law)
-    result = _summary(c, law, ending, trouble, granted, rate, budget, closed)
+    result = _summary(c, cycle, ending, trouble, granted, closed)
     sound = plant_summary is not None and plant_summary["success"] and not panel.interrupts and not slow
-    result["stalled"] = sound and stalled(c, cycle.measurement, ending, rate, watchdog_s)
+    result["stalled"] = sound and stalled(c, cycle.tick, ending, rate, watchdog_s)
     if "recorder" in result:
         warn(f"hil: {result['recorder']}")
     if plant_summary is not None:
         result["plant"] = plant_summary
         result["success"] = result["success"] and plant_summary["success"]
     if draw and result.get("tracking", {}).get("ticks"):
-        rows = Log.open(closed.path).rows()
         title = f"{c.name}: {result['tracking']['ticks']} ticks at {rate:g} Hz"
-        result["picture"] = str(picture(rows, closed.path.with_suffix(".png"), title))
+        result["picture"] = str(picture(Log.open(closed.path).rows(), closed.path.with_suffix(".png"), title))
     return result
 
 
@@ -139,9 +109,9 @@ def _startable() -> Iterator[None]:
 def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) -> str:
     """Say what went wrong and what to do about it; empty for a good ending."""
     text = ending.reason
-    if text == "no drives":
+    if text == NO_DRIVES:
         start = (
-            "" if with_plant else f"; for a virtual bench start `hil plant {c.source}` first, or add --plant"
+            "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
         )
         text = (
             f"no drive answered on {c.bus.interface} channel {c.bus.channel} within {NO_DRIVES_S:g} s: check "
@@ -153,15 +123,10 @@ def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) 
 
 
 def _summary(
-    c: Configuration,
-    law: dict[str, Any],
-    ending: Ending,
-    trouble: str,
-    granted: RealTime,
-    rate: float,
-    budget: BusBudget | None,
-    closed: LogSummary,
+    c: Configuration, cycle: Cycle, ending: Ending, trouble: str, granted: RealTime, closed: LogSummary
 ) -> dict[str, Any]:
+    rate = cycle.parts.rate_Hz
+    budget = bus_budget(c, rate)
     result: dict[str, Any] = {
         "success": ending.success and not trouble,
         "kind": "run",
@@ -169,7 +134,7 @@ def _summary(
         "configuration": c.source,
         "log": str(closed.path),
         "rate_Hz": rate,
-        **law,
+        **law_figures(c.controller, cycle.parts.law),
         "trouble": trouble or None,
         "real_time": {"granted": granted.granted, "missing": granted.missing},
         "bus_load_percent": None if budget is None else budget.load_percent,

@@ -1,25 +1,19 @@
-"""`hil plant` as a child of `hil run --plant`: started, watched, told to end, never orphaned for long."""
-
-from __future__ import annotations
+"""`hil plant` as a child of `hil run --plant`: started, watched, asked to end, never orphaned for long."""
 
 import json
 import os
 import select
 import signal
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from drivers.child_process import start
 from drivers.errors import PlantError
 from hil.app.configuration.configuration import Configuration
 
-_PACKAGES = os.pathsep.join(
-    filter(None, (str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH")))
-)
-"""Where the child finds this program: with -P not in the user's working directory."""
 START_S = 60.0
 """Building the FMU and compiling may come first, or a plant whose daemon was killed may have to leave."""
 END_S = 20.0
@@ -43,19 +37,15 @@ class SupervisedPlant:
         alive_read, self._alive = os.pipe()
         self._report, report_write = os.pipe()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
-        command = [
-            sys.executable, "-P", "-m", "hil.cli", "plant", configuration.source, "--log", str(log),
+        self._process = start(
+            "hil.cli", "plant", configuration.source, "--log", str(log),
             "--supervisor", str(alive_read), "--report", str(report_write),
-        ]  # fmt: skip
-        self._process = subprocess.Popen(
-            command,
             pass_fds=(alive_read, report_write),
-            env={**os.environ, "PYTHONPATH": _PACKAGES},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
             start_new_session=True,
-        )
+        )  # fmt: skip
         os.close(alive_read)
         os.close(report_write)
 
@@ -83,7 +73,7 @@ class SupervisedPlant:
         return self._process.pid
 
     def trouble(self) -> str:
-        """Say how the plant ended before it was told to; empty while it lives."""
+        """Say how the plant ended before it was asked to; empty while it lives."""
         if self._trouble is None and self._process.poll() is not None:
             self._trouble = f"the plant, process {self.pid}, {self._message()}"
         return self._trouble or ""
@@ -110,7 +100,7 @@ class SupervisedPlant:
                 self._process.wait()
 
     def _message(self) -> str:
-        """Return what the plant said last, or how it ended."""
+        """Return the last line of the plant, or how it ended."""
         self._errors.seek(0)
         text = self._errors.read().decode(errors="replace").strip()
         code = self._process.returncode

@@ -1,9 +1,8 @@
-"""At which rate the loop runs on this machine, and whether a run ended because it was not kept."""
-
-from __future__ import annotations
+"""At which rate the loop runs on this machine, and whether a run ended because this machine stalled."""
 
 from drivers.errors import RunError
-from drivers.signals import DriveFault, Measurement
+from drivers.signals import DriveFault, Fault, Mode
+from drivers.tick import Record
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import warn
 from hil.loop.clock import (
@@ -15,17 +14,16 @@ from hil.loop.clock import (
     holdable_rate,
     late_share,
 )
-from hil.loop.daemon import Ending
-from hil.signals import Fault, Mode
+from hil.loop.course import Ending
 
 RELAXED_WATCHDOG_S = 0.2
 """Watchdog of emulated drives where the loop has no real time. Real drives keep the configured one."""
 
 
-def pace(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, float]:
-    """Return rate (Hz) and drive watchdog (s): the configured ones, or what holds without real time.
+def select_rate(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, float]:
+    """Return rate (Hz) and drive watchdog (s): the configured ones, or those this machine can hold.
 
-    `lack` says what real time lacks, where it is known. Raises RunError where the loop may not be slowed.
+    `lack` says why there is no real time, where that is known. Raises RunError: the loop may not be slowed.
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
     lack = lack or _lack(c, with_plant=with_plant)
@@ -46,19 +44,19 @@ def pace(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, 
         consequences.append(f"the loop runs at {slow:g} Hz instead of {rate:g} Hz")
     if with_plant:
         consequences.append(f"emulated drives' watchdog {watchdog_s * 1e3:g} ms")
-    said = lack + (f": {', '.join(consequences)}" if consequences else "")
+    text = lack + (f": {', '.join(consequences)}" if consequences else "")
     if worst_s * slow > patience(c):
         stall_ms = worst_s * 1e3
-        said += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
-    warn(said)
+        text += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
+    warn(text)
     return slow, watchdog_s
 
 
 def _lack(c: Configuration, *, with_plant: bool) -> str:
-    """Say why the loop has no real time; empty if it has, or if the limits outlast what may come.
+    """Say why the loop has no real time; empty if it has, or if its limits survive a stall.
 
-    With the plant on this machine, too, SCHED_FIFO has to be kept and not only granted: an answer that comes
-    later than the feedback window is a stale leg.
+    With the plant on the same machine SCHED_FIFO must be granted and kept: a feedback that comes after the
+    window is a stale leg.
     """
     if not fifo_allowed(c.loop.priority):
         return "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
@@ -74,35 +72,33 @@ def _lack(c: Configuration, *, with_plant: bool) -> str:
 
 
 def patience(c: Configuration) -> int:
-    """Return how many periods a stall may last that ends no run."""
+    """Return how many periods a stall may last without ending the run."""
     return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks)
 
 
 def _patience_s(c: Configuration) -> float:
-    """Return the longest stall that ends no run at the configured rate."""
+    """Return the longest stall (s) that does not end a run at the configured rate."""
     return min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
-def stalled(
-    c: Configuration, measurement: Measurement, ending: Ending, rate: float, watchdog_s: float
-) -> bool:
-    """Tell whether a run at the configured rate ended as a stall ends it that a slower loop outlasts.
+def stalled(c: Configuration, last: Record, ending: Ending, rate: float, watchdog_s: float) -> bool:
+    """Tell whether the machine stalled and a slower loop would have survived it.
 
-    That is: legs not heard in time, drives that missed their commands (the reference may have left them
-    behind), or missed periods, and nothing else. `measurement` is the last one, `rate` (Hz) and `watchdog_s`
-    what was used. Only on localcan, where all that answers is a process of this machine.
+    The signs of a stall: silent legs, drives whose watchdog ran out (the reference may have gone on without
+    them), or missed periods, and nothing else. `last` is the last tick, `rate` (Hz) and `watchdog_s` are
+    those of the run. Only on localcan, where every participant is a process of this machine.
     """
     if c.bus.interface != "localcan" or c.loop.without_realtime == "refuse" or ending.raised:
         return False
     if rate < c.loop.rate_Hz:
         return False
-    slower_outlasts_more = rate >= 2.0 * SLOWEST_Hz and patience(c) / rate < STALL_S
+    slower_survives = rate >= 2.0 * SLOWEST_Hz and patience(c) / rate < STALL_S
     if ending.mode is not Mode.FAULT:
-        return ending.missed and slower_outlasts_more
-    of_a_stall = Fault.STALE
-    reported = set(measurement.fault.tolist()) - {DriveFault.NONE}
-    if reported == {DriveFault.WATCHDOG} and (slower_outlasts_more or watchdog_s < STALL_S):
-        of_a_stall |= Fault.DRIVE | Fault.FOLLOWING
-    elif reported or not slower_outlasts_more:
+        return ending.missed and slower_survives
+    signs = Fault.STALE
+    reported = set(last["drive_fault"].tolist()) - {DriveFault.NONE}
+    if reported == {DriveFault.WATCHDOG} and (slower_survives or watchdog_s < STALL_S):
+        signs |= Fault.DRIVE | Fault.FOLLOWING
+    elif reported or not slower_survives:
         return False
-    return bool(ending.faults) and not ending.faults & ~of_a_stall
+    return bool(ending.faults) and not ending.faults & ~signs

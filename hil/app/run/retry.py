@@ -1,6 +1,4 @@
-"""`hil run --plant` on a machine that stalls: the run once more, at a rate that outlasts it."""
-
-from __future__ import annotations
+"""`hil run --plant` on a machine that stalls: one retry at a rate that survives the stall."""
 
 import os
 from pathlib import Path
@@ -19,11 +17,11 @@ def run_with_plant(
     duration_s: float | None = None,
     reset: bool = False,
 ) -> dict[str, Any]:
-    """Run with the plant; where a stall of this machine ended the run, once more at the rate that it holds.
+    """Run with the plant; if this machine stalled, run once more at a rate that it holds.
 
-    Returns the summary of the run that counts; with key `stalled_run`, what the summary of the stalled one
-    said (trouble, rate_Hz, ticks) and where its log is kept. The log that was asked for is the second one's.
-    Where the second run does not begin, the first one counts. Raises as `hil.app.run.command.run_daemon`.
+    Returns the summary of the run that counts: the second, or the first where no second one began. After a
+    retry, key `stalled_run` has trouble, rate_Hz, ticks and log of the first run, and `log` is the second's.
+    Raises as `hil.app.run.command.run_daemon`.
     """
     first = run_daemon(configuration, log=log, duration_s=duration_s, with_plant=True, reset=reset)
     if not first["stalled"]:
@@ -32,16 +30,16 @@ def run_with_plant(
     try:
         _set_aside(first)
     except OSError as error:
-        warn(f"hil: not once more: {error}")
+        warn(f"hil: the run is not repeated: {error}")
         return first
     warn(f"hil: {first['trouble']}; its log is {first['log']}")
-    reason = f"this machine stalls at {first['rate_Hz']:g} Hz, once more from the start"
+    reason = f"this machine stalls at {first['rate_Hz']:g} Hz, retry from the start"
     try:
         second = run_daemon(
             configuration, log=path, duration_s=duration_s, with_plant=True, reset=reset, slow=reason
         )
     except HilError as error:
-        warn(f"hil: not once more: {error}")
+        warn(f"hil: the run is not repeated: {error}")
         return first
     return second | {"stalled_run": {key: first.get(key) for key in ("trouble", "rate_Hz", "ticks", "log")}}
 

@@ -1,36 +1,29 @@
 """`hil sim`: both ends of the bus in lockstep, in simulated time, as fast as the machine allows."""
 
-from __future__ import annotations
-
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError, PlantError
 from drivers.protocol import Frame
-from hil.app.compose import (
-    attachments,
-    bit_timing,
-    build_cycle,
-    build_nodes,
-    build_scene,
-    bus_budget,
-    feedback_window_s,
-)
+from drivers.signals import Mode
+from hil.app.compose import build_cycle, build_nodes, bus_budget, record
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.output import log_path
 from hil.app.replay import replay_log
-from hil.app.sim.lockstep import Lockstep
-from hil.config import LiveReference
+from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
+from hil.config.reference import LiveReference
 from hil.loop.clock import collector_paused
+from hil.loop.course import Ending
 from hil.loop.cycle import Cycle
 from hil.record import Recording
 from hil.record.figures import figures
 from hil.record.log import Log
-from hil.signals import Mode, SetPoint, TickInput, TickOutput
+from hil.signals import SetPoint, TickInput, TickOutput
 from hil.trajectory.sampled import read_poses
-from plant_fmu.drives.faults import FaultPlan
+from plant_fmu.drives.faults.plan import FaultPlan
 
 
 class Script:
@@ -66,6 +59,21 @@ class Script:
         return tuple(self._setpoints[first : self._given])
 
 
+def _run(
+    lockstep: Lockstep,
+    recording: Recording,
+    duration_s: float | None,
+    setpoints: Callable[[int], tuple[SetPoint, ...]],
+) -> Ending:
+    def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
+        recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
+
+    try:
+        return lockstep.run(duration_s, observe, setpoints)
+    except PlantError as error:
+        return Ending(lockstep.cycle.mode, lockstep.cycle.faults, str(error), lockstep.tick)
+
+
 def simulate(
     configuration: Configuration,
     *,
@@ -79,9 +87,7 @@ def simulate(
     """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
 
     `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
-    their times along it.
-
-    Raises ConfigurationError for what cannot run, PlantError where the plant fails.
+    their times along it. Raises ConfigurationError for what cannot run, PlantError: the plant does not start.
     """
     c = configuration
     c.require("sim")
@@ -98,41 +104,19 @@ def simulate(
     path = log_path(c.recording.folder, c.name, log)
     nodes, physics = build_nodes(c, faults)
     try:
-        lockstep = Lockstep(
-            cycle, nodes, None if budget is None else bit_timing(c), feedback_window_s(c, rate)
-        )
-        recording = Recording.start(
-            path,
-            configuration=c.text,
-            attachments=attachments(c),
-            metadata={"kind": "sim", "rate_Hz": rate, "watchdog_s": watchdog_s},
-            scene=build_scene(c),
-            can_channel=c.bus.channel,
-            lockstep=True,
-            ring_ticks=c.recording.ring_ticks,
-            live=live,
-            reference_s=cycle.parts.trajectory.duration_s,
-        )
-
-        def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
-            recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
-
-        trouble = ""
-        with recording, collector_paused():
+        lockstep = build_lockstep(c, cycle, nodes)
+        with record(c, cycle, path, "sim", live=live, lockstep=True) as recording, collector_paused():
             begun = time.perf_counter()
-            try:
-                mode = lockstep.run(duration_s, observe, script)
-            except PlantError as error:
-                mode, trouble = cycle.mode, str(error)
+            ending = _run(lockstep, recording, duration_s, script or no_setpoints)
             wall = time.perf_counter() - begun
-            recorder = recording.close({"ending": mode.name, "faults": int(cycle.faults)})
+            recorder = recording.close({"ending": ending.mode.name, "faults": int(ending.faults)})
     finally:
         physics.close()
     rows = Log.open(path).rows()
     result: dict[str, Any] = {
-        "success": mode is Mode.PARKED and not cycle.faults and not trouble,
+        "success": ending.success,
         "kind": "sim",
-        "trouble": trouble or None,
+        "trouble": ending.reason or None,
         "configuration": c.source,
         "log": str(path),
         "rate_Hz": rate,

@@ -3,18 +3,19 @@
 A frame takes its worst-case bit time and the lowest identifier wins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple
 
-from drivers.can.bus_time import BitTiming, frame_time_ns, priority, transmit
+from drivers.can.arbitration import priority, transmit
+from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.protocol import ALWAYS, Frame, Received
+from hil.app.compose import bit_timing, feedback_window_s
+from hil.app.configuration.configuration import Configuration
+from hil.loop.course import Course, Ending
 from hil.loop.cycle import Cycle
-from hil.loop.daemon import FAULT_TAIL_S, NO_DRIVES_S, drives_off
-from hil.signals import Mode, Operator, SetPoint, TickInput, TickOutput
+from hil.signals import Operator, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
 Observer = Callable[[TickInput, tuple[Frame, ...], TickOutput], None]
@@ -24,10 +25,15 @@ _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 
 _frame_of = itemgetter(1)
-_ENDED = frozenset({Mode.PARKED, Mode.FAULT})
 
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
+
+
+def no_setpoints(tick: int) -> tuple[SetPoint, ...]:
+    """Return the set-points of a tick where there are none."""
+    del tick
+    return ()
 
 
 Shape = tuple[int, int, int]
@@ -79,6 +85,7 @@ class Lockstep:
         self.window_ns = round(self.feedback_window_s * 1e9)
         self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
         self.wanted = self.cycle.parts.protocol.feedback_ids
+        self.fresh = self.cycle.parts.protocol.fresh
         self.nodes.start(0)
 
     def step(
@@ -89,7 +96,7 @@ class Lockstep:
         t_ns = tick * self.period_ns
         opening = self.cycle.begin(tick)
         feedback, step_ns = self._exchange(t_ns, opening)
-        inp = TickInput(tick, t_ns, 0, 0, tuple(feedback), 0, 0, False, 0, True, 0, operator, 0, setpoints)
+        inp = TickInput(tick, t_ns, frames=tuple(feedback), operator=operator, setpoints=setpoints)
         out = self.cycle.step(inp)
         queued_ns = step_ns + self.compute_ns
         # nothing else is queued before the next SYNC
@@ -103,7 +110,8 @@ class Lockstep:
         if not self._send(t_ns, opening, deadline, self._commands):
             self._queue([(t_ns, frame) for frame in opening], from_drive=False)
             self._carry(t_ns)
-            if opening[-1] not in map(_frame_of, self._commands):  # SYNC waits for the frame on the wire
+            # what starts the tick waits for the frame on the wire
+            while any(queued[-1] in opening for queued in self._queued):
                 self._carry(self.free_ns)
         synced = self._commands[-1].t_ns if self._commands else t_ns
         commands, self._commands = self._commands, []
@@ -114,7 +122,8 @@ class Lockstep:
             burst = self._send(replies[0][0], list(map(_frame_of, replies)), deadline, answers)
             if burst:
                 taken = burst.answered
-                if not taken:
+                # queued at one instant, they answer the same frame: one is fresh if all are
+                if not taken or not self.fresh(answers[taken - 1], self.tick, t_ns):
                     return early + answers, deadline
                 self._late = answers[taken:]
                 return early + answers[:taken], answers[taken - 1].t_ns
@@ -122,8 +131,10 @@ class Lockstep:
         self._carry(deadline)
         answers, self._late = self._late, []
         missing = set(self.wanted)
-        for n, (end_ns, frame) in enumerate(answers):
-            missing.discard(frame.id)
+        for n, answer in enumerate(answers):
+            end_ns = answer.t_ns
+            if self.fresh(answer, self.tick, t_ns):
+                missing.discard(answer.frame.id)
             if end_ns > deadline or not missing:
                 taken = n if end_ns > deadline else n + 1
                 self._late = answers[taken:]
@@ -191,29 +202,19 @@ class Lockstep:
         self,
         duration_s: float | None,
         observe: Observer,
-        setpoints: Callable[[int], tuple[SetPoint, ...]] | None = None,
-    ) -> Mode:
-        """Engage, run the reference, park. `setpoints` gives those of a tick.
+        setpoints: Callable[[int], tuple[SetPoint, ...]] = no_setpoints,
+    ) -> Ending:
+        """Engage, run the reference, park. `setpoints` gives those of a tick. Return how the run ended."""
+        course = Course(self.cycle, duration_s)
+        ending = None
+        while ending is None:
+            tick = self.tick + 1
+            observe(*self.step(course.commands(tick), setpoints(tick)))
+            ending = course.ending(tick)
+        return ending
 
-        Ends when parked with all drives off, FAULT_TAIL_S after a fault or after parking drives that never
-        were on, or when the drives do not get ready.
-        """
-        rate = self.cycle.parts.rate_Hz
-        stop_tick = None if duration_s is None else round(duration_s * rate)
-        tail_ticks = max(5, round(FAULT_TAIL_S * rate))
-        ending = 0
-        operator: tuple[Operator, ...] = ()
-        engaged = False
-        while True:
-            observe(*self.step(operator, () if setpoints is None else setpoints(self.tick + 1)))
-            operator = ()
-            mode = self.cycle.mode
-            if not engaged and mode is Mode.IDLE:
-                operator, engaged = (Operator.ENGAGE,), True
-            if stop_tick is not None and self.tick + 1 == stop_tick:
-                operator = (*operator, Operator.STOP)
-            ending += mode in _ENDED
-            parked = mode is Mode.PARKED and drives_off(self.cycle)
-            waited = mode is Mode.WAITING and self.tick > NO_DRIVES_S * rate
-            if parked or ending > tail_ticks or waited:
-                return mode
+
+def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes) -> Lockstep:
+    """Return both ends on the configured bus; layout `ideal` takes no bus time."""
+    timing = None if c.bus.layout == "ideal" else bit_timing(c)
+    return Lockstep(cycle, nodes, timing, feedback_window_s(c, c.loop.rate_Hz))

@@ -1,7 +1,5 @@
 """`hil stability CONFIG`: what can be proven of the configured law, with its figures and conditions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -9,12 +7,12 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.stability import designed, linearising, spring_models
 from hil.app.stability.subject import Stated, Subject
-from hil.config import PDSettings
+from hil.control.pd import PDSettings
+from hil.stability.assessment import Assessment
 from hil.stability.disturbance import Load
-from hil.stability.verdict import Verdict
 from plant_fmu.config import BenchPlant
 
-Judge = Callable[[Subject, Any, bool], Verdict]
+Judge = Callable[[Subject, Any, bool], Assessment]
 
 JUDGES: dict[str, Judge] = {
     "pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
@@ -22,18 +20,15 @@ JUDGES: dict[str, Judge] = {
     "pd_gravity": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
     "cartesian_pd": lambda subject, law, quick: spring_models.cartesian(subject, law, quick=quick),
     "feedforward_pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
-    "inverse_dynamics": lambda subject, law, _: linearising.linear(subject, law),
-    "pose_inverse_dynamics": lambda subject, law, _: linearising.linear(subject, law),
-    "partial_linearisation": lambda subject, law, _: linearising.linear(subject, law),
     "sliding_mode": lambda subject, law, _: linearising.robust(subject, law),
     "robust_inverse_dynamics": lambda subject, law, _: linearising.robust(subject, law),
     "state_space": lambda subject, law, _: designed.configured(subject, law),
 }
-"""`controller.law` -> what judges it."""
+"""`controller.law` -> what judges it, where another theorem than that of its linear error dynamics does."""
 
 
-def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False) -> Verdict:
-    """Return the verdict on a configuration's law.
+def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False) -> Assessment:
+    """Return the assessment of a configuration's law.
 
     quick: without the search for the largest sublevel set, which costs seconds. Raises ConfigurationError
     where the reference cannot be followed.
@@ -42,8 +37,18 @@ def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
         if isinstance(c.controller, PDSettings):
             return spring_models.bench(subject, c.controller, c.plant.model)
-        return Verdict("not proven", "six uncoupled legs are not the robot of this law's model", [], [], {})
-    return JUDGES[c.controller.law](subject, c.controller, quick)
+        return Assessment(
+            "not proven", "six uncoupled legs are not the robot of this law's model", [], [], {}
+        )
+    law = c.controller
+    if law.law in JUDGES:
+        return JUDGES[law.law](subject, law, quick)
+    dynamics = law.error_dynamics()
+    if isinstance(dynamics, str):
+        return Assessment("not proven", dynamics, [], [], {})
+    if law.believed is None or dynamics.steepness > 0.0:
+        return Assessment("not proven", "no theorem known here covers its error dynamics", [], [], {})
+    return linearising.linear(subject, law, dynamics)
 
 
 def assess(
@@ -55,18 +60,18 @@ def assess(
     """
     if not 0.0 <= model_error < 1.0:
         raise ConfigurationError(f"--model-error: a share, allowed: 0 to below 1, given: {model_error:g}")
-    verdict = judge(c, Stated(Load(force_N, torque_N_m), model_error))
+    found = judge(c, Stated(Load(force_N, torque_N_m), model_error))
     return {
-        "success": verdict.status in {"proven", "conditional"},
+        "success": found.status in {"proven", "conditional"},
         "kind": "stability",
         "configuration": c.source,
         "law": c.controller.law,
         "stated": {"force_N": force_N, "torque_N_m": torque_N_m, "model_error": model_error},
-        "verdict": verdict.status,
-        "claim": verdict.claim,
-        "conditions": verdict.conditions,
-        "lines": verdict.lines,
-        "figures": verdict.figures,
+        "verdict": found.status,
+        "claim": found.claim,
+        "conditions": found.conditions,
+        "lines": found.lines,
+        "figures": found.figures,
     }
 
 

@@ -1,29 +1,28 @@
-"""Verdict on a designed linear controller around inverse dynamics: eigenvalues, margins, peak gain."""
-
-from __future__ import annotations
+"""Assessment of a designed linear controller around inverse dynamics: eigenvalues, margins, peak gain."""
 
 import numpy as np
 
 from hil.app.configuration.controller_file import controller_of
 from hil.app.stability.subject import Subject
 from hil.app.stability.wording import beside, describe, unstable
-from hil.config import ModelSettings, StateSpaceSettings
 from hil.config.linear_controller import LinearController
+from hil.config.model import ModelSettings
+from hil.control.state_space import StateSpaceSettings
+from hil.stability.assessment import Assessment, unless
 from hil.stability.disturbance import Linearised, along, summary
 from hil.stability.sampled import analyse
 from hil.stability.sampled_loop import sampled_controller
 from hil.stability.ultimate import EXACT
-from hil.stability.verdict import Verdict, unless
 
 
-def configured(subject: Subject, law: StateSpaceSettings) -> Verdict:
+def configured(subject: Subject, law: StateSpaceSettings) -> Assessment:
     """Judge the controller that the law names. Raises ConfigurationError where its file is no good."""
     controller = controller_of(law, subject.c.folder)
     assert controller is not None
     return designed(subject, controller, law.model)
 
 
-def designed(subject: Subject, controller: LinearController, model: ModelSettings) -> Verdict:
+def designed(subject: Subject, controller: LinearController, model: ModelSettings) -> Assessment:
     """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors."""
     alpha = subject.stated.model_error
     conditions, worst, d, gamma = [], None, np.zeros(6), 1.0
@@ -42,7 +41,7 @@ def designed(subject: Subject, controller: LinearController, model: ModelSetting
     lines, figures = describe(worst)
     figures |= {"axes": controller.axes, "gamma": gamma, "order": len(controller.A)}
     if not worst.stable:
-        return Verdict("unstable", unstable(subject, worst), [], lines, figures)
+        return Assessment("unstable", unstable(subject, worst), [], lines, figures)
     claim = f"errors die out as exp(-{worst.decay_rate:.3g} t)"
     if d.max() > 1e-6:
         error = worst.peak_gain * d
@@ -55,4 +54,4 @@ def designed(subject: Subject, controller: LinearController, model: ModelSetting
         lines.append(f"disturbance    {d.max():.3g} m/s^2 times the peak gain of the sampled loop")
     if subject.c.plant is None:
         conditions.append("the robot is as section platform says, its drives have neither friction nor lag")
-    return Verdict(unless(conditions), claim, conditions, lines, figures)
+    return Assessment(unless(conditions), claim, conditions, lines, figures)

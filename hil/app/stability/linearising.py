@@ -1,8 +1,6 @@
-"""Verdicts on laws that linearise the robot: inverse dynamics in joint and pose space, without H, robust."""
+"""Assessment of laws that linearise the robot: joint and pose inverse dynamics, without H, robust."""
 
-from __future__ import annotations
-
-from math import inf, isfinite
+from math import isfinite
 
 import numpy as np
 
@@ -18,43 +16,36 @@ from hil.app.stability.wording import (
     unstable,
     worst,
 )
-from hil.config import (
-    InverseDynamicsSettings,
-    ModelBasedSettings,
-    PartialLinearisationSettings,
-    PoseInverseDynamicsSettings,
-    RobustInverseDynamicsSettings,
-    SlidingModeSettings,
-)
-from hil.control.law import error_gains
+from hil.control.law import ErrorDynamics, LawSettings
+from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
+from hil.control.sliding_mode import SlidingModeSettings
 from hil.mathematics.linear_system import LinearSystem
+from hil.stability.assessment import Assessment, unless
 from hil.stability.disturbance import Linearised
 from hil.stability.error_dynamics import decay_rate
 from hil.stability.prediction import predicting
 from hil.stability.reaching import redesign, sliding
 from hil.stability.sampled import Sampled, analyse, gains
 from hil.stability.ultimate import Ultimate, ultimate
-from hil.stability.verdict import Verdict, unless
 
-LinearSettings = InverseDynamicsSettings | PartialLinearisationSettings | PoseInverseDynamicsSettings
 RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
 SURVEYED = "within the bound nothing disturbs by more than at the extremes looked at: surveyed, not enclosed"
 
 
-def linear(subject: Subject, law: LinearSettings) -> Verdict:
+def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Assessment:
     """Judge e'' + K_D e' + K_P e = d by its Lyapunov function, and the loop as it is sampled."""
-    axes: Axes = "pose" if isinstance(law, PoseInverseDynamicsSettings) else "joint"
-    K_P, K_D = error_gains(law.wn_rad_s, law.damping_ratio)
+    axes: Axes = "pose" if dynamics.pose else "joint"
+    K_P, K_D = dynamics.K_P, dynamics.K_D
     bound = bounded(subject, law, axes, K_P, K_D)
     loop = sampled(subject, law, K_P, K_D, bound if isinstance(bound, Ultimate) else None)
     slowest = min(decay_rate(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True))
     lines, figures = describe(loop)
     if not loop.stable:
-        return Verdict("unstable", unstable(subject, loop), [], lines, figures)
+        return Assessment("unstable", unstable(subject, loop), [], lines, figures)
     conditions = assumed(subject, law)
     if isinstance(bound, str):
         claim = f"{bound}; with an exact model and no load errors die out as exp(-{slowest:.3g} t)"
-        return Verdict("not proven", claim, conditions, lines, figures)
+        return Assessment("not proven", claim, conditions, lines, figures)
     more, numbers = bound_lines(bound, loop, axes)
     claims = []
     if bound.exact:
@@ -63,21 +54,15 @@ def linear(subject: Subject, law: LinearSettings) -> Verdict:
         claims.append(f"stay below {worst(bound, loop, axes)} along the reference{beside(subject)}")
         conditions.append(SURVEYED)
     claim = f"errors {' and '.join(claims) or 'stay bounded'}"
-    return Verdict(unless(conditions), claim, conditions, more + lines, {**numbers, **figures})
+    return Assessment(unless(conditions), claim, conditions, more + lines, {**numbers, **figures})
 
 
-def robust(subject: Subject, law: RobustSettings) -> Verdict:
+def robust(subject: Subject, law: RobustSettings) -> Assessment:
     """Judge sliding mode and the Lyapunov redesign by reaching condition, layer, and the loop inside it."""
     uncertainty = law.uncertainty
-    if isinstance(law, SlidingModeSettings):
-        slope, k, layer = law.lambda_rad_s, law.switching_gain, law.boundary_layer
-        linear_P, linear_D = (np.full(6, gain) for gain in law.linear_gains)
-        nominal_P = nominal_D = np.zeros(6)
-    else:
-        nominal_P, nominal_D = error_gains(law.wn_rad_s, law.damping_ratio)
-        slope, k, layer = float(nominal_D.max()) / 2.0, law.bound, law.boundary_layer_m_s
-        steepness = k / layer if layer > 0.0 else inf
-        linear_P, linear_D = nominal_P + steepness * nominal_D / 2.0, nominal_D + steepness
+    dynamics = law.error_dynamics()
+    linear_P, linear_D, layer = dynamics.K_P, dynamics.K_D, dynamics.layer
+    slope = float(np.max(dynamics.slope))
     conditions = assumed(subject, law)
     alpha = uncertainty.model_error
     d_stated = uncertainty.disturbance_m_s2 + alpha * (uncertainty.acceleration_m_s2 or 0.0)
@@ -89,16 +74,18 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
         if not subject.stated.nothing:
             source = "the load and model error given"
             if isinstance(bound, str):
-                return Verdict("not proven", f"with what is stated: {bound}", conditions, [], {})
+                return Assessment("not proven", f"with what is stated: {bound}", conditions, [], {})
             gamma, d = bound.gamma, bound.d
     inside = (float(linear_P.max()), float(linear_D.max()))
     if isinstance(law, SlidingModeSettings):
+        k = law.switching_gain
         name, size, room_unit = "s", float(d.max()), "m/s off their rates"
         found = sliding(slope, k, layer, gamma=gamma, d=size, linear=inside)
     else:
         name, size, room_unit = "y", float(np.linalg.norm(d)), "m off"
-        stiffest = float(nominal_P.max()), float(nominal_D.max())
-        found = redesign(*stiffest, k, layer, gamma=gamma, d=size, linear=inside)
+        k = law.bound
+        K_P, K_D = (float(gain.max()) for gain in law.gains())
+        found = redesign(K_P, K_D, k, layer, gamma=gamma, d=size, linear=inside)
     lines, figures = reaching_lines(found, k, size, gamma, source, name)
     if layer == 0.0:
         conditions.append("a loop without delay: it switches at every tick, and chatters")
@@ -108,10 +95,10 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
         more, numbers = describe(loop)
         lines, figures = lines + more, {**figures, **numbers}
         if not loop.stable:
-            return Verdict("unstable", unstable(subject, loop), [], lines, figures)
+            return Assessment("unstable", unstable(subject, loop), [], lines, figures)
     if found.surplus <= 0.0:
         claim = f"{k:.3g} m/s^2 do not cover {size:.3g} m/s^2 of {source}: {name} need not reach its layer"
-        return Verdict("not proven", claim, conditions, lines, figures)
+        return Assessment("not proven", claim, conditions, lines, figures)
     if isfinite(found.room):
         conditions.append(f"from outside its layer: legs no more than {found.room:.3g} {room_unit}")
     if not found.covered:
@@ -127,20 +114,17 @@ def robust(subject: Subject, law: RobustSettings) -> Verdict:
         conditions.append(SURVEYED)
     elif layer > 0.0:
         claim += f", errors stay below {1e3 * layer / slope:.3g} mm"
-    return Verdict(unless(conditions), claim, conditions, lines, figures)
+    return Assessment(unless(conditions), claim, conditions, lines, figures)
 
 
-def bounded(
-    subject: Subject, law: LinearSettings | ModelBasedSettings, axes: Axes, K_P: Array, K_D: Array
-) -> Ultimate | str:
+def bounded(subject: Subject, law: LawSettings, axes: Axes, K_P: Array, K_D: Array) -> Ultimate | str:
     """Return the ultimate bound at the worse end of the stated model error, or why there is none."""
-    alpha = subject.stated.model_error
+    assert law.believed is not None
+    alpha, friction = subject.stated.model_error, subject.friction(law.believed)
     found: Ultimate | None = None
     for scale in (1.0,) if alpha == 0.0 else (1.0 - alpha, 1.0 + alpha):
-        believed = subject.believed(law.model, scale)
-        linearised = Linearised(
-            subject.robot, believed, axes, subject.stated.load, subject.friction(law.model)
-        )
+        believed = subject.believed(law.believed, scale)
+        linearised = Linearised(subject.robot, believed, axes, subject.stated.load, friction)
         one = ultimate(linearised, subject.path, K_P, K_D, condition=subject.c.limits.condition)
         if isinstance(one, str):
             return one
@@ -150,12 +134,10 @@ def bounded(
     return found
 
 
-def sampled(
-    subject: Subject, law: LinearSettings | ModelBasedSettings, K_P: Array, K_D: Array, bound: Ultimate | None
-) -> Sampled:
+def sampled(subject: Subject, law: LawSettings, K_P: Array, K_D: Array, bound: Ultimate | None) -> Sampled:
     """Return the sampled loop of the axis with the least delay margin, with the gain that the robot has."""
     axis = subject.axis._replace(gain=1.0 if bound is None else bound.gamma)
-    delay = law.delay_compensation if isinstance(law, ModelBasedSettings) else None
+    delay = law.lookahead
 
     def controller(k_p: float, k_d: float) -> LinearSystem:
         if delay is None:
@@ -170,11 +152,10 @@ def sampled(
     return min(loops, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
 
 
-def assumed(subject: Subject, law: LinearSettings | ModelBasedSettings) -> list[str]:
+def assumed(subject: Subject, law: LawSettings) -> list[str]:
     """Return what a law of this family is proven under, beyond what is checked."""
     conditions = []
-    delay = law.delay_compensation if isinstance(law, ModelBasedSettings) else None
-    if delay is not None:
+    if law.lookahead is not None:
         conditions.append("the delays are those of delay_compensation")
     if subject.c.estimation.wrench.source != "none":
         conditions.append("the estimated wrench is right but for the stated load")

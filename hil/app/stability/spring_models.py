@@ -1,10 +1,8 @@
-"""Verdicts on laws that do not linearise the robot: PD on legs and on the pose, PID, feed-forward.
+"""Assessment of laws that do not linearise the robot: PD on legs and on the pose, PID, feed-forward.
 
-What is proven of these laws is proven of a reference at rest; of a moving one nothing is, and the verdict
+What is proven of these laws is proven of a reference at rest; of a moving one nothing is, and the claim
 says so.
 """
-
-from __future__ import annotations
 
 from math import isfinite
 from typing import Any, NamedTuple
@@ -14,31 +12,20 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ModelError
 from hil.app.stability.subject import Subject
-from hil.config import (
-    CartesianPDSettings,
-    FeedforwardPDSettings,
-    ModelSettings,
-    PDGravitySettings,
-    PDSettings,
-    PIDSettings,
-)
-from hil.control.law import per_axis, per_leg
+from hil.config.model import ModelSettings
+from hil.control.cartesian_pd import CartesianPDSettings
+from hil.control.feedforward_pd import FeedforwardPDSettings
+from hil.control.law import per_leg
+from hil.control.pd import PDSettings
+from hil.control.pd_gravity import PDGravitySettings
+from hil.control.pid import PIDSettings
 from hil.mathematics.linear_system import LinearSystem
 from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
+from hil.stability.assessment import Assessment, unless
 from hil.stability.coupled import delay_margin_s, growth, integrating, proportional
-from hil.stability.energy import (
-    Potential,
-    Well,
-    basin,
-    leg_springs,
-    stiffness_matrix,
-    total,
-    weight,
-    well,
-)
-from hil.stability.verdict import Verdict, unless
+from hil.stability.energy import Potential, Well, basin, leg_springs, stiffness_matrix, total, weight, well
 from plant_fmu.config import BenchPlant
 
 LegSettings = PDSettings | PDGravitySettings | FeedforwardPDSettings
@@ -59,7 +46,7 @@ class Held(NamedTuple):
     """N/m, of all legs' springs together where S is theirs alone: the level is a length."""
 
 
-def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Verdict:
+def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Assessment:
     """Judge a PD on leg lengths by its energy."""
     p, R = subject.path[0].p, subject.path[0].R
     q = leg_lengths(subject.platform, p, R)
@@ -80,11 +67,10 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Verdict:
     return _judge(subject, held, quick=quick)
 
 
-def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Verdict:
+def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Assessment:
     """Judge a PD on the pose by its energy, where it has one."""
     p, R = subject.path[0].p, subject.path[0].R
-    K_p = per_axis(law.kp_position_N_m, law.kp_rotation_N_m_rad)
-    K_v = per_axis(law.kv_position_N_s_m, law.kv_rotation_N_m_s_rad)
+    K_p, K_v = law.gains()
     _, mobility = _mobility(subject, p, R)
     controller = proportional(K_p, K_v, subject.axis.period_s)
     if law.rotation_error == "vector_difference" or len(set(K_p[3:])) > 1:
@@ -95,9 +81,9 @@ def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Ver
         )
         lines, figures, radius = _sampled(subject, controller, mobility)
         if radius >= 1.0:
-            return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
+            return Assessment("unstable", _unstable(subject, radius), [], lines, figures)
         claim = f"{reason}: no energy function; small errors at the reference's start die out"
-        return Verdict("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
+        return Assessment("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
     compensated = None if law.model is None else _weighing(subject, law.model)
 
     def springs(at_p: Array, at_R: Array) -> float:
@@ -110,7 +96,7 @@ def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Ver
     return _judge(subject, Held(S, exact, controller, mobility, "t^T K_v t"), quick=quick)
 
 
-def pid(subject: Subject, law: PIDSettings) -> Verdict:
+def pid(subject: Subject, law: PIDSettings) -> Assessment:
     """Judge a PID by its eigenvalues at the reference's start (Lyapunov's indirect method)."""
     p, R = subject.path[0].p, subject.path[0].R
     K_p, K_v, K_i = (per_leg(gain) for gain in (law.kp_N_m, law.kv_N_s_m, law.ki_N_m_s))
@@ -138,38 +124,38 @@ def pid(subject: Subject, law: PIDSettings) -> Verdict:
         claim = (
             _unstable(subject, radius) if radius >= 1.0 else f"an eigenvalue grows as exp({slowest:.3g} t)"
         )
-        return Verdict("unstable", claim, [], lines, figures)
+        return Assessment("unstable", claim, [], lines, figures)
     if short > 1.0:
         claim = f"the integral cannot carry the weight: {100 * short:.0f} % of integral_limit_N"
-        return Verdict("not proven", claim, _motion(subject), lines, figures)
+        return Assessment("not proven", claim, _motion(subject), lines, figures)
     claim = f"at the reference's start small errors die out as exp({slowest:.3g} t)"
-    return Verdict("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
+    return Assessment("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
 
 
-def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Verdict:
+def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
     """Judge a PD on six uncoupled legs with springs and dampers of their own."""
     controller = proportional(per_leg(law.kp_N_m), per_leg(law.kv_N_s_m), subject.axis.period_s)
     lines, figures, radius = _sampled(subject, controller, np.eye(6) / plant.mass_kg)
     if radius >= 1.0:
-        return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
+        return Assessment("unstable", _unstable(subject, radius), [], lines, figures)
     conditions = _motion(subject)
     claim = (
         "each leg's V = m dq^2 / 2 + K_p e^2 / 2 + its own springs falls by K_v dq^2 + b |dq|^3 and grows "
         "without bound: its rest is globally asymptotically stable (LaSalle)"
     )
-    return Verdict(unless(conditions), claim, conditions, lines, figures)
+    return Assessment(unless(conditions), claim, conditions, lines, figures)
 
 
-def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
+def _judge(subject: Subject, held: Held, *, quick: bool) -> Assessment:
     s = subject.path[0]
     lines, figures, radius = _sampled(subject, held.controller, held.mobility)
     if radius >= 1.0:
-        return Verdict("unstable", _unstable(subject, radius), [], lines, figures)
+        return Assessment("unstable", _unstable(subject, radius), [], lines, figures)
     conditions = _motion(subject)
     try:
         rest = well(held.S, s.p, s.R, subject.platform.radius)
     except ModelError as error:
-        return Verdict("not proven", str(error), conditions, lines, figures)
+        return Assessment("not proven", str(error), conditions, lines, figures)
     sag = leg_lengths(subject.platform, rest.p, rest.R) - leg_lengths(subject.platform, s.p, s.R)
     sag_mm = 1e3 * float(np.abs(sag).max())
     lines.insert(
@@ -177,11 +163,11 @@ def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
     )
     figures["energy"] = {"stiffness_N_m": rest.stiffness.tolist(), "sag_mm": sag_mm}
     if not rest.stable:
-        return Verdict(
+        return Assessment(
             "not proven", "the weight is stiffer than the springs: it falls over", conditions, lines, figures
         )
     if (met := subject.outside(rest.p, rest.R)) is not None:
-        return Verdict(
+        return Assessment(
             "not proven", f"it comes to rest outside its limits: {met}", conditions, lines, figures
         )
     if not quick:
@@ -191,7 +177,7 @@ def _judge(subject: Subject, held: Held, *, quick: bool) -> Verdict:
     claim = f"V = t^T M t / 2 + S falls by {held.damping}: {where} is asymptotically stable (LaSalle)"
     if not held.exact:
         conditions.append("no other equilibrium lies in the sublevel set: not searched for")
-    return Verdict(unless(conditions), claim, conditions, lines, figures)
+    return Assessment(unless(conditions), claim, conditions, lines, figures)
 
 
 def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: dict[str, Any]) -> None:
@@ -235,7 +221,7 @@ def _sampled(
 
 def _unstable(subject: Subject, radius: float) -> str:
     return (
-        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.trade}: lower the gains"
+        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains"
     )
 
 

@@ -1,25 +1,25 @@
 """From a configuration to what the theorems speak of: robot, belief, reference, loop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
-from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform
+from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
-from hil.config import MechanicsSettings, ModelBasedSettings, ModelSettings
+from hil.config.model import ModelSettings
 from hil.control.law import per_leg
 from hil.control.model import build_model
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.stability.disturbance import Friction, Load
 from hil.stability.sampled import Axis
-from hil.trajectory import PoseSample, build_trajectory
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.path import PoseSample
 from plant_fmu.config import StewartPlant
 
 SAMPLES = 101
@@ -49,13 +49,13 @@ class Subject:
     def __init__(self, c: Configuration, stated: Stated) -> None:
         self.c = c
         self.stated = stated
-        self.platform = Platform.from_dict(platform_dict(c.platform))
+        self.platform = build_platform(c.platform)
         plant = c.plant.model if c.plant is not None else None
         self.plant = plant if isinstance(plant, StewartPlant) else None
         reflected = 0.0 if self.plant is None else self.plant.reflected_mass_kg
         self.robot = Model(self.platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected)
         self.path = self._path()
-        self.axis = self._axis()
+        self.axis = Axis(*loop_delay(c))
 
     @property
     def rest(self) -> bool:
@@ -63,25 +63,21 @@ class Subject:
         return len(self.path) == 1
 
     @property
-    def trade(self) -> str:
-        """Say whence the delay of the loop is known."""
+    def delay(self) -> str:
+        """The delay of the loop, in milliseconds, and whether the lag of the drives is in it."""
         lag = "" if self.axis.lag_s > 0.0 else ", no lag of the drives known"
         return f"{1e3 * self.axis.transport_s:g} ms from measurement to force{lag}"
 
-    def believed(self, settings: MechanicsSettings, scale: float = 1.0) -> Model:
+    def believed(self, settings: ModelSettings, scale: float = 1.0) -> Model:
         """Return the law's model without its friction, masses times `scale` once more."""
         bare = {
             "inertia_scale": settings.inertia_scale * scale,
             "viscous_friction_N_s_m": 0.0,
             "coulomb_friction_N": 0.0,
         }
-        if isinstance(settings, ModelSettings):
-            model = settings.model_copy(update=bare)
-        else:
-            model = ModelSettings(variant="no_H", **{**dict(settings), **bare})
-        return build_model(model, self.platform, self.c.platform.leg_spin)
+        return build_model(settings.model_copy(update=bare), self.platform, self.c.platform.leg_spin)
 
-    def friction(self, settings: MechanicsSettings) -> Friction:
+    def friction(self, settings: ModelSettings) -> Friction:
         """Return what the law's friction is wrong by; where the plant is none of ours, nothing is known."""
         if self.plant is None:
             return Friction(np.zeros(6), np.zeros(6))
@@ -116,18 +112,3 @@ class Subject:
             raise ConfigurationError(f"{c.source}: reference: {error}") from error
         moves = any(np.abs(s.twist).max() > 0.0 or np.abs(s.dtwist).max() > 0.0 for s in path)
         return path if moves else path[:1]
-
-    def _axis(self) -> Axis:
-        """Return period, transport and lag: at most a period from SYNC to force, as `hil check` has it."""
-        c, period = self.c, 1.0 / self.c.loop.rate_Hz
-        law = c.controller
-        delay = law.delay_compensation if isinstance(law, ModelBasedSettings) else None
-        if delay is not None and c.bus.layout != "ideal":
-            return Axis(period, 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms)
-        bandwidth = 0.0
-        if self.plant is not None:
-            bandwidth = self.plant.force_bandwidth_Hz
-        elif c.plant is not None:
-            bandwidth = c.plant.drives.force_bandwidth_Hz
-        lag = 1.0 / (2.0 * np.pi * bandwidth) if bandwidth > 0.0 else 0.0
-        return Axis(period, 0.0 if c.bus.layout == "ideal" else period, lag)

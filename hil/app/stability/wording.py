@@ -1,6 +1,4 @@
-"""The words and figures of verdicts on laws that linearise the robot."""
-
-from __future__ import annotations
+"""Lines and figures of assessed laws that linearise the robot."""
 
 from math import isfinite
 from typing import Any, Literal
@@ -23,7 +21,7 @@ def beside(subject: Subject) -> str:
 
 
 def describe(loop: Sampled) -> tuple[list[str], dict[str, Any]]:
-    """Return the sampled loop in words and figures."""
+    """Return the sampled loop as lines and figures."""
     largest = float(np.abs(loop.poles).max())
     figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": float(loop.decay_rate)}}
     margins = loop.margins
@@ -49,7 +47,7 @@ def unstable(subject: Subject, loop: Sampled) -> str:
     """Say that the sampled loop is not stable."""
     return (
         f"the sampled loop has an eigenvalue of magnitude {np.abs(loop.poles).max():.4g} with "
-        f"{subject.trade}: lower the gains or the delay"
+        f"{subject.delay}: lower the gains or the delay"
     )
 
 
@@ -73,7 +71,7 @@ def worst(bound: Ultimate, loop: Sampled, axes: Axes) -> str:
 
 
 def bound_lines(bound: Ultimate, loop: Sampled, axes: Axes) -> tuple[list[str], dict[str, Any]]:
-    """Return certificate and bound in words and figures."""
+    """Return certificate and bound as lines and figures."""
     proved = bound.certificate
     late = _late(bound, loop)
     P = proved.P[0]
@@ -121,7 +119,7 @@ def bound_lines(bound: Ultimate, loop: Sampled, axes: Axes) -> tuple[list[str], 
 def reaching_lines(
     found: Reaching, k: float, d: float, gamma: float, source: str, name: str
 ) -> tuple[list[str], dict[str, Any]]:
-    """Return what a boundary layer promises in words and figures."""
+    """Return what a boundary layer promises as lines and figures."""
     legs, linear = ("a leg", "") if name == "s" else ("all legs", " with its linear part")
     figures = {
         "reaching": {

@@ -1,7 +1,5 @@
 """`hil workspace CONFIG`: which poses the platform can reach within its limits, as figures and picture."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import Configuration, platform_dict
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Problem, parse
 from hil.app.output import picture_path
 from hil.app.workspace.plot import draw
-from hil.mathematics.rotations import rotation_from_vector
-from hil.robot.geometry import Platform
-from hil.workspace import KINDS, Limits, Surveyor, Workspace, WorkspaceError, explore
+from hil.workspace.explore import Workspace, explore
 from hil.workspace.kernels import FORCE, LENGTH
-from hil.workspace.limits import CHUNK
+from hil.workspace.limits import CHUNK, KINDS, Limits, Surveyor, WorkspaceError
 
 
 def map_workspace(
@@ -75,10 +72,9 @@ def build_surveyor(
     )
     try:
         return Surveyor(
-            Platform.from_dict(platform_dict(s)),
+            build_platform(s),
             limits,
-            s.home.position_m,
-            rotation_from_vector(np.deg2rad(s.home.rotation_vector_deg)),
+            *pose_arrays(s.home),
             base_axes=s.base_joint_axes,
             platform_axes=s.platform_joint_axes,
             payload=payload_kg,
@@ -93,9 +89,7 @@ def build_surveyor(
 def figures(w: Workspace) -> dict[str, Any]:
     """Return the figures of a workspace as plain values."""
     s, m, o, lim = w.surveyor, w.positions, w.orientations, w.surveyor.limits
-    home = s.survey(s.p, s.R)[0]
     counts = np.bincount(m.kinds, minlength=len(KINDS))
-    (number,), (least,) = s.dexterity(s.p[None], s.R)
     numbers, leasts = s.dexterity(m.nodes, s.R)
     level = o.kinds[len(o.torsion) // 2]
     return {
@@ -110,15 +104,7 @@ def figures(w: Workspace) -> dict[str, Any]:
             "payload_kg": float(s.payload[0]),
             "payload_at_m": s.payload[1:].tolist(),
         },
-        "home": {
-            "position_m": s.p.tolist(),
-            "rotation": s.R.tolist(),
-            "leg_lengths_m": home[LENGTH : LENGTH + 6].tolist(),
-            "static_forces_N": home[FORCE : FORCE + 6].tolist(),
-            "condition_number": float(number),
-            "smallest_singular_value": float(least),
-            "largest_payload_kg": s.largest_payload(),
-        },
+        "home": _home(s),
         "positions": {
             "volume_m3": m.volume,
             "volume_error_m3": m.volume_error,
@@ -154,6 +140,20 @@ def figures(w: Workspace) -> dict[str, Any]:
             "largest_guaranteed_tilt_deg": float(np.rad2deg(o.guaranteed.max())),
             "at_torsion_deg": float(np.rad2deg(o.torsion[int(np.argmax(o.guaranteed))])),
         },
+    }
+
+
+def _home(s: Surveyor) -> dict[str, Any]:
+    home = s.survey(s.p, s.R)[0]
+    (number,), (least,) = s.dexterity(s.p[None], s.R)
+    return {
+        "position_m": s.p.tolist(),
+        "rotation": s.R.tolist(),
+        "leg_lengths_m": home[LENGTH : LENGTH + 6].tolist(),
+        "static_forces_N": home[FORCE : FORCE + 6].tolist(),
+        "condition_number": float(number),
+        "smallest_singular_value": float(least),
+        "largest_payload_kg": s.largest_payload(),
     }
 
 

@@ -1,29 +1,24 @@
 """The workspace as a picture: three sections, what limits them, tilt and torsion, convergence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil.workspace import KINDS, Section, Workspace
+from hil.workspace.explore import Workspace
+from hil.workspace.limits import KINDS
+from hil.workspace.position import CrossSection
 
 COLOURS = ("tab:red", "tab:purple", "tab:orange", "black", "tab:cyan")
 """Of KINDS, in their order."""
 
 
 def draw(w: Workspace, path: Path, title: str) -> Path:
-    """Draw a workspace into a PNG file.
-
-    Raises OSError where it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    """Draw a workspace into a PNG file. Raises OSError where it cannot be written."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
     figure = Figure(figsize=(15, 9.5), layout="constrained")
-    FigureCanvasAgg(figure)
     top = [figure.add_subplot(2, 3, k) for k in (1, 2, 3)]
     seen = np.concatenate([s.condition[s.reached] for s in w.sections])
     ends = (float(seen.min()), float(np.percentile(seen, 99)) * 1.0001)
@@ -51,7 +46,7 @@ def draw(w: Workspace, path: Path, title: str) -> Path:
     return path
 
 
-def _section(axes: Any, w: Workspace, section: Section, ends: tuple[float, float]) -> Any:
+def _section(axes: Any, w: Workspace, section: CrossSection, ends: tuple[float, float]) -> Any:
     from matplotlib.patches import Circle, Rectangle  # noqa: PLC0415
 
     u, v = section.plane

@@ -9,14 +9,12 @@ solver's tolerance. In doubt a claim is undecided.
     cancellation    dV/dt, exactly                    origin, tail     near the equilibrium and far away
     interval        enclosures                        lasalle, level   where dV/dt = 0; sublevel sets
     branch_and_bound                                  linearisation, chetaev   eigenvalues; instability
-    counterexample  what refutes                      verdicts, report
+    counterexample  what refutes                      theorems, report
     picture         V, level sets and trajectories of two states
 """
 
-from __future__ import annotations
-
 from hil.stability.verifier.branch_and_bound import Budget
 from hil.stability.verifier.report import Certificate, Decrease, Equilibrium, Report, Truth
-from hil.stability.verifier.verdicts import verify
+from hil.stability.verifier.theorems import verify
 
 __all__ = ["Budget", "Certificate", "Decrease", "Equilibrium", "Report", "Truth", "verify"]

@@ -4,8 +4,6 @@ Only enclosures decide. Cells are halved until an enclosure decides them or the 
 clock, no chance, so a proof is found again wherever it was found once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 from hil.stability.verifier.interval import Ball, Cell, Enclosure, ball

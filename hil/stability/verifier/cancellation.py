@@ -4,8 +4,6 @@ Every step is an identity of real functions wherever f and V are defined. Decima
 (0.1 is 1/10). Enclosures cannot show that b v - v b is zero; this can.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import sympy as sp

@@ -4,8 +4,6 @@ W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. B
 lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W > 0 on one at least.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from itertools import product

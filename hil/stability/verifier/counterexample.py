@@ -3,8 +3,6 @@
 Where to look is a guess, what is found is a proof. That nothing is found proves nothing.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Iterator
 from itertools import count, product

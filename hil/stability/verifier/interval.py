@@ -5,8 +5,6 @@ defined on a ball (a pole, the logarithm of zero) the enclosure is not finite, a
 true. arb's own power gives no enclosure for negative bases: powers are made here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

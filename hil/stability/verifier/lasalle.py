@@ -6,8 +6,6 @@ each are closed sets that cover an interval, so on one of them it stays for an i
 shown to be at the equilibrium, and f being locally Lipschitz it never was elsewhere.
 """
 
-from __future__ import annotations
-
 import sympy as sp
 
 from drivers.errors import ModelError

@@ -4,8 +4,6 @@ If V >= c on the whole boundary and dV/dt <= 0 in the box, no trajectory that st
 reaches the boundary.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import sympy as sp

@@ -4,8 +4,6 @@ A characteristic polynomial of fractions has its roots enclosed by flint; one wi
 table, whose entries must have a proven sign. A root on the imaginary axis says nothing.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 from typing import Any
 

@@ -5,8 +5,6 @@ with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are 
 has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell by cell.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache, reduce
 from math import lcm

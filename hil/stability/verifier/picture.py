@@ -3,8 +3,6 @@
 What is drawn is floating point and proves nothing; the title is the verdict, which is proven.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ POINTS = 161
 """Of the grid, on each side."""
 STARTS = 16
 """Trajectories, from points on the edge of the box."""
-Sides = tuple[tuple[float, float], tuple[float, float]]
 
 
 def draw(
@@ -40,8 +37,7 @@ def draw(
     Raises ModelError where there are not two states, or a parameter has no value or a state no ends; OSError
     where the file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     states = tuple(f)
     if len(states) != 2:
@@ -63,7 +59,6 @@ def draw(
     )
 
     figure = Figure(figsize=(13, 6), layout="constrained")
-    FigureCanvasAgg(figure)
     solid = figure.add_subplot(1, 2, 1, projection="3d")
     solid.plot_surface(X, Y, heights, cmap="viridis", rcount=60, ccount=60, linewidth=0)
     solid.set(xlabel=str(states[0]), ylabel=str(states[1]), zlabel="V")

@@ -1,9 +1,7 @@
-"""What was found: one verdict on V, another on the equilibrium.
+"""What was found: one finding on V, another on the equilibrium.
 
 A V that proves nothing says nothing of the system, so the two never speak for each other.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
@@ -53,8 +51,8 @@ class Equilibrium(Enum):
 
 
 @dataclass(frozen=True)
-class CertificateVerdict:
-    """The verdict on V, in the user's symbols and coordinates."""
+class CertificateFinding:
+    """The finding on V, in the user's symbols and coordinates."""
 
     verdict: Certificate
     V_dot: sp.Expr | None = None
@@ -76,8 +74,8 @@ class CertificateVerdict:
 
 
 @dataclass(frozen=True)
-class EquilibriumVerdict:
-    """The verdict on the equilibrium, in the user's symbols and coordinates."""
+class EquilibriumFinding:
+    """The finding on the equilibrium, in the user's symbols and coordinates."""
 
     verdict: Equilibrium
     by: str
@@ -85,7 +83,7 @@ class EquilibriumVerdict:
     asymptotic: Truth
     """What is known of asymptotic stability: refuted of all that is unstable, or stable and no more."""
     box: Box | None = None
-    """Where the certificate was shown that the verdict rests on; None: everywhere, or none was needed."""
+    """Where the certificate was shown that the finding rests on; None: everywhere, or none was needed."""
     level: sp.Expr | None = None
     """The part of {V < level} within the box is not left, and if the equilibrium is asymptotically
     stable, all of its trajectories tend to it."""
@@ -93,13 +91,13 @@ class EquilibriumVerdict:
 
 @dataclass(frozen=True)
 class Report:
-    """Both verdicts, and what the linearisation says without any V."""
+    """Both findings, and what the linearisation says without any V."""
 
-    certificate: CertificateVerdict
-    equilibrium: EquilibriumVerdict
+    certificate: CertificateFinding
+    equilibrium: EquilibriumFinding
     linearisation: Eigenvalues
     parameters: Box
-    """For which all of this is said; (0, oo) means any positive number."""
+    """For which all of this holds; (0, oo) means any positive number."""
     boxes: int
     """Cells of the budget that were looked at."""
 

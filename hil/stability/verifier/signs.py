@@ -4,8 +4,6 @@ Exact structure first (squares, moduli, factors, a sum of what is not negative),
 proven. False means only that no proof was found.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 
@@ -28,10 +26,7 @@ BRANCHES = 12
 
 
 class Signs:
-    """Signs on the domain of a system.
-
-    Mutable: spends `budget`, and remembers what it has shown.
-    """
+    """Signs on the domain of a system. Mutable: spends `budget`, and remembers what it has shown."""
 
     def __init__(self, system: System, budget: Budget) -> None:
         self.system = system

@@ -63,7 +63,7 @@ class System:
             )
         return e.xreplace(self.renamed)
 
-    def told(self, point: Point) -> Point:
+    def in_own_symbols(self, point: Point) -> Point:
         """Return a point in the user's symbols and coordinates."""
         moved = {x: point[x] + self.equilibrium[self.own[x]] for x in self.states}
         return {self.own[s]: value for s, value in (point | moved).items()}

@@ -5,8 +5,6 @@ states, with sines and the like taken as unknown numbers of [-1, 1], becomes s^-
 defined at s = 0 as well; if that function is positive on all (u, s), so is g, and it grows like R^D.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from math import lcm

@@ -1,5 +1,4 @@
-/* Forces that are laws of inequality: brakes, dry friction, end stops.
- */
+/* Forces that are laws of inequality: brakes, dry friction, end stops. */
 #ifndef STEWART_CONTACT_H
 #define STEWART_CONTACT_H
 

@@ -1,4 +1,3 @@
-/* See instance.h for the rule of the room. */
 #include "instance.h"
 
 #include <math.h>

@@ -1,5 +1,4 @@
-/* What the FMI 2 and FMI 3 faces share: an instance, its log, its memory.
- */
+/* What the FMI 2 and FMI 3 faces share: an instance, its log, its memory. */
 #ifndef STEWART_INSTANCE_H
 #define STEWART_INSTANCE_H
 

@@ -1,4 +1,4 @@
-/* Newton-Euler equations of a Stewart-Gough platform with rigid legs. See mechanics.h for the rule of the room.
+/* Newton-Euler equations of a Stewart-Gough platform with rigid legs.
  *
  * Leg i, with u = dB/dt, dl = s.u, ds = (u - s dl)/l, and w = d2B/dt2 the acceleration of the platform joint:
  *   s.w = ddl - l |ds|^2,    w_perp = 2 dl ds + l dds_perp.

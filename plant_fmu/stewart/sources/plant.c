@@ -1,4 +1,4 @@
-/* Integration and outputs. See plant.h for the rule of the room. */
+/* Integration and outputs. */
 #include "plant.h"
 
 #include <math.h>

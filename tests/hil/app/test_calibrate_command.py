@@ -8,7 +8,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from hil.app.configuration.configuration import load, loads, platform_dict
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import platform_dict
 from hil.cli import main
 
 LAB = load("lab")

@@ -19,8 +19,9 @@ from hil.cli import main
 def commands(group, words=()):
     """Return every command below a group by the words that call it."""
     found: dict[tuple[str, ...], click.Command] = {}
-    for name, command in group.commands.items():
-        here = (*words, name)
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command, here = group.get_command(context, name), (*words, name)
         found |= commands(command, here) if isinstance(command, click.Group) else {here: command}
     return found
 
@@ -90,6 +91,21 @@ def test_help_imports_nothing_heavy():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.splitlines()[-1] == "heavy: []"
+
+
+def test_the_list_of_commands_imports_none_of_them():
+    code = (
+        "import sys; from hil.cli import main; main(['--help'], standalone_mode=False); "
+        "print([m for m in sys.modules if m.startswith('hil.')])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.splitlines()[-1] == "['hil.cli']"
+
+
+def test_an_unknown_command_is_refused_with_its_name():
+    result = hil("symulate")
+    assert result.exit_code == 2
+    assert "No such command 'symulate'" in result.stderr
 
 
 def test_an_unknown_configuration_names_the_shipped_ones():

@@ -2,7 +2,7 @@
 
 from hil.app.compare.claims import Evidence, judge
 from hil.app.compare.measure import Outcome
-from hil.config import InverseDynamicsSettings
+from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.record.metrics import Share
 
 WN = 20.0

@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from hil.app.configuration import schema
-from hil.app.configuration.configuration import load, platform_dict, shipped
+from hil.app.configuration.configuration import load, shipped
+from hil.app.configuration.platform import platform_dict
 
 ROOT = Path(__file__).parents[3]
 BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())

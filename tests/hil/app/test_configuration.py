@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import load, loads, platform_dict, shipped
+from hil.app.configuration.configuration import json_schema, load, loads, shipped
+from hil.app.configuration.platform import platform_dict
+from hil.app.configuration.problems import FORMER_KEYS, at
 from hil.app.configuration.yaml_positions import Position, parse
 from hil.robot.geometry import Platform
 
@@ -50,7 +52,7 @@ ONE_PROBLEM = [
     ("  wn_rad_s: 20\n", "  wn_rad_s: true\n", "true", "controller.wn_rad_s: wrong type"),
     ("  law: inverse_dynamics\n", "  law: idc\n", "idc", "controller.law: unknown value, allowed: cartesian_pd, "),
     ("  type: waypoints\n", "", "reference:", "reference.type: missing, allowed: hold, "),
-    ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5]", "[1, 2, 3, 4, 5]", "drives.node_ids: wrong number of entries, allowed: a list of 6 whole numbers at least 1 and at most 127, given: 5 entries"),
+    ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5]", "[1, 2, 3, 4, 5]", "drives.node_ids: wrong number of entries, allowed: a list of 6 whole numbers, given: 5 entries"),
     ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5, 5]", "[1, 2, 3, 4, 5, 5]", "drives.node_ids: two legs have the same node number"),
     ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [1, 2, 3, 4, 5, 128]", "128", "drives.node_ids[5]: out of range"),
     ("watchdog_ms: 10 ", "watchdog_ms: 2 ", "2                    # no command", "drives.watchdog_ms: shorter than three periods, allowed: at least 3 (3 x 1 ms at loop.rate_Hz 1000), given: 2"),
@@ -350,3 +352,26 @@ def test_nothing_looks_ahead_along_a_live_reference():
     text = text.replace("    variant: full\n", "    variant: full\n  delay_compensation: {bus_ms: 0.5}\n")
     with pytest.raises(ConfigurationError, match=r"controller.delay_compensation: looks ahead"):
         loads(text, "virtual.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "advice"),
+    [
+        ("  priority: 80 ", "  nice: 80 ", "loop.nice", "loop.priority: 1 to 99"),
+        ("loop:\n", "timing: {}\nloop:\n", "timing", "section loop"),
+        ("    mass_kg: 1150", "    mass: 1150\n    mass_kg: 1150", "platform.platform.mass", "mass_kg"),
+    ],
+)
+def test_a_former_key_is_refused_with_what_to_write_instead(monkeypatch, old, new, key, advice):
+    text = edited((old, new))
+    monkeypatch.setitem(FORMER_KEYS, key, advice)
+    name = key.rpartition(".")[2]
+    before = text[: text.index(f"{name}: ")]
+    line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+    assert problems(text) == (f"my.yaml:{line}:{column}: {key}: no longer a key, write {advice}",)
+
+
+def test_no_key_of_today_is_called_a_former_one():
+    for path in FORMER_KEYS:
+        *parents, name = path.split(".")
+        assert name not in at(tuple(parents), parse(VIRTUAL).value, json_schema()).get("properties", {}), path

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError, IdentificationError, LogError
+from drivers.signals import Mode
+from drivers.tick import ROW
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.section_file import check_section_path, read_section, write_section
 from hil.app.identify.axes import excited_axes
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.cli import main
-from hil.config import MultisineAxis, MultisineReference, Pose, Sinusoid, SinusoidReference
 from hil.config.axis_model import AxisModel
-from hil.identify import IdentificationError
+from hil.config.reference import MultisineAxis, MultisineReference, Sinusoid, SinusoidReference
+from hil.config.values import Pose
 from hil.robot.kinematics import jacobian
-from hil.signals import ROW, Mode
 
 
 def identify(*arguments):
@@ -73,7 +74,7 @@ def test_a_designed_controller_is_identified_in_the_axes_of_its_file(tmp_path):
 def rows_of(mode, q):
     rows = np.zeros(len(q), ROW)
     rows["mode"], rows["q"], rows["tick"] = mode, q, np.arange(len(q))
-    rows["p"], rows["R"] = (0.0, 0.0, 1.0), np.eye(3).ravel()
+    rows["p"], rows["R"] = (0.0, 0.0, 1.0), np.eye(3)
     return rows
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.signals import Mode
-from tools.benchmarks.bench import Bench
+from drivers.signals import Mode
+from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.patience import missed, patience_figures, stale
 
 DTYPE = np.dtype([("mode", "i8"), ("skipped", "i8"), ("age", "i8", 6)])
@@ -54,7 +54,7 @@ def test_what_is_lost_before_the_drives_are_powered_ends_no_run():
 
 
 def test_the_figures_name_both_limits_and_count_with_the_shipped_ones(tmp_path):
-    bench = Bench(tmp_path, seconds=3.0, memory_minutes=1.0, say=lambda _: None)
+    bench = Benchmark(tmp_path, seconds=3.0, memory_minutes=1.0, say=lambda _: None)
     patient, shipped = bench.endless, bench.configuration
     head, ages, periods = patience_figures(rows([0, 150, 0, 6, 0], [0, 4, 0, 0, 0]), patient, shipped)
     assert head.note == (

@@ -12,7 +12,8 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load, loads
 from hil.app.workspace.command import build_surveyor
 from hil.cli import main
-from hil.workspace import KINDS, map_positions
+from hil.workspace.limits import KINDS
+from hil.workspace.position import map_positions
 
 LAB = load("lab").text
 ANGLES = "  length_max_m: 1.2\n"

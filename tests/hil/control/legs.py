@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.control import LawContext
-from hil.loop.reference import complete
+from hil.control.law import LawContext
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian
-from hil.signals import State
-from hil.trajectory import PoseSample, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from tests.records import arrived, asked
 
 BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -22,16 +21,15 @@ NONE = np.zeros(6)
 
 def at_rest(e, de):
     """The platform at rest at one pose, with errors e and de of the lengths and rates; and its inertia."""
-    p, R = HOME
-    J = jacobian(PLATFORM, p, R)
-    reference = complete(PLATFORM, PoseSample(p, R, NONE, NONE))
-    state = State(reference.q - e, reference.dq - de, p, R, NONE, J, 0, 0.0)
-    inverse = np.linalg.inv(J)
-    return state, reference, inverse.T @ Model(PLATFORM).mass_matrix(p, R) @ inverse
+    tick = arrived(PLATFORM, PoseSample(*HOME, NONE, NONE))
+    tick["q"] -= e
+    tick["dq"] -= de
+    inverse = np.linalg.inv(tick["J"])
+    return tick, inverse.T @ Model(PLATFORM).mass_matrix(*HOME) @ inverse
 
 
 def answer(law, e, de):
     """The acceleration that the law asks for beyond the reference's."""
-    state, reference, inertia = at_rest(e, de)
-    tau = law.effort(state, reference, NONE).tau - law.effort(*at_rest(NONE, NONE)[:2], NONE).tau
+    tick, inertia = at_rest(e, de)
+    tau = asked(law, tick) - asked(law, at_rest(NONE, NONE)[0])
     return np.linalg.solve(inertia, tau)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.config import CartesianPDSettings, ModelSettings
-from hil.control import LawContext, build_law
-from hil.loop.reference import complete
+from hil.config.model import ModelSettings
+from hil.control.cartesian_pd import CartesianPDSettings
+from hil.control.law import LawContext
 from hil.robot.geometry import Platform
-from hil.signals import State
-from hil.trajectory import PoseSample, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from tests.records import arrived, asked, referred
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 NONE = np.zeros(6)
@@ -32,7 +33,7 @@ def law_of(platform, model=None, **options):
         model=model,
         **options,
     )
-    return build_law(settings, LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    return settings.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
 
 
 @pytest.mark.parametrize("model", [None, ModelSettings()], ids=["", "gravity"])
@@ -43,18 +44,19 @@ def test_the_wrench_of_the_error_is_carried_by_the_legs(case, model):
     platform = Platform.from_dict(TRUTH["geometries"][case["geometry"]])
     s, e = case["state"], case["expected"]
     p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
-    state = State(np.array(e["lengths"]), np.array(e["rates"]), p, R, twist, np.array(e["jacobian"]), 0, 0.0)
+    state = {"q": e["lengths"], "dq": e["rates"], "p": p, "R": R, "twist": twist, "J": e["jacobian"]}
     for angle in (0.0, 1e-9, 0.3, np.radians(170)):
         axis = random.normal(size=3)
         turn = angle * axis / np.linalg.norm(axis)
         R_d = np.ascontiguousarray((Rotation.from_rotvec(turn) * Rotation.from_matrix(R)).as_matrix())
         p_d, twist_d = p + random.normal(0, 0.1, 3), random.normal(0, 1, 6)
-        reference = complete(platform, PoseSample(p_d, R_d, twist_d, NONE))
-        tau = law_of(platform, model).effort(state, reference, NONE).tau
+        tau = asked(law_of(platform, model), referred(platform, PoseSample(p_d, R_d, twist_d, NONE), **state))
         wrench = K_P * np.concatenate([p_d - p, turn]) + K_V * (twist_d - twist)
         if model is not None:
             wrench = wrench + e["G"]
-        np.testing.assert_allclose(state.J.T @ tau, wrench, rtol=0, atol=1e-9 * np.abs(wrench).max())
+        np.testing.assert_allclose(
+            np.transpose(e["jacobian"]) @ tau, wrench, rtol=0, atol=1e-9 * np.abs(wrench).max()
+        )
 
 
 @pytest.mark.parametrize("case", TRUTH["cases"][::8], ids=lambda c: c["id"])
@@ -62,17 +64,18 @@ def test_the_difference_of_two_rotation_vectors_is_there_for_comparison(case):
     platform = Platform.from_dict(TRUTH["geometries"][case["geometry"]])
     s, e = case["state"], case["expected"]
     p, R = np.array(s["p"]), np.array(s["R"])
-    state = State(np.array(e["lengths"]), NONE, p, R, NONE, np.array(e["jacobian"]), 0, 0.0)
+    state = {"q": e["lengths"], "p": p, "R": R, "J": e["jacobian"]}
     phi_d = np.array([0.3, -0.2, 0.4])
     R_d = np.ascontiguousarray(Rotation.from_rotvec(phi_d).as_matrix())
-    reference = complete(platform, PoseSample(p, R_d, NONE, NONE))
-    tau = law_of(platform, rotation_error="vector_difference").effort(state, reference, NONE).tau
+    tick = referred(platform, PoseSample(p, R_d, NONE, NONE), **state)
+    tau = asked(law_of(platform, rotation_error="vector_difference"), tick)
     wrench = K_P * np.concatenate([np.zeros(3), phi_d - Rotation.from_matrix(R).as_rotvec()])
-    np.testing.assert_allclose(state.J.T @ tau, wrench, rtol=0, atol=1e-9 * np.abs(wrench).max())
+    np.testing.assert_allclose(
+        np.transpose(e["jacobian"]) @ tau, wrench, rtol=0, atol=1e-9 * np.abs(wrench).max()
+    )
 
 
 def test_a_singular_jacobian_gives_no_number():
     platform = Platform.from_dict(TRUTH["geometries"][TRUTH["cases"][0]["geometry"]])
-    r = complete(platform, PoseSample(np.array([0.0, 0.0, 1.0]), np.eye(3), NONE, NONE))
-    state = State(r.q, r.dq, r.p, r.R, NONE, np.zeros((6, 6)), 0, 0.0)
-    assert np.isnan(law_of(platform).effort(state, r, NONE).tau).all()
+    tick = arrived(platform, PoseSample(np.array([0.0, 0.0, 1.0]), np.eye(3), NONE, NONE), J=0.0)
+    assert np.isnan(asked(law_of(platform), tick)).all()

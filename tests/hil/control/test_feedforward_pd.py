@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.config import FeedforwardPDSettings, ModelSettings, Waypoint, WaypointReference
-from hil.control import LawContext, build_law
-from hil.loop.reference import complete
+from hil.config.model import ModelSettings
+from hil.config.reference import Waypoint, WaypointReference
+from hil.control.feedforward_pd import FeedforwardPDSettings
+from hil.control.law import LawContext
 from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian
-from hil.signals import State
-from hil.trajectory import PoseSample, hold, waypoint_trajectory
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from hil.trajectory.waypoints import waypoint_trajectory
+from tests.records import altered, arrived, asked, referred
 
 DATA = Path(__file__).parents[2] / "data"
 BOOK = json.loads((DATA / "book_platform.json").read_text())
@@ -41,12 +43,7 @@ def law_of(evaluation="online", platform=PLATFORM, trajectory=PATH, period=PERIO
     settings = FeedforwardPDSettings(
         law="feedforward_pd", kp_N_m=2e6, kv_N_s_m=5e4, evaluation=evaluation, model=ModelSettings(**model)
     )
-    return build_law(settings, LawContext(platform, "none", period, trajectory, preview))
-
-
-def on(reference, wrench=NONE):
-    J = jacobian(PLATFORM, reference.p, reference.R)
-    return State(reference.q, reference.dq, reference.p, reference.R, reference.twist, J, 0, 0.0, wrench)
+    return settings.build(LawContext(platform, "none", period, trajectory, preview))
 
 
 @pytest.mark.parametrize("case", TRUTH["cases"][::4], ids=lambda c: c["id"])
@@ -56,19 +53,9 @@ def test_the_feedforward_is_the_engines_force_on_the_reference_and_the_load_is_t
     sample = PoseSample(
         np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"]), np.array(s["a"] + s["alpha"])
     )
-    reference = complete(platform, sample)
-    gone = State(
-        reference.q - 1e-3,
-        reference.dq + 2e-2,
-        HOME,
-        np.eye(3),
-        NONE,
-        np.eye(6),
-        0,
-        0.0,
-        np.array(s["wrench"]),
-    )
-    tau = law_of(platform=platform).effort(gone, reference, NONE).tau
+    gone = referred(platform, sample, p=HOME, R=np.eye(3), J=np.eye(6), wrench=s["wrench"])
+    gone["q"], gone["dq"] = gone["q_d"] - 1e-3, gone["dq_d"] + 2e-2
+    tau = asked(law_of(platform=platform), gone)
     expected = np.array(e["leg_forces"]) + 2e6 * 1e-3 - 5e4 * 2e-2
     np.testing.assert_allclose(tau, expected, rtol=0, atol=2e-9 * np.abs(expected).max())
 
@@ -78,13 +65,10 @@ def test_offline_gives_the_bits_of_online_at_every_tick_of_the_trajectory():
     assert offline.table.shape == (1401, 6)
     for k in range(1401):
         t = k * PERIOD
-        reference = complete(PLATFORM, PATH.sample(t), t)
-        state = on(reference)._replace(q=reference.q + 1e-4)
+        tick = arrived(PLATFORM, PATH.sample(t), t)
+        tick["q"] += 1e-4
         assert offline._tabulated(t) is not None
-        assert (
-            offline.effort(state, reference, NONE).tau.tobytes()
-            == online.effort(state, reference, NONE).tau.tobytes()
-        )
+        assert asked(offline, tick).tobytes() == asked(online, tick).tobytes()
 
 
 def test_offline_tabulates_the_instants_at_which_the_force_acts():
@@ -93,12 +77,9 @@ def test_offline_tabulates_the_instants_at_which_the_force_acts():
     online, offline = law_of(), law_of("offline", preview=ahead)
     for k in (0, 1, 700, 1400):
         t = k * PERIOD + ahead
-        reference = complete(PLATFORM, PATH.sample(t), t)
+        tick = arrived(PLATFORM, PATH.sample(t), t)
         assert offline._tabulated(t) is not None
-        assert (
-            offline.effort(on(reference), reference, NONE).tau.tobytes()
-            == online.effort(on(reference), reference, NONE).tau.tobytes()
-        )
+        assert asked(offline, tick).tobytes() == asked(online, tick).tobytes()
     assert offline._tabulated(5 * PERIOD) is None
 
 
@@ -107,25 +88,20 @@ def test_offline_computes_what_is_no_tick_of_the_trajectory():
     online, offline = law_of(), law_of("offline")
     offline.table = np.full_like(offline.table, np.nan)
     for t, at in ((float("nan"), 0.3), (0.3 * PERIOD, 0.3 * PERIOD), (2.0 + PERIOD, 2.0 + PERIOD)):
-        reference = complete(PLATFORM, PATH.sample(at), t)
-        tau = offline.effort(on(reference), reference, NONE).tau
-        assert tau.tobytes() == online.effort(on(reference), reference, NONE).tau.tobytes()
-    reference = complete(PLATFORM, PATH.sample(0.0), 0.0)
-    assert np.isnan(offline.effort(on(reference), reference, NONE).tau).all()
+        tick = arrived(PLATFORM, PATH.sample(at), t)
+        assert asked(offline, tick).tobytes() == asked(online, tick).tobytes()
+    assert np.isnan(asked(offline, arrived(PLATFORM, PATH.sample(0.0), 0.0))).all()
 
 
 @pytest.mark.parametrize("t", [0.0, float("nan")], ids=["on the trajectory", "on the way to it"])
 def test_a_load_is_not_known_before_the_run(t):
     online, offline = law_of(), law_of("offline")
     load = np.array([1e3, 2e3, 3e3, 100.0, 200.0, 300.0])
-    reference = complete(PLATFORM, PATH.sample(0.0), t)
-    bare, loaded = on(reference), on(reference, load)
-    assert (
-        offline.effort(loaded, reference, NONE).tau.tobytes()
-        == offline.effort(bare, reference, NONE).tau.tobytes()
-    )
-    taken = online.effort(bare, reference, NONE).tau - online.effort(loaded, reference, NONE).tau
-    np.testing.assert_allclose(bare.J.T @ taken, load, atol=1e-8)
+    bare = arrived(PLATFORM, PATH.sample(0.0), t)
+    loaded = altered(bare, wrench=load)
+    assert asked(offline, loaded).tobytes() == asked(offline, bare).tobytes()
+    taken = asked(online, bare) - asked(online, loaded)
+    np.testing.assert_allclose(bare["J"].T @ taken, load, atol=1e-8)
 
 
 def test_a_trajectory_without_end_is_refused():
@@ -145,9 +121,6 @@ def test_a_model_of_nine_tenths_feeds_nine_tenths_of_the_forces_forward():
         },
     }
     platform = Platform.from_dict(bare)
-    reference = complete(PLATFORM, PATH.sample(0.7))
-    full, light = (
-        law_of(platform=platform, inertia_scale=k).effort(on(reference), reference, NONE).tau
-        for k in (1.0, 0.9)
-    )
+    tick = arrived(PLATFORM, PATH.sample(0.7))
+    full, light = (asked(law_of(platform=platform, inertia_scale=k), tick) for k in (1.0, 0.9))
     np.testing.assert_allclose(light, 0.9 * full, rtol=1e-9)

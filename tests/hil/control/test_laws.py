@@ -10,32 +10,31 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from hil.config import (
-    CartesianPDSettings,
-    ControllerSettings,
-    FeedforwardPDSettings,
-    InverseDynamicsSettings,
-    ModelSettings,
-    PartialLinearisationSettings,
-    PDGravitySettings,
-    PDSettings,
-    PIDSettings,
-    Pose,
-    PoseInverseDynamicsSettings,
-    RobustInverseDynamicsSettings,
-    SlidingModeSettings,
-    StateSpaceSettings,
-    UncertaintySettings,
-)
 from hil.config.axis_model import AxisSpace
 from hil.config.linear_controller import LinearController
-from hil.control import LAWS, LawContext, build_law
-from hil.loop.reference import complete
+from hil.config.model import ModelSettings
+from hil.config.values import Pose
+from hil.control import LAWS, ControllerSettings
+from hil.control.cartesian_pd import CartesianPDSettings
+from hil.control.feedforward_pd import FeedforwardPDSettings
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.control.law import LawContext
+from hil.control.partial_linearisation import PartialLinearisationSettings
+from hil.control.pd import PDSettings
+from hil.control.pd_gravity import PDGravitySettings
+from hil.control.pid import PIDSettings
+from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
+from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
+from hil.control.sliding_mode import SlidingModeSettings
+from hil.control.state_space import StateSpaceSettings
+from hil.control.uncertainty import UncertaintySettings
+from hil.loop.reference import fill_reference
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
-from hil.signals import State
-from hil.trajectory import PoseSample, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from tests.records import arrived, asked
 
 BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -118,7 +117,7 @@ laws = pytest.mark.parametrize("name", SETTINGS)
 
 
 def make(name):
-    return build_law(SETTINGS[name], CONTEXT._replace(controller=CONTROLLERS.get(name)))
+    return SETTINGS[name].build(CONTEXT._replace(controller=CONTROLLERS.get(name)))
 
 
 def sample(case):
@@ -128,8 +127,7 @@ def sample(case):
 
 
 def on_reference(s):
-    r = complete(PLATFORM, s)
-    return State(r.q, r.dq, s.p, s.R, s.twist, jacobian(PLATFORM, s.p, s.R), 0, 0.0), r
+    return arrived(PLATFORM, s)
 
 
 def test_every_law_of_the_table_is_under_contract():
@@ -163,21 +161,19 @@ def test_finite_in_finite_out(name):
     law = make(name)
     random = np.random.default_rng(7)
     for case in BOOK["states"]:
-        state, reference = on_reference(sample(case))
-        state = state._replace(q=state.q + random.normal(0, 0.01, 6), dq=state.dq + random.normal(0, 0.1, 6))
-        tau = law.effort(state, reference, NONE).tau
-        assert np.isfinite(tau).all()
-        assert tau.dtype == np.float64, "safety's kernel does not look"
-        assert tau.flags.c_contiguous
+        tick = on_reference(sample(case))
+        tick["q"] += random.normal(0, 0.01, 6)
+        tick["dq"] += random.normal(0, 0.1, 6)
+        assert np.isfinite(asked(law, tick)).all()
 
 
 @laws
 def test_reset_repeats_to_the_bit(name):
     law = make(name)
-    pairs = [on_reference(sample(case)) for case in BOOK["states"]]
-    first = [law.effort(*pair, NONE).tau.tobytes() for pair in pairs]
+    ticks = [on_reference(sample(case)) for case in BOOK["states"]]
+    first = [asked(law, tick).tobytes() for tick in ticks]
     law.reset()
-    assert [law.effort(*pair, NONE).tau.tobytes() for pair in pairs] == first
+    assert [asked(law, tick).tobytes() for tick in ticks] == first
 
 
 @laws
@@ -189,10 +185,11 @@ def test_whatever_finite_comes_in_a_number_or_nan_comes_out_and_nothing_is_raise
         p, p_d = random.normal(0, size, (2, 3))
         R, R_d = (np.ascontiguousarray(r.as_matrix()) for r in Rotation.random(2, random))
         twist, twist_d, dtwist_d = random.normal(0, size, (3, 6))
-        state, _ = on_reference(PoseSample(p, R, twist, NONE))
-        state = state._replace(q=state.q + random.normal(0, size, 6), wrench=random.normal(0, 1e3 * size, 6))
-        reference = complete(PLATFORM, PoseSample(p_d, R_d, twist_d, dtwist_d))
-        assert not np.isinf(law.effort(state, reference, random.normal(0, 1e4 * size, 6)).tau).any()
+        tick = on_reference(PoseSample(p, R, twist, NONE))
+        tick["q"] += random.normal(0, size, 6)
+        tick["wrench"] = random.normal(0, 1e3 * size, 6)
+        fill_reference(PLATFORM, PoseSample(p_d, R_d, twist_d, dtwist_d), tick)
+        assert not np.isinf(asked(law, tick, shortfall=random.normal(0, 1e4 * size, 6))).any()
 
 
 NO_INVERSE = {"pd", "pid", "inverse_dynamics, constant"}
@@ -203,10 +200,9 @@ NO_INVERSE = {"pd", "pid", "inverse_dynamics, constant"}
 def test_a_leg_of_length_zero_or_a_jacobian_of_zeros_gives_no_number(name):
     """J has no inverse then: nan, which safety turns into a latched fault."""
     law = make(name)
-    state, reference = on_reference(sample(BOOK["states"][0]))
     p = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
-    there = reference._replace(p=p, R=np.eye(3))
-    tau = law.effort(state._replace(p=p, R=np.eye(3), J=np.zeros((6, 6))), there, NONE).tau
+    there = {"p": p, "R": np.eye(3), "J": 0.0, "p_d": p, "R_d": np.eye(3)}
+    tau = asked(law, on_reference(sample(BOOK["states"][0])), **there)
     assert np.isfinite(tau).all() == (name in NO_INVERSE)
 
 
@@ -218,7 +214,7 @@ STATIC_SHARE = dict.fromkeys(SETTINGS, 1.0) | {"pd": 0.0, "pid": 0.0, "cartesian
 def test_at_rest_without_error_a_law_is_its_feedforward_of_the_weight(name):
     """3618.6 N in each leg at the book's home, or nothing where a law knows no model."""
     home = BOOK["home_static"]
-    tau = make(name).effort(*on_reference(sample(home)), NONE).tau
+    tau = asked(make(name), on_reference(sample(home)))
     np.testing.assert_allclose(tau, STATIC_SHARE[name] * np.array(home["force"]), rtol=1e-9, atol=1e-6)
 
 
@@ -226,7 +222,7 @@ def test_at_rest_without_error_a_law_is_its_feedforward_of_the_weight(name):
 @pytest.mark.parametrize("case", BOOK["states"], ids=lambda c: f"t={c['t']:.2f}")
 def test_in_motion_without_error_a_law_with_the_whole_model_is_the_forces_of_the_book(case, name):
     """41 states of the book's trajectory; forces confirmed by an independent engine to 1.6e-11 N."""
-    tau = make(name).effort(*on_reference(sample(case)), NONE).tau
+    tau = asked(make(name), on_reference(sample(case)))
     np.testing.assert_allclose(tau, case["force"], rtol=0, atol=1e-8 * np.abs(case["force"]).max())
 
 
@@ -234,12 +230,10 @@ def test_in_motion_without_error_a_law_with_the_whole_model_is_the_forces_of_the
 def test_a_load_that_is_known_is_taken_off_by_laws_with_a_whole_model_and_by_no_other(name):
     """J^T (tau without it - tau with it) = wrench, ON the platform; constant dynamics has J of its pose."""
     law, load = make(name), np.array([1e3, -2e3, 3e3, 100.0, 200.0, -300.0])
-    state, reference = on_reference(sample(BOOK["states"][5]))
-    less = (
-        law.effort(state, reference, NONE).tau - law.effort(state._replace(wrench=load), reference, NONE).tau
-    )
+    tick = on_reference(sample(BOOK["states"][5]))
+    less = asked(law, tick) - asked(law, tick, wrench=load)
     constant = name == "inverse_dynamics, constant"
-    J = jacobian(PLATFORM, np.array([0.0, 0.0, 1.0]), np.eye(3)) if constant else state.J
+    J = jacobian(PLATFORM, np.array([0.0, 0.0, 1.0]), np.eye(3)) if constant else tick["J"]
     np.testing.assert_allclose(J.T @ less, load if constant or name in EXACT else NONE, rtol=0, atol=1e-6)
 
 
@@ -247,53 +241,47 @@ def test_a_load_that_is_known_is_taken_off_by_laws_with_a_whole_model_and_by_no_
 def test_what_a_limit_holds_back_does_not_pile_up(name):
     """Half of what is asked is given, for 2 s and for 20 s: the same is asked for in the end."""
     law = make(name)
-    state, reference = on_reference(sample(BOOK["states"][5]))
-    state = state._replace(q=state.q - 2e-3)
-    limit = 0.5 * np.abs(law.effort(state, reference, NONE).tau)
-    asked = []
+    tick = on_reference(sample(BOOK["states"][5]))
+    tick["q"] -= 2e-3
+    limit = 0.5 * np.abs(asked(law, tick))
+    last = []
     for calls in (2_000, 20_000):
         law.reset()
-        shortfall = NONE
+        tick["shortfall"] = 0.0
         for _ in range(calls):
-            tau = law.effort(state, reference, shortfall).tau
-            shortfall = np.clip(tau, -limit, limit) - tau
-        asked.append(tau)
-    np.testing.assert_allclose(asked[1], asked[0], rtol=1e-9)
+            law.effort(tick)
+            tau = tick["tau_law"].copy()
+            tick["shortfall"] = np.clip(tau, -limit, limit) - tau
+        last.append(tau)
+    np.testing.assert_allclose(last[1], last[0], rtol=1e-9)
 
 
 def test_pd_feeds_the_acceleration_of_each_leg_forward_times_its_mass():
     settings = PDSettings(
         law="pd", kp_N_m=2e6, kv_N_s_m=5e4, feedforward_mass_kg=[100, 200, 300, 400, 500, 0]
     )
-    law = build_law(settings, CONTEXT)
-    state, reference = on_reference(sample(BOOK["states"][0]))
-    tau = law.effort(state, reference._replace(ddq=np.array([1.0, -2.0, 3.0, 0.5, 0.0, 7.0])), NONE).tau
+    law = settings.build(CONTEXT)
+    tau = asked(law, on_reference(sample(BOOK["states"][0])), ddq_d=[1.0, -2.0, 3.0, 0.5, 0.0, 7.0])
     assert tau.tolist() == [100.0, -400.0, 900.0, 200.0, 0.0, 0.0]
 
 
 def test_pd_without_error_is_zero_and_with_error_is_the_gains():
     law = make("pd")
-    state, reference = on_reference(sample(BOOK["states"][0]))
-    assert not law.effort(state, reference, NONE).tau.any()
+    tick = on_reference(sample(BOOK["states"][0]))
+    assert not asked(law, tick).any()
     e = np.array([1e-3, 0, -2e-3, 0, 0, 0])
-    np.testing.assert_allclose(
-        law.effort(state._replace(q=state.q - e), reference, NONE).tau, 2e6 * e, atol=1e-6
-    )
-    np.testing.assert_allclose(
-        law.effort(state._replace(dq=state.dq - e), reference, NONE).tau, 5e4 * e, atol=1e-9
-    )
+    np.testing.assert_allclose(asked(law, tick, q=tick["q"] - e), 2e6 * e, atol=1e-6)
+    np.testing.assert_allclose(asked(law, tick, dq=tick["dq"] - e), 5e4 * e, atol=1e-9)
 
 
 def test_exact_inverse_dynamics_answers_an_error_with_the_reflected_inertia():
     """An error E in the lengths adds J^-T M J^-1 K_P E, and that inertia is symmetric and positive definite."""
     law = make("inverse_dynamics")
-    state, reference = on_reference(sample(BOOK["states"][10]))
-    base = law.effort(state, reference, NONE).tau
-    inertia = np.column_stack(
-        [law.effort(state, reference._replace(ddq=reference.ddq + d), NONE).tau - base for d in np.eye(6)]
-    )
+    tick = on_reference(sample(BOOK["states"][10]))
+    base = asked(law, tick)
+    inertia = np.column_stack([asked(law, tick, ddq_d=tick["ddq_d"] + d) - base for d in np.eye(6)])
     e = np.array([3e-3, -1e-3, 2e-3, 0, 1e-3, -4e-3])
-    tau = law.effort(state._replace(q=state.q - e), reference, NONE).tau - base
+    tau = asked(law, tick, q=tick["q"] - e) - base
     np.testing.assert_allclose(tau, inertia @ (400.0 * e), rtol=1e-7, atol=1e-6)
     assert (np.linalg.eigvalsh((inertia + inertia.T) / 2) > 0).all()
     np.testing.assert_allclose(inertia, inertia.T, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())

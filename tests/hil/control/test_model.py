@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.config import ModelSettings, Pose
+from hil.config.model import ModelSettings
+from hil.config.values import Pose
 from hil.control.model import build_model
 from hil.robot.geometry import Platform
 

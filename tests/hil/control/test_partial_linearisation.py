@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hil.config import PartialLinearisationSettings
-from hil.control import LawContext, build_law
-from hil.loop.reference import complete
+from hil.control.law import LawContext
+from hil.control.partial_linearisation import PartialLinearisationSettings
 from hil.robot.geometry import Platform
-from hil.signals import State
-from hil.trajectory import PoseSample, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from tests.records import asked, referred
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
-NONE = np.zeros(6)
 SETTINGS = PartialLinearisationSettings(law="partial_linearisation", wn_rad_s=20.0, damping_ratio=0.5)
 
 
@@ -29,11 +28,10 @@ def test_it_asks_for_the_engines_inertia_and_weight_and_leaves_H_and_load_out(ca
     p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
     dtwist = np.array(s["a"] + s["alpha"])
     J, M, G, q, dq = (np.array(e[key]) for key in ("jacobian", "M", "G", "lengths", "rates"))
-    law = build_law(SETTINGS, LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
-    reference = complete(platform, PoseSample(p, R, twist, dtwist))
+    law = SETTINGS.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
     E, dE = np.array([1e-3, 0, -2e-3, 0, 3e-3, 0]), np.array([0, 1e-2, 0, 0, -2e-2, 0])
-    state = State(q - E, dq - dE, p, R, twist, J, 0, 0.0, np.array(s["wrench"]))
-    tau = law.effort(state, reference, NONE).tau
+    state = {"q": q - E, "dq": dq - dE, "p": p, "R": R, "twist": twist, "J": J, "wrench": s["wrench"]}
+    tau = asked(law, referred(platform, PoseSample(p, R, twist, dtwist), **state))
     correction = np.linalg.solve(J, 400.0 * E + 20.0 * dE)
     expected = np.linalg.solve(J.T, M @ (dtwist + correction) + G)
     np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-8 * np.abs(expected).max())

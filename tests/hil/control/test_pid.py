@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.control.pd import JointPD
 from hil.control.pid import JointPID
-from hil.signals import Mode, Reference, State
 from tests.loop import unrecorded
+from tests.records import asked, record_of
 
 NONE = np.zeros(6)
 PERIOD = 1e-3
 K_P, K_V, K_I = 2e6, 5e4, 1e7
 T_T = np.sqrt(K_V / K_I)
-NOWHERE = State(NONE, NONE, np.zeros(3), np.eye(3), NONE, np.eye(6), 0, 0.0)
 
 
 def pid(limit=1e9, **options):
@@ -26,16 +26,15 @@ def pid(limit=1e9, **options):
 
 
 def error(e):
-    """Reference and state at rest with q_d - q = e."""
-    q = np.broadcast_to(e, 6).astype(float)
-    return NOWHERE, Reference(np.zeros(3), np.eye(3), NONE, NONE, q, NONE, NONE)
+    """A tick at rest with q_d - q = e."""
+    return record_of(q_d=e, R=np.eye(3), R_d=np.eye(3), J=np.eye(6))
 
 
 def test_the_integral_is_the_sum_of_the_errors_times_the_period():
     law = pid()
     errors = np.random.default_rng(3).normal(0.0, 1e-3, (50, 6))
     for e in errors:
-        tau = law.effort(*error(e), NONE).tau
+        tau = asked(law, error(e))
     np.testing.assert_allclose(tau, K_P * errors[-1] + K_I * PERIOD * errors.sum(axis=0), rtol=1e-12)
 
 
@@ -43,7 +42,7 @@ def test_the_integral_stays_within_its_limit_on_either_side():
     law = pid(limit=300.0)
     for sign in (1.0, -1.0):
         for _ in range(1000):
-            tau = law.effort(*error(sign * 1e-3), NONE).tau
+            tau = asked(law, error(sign * 1e-3))
         assert (tau == sign * (K_P * 1e-3 + 300.0)).all()
 
 
@@ -51,7 +50,7 @@ def held_at(law, e, limit, calls):
     """Ask for an error's effort again and again while only `limit` N is given; return the last one asked."""
     shortfall = NONE
     for _ in range(calls):
-        tau = law.effort(*error(e), shortfall).tau
+        tau = asked(law, error(e), shortfall=shortfall)
         shortfall = np.clip(tau, -limit, limit) - tau
     return tau
 
@@ -70,17 +69,17 @@ def test_it_leaves_the_limit_as_soon_as_the_error_turns():
     """After 20 s at the limit: with back-calculation at once, without it the stored force takes 20 s more."""
     law = pid()
     held_at(law, 2e-3, 1000.0, 20_000)
-    assert law.effort(*error(-1e-4), NONE).tau.max() < 1000.0
+    assert asked(law, error(-1e-4)).max() < 1000.0
     blind = pid()
     for _ in range(20_000):
-        blind.effort(*error(2e-3), NONE)
-    assert blind.effort(*error(-1e-4), NONE).tau.min() > 100_000.0
+        asked(blind, error(2e-3))
+    assert asked(blind, error(-1e-4)).min() > 100_000.0
 
 
 def test_a_tracking_time_is_taken_as_given_and_never_overshoots():
     for T_t, share in ((0.25, 0.004), (1e-9, 1.0)):
         law = pid(T_t=T_t)
-        law.effort(*error(0.0), np.full(6, -100.0))
+        asked(law, error(0.0), shortfall=-100.0)
         np.testing.assert_allclose(law.xi, -100.0 * share, rtol=1e-12)
 
 

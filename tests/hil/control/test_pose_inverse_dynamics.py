@@ -10,16 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from hil.config import PoseInverseDynamicsSettings
-from hil.control import LawContext, build_law
-from hil.control.pose_inverse_dynamics import _dtwist
-from hil.loop.reference import complete
+from hil.control.law import LawContext
+from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings, demanded_dtwist, pose_errors
 from hil.robot.geometry import Platform
-from hil.signals import State
-from hil.trajectory import PoseSample, hold
+from hil.trajectory.holding import hold
+from hil.trajectory.path import PoseSample
+from tests.records import altered, asked, referred
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
-NONE = np.zeros(6)
 W_N = np.array([3.0, 4.0, 5.0, 3.0, 4.0, 5.0])
 ZETA = 0.7
 K_P, K_D = W_N**2, 2 * ZETA * W_N
@@ -30,7 +28,7 @@ def law_of(platform):
     settings = PoseInverseDynamicsSettings(
         law="pose_inverse_dynamics", wn_rad_s=W_N.tolist(), damping_ratio=ZETA
     )
-    return build_law(settings, LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    return settings.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
 
 
 def at(case):
@@ -39,30 +37,28 @@ def at(case):
     J, q, dq = (np.array(e[key]) for key in ("jacobian", "lengths", "rates"))
     platform = Platform.from_dict(TRUTH["geometries"][case["geometry"]])
     sample = PoseSample(p, R, twist, np.array(s["a"] + s["alpha"]))
-    return platform, State(q, dq, p, R, twist, J, 0, 0.0, np.array(s["wrench"])), complete(platform, sample)
+    state = {"q": q, "dq": dq, "p": p, "R": R, "twist": twist, "J": J, "wrench": s["wrench"]}
+    return platform, referred(platform, sample, **state)
 
 
 @pytest.mark.parametrize("case", TRUTH["cases"], ids=lambda c: c["id"])
 def test_without_error_it_asks_for_the_engines_forces(case):
-    platform, state, reference = at(case)
-    tau = law_of(platform).effort(state, reference, NONE).tau
+    platform, tick = at(case)
+    tau = asked(law_of(platform), tick)
     np.testing.assert_allclose(tau, case["expected"]["leg_forces"], rtol=0, atol=1e-9 * np.abs(tau).max())
 
 
 @pytest.mark.parametrize("case", TRUTH["cases"][::6], ids=lambda c: c["id"])
 def test_an_error_is_answered_through_the_engines_mass_matrix(case):
-    platform, state, reference = at(case)
-    ahead = reference._replace(
-        p=reference.p + STEP, twist=reference.twist + np.concatenate([RATE, np.zeros(3)])
-    )
+    platform, tick = at(case)
+    ahead = altered(tick, p_d=tick["p_d"] + STEP)
+    ahead["twist_d"][:3] += RATE
     law = law_of(platform)
-    more = law.effort(state, ahead, NONE).tau - law.effort(state, reference, NONE).tau
+    more = asked(law, ahead) - asked(law, tick)
     dtwist = np.zeros(6)
     dtwist[:3] = K_P[:3] * STEP + K_D[:3] * RATE
-    expected = np.linalg.solve(state.J.T, np.array(case["expected"]["M"]) @ dtwist)
-    np.testing.assert_allclose(
-        more, expected, rtol=0, atol=1e-8 * np.abs(law.effort(state, ahead, NONE).tau).max()
-    )
+    expected = np.linalg.solve(tick["J"].T, np.array(case["expected"]["M"]) @ dtwist)
+    np.testing.assert_allclose(more, expected, rtol=0, atol=1e-8 * np.abs(asked(law, ahead)).max())
 
 
 SPIN, TUMBLE = np.array([0.9, -1.4, 0.6]), np.array([0.5, 0.8, -0.7])
@@ -105,9 +101,10 @@ def test_a_large_error_of_position_and_rotation_dies_out_linearly_while_everythi
         R = np.ascontiguousarray(x[3:12].reshape(3, 3))
         w = x[15:]
         dR = np.cross(w, R.T).T
-        return np.concatenate(
-            [x[12:15], dR.ravel(), _dtwist(K_P, K_D, x[:3].copy(), R, x[12:].copy(), *moving_reference(t))]
-        )
+        p_d, R_d, twist_d, dtwist_d = moving_reference(t)
+        errors = pose_errors(x[:3].copy(), R, x[12:].copy(), p_d, R_d, twist_d)
+        dtwist = demanded_dtwist(errors, K_D * errors[1] + K_P * errors[0], x[12:].copy(), twist_d, dtwist_d)
+        return np.concatenate([x[12:15], dR.ravel(), dtwist])
 
     times = np.linspace(0.0, 2.0, 21)
     run = solve_ivp(

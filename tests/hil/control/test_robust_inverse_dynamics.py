@@ -5,8 +5,8 @@ import pytest
 from pydantic import ValidationError
 from scipy.linalg import solve_continuous_lyapunov
 
-from hil.config import InverseDynamicsSettings, RobustInverseDynamicsSettings
-from hil.control import build_law
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from tests.hil.control.legs import CONTEXT, NONE, answer
 
 W_N = [30.0, 35.0, 40.0, 45.0, 50.0, 60.0]
@@ -36,7 +36,7 @@ def errors(scale):
 
 @pytest.mark.parametrize("scale", [0.3, 3.0, 30.0])
 def test_the_correction_points_along_b_p_x_and_never_exceeds_rho(scale):
-    law = build_law(settings(), CONTEXT)
+    law = settings().build(CONTEXT)
     P = solve_continuous_lyapunov(A.T, -Q)
     for e, de in errors(scale):
         y = (P @ np.concatenate([e, de]))[6:]
@@ -46,7 +46,7 @@ def test_the_correction_points_along_b_p_x_and_never_exceeds_rho(scale):
 
 def test_outside_the_layer_no_uncertainty_within_the_bound_keeps_v_from_falling():
     """dV/dt = 2 x^T P dx/dt <= -x^T Q x for the worst d, which points along -y."""
-    law = build_law(settings(), CONTEXT)
+    law = settings().build(CONTEXT)
     P = solve_continuous_lyapunov(A.T, -Q)
     outside = 0
     for e, de in errors(6.0):
@@ -66,9 +66,10 @@ def test_inside_the_layer_it_is_inverse_dynamics_with_these_gains():
     K_P1, K_D1 = K_P + RHO / EPSILON * K_D / 2, K_D + RHO / EPSILON
     e, de = errors(0.3)[0]
     np.testing.assert_allclose(
-        answer(build_law(settings(), CONTEXT), e, de), K_P1 * e + K_D1 * de, rtol=1e-7, atol=1e-7
+        answer(settings().build(CONTEXT), e, de), K_P1 * e + K_D1 * de, rtol=1e-7, atol=1e-7
     )
-    assert settings().linear_gains == pytest.approx((K_P1.max(), K_D1.max()))
+    dynamics = settings().error_dynamics()
+    np.testing.assert_allclose((dynamics.K_P, dynamics.K_D), (K_P1, K_D1), rtol=1e-9)
 
 
 def test_hardly_uncertain_it_is_plain_inverse_dynamics():
@@ -76,12 +77,12 @@ def test_hardly_uncertain_it_is_plain_inverse_dynamics():
     plain = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=W_N, damping_ratio=ZETA)
     e, de = errors(3.0)[1]
     np.testing.assert_allclose(
-        answer(build_law(s, CONTEXT), e, de), answer(build_law(plain, CONTEXT), e, de), rtol=1e-9
+        answer(s.build(CONTEXT), e, de), answer(plain.build(CONTEXT), e, de), rtol=1e-9
     )
 
 
 def test_without_a_layer_the_correction_is_all_of_rho():
-    law = build_law(settings(boundary_layer_m_s=0.0), CONTEXT)
+    law = settings(boundary_layer_m_s=0.0).build(CONTEXT)
     w = answer(law, NONE, np.full(6, 1e-6))
     assert np.linalg.norm(w) == pytest.approx(RHO, rel=1e-4)
 

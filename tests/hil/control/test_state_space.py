@@ -8,25 +8,21 @@ from pydantic import ValidationError
 from scipy.signal import dlsim
 
 from drivers.errors import ConfigurationError
-from hil.config import (
-    DelayCompensation,
-    InverseDynamicsSettings,
-    ModelSettings,
-    Pose,
-    PoseInverseDynamicsSettings,
-    StateSpaceSettings,
-)
+from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController
-from hil.control import build_law
+from hil.config.model import ModelSettings
+from hil.config.values import Pose
+from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.linearised_axes import JointAxes, PoseAxes
 from hil.control.model import build_model
-from hil.loop.reference import complete
+from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
+from hil.control.state_space import StateSpaceSettings
+from hil.loop.reference import fill_reference
 from hil.mathematics.rotations import rotation_from_vector, rotation_vector
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian
-from hil.signals import State
-from hil.trajectory import PoseSample
+from hil.trajectory.path import PoseSample
 from tests.hil.control.legs import BOOK, CONTEXT, NONE, PLATFORM, at_rest
+from tests.records import arrived, asked
 
 CASE = BOOK["states"][7]
 PUSH = np.array([1e3, -2e3, 500.0, 0.0, 3e3, -700.0])
@@ -50,17 +46,18 @@ def controller(A, B, C, D, anti_windup=None, *, axes="joint", inputs=("error", "
 
 def law(given, model=None):
     settings = StateSpaceSettings(law="state_space", controller_file="x.yaml", model=model or ModelSettings())
-    return build_law(settings, CONTEXT._replace(controller=given))
+    return settings.build(CONTEXT._replace(controller=given))
 
 
 def astray():
     """The platform on the book's path, and 1 cm, 6 degrees and some speed away from its reference."""
     R = rotation_from_vector(np.array(CASE["rotvec"]))
     twist, dtwist = np.array(CASE["v"] + CASE["omega"]), np.array(CASE["a"] + CASE["alpha"])
-    reference = complete(PLATFORM, PoseSample(np.array(CASE["p"]), R, twist, dtwist))
-    p, R = reference.p + 0.01, R @ rotation_from_vector(np.array([0.1, 0.02, -0.03]))
-    there = complete(PLATFORM, PoseSample(p, R, twist + 0.1, NONE))
-    return State(there.q, there.dq, p, R, twist + 0.1, jacobian(PLATFORM, p, R), 0, 0.0), reference
+    p_d, R_d = np.array(CASE["p"]), R
+    p, R = p_d + 0.01, R @ rotation_from_vector(np.array([0.1, 0.02, -0.03]))
+    there = arrived(PLATFORM, PoseSample(p, R, twist + 0.1, NONE))
+    fill_reference(PLATFORM, PoseSample(p_d, R_d, twist, dtwist), there)
+    return there
 
 
 STILL = controller([], [], [[]], [[0.0, 0.0]])
@@ -85,10 +82,8 @@ models = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 def test_a_gain_on_error_and_rate_is_inverse_dynamics_with_these_gains(axes, settings, model):
     """u = wn^2 e + 2 wn de without a state."""
     given = controller([], [], [[]], [[400.0, 40.0]], axes=axes)
-    state, reference = astray()
-    expected = build_law(settings.model_copy(update={"model": model}), CONTEXT).effort(state, reference, NONE)
-    tau = law(given, model).effort(state, reference, NONE).tau
-    np.testing.assert_allclose(tau, expected.tau, rtol=1e-12)
+    expected = asked(settings.model_copy(update={"model": model}).build(CONTEXT), astray())
+    np.testing.assert_allclose(asked(law(given, model), astray()), expected, rtol=1e-12)
 
 
 def test_the_state_moves_as_the_peers_recursion_says():
@@ -99,19 +94,18 @@ def test_the_state_moves_as_the_peers_recursion_says():
     B, C, D = random.normal(size=(5, 2)), random.normal(size=(1, 5)), np.array([[30.0, 4.0]])
     mine = law(controller(A.tolist(), B.tolist(), C.tolist(), D.tolist()))
     E, dE = random.normal(0, 1e-3, (12, 6)), random.normal(0, 1e-2, (12, 6))
-    asked = np.array([demanded(mine, e, de) for e, de in zip(E, dE, strict=True)])
+    demands = np.array([demanded(mine, e, de) for e, de in zip(E, dE, strict=True)])
     for leg in range(6):
         _, u, _ = dlsim((A, B, C, D, 1e-3), np.column_stack([E[:, leg], dE[:, leg]]))
-        np.testing.assert_allclose(asked[:, leg], u[:, 0], rtol=0, atol=1e-8 * np.abs(u).max())
+        np.testing.assert_allclose(demands[:, leg], u[:, 0], rtol=0, atol=1e-8 * np.abs(u).max())
     mine.reset()
-    np.testing.assert_allclose(demanded(mine, E[0], dE[0]), asked[0], rtol=1e-12)
+    np.testing.assert_allclose(demanded(mine, E[0], dE[0]), demands[0], rtol=1e-12)
 
 
 def demanded(mine, e, de):
     """u (6,) of one call, read back from the forces."""
-    state, reference, inertia = at_rest(e, de)
-    weight = law(STILL).effort(state, reference, NONE).tau
-    return np.linalg.solve(inertia, mine.effort(state, reference, NONE).tau - weight)
+    tick, inertia = at_rest(e, de)
+    return np.linalg.solve(inertia, asked(mine, tick) - asked(law(STILL), tick))
 
 
 @pytest.mark.parametrize(
@@ -131,29 +125,29 @@ def test_the_inputs_are_what_the_file_names_in_its_order(inputs, expected):
 
 def test_a_force_moves_all_legs_by_j_inverse_m_j_transposed():
     """M by the model, the rest here."""
-    state, reference = astray()
-    M = Model(PLATFORM).mass_matrix(state.p, state.R)
+    tick = astray()
+    M = Model(PLATFORM).mass_matrix(tick["p"], tick["R"])
     axes = JointAxes(Model(PLATFORM))
-    found = axes.acceleration(state, axes.errors(state, reference), PUSH)
-    np.testing.assert_allclose(found, state.J @ np.linalg.solve(M, state.J.T @ PUSH), rtol=1e-10)
-    one = axes.acceleration(state, axes.errors(state, reference), np.array([1e3, 0, 0, 0, 0, 0]))
+    found = axes.acceleration(tick, axes.errors(tick), PUSH)
+    np.testing.assert_allclose(found, tick["J"] @ np.linalg.solve(M, tick["J"].T @ PUSH), rtol=1e-10)
+    one = axes.acceleration(tick, axes.errors(tick), np.array([1e3, 0, 0, 0, 0, 0]))
     assert np.abs(one[1:]).max() > 0.1 * one[0] > 0, "a leg's force moves its neighbours"
 
 
 def test_in_pose_axes_it_turns_the_error_back():
     """Forward dynamics with and without the force, and log(R_d R^T) differentiated twice, numerically."""
-    state, reference = astray()
+    tick = astray()
     model, axes = Model(PLATFORM), PoseAxes(Model(PLATFORM))
-    still = [model.forward_dynamics(state.p, state.R, state.twist, tau) for tau in (NONE, PUSH)]
+    still = [model.forward_dynamics(tick["p"], tick["R"], tick["twist"], tau) for tau in (NONE, PUSH)]
     dtwist = still[1] - still[0]
     h = 1e-4
 
     def r(t):  # turned by the force alone, from rest; R_d stands still
         turn = rotation_from_vector(0.5 * t * t * dtwist[3:])
-        return rotation_vector(reference.R @ (turn @ state.R).T)
+        return rotation_vector(tick["R_d"] @ (turn @ tick["R"]).T)
 
     ddr = 2.0 * (r(h) - r(0.0)) / (h * h)
-    found = axes.acceleration(state, axes.errors(state, reference), PUSH)
+    found = axes.acceleration(tick, axes.errors(tick), PUSH)
     np.testing.assert_allclose(found[:3], dtwist[:3], rtol=1e-9)
     np.testing.assert_allclose(found[3:], -ddr, rtol=1e-5, atol=1e-5 * np.abs(ddr).max())
 
@@ -161,22 +155,21 @@ def test_in_pose_axes_it_turns_the_error_back():
 @models
 @pytest.mark.parametrize("axes", [JointAxes, PoseAxes])
 def test_it_is_the_inverse_of_what_the_law_makes_of_a_demand(axes, model):
-    state, reference = astray()
+    tick = astray()
     linear = axes(build_model(model, PLATFORM, "none"))
-    y, u = linear.errors(state, reference), np.array([1.0, -2.0, 3.0, 0.5, 0.0, -1.0])
-    tau = linear.tau(state, reference, y, u) - linear.tau(state, reference, y, NONE)
-    np.testing.assert_allclose(linear.acceleration(state, y, tau), u, rtol=0, atol=1e-9)
+    y, u = linear.errors(tick), np.array([1.0, -2.0, 3.0, 0.5, 0.0, -1.0])
+    tau = linear.tau(tick, y, u) - linear.tau(tick, y, NONE)
+    np.testing.assert_allclose(linear.acceleration(tick, y, tau), u, rtol=0, atol=1e-9)
 
 
 def test_the_state_moves_by_its_share_of_what_was_taken():
     """x' = 0.5 x + 2 a and u = x: forces of 1 m/s^2 too little on every leg take 2 m/s^2 from u."""
     mine = law(controller([[0.5]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], [2.0]))
-    state, reference, inertia = at_rest(NONE, NONE)
-    weight = law(STILL).effort(state, reference, NONE).tau
-    shortfall = inertia @ np.full(6, -1.0)
-    tau = mine.effort(state, reference, shortfall).tau
+    tick, inertia = at_rest(NONE, NONE)
+    weight = asked(law(STILL), tick)
+    tau = asked(mine, tick, shortfall=inertia @ np.full(6, -1.0))
     np.testing.assert_allclose(np.linalg.solve(inertia, tau - weight), np.full(6, -2.0), rtol=1e-9)
-    tau = mine.effort(state, reference, NONE).tau
+    tau = asked(mine, tick)
     np.testing.assert_allclose(np.linalg.solve(inertia, tau - weight), np.full(6, -1.0), rtol=1e-9)
 
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.signal import impulse
 
-from hil.app.configuration.configuration import load, platform_dict
-from hil.config import ModelSettings
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
+from hil.config.model import ModelSettings
 from hil.control.model import build_model
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
 from hil.stability.disturbance import Friction, Linearised, Load, Survey
 from hil.stability.ultimate import _bound
-from hil.trajectory import PoseSample
+from hil.trajectory.path import PoseSample
 
 STILL = np.zeros(6)
 HOME = PoseSample(np.array([0.0, 0.0, 1.0]), np.eye(3), STILL, STILL)
@@ -20,7 +20,7 @@ HOME = PoseSample(np.array([0.0, 0.0, 1.0]), np.eye(3), STILL, STILL)
 
 @pytest.fixture(scope="module")
 def platform():
-    return Platform.from_dict(platform_dict(load("virtual").platform))
+    return build_platform(load("virtual").platform)
 
 
 def linearised(platform, axes, *, scale=1.0, coulomb_N=0.0):

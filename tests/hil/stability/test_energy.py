@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from hil.app.configuration.configuration import load, platform_dict
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.stability.energy import basin, displaced, leg_springs, stiffness_matrix, total, weight, well
 
-PLATFORM = Platform.from_dict(platform_dict(load("virtual").platform))
+PLATFORM = build_platform(load("virtual").platform)
 MODEL = Model(PLATFORM)
 HOME = np.array([0.0, 0.0, 1.0]), np.eye(3)
 K_P, K_V = np.full(6, 4e5), np.full(6, 4e4)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import yaml
 
+from drivers.errors import SynthesisError
 from hil.app.design.command import METHODS, run_design
 from hil.config.design import Design, DesignAxis, ErrorWeight
 from hil.config.linear_controller import LinearController
 from hil.mathematics.linear_system import LinearSystem
 from hil.stability.sampled_loop import grid
 from hil.synthesis.axis import generalised_plant
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.norm import gains, norm
 from hil.synthesis.result import anti_windup
 from hil.synthesis.sampled import sampled_axis

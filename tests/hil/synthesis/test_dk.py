@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.dk import bounds_over_frequency, dk_iteration, inverse, minimum_phase, with_own
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block
 from hil.synthesis.structured import Structured
 

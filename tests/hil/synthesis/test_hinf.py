@@ -7,9 +7,9 @@ from math import sqrt
 import numpy as np
 import pytest
 
+from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem
-from hil.synthesis.errors import SynthesisError
-from hil.synthesis.hinf import central, hinf
+from hil.synthesis.hinf import _central, _normal, hinf
 from hil.synthesis.norm import norm
 
 
@@ -82,8 +82,8 @@ def test_the_controller_keeps_the_norm_below_its_gamma(case, ratio):
 def test_below_the_optimum_there_is_no_controller():
     P = scalar(1.0)
     best = 1.0 + sqrt(3.0)
-    assert central(P, 1, 1, 0.999 * best) is None
-    assert central(P, 1, 1, 1.001 * best) is not None
+    assert _central(_normal(P, 1, 1), 0.999 * best) is None
+    assert _central(_normal(P, 1, 1), 1.001 * best) is not None
 
 
 def double_integrator(B1, D12, D21, C2=((1.0, 0.0),), B2=((0.0,), (1.0,))):

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
+from drivers.errors import SynthesisError
 from hil.app.design.command import load_design, run_design
 from hil.config.design import DesignAxis
 from hil.config.design_uncertainty import UncertaintyRanges
 from hil.config.linear_controller import LinearController
 from hil.mathematics.linear_system import LinearSystem
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.mu import Block, upper_bound
 from hil.synthesis.mu_design import design_mu, sampled_corners
 from hil.synthesis.structured import covers, lag_error, structured_plant, transport_error

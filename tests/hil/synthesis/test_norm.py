@@ -7,8 +7,8 @@ from math import log, pi, sqrt
 import numpy as np
 import pytest
 
+from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem, static
-from hil.synthesis.errors import SynthesisError
 from hil.synthesis.norm import gains, norm
 
 

@@ -1,0 +1,36 @@
+"""The directive `columns`: a table of the columns of a log, from the table that makes the log."""
+
+from __future__ import annotations
+
+from pkgutil import resolve_name
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from hil.record.row import names_of
+
+
+class Columns(SphinxDirective):
+    """Its argument names a tuple of `drivers.tick.Column`."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table, and the names of its numbers."""
+        columns = resolve_name(self.arguments[0])
+        lines = ["| column | type | unit | elements | meaning |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{c.name}` | {c.type.__name__} | {c.unit} | {', '.join(c.elements)} | {c.meaning} |"
+            for c in columns
+        ]
+        named = {c.type.__name__: names_of(c) for c in columns if names_of(c)}
+        for name, values in named.items():
+            lines += ["", f"{name}: " + ", ".join(f"{value} {text}" for text, value in values.items())]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directive."""
+    app.add_directive("columns", Columns)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,132 @@
+"""Where compiled kernels and built FMUs are kept, and which of them are up to date.
+
+Numba's own cache notices edits of the file that holds a function, but not of the files whose functions and
+constants it uses; so each source file has a folder of its own, keyed by the hash of that file and of all that
+it imports from this project. Where the file lies does not count: a second clone or an installed wheel with
+the same sources finds what is compiled.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PACKAGES = ("drivers", "hil", "plant_fmu")
+_IMPORT = re.compile(
+    r"^from ([\w.]+) import \(?([^)\n]*(?:\n[^)\n]*)*?)(?:\)|\n)|^import ([\w.]+)", re.MULTILINE
+)
+_announcement: list[Callable[[], None]] = []
+
+
+def cache_folder() -> Path:
+    """Return this user's cache folder, created for the user alone.
+
+    ``hexapod-hil`` under ``$XDG_CACHE_HOME``, where that is an absolute path, else under ``~/.cache``; where
+    that cannot be written, a folder of this user under the temporary directory.
+    """
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    # Path.home raises where there is none.
+    parent = given if Path(given).is_absolute() else os.path.expanduser("~/.cache")  # noqa: PTH111
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    for folder in (Path(parent) / "hexapod-hil", Path(tempfile.gettempdir()) / f"hexapod-hil-{user}"):
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError:
+            continue
+        mine = not hasattr(os, "getuid") or folder.stat().st_uid == user  # who can write it can run code here
+        if mine and os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="hexapod-hil-"))
+
+
+CACHE_FOLDER = cache_folder()
+
+
+@functools.cache
+def _file_of(module: str) -> Path | None:
+    path = _ROOT.joinpath(*module.split("."))
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if module.partition(".")[0] in _PACKAGES and candidate.is_file():
+            return candidate
+    return None
+
+
+@functools.cache
+def _imports(source: Path) -> frozenset[Path]:
+    """Return the project's files that this one imports."""
+    found = set()
+    for module, names, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
+        modules = [module or plain, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
+        found |= {path for path in map(_file_of, modules) if path is not None}
+    return frozenset(found)
+
+
+def sources_of(source: Path) -> list[Path]:
+    """Return the project's files that decide what ``source`` compiles to: it and all it imports."""
+    seen: set[Path] = set()
+    todo = [source.resolve()]
+    while todo:
+        path = todo.pop()
+        if path not in seen:
+            seen.add(path)
+            todo += _imports(path)
+    return sorted(seen)
+
+
+@functools.cache
+def _content(source: Path) -> bytes:
+    """Return what differs where the content of a file does."""
+    return hashlib.sha256(source.read_bytes()).digest()
+
+
+@functools.cache
+def folder_of(source: Path) -> Path:
+    """Return the cache folder of the kernels of one source file."""
+    digest = hashlib.sha256(sys.version.encode())
+    for path in sources_of(source):
+        digest.update(path.name.encode() + b"\0" + _content(path))
+    return CACHE_FOLDER / f"{source.stem}-{digest.hexdigest()[:16]}"
+
+
+def before_compiling(announce: Callable[[], None]) -> None:
+    """Have `announce` called once, before the first kernel that is compiled instead of loaded."""
+    _announcement[:] = [announce]
+
+
+class Locator:
+    """Tells Numba where a function is kept and when it is out of date: the folder's name says both."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._folder = folder_of(Path(file).resolve())
+        self._line = function.__code__.co_firstlineno
+        if _announcement and next(self._folder.glob("*.nbi"), None) is None:
+            _announcement.pop()()
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> Self:
+        """Return the locator of a function of a file."""
+        return cls(function, file)
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return what differs where the sources do."""
+        return self._folder.name
+
+    def get_disambiguator(self) -> str:
+        """Return what differs between functions of one name in one file."""
+        return str(self._line)
+
+    def ensure_cache_path(self) -> None:
+        """Create the folder."""
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)

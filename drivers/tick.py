@@ -1,0 +1,215 @@
+"""The record of one tick: the one table of its columns, and the NumPy type made from it.
+
+A tick is one structured array of no dimension. Decoder, estimators, reference, law and safety fill the
+columns of their parts; the recorded columns stand first, and the log holds them as they are. The table is
+below `hil` because the decoders fill it. A new column is one row here and its use in the stage that fills
+it.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from math import prod
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from drivers.signals import LEGS, NEVER, DriveFault, DriveMode, DriveState, Fault, Mode, Refusal, Warn
+
+
+class LegBits(IntFlag):
+    """Bit i for leg i."""
+
+    LEG_0 = 1
+    LEG_1 = 2
+    LEG_2 = 4
+    LEG_3 = 8
+    LEG_4 = 16
+    LEG_5 = 32
+
+
+Record = np.ndarray[Any, np.dtype[np.void]]
+"""One element of TICK, of no dimension: ``record["q"]`` is a view of that column."""
+
+Part = Literal["input", "measurement", "estimate", "fusion", "reference", "effort", "verdict", "output"]
+"""Which stage fills a column."""
+
+
+class Column(NamedTuple):
+    """One column. Each of its elements takes eight bytes."""
+
+    part: Part
+    name: str
+    type: type[int | float | IntEnum | IntFlag]
+    """int64 or float64; an enumeration names the numbers of an int64, or their bits."""
+    unit: str
+    """Of its elements; empty for what has none."""
+    meaning: str
+    elements: tuple[str, ...] = ()
+    """Names of its elements, row by row; none: a scalar."""
+    shape: tuple[int, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """NumPy's name of its type."""
+        return "<f8" if self.type is float else "<i8"
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return prod(self.shape)
+
+
+PER_LEG = tuple(f"leg_{leg}" for leg in range(LEGS))
+XYZ = ("x", "y", "z")
+POSE = (*XYZ, "rx", "ry", "rz")
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+MATRIX = tuple(row + column for row in XYZ for column in XYZ)
+
+
+def _column(part: Part, name: str, kind: Any, unit: str, meaning: str, *elements: str) -> Column:
+    shape = (3, 3) if elements == MATRIX else (len(elements),) if elements else ()
+    return Column(part, name, kind, unit, meaning, elements, shape)
+
+
+_ = _column
+RECORDED = (
+    _("input", "tick", int, "", "number of the tick"),
+    _("input", "t_ns", int, "ns", "scheduled time on the monotonic clock"),
+    _("input", "lateness_ns", int, "ns", "how late the loop woke up"),
+    _("input", "skipped", int, "", "whole periods skipped just before"),
+    _("input", "sends_failed", int, "", "frames that the bus did not take since the last tick's command"),
+    _("input", "bus_errors", int, "", "error frames since the last tick"),
+    _("input", "bus_off", int, "", "1 while the bus is off"),
+    _("input", "bus_overflow", int, "", "receive overflows since the last tick"),
+    _("input", "recorder_alive", int, "", "1 while the recorder lives"),
+    _("input", "recorder_dropped", int, "", "ticks that the recorder has lost so far"),
+    _("input", "compute_ns", int, "ns", "time that the last tick's step took"),
+    _("input", "frames_received", int, "", "frames that this tick consumed"),
+    _("input", "frames_crc32", int, "", "CRC-32 of those frames"),
+    _("output", "mode", Mode, "", "where the controller is between rest and motion"),
+    _("output", "faults", Fault, "", "latched faults"),
+    _("output", "warnings", Warn, "", "what was limited or degraded in this tick"),
+    _("measurement", "rejected", int, "", "frames of this tick that were refused"),
+    _("output", "command_mode", DriveMode, "", "what the drives are asked for"),
+    _("estimate", "fk_iterations", int, "", "Newton steps of forward kinematics"),
+    _("output", "setpoints_taken", int, "", "set-points taken so far"),
+    _("output", "setpoints_refused", int, "", "set-points refused so far"),
+    _("output", "setpoint_refusal", Refusal, "", "why set-points were refused in this tick"),
+    _("fusion", "legs_used", LegBits, "", "encoders that the fused pose used"),
+    _("fusion", "legs_lost", LegBits, "", "encoders that do not count: silent, invalid or slipped"),
+    _("fusion", "legs_slipped", LegBits, "", "encoders that have slipped"),
+    _("fusion", "tracker", int, "", "1 this tick's tracker sample was used, -1 refused, 0 there was none"),
+    _("measurement", "drive_state", DriveState, "", "what each drive reports", *PER_LEG),
+    _("measurement", "drive_fault", DriveFault, "", "why a drive is in FAULT", *PER_LEG),
+    _("measurement", "age", int, "ticks", f"since the last fresh feedback; {NEVER}: none yet", *PER_LEG),
+    _("estimate", "q", float, "m", "leg length, joint centre to joint centre", *PER_LEG),
+    _("estimate", "dq", float, "m/s", "leg rate", *PER_LEG),
+    _("measurement", "drive_force", float, "N", "force that the drive reports, > 0 extends", *PER_LEG),
+    _("estimate", "p", float, "m", "platform origin in the base frame", *XYZ),
+    _("estimate", "R", float, "1", "x_base = p + R x_platform", *MATRIX),
+    _("estimate", "twist", float, "m/s, rad/s", "velocity of the platform origin; omega; base frame", *TWIST),
+    _("reference", "p_d", float, "m", "reference of p", *XYZ),
+    _("reference", "R_d", float, "1", "reference of R", *MATRIX),
+    _("reference", "twist_d", float, "m/s, rad/s", "reference of the twist", *TWIST),
+    _("reference", "dtwist_d", float, "m/s^2, rad/s^2", "its rate", *TWIST),
+    _("reference", "q_d", float, "m", "reference of the leg length", *PER_LEG),
+    _("reference", "dq_d", float, "m/s", "its rate", *PER_LEG),
+    _("reference", "ddq_d", float, "m/s^2", "its second rate", *PER_LEG),
+    _("effort", "tau_law", float, "N", "leg force that the law asks for, > 0 extends", *PER_LEG),
+    _("verdict", "tau", float, "N", "leg force that is sent, > 0 extends", *PER_LEG),
+    _("estimate", "wrench", float, "N, N m", "load ON the platform at its origin, base frame", *WRENCH),
+    _("estimate", "fk_residual", float, "m", "largest leg residual of forward kinematics"),
+    _("estimate", "condition", float, "1", "condition number of J, lengths and angles made comparable"),
+    _("reference", "reference_time_s", float, "s", "time along the present motion"),
+    _("fusion", "innovation_q", float, "m", "leg length, measured less predicted", *PER_LEG),
+    _("fusion", "innovation_tracker", float, "m, rad", "tracker's pose, measured less predicted", *POSE),
+    _("fusion", "pose_std", float, "m, rad", "standard deviation of the fused pose, base frame", *POSE),
+    _("estimate", "wrench_sensor", float, "N, N m", "what the wrench sensor last said, base frame", *WRENCH),
+    _("verdict", "lyapunov", float, "(m/s^2)^2", "V of the law's error dynamics over all axes"),
+    _("verdict", "lyapunov_rate", float, "(m/s^2)^2/s", "change of V since the last tick"),
+    _("verdict", "lyapunov_bound", float, "(m/s^2)^2", "the largest V that the law's certificate allows"),
+    _("verdict", "lyapunov_share", float, "1", "largest sqrt(V) of an axis over what is allowed"),
+)
+"""What the log holds, in its order."""
+WORKING = (
+    _("measurement", "length", float, "m", "leg length that the drive last reported", *PER_LEG),
+    _("measurement", "rate", float, "m/s", "leg rate that the drive last reported", *PER_LEG),
+    _("measurement", "blind", int, "", "1 where this tick's feedback calls its length of no use", *PER_LEG),
+    Column("estimate", "J", float, "m, 1", "dq = J twist", tuple(map(str, range(LEGS**2))), (LEGS, LEGS)),
+    _("estimate", "hop", float, "1", "from 1 on the pose may belong to another assembly than the last one"),
+    _(
+        "measurement",
+        "counted_age",
+        int,
+        "ticks",
+        "age as safety judges it: 0 for a leg that may be lost",
+        *PER_LEG,
+    ),
+    _("fusion", "unseen", int, "", "1 where the length of a leg is an estimate"),
+    _("fusion", "fusion_faults", Fault, "", "what the filter faults"),
+    _("fusion", "fusion_warnings", Warn, "", "what the filter warns of"),
+    _("reference", "t_d", float, "s", "time along the configured trajectory; nan off it"),
+    _(
+        "effort",
+        "shortfall",
+        float,
+        "N",
+        "what the last command was less than asked for: limits acted",
+        *PER_LEG,
+    ),
+    _("effort", "tau_asked", float, "N", "the law's force with the ramps of entry and exit", *PER_LEG),
+)
+"""What lives for one tick."""
+del _
+COLUMNS = {column.name: column for column in (*RECORDED, *WORKING)}
+INPUT_COLUMNS = tuple(c.name for c in RECORDED if c.part == "input" and not c.name.startswith("frames_"))
+"""Columns that replay reads back as TickInput (frames and operator commands have channels of their own)."""
+COMPUTED_COLUMNS = tuple(c.name for c in RECORDED if c.name not in INPUT_COLUMNS)
+"""What replay compares."""
+
+
+def _type(columns: Any) -> np.dtype[np.void]:
+    return np.dtype([(c.name, c.kind, c.shape) if c.shape else (c.name, c.kind) for c in columns])
+
+
+ROW = _type(RECORDED)
+"""One tick of the log."""
+TICK = _type(COLUMNS.values())
+"""One tick of the loop: ROW, and what lives for one tick behind it."""
+
+
+def _first() -> Record:
+    """Return the record before the first tick: no leg ever heard, and nan for what nothing may fill."""
+    record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
+    record["tick"] = -1
+    record["age"] = NEVER
+    for name in ("t_d", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
+        record[name] = np.nan
+    return record
+
+
+FIRST = _first()
+FIRST.flags.writeable = False
+"""The record before the first tick, and what each one begins as."""
+
+
+def new_record() -> Record:
+    """Return a record that begins as FIRST; its base is the float64 buffer of all its columns."""
+    return copy_of(FIRST)
+
+
+def copy_of(record: Record) -> Record:
+    """Return another record of the same content."""
+    return np.ndarray((), TICK, record.base.copy())  # type: ignore[union-attr]
+
+
+def row_of(record: Record) -> Record:
+    """Return the recorded columns, one element of ROW over the record's own memory."""
+    return np.ndarray((), ROW, record.base)
+
+
+def part(*parts: Part) -> tuple[str, ...]:
+    """Return the columns of some parts: what a kernel may see of a tick."""
+    return tuple(name for name, column in COLUMNS.items() if column.part in parts)

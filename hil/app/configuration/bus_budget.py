@@ -1,0 +1,28 @@
+"""The bus time that a configuration's frames take."""
+
+from drivers import PROTOCOLS
+from drivers.can.bus_time import BitTiming, BusBudget, check
+from drivers.config import BusSettings, DriveSettings, SensorSettings
+from drivers.errors import ConfigurationError
+from drivers.sensors import SensorProtocol
+
+
+def bus_budget(
+    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
+) -> BusBudget | None:
+    """Return the bus time of the fullest tick at `rate_Hz`; None for the ideal layout, which takes no time.
+
+    Raises ConfigurationError with the arithmetic when it is more than `max_load_percent`, for settings that
+    the protocol does not have, and for sensors where layout or protocol have no room for them.
+    """
+    nodes = SensorProtocol(bus, sensors)
+    frames = PROTOCOLS[drives.protocol](bus, drives).cyclic_frames()
+    if nodes.kinds and all(frame.id != nodes.sync_id for frame in frames):
+        raise ConfigurationError(
+            f"drives.protocol: {drives.protocol} sends no SYNC that sensors can stamp their samples against"
+        )
+    if bus.layout == "ideal":
+        return None
+    frames += nodes.cyclic_frames(rate_Hz)
+    timing = BitTiming(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
+    return check(frames, timing, rate_Hz, bus.max_load_percent)

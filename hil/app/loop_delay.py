@@ -1,0 +1,43 @@
+"""How late a force answers a measurement, from the configuration."""
+
+from math import pi
+from typing import NamedTuple
+
+from drivers import PROTOCOLS
+from hil.app.configuration.configuration import Configuration
+from plant_fmu.config import StewartPlant
+
+
+class LoopDelay(NamedTuple):
+    """The way from the encoders' latch to the force in the legs."""
+
+    period_s: float
+    transport_s: float
+    """Pure delay until the drives have the command: SYNC to feedback, computing, command."""
+    lag_s: float
+    """Time constant of the drives' force loop, first order; 0: none known."""
+
+    @property
+    def total_s(self) -> float:
+        """Delay of the loop at low frequency: transport, lag, and the hold's half period."""
+        return self.transport_s + self.lag_s + 0.5 * self.period_s
+
+
+def loop_delay(c: Configuration) -> LoopDelay:
+    """Return the loop's delay: what the law states in `delay_compensation`, else a bound from the rest.
+
+    The bound: a command takes one period at most, none in layout `ideal`, and one more where the next tick's
+    poll carries it. The lag is that of our FMU, else of the emulated drives.
+    """
+    period = 1.0 / c.loop.rate_Hz
+    ideal = c.bus.layout == "ideal"
+    stated = c.controller.lookahead
+    if stated is not None and not ideal:
+        return LoopDelay(period, 1e-3 * stated.bus_ms, 1e-3 * stated.drive_lag_ms)
+    bandwidth_Hz = 0.0
+    if c.plant is not None:
+        drives = c.plant.model if isinstance(c.plant.model, StewartPlant) else c.plant.drives
+        bandwidth_Hz = drives.force_bandwidth_Hz
+    lag = 1.0 / (2.0 * pi * bandwidth_Hz) if bandwidth_Hz > 0.0 else 0.0
+    waits = PROTOCOLS[c.drives.protocol](c.bus, c.drives).command_delay_ticks
+    return LoopDelay(period, (waits + (not ideal)) * period, lag)

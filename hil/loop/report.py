@@ -1,0 +1,60 @@
+"""What a run reports of its cycle: latched faults and the legs that show them, drives that are not ready."""
+
+from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Fault
+from hil.loop.cycle import Cycle
+
+
+def fault_text(cycle: Cycle) -> str:
+    """Say which faults are latched, and which drives show them."""
+    last = cycle.tick
+    names = ", ".join(str(fault.name) for fault in cycle.faults)
+    legs: list[str] = []
+    if cycle.faults & Fault.STALE:
+        legs += _silent(last["age"].tolist(), cycle.parts.rate_Hz)
+    if cycle.faults & Fault.ENCODER:
+        slipped = cycle.parts.fusion.slipped if cycle.parts.fusion else ()
+        legs += [f"the encoder of leg {leg} contradicts the pose of the others" for leg in slipped]
+    if cycle.faults & Fault.DRIVE:
+        for leg, (state, fault) in enumerate(zip(last["drive_state"], last["drive_fault"], strict=True)):
+            if state in (DriveState.FAULT, DriveState.BOOT):
+                legs.append(f"drive {leg} in {DriveState(state).name}{_because(fault)}")
+    return f"latched fault {names}" + (f" ({'; '.join(legs)})" if legs else "")
+
+
+def _silent(ages: list[int], rate_Hz: float) -> list[str]:
+    """Say which legs have not been heard for how many ticks, and where to look if it is all of them."""
+    if min(ages) == 0:
+        return [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age > 0]
+    stall_ms = 1e3 * min(ages) / rate_Hz
+    why = f"the drives, the bus or this machine stalled for {stall_ms:.0f} ms"
+    mend = "if it was this machine, lower loop.rate_Hz and lengthen drives.watchdog_ms"
+    return [f"no leg heard for {min(ages)} ticks: {why}; {mend}"]
+
+
+def waiting_text(cycle: Cycle) -> str:
+    """Say what the drives still lack to be engaged."""
+    last = cycle.tick
+    lacking = []
+    set_up = cycle.parts.protocol.legs_set_up(cycle.dialogue)
+    for leg in range(LEGS):
+        state = DriveState(int(last["drive_state"][leg]))
+        if last["age"][leg] >= NEVER:
+            lacking.append(f"drive {leg} never answered")
+        elif last["age"][leg] > 1:
+            lacking.append(f"drive {leg} is silent")
+        elif state is not DriveState.OFF:
+            lacking.append(f"drive {leg} stays in {state.name}{_because(last['drive_fault'][leg])}")
+        elif not set_up[leg]:
+            lacking.append(f"drive {leg} does not complete its set-up{_because(last['drive_fault'][leg])}")
+    if not lacking:
+        lengths = ", ".join(f"{q:.4f}" for q in last["length"])
+        lacking.append(f"no pose near platform.home has the measured leg lengths {lengths} m")
+    latched = (last["drive_state"] == DriveState.FAULT).any()
+    mend = "; find out why, then start with --reset to clear latched faults" if latched else ""
+    return f"the drives are not ready: {'; '.join(lacking)}{mend}"
+
+
+def _because(fault: int) -> str:
+    """Return a drive's reason in brackets; its number where the drive says something of its own."""
+    known = {int(f): f.name for f in DriveFault}
+    return f" ({known.get(int(fault), int(fault))})" if fault else ""

@@ -1,0 +1,172 @@
+"""The wire layout of the log's own messages: protobuf as NumPy structured types.
+
+Every field has a fixed size (fixed64, fixed32, double, one-byte varints, varints padded to five bytes), so
+that a batch of messages is one structured array: written and read with one NumPy copy per column. Any
+protobuf parser reads them; `hil.record.decode` checks the layout of what it reads and falls back to one.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.arrays import Bytes, Ints, Rows
+
+RECORD_HEADER = 31
+"""Bytes of an MCAP Message record in front of its data."""
+MAX_DATA = 64
+VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5
+"""Wire types."""
+_DLC_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+_SHIFTS = np.array([0, 7, 14, 21, 28], np.int64)
+_MORE = np.array([0x80, 0x80, 0x80, 0x80, 0], np.uint8)
+
+
+class Layout(NamedTuple):
+    """Constant wire layout of one message type, with the header of its MCAP Message record in front."""
+
+    template: Bytes
+    """(size,) all constant bytes in place."""
+    record: np.dtype[np.void]
+    """Fields `@channel @sequence @log_time @publish_time` and the message's own."""
+    payload: np.dtype[np.void]
+    """The message's own fields, without the record header."""
+    constant: NDArray[np.intp]
+    """Positions in the payload that are the same in every message."""
+
+    def new(self, count: int) -> Rows:
+        """Return `count` records, constants filled in."""
+        block = np.empty((count, self.template.size), np.uint8)
+        block[:] = self.template
+        return block.view(self.record).reshape(count)
+
+    def fits(self, payloads: Bytes) -> bool:
+        """Return whether all payloads (n, size) have exactly this layout."""
+        if payloads.shape[1] != self.payload.itemsize:
+            return False
+        expected = self.template[RECORD_HEADER:][self.constant]
+        return bool((payloads[:, self.constant] == expected).all())
+
+
+class Builder:
+    """Collects constant bytes and fields of one message."""
+
+    def __init__(self) -> None:
+        self.template = bytearray()
+        self.constant: list[int] = []
+        self.fields: dict[str, tuple[Any, int]] = {}
+        """Format and offset."""
+
+    def bytes(self, data: bytes) -> None:
+        """Add constant bytes."""
+        self.constant.extend(range(len(self.template), len(self.template) + len(data)))
+        self.template += data
+
+    def field(self, name: str, kind: Any) -> None:
+        """Add room for one value."""
+        self.fields[name] = kind, len(self.template)
+        self.template += bytes(np.dtype(kind).itemsize)
+
+    def tag(self, number: int, wire_type: int) -> None:
+        """Add the tag of a field."""
+        self.bytes(varint(number << 3 | wire_type))
+
+    def fields_of_message(self, name: str, number: int, kind: str, count: int, wire_type: int) -> None:
+        """Add a message of `count` fields, numbered from 1: an array of elements with one field `value`.
+
+        All its tags have one size: beyond 15 fields they are varints padded to two bytes.
+        """
+        width = 1 if count <= 15 else 2
+        size = width + np.dtype(kind).itemsize
+        self.tag(number, LENGTH)
+        self.bytes(varint(count * size))
+        element = {"names": ["value"], "formats": [kind], "offsets": [width], "itemsize": size}
+        self.fields[name] = (np.dtype(element), (count,)), len(self.template)  # type: ignore[call-overload]
+        for k in range(1, count + 1):
+            tag = k << 3 | wire_type
+            self.bytes(bytes([tag] if width == 1 else [tag & 0x7F | 0x80, tag >> 7]))
+            self.template += bytes(size - width)
+
+    def layout(self) -> Layout:
+        """Return the layout of what was added."""
+        size = len(self.template)
+        opcode_and_length = b"\x05" + (RECORD_HEADER - 9 + size).to_bytes(8, "little")
+        template = opcode_and_length + bytes(RECORD_HEADER - 9) + bytes(self.template)
+        behind = {name: (kind, RECORD_HEADER + offset) for name, (kind, offset) in self.fields.items()}
+        return Layout(
+            np.frombuffer(template, np.uint8),
+            _type(_MESSAGE_HEADER_FIELDS | behind, RECORD_HEADER + size),
+            _type(self.fields, size),
+            np.array(self.constant, np.intp),
+        )
+
+
+def _type(fields: dict[str, tuple[Any, int]], size: int) -> np.dtype[np.void]:
+    formats, offsets = zip(*fields.values(), strict=True)
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+_MESSAGE_HEADER_FIELDS: dict[str, tuple[Any, int]] = {
+    "@channel": ("<u2", 9),
+    "@sequence": ("<u4", 11),
+    "@log_time": ("<u8", 15),
+    "@publish_time": ("<u8", 23),
+}
+
+
+def varint(value: int) -> bytes:
+    """Return a varint in its shortest form."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def pack_varint5(values: Ints) -> Bytes:
+    """Encode values below 2^35 as varints padded to five bytes: (n,) -> (n, 5)."""
+    return (values[:, None] >> _SHIFTS & 0x7F).astype(np.uint8) | _MORE
+
+
+def unpack_varint5(encoded: Bytes) -> Ints:
+    """Decode five-byte varints: (n, 5) -> (n,)."""
+    values: Ints = ((encoded & 0x7F).astype(np.int64) << _SHIFTS).sum(axis=1)
+    return values
+
+
+def data_length_code(length: int) -> int:
+    """Return the DLC of ISO 11898-1 for a data field of `length` bytes."""
+    return next(code for code, size in enumerate(_DLC_LENGTHS) if size >= length)
+
+
+@cache
+def frame_layout(length: int, channel: bytes) -> Layout:
+    """Return the wire layout of hil.Frame with `length` data bytes on the bus named `channel`."""
+    builder = Builder()
+    builder.bytes(b"\x0a\x0e\x0a\x0c\x08")
+    builder.field("seconds", ("u1", (5,)))
+    builder.bytes(b"\x10")
+    builder.field("nanos", ("u1", (5,)))
+    builder.tag(2, FIXED32)
+    builder.field("id", "<u4")
+    for name, number in {"is_rtr": 3, "is_extended": 4, "is_error": 5, "dlc": 6}.items():
+        builder.tag(number, VARINT)
+        builder.field(name, "u1")
+    builder.tag(7, LENGTH)
+    builder.bytes(varint(length))
+    if length:
+        builder.field("data", ("u1", (length,)))
+    builder.tag(8, LENGTH)
+    builder.bytes(varint(len(channel)) + channel)
+    for name, number in {"direction": 9, "fdf": 10, "brs": 11, "esi": 12}.items():
+        builder.tag(number, VARINT)
+        builder.field(name, "u1")
+    builder.tag(13, FIXED64)
+    builder.field("tick", "<i8")
+    builder.tag(14, FIXED32)
+    builder.field("index", "<u4")
+    builder.tag(15, VARINT)
+    builder.field("bus", "u1")
+    return builder.layout()

@@ -1,0 +1,222 @@
+"""The row of a log, made from its table of columns: NumPy type, wire layout, protobuf schema, description.
+
+A viewer finds names: elements are the fields of a message, an enumeration is an enum, flags are a message of
+bools. The number, which may have no name, stands in front of them in the field `<column>_number`; nothing but
+that is read back.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from enum import IntEnum, IntFlag
+from functools import cache
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.tick import RECORDED, ROW, Column
+from hil.record.layout import FIXED64, LENGTH, VARINT, Builder, varint
+from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_file, schema_of
+
+NUMBER = "_number"
+UNNAMED = 127
+"""What an enum shows of a number from here on, or below 0."""
+_MOST_ELEMENTS = 63
+"""Bits of a number; their tags take two bytes at most."""
+
+
+class Table(NamedTuple):
+    """Rows of one kind."""
+
+    topic: str
+    columns: tuple[Column, ...]
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Type of a row, one object for one table: a row of it goes into the ring in one copy."""
+        return _dtype(self.columns)
+
+    def check(self) -> None:
+        """Refuse a table that has not the constant layout, or whose enumerations protobuf cannot name.
+
+        Raises
+        ------
+        ValueError
+            No scalar integer `tick` or `t_ns`; flags, elements or values that do not fit.
+
+        """
+        for name in ("tick", "t_ns"):
+            if not any(c.name == name and c.kind == "<i8" and not c.shape for c in self.columns):
+                raise ValueError(f"the row needs a scalar integer column {name}")
+        for c in self.columns:
+            values = names_of(c)
+            if len(c.elements) > _MOST_ELEMENTS or (
+                issubclass(c.type, IntFlag) and len(values) > _MOST_ELEMENTS
+            ):
+                raise ValueError(f"column {c.name} of the row: at most {_MOST_ELEMENTS} elements or flags")
+            if issubclass(c.type, IntFlag) and c.shape:
+                raise ValueError(f"column {c.name} of the row: flags are scalar")
+            if issubclass(c.type, IntEnum) and not (0 in values.values() and max(values.values()) < UNNAMED):
+                raise ValueError(f"column {c.name} of the row: its enumeration lacks 0, or reaches {UNNAMED}")
+
+
+@cache
+def _dtype(columns: tuple[Column, ...]) -> np.dtype[np.void]:
+    return ROW if columns == RECORDED else np.dtype([(c.name, c.kind, c.shape) for c in columns])
+
+
+TICKS = Table("/tick", RECORDED)
+"""The rows of the controller."""
+
+
+def names_of(column: Column) -> dict[str, int]:
+    """Return what the numbers of a column are called, or its bits; empty where they have no names."""
+    if not issubclass(column.type, (IntEnum, IntFlag)):
+        return {}
+    return {str(member.name): int(member) for member in column.type}
+
+
+def describe(columns: Sequence[Column]) -> str:
+    """Return a table of columns as JSON, which `columns_of` reads."""
+    return json.dumps(
+        [
+            {
+                "name": c.name,
+                "type": c.type.__name__,
+                "flags": issubclass(c.type, IntFlag),
+                "names": names_of(c),
+                "unit": c.unit,
+                "meaning": c.meaning,
+                "elements": c.elements,
+                "shape": c.shape,
+            }
+            for c in columns
+        ]
+    )
+
+
+def columns_of(description: str) -> tuple[Column, ...]:
+    """Return the table of columns that `describe` described; all are of part `output`."""
+    columns = []
+    for entry in json.loads(description):
+        named = cast("Any", IntFlag if entry["flags"] else IntEnum)
+        kind = {"int": int, "float": float}.get(entry["type"]) or named(entry["type"], entry["names"])
+        name, unit, meaning = entry["name"], entry["unit"], entry["meaning"]
+        shape = tuple(entry["shape"])
+        columns.append(Column("output", name, kind, unit, meaning, tuple(entry["elements"]), shape))
+    return tuple(columns)
+
+
+def columns_of_0_1_0(description: str) -> tuple[Column, ...]:
+    """Return the columns that a log of version 0.1.0 describes: names and types alone."""
+    return tuple(
+        Column("output", name, float if kind == "<f8" else int, "", "", (), tuple(shape))
+        for name, kind, shape in json.loads(description)
+    )
+
+
+def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
+    """Yield the fields of the message in their order: name, column, and whether it is its names."""
+    for c in columns:
+        named = bool(names_of(c))
+        yield (c.name + NUMBER if named else c.name), c, False
+        if named:
+            yield c.name, c, True
+
+
+class RowCodec:
+    """Writes rows into messages and reads them back."""
+
+    def __init__(self, columns: Sequence[Column]) -> None:
+        self.dtype = Table("", tuple(columns)).dtype
+        self._fields = list(_fields(columns))
+        builder = Builder()
+        for number, (name, c, names) in enumerate(self._fields, start=1):
+            _lay_out(builder, number, name, c, names=names)
+        self.layout = builder.layout()
+        self._flags = {
+            c.name: np.array(list(names_of(c).values())) for c in columns if issubclass(c.type, IntFlag)
+        }
+
+    def write(self, rows: Rows, records: Rows) -> None:
+        """Fill `records` of the layout with as many rows."""
+        for name, c, names in self._fields:
+            field, values = _values(records, name), rows[c.name]
+            if not names:
+                field[...] = values.reshape(field.shape)
+            elif c.name in self._flags:
+                field[...] = (values[:, None] & self._flags[c.name]) != 0
+            else:
+                field[...] = np.minimum(values.view(np.uint64), UNNAMED)
+
+    def read(self, payloads: Rows) -> Rows:
+        """Return the rows of messages that fit the layout."""
+        rows = np.empty(len(payloads), self.dtype)
+        for name, c, names in self._fields:
+            if not names:
+                rows[c.name] = _values(payloads, name).reshape(rows[c.name].shape)
+        return rows
+
+    def parse(self, message: Any) -> np.void:
+        """Return the row of a message that protobuf has read.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A column has another shape.
+
+        """
+        row = np.zeros((), self.dtype)
+        for name, c, names in self._fields:
+            if not names:
+                value = getattr(message, name)
+                numbers = [getattr(value, element) for element in c.elements] if c.elements else value
+                row[c.name] = np.reshape(numbers, c.shape)
+        return cast("np.void", row[()])
+
+
+def _values(records: Rows, name: str) -> Any:
+    field = records[name]
+    return field["value"] if field.dtype.names else field
+
+
+def _lay_out(builder: Builder, number: int, name: str, c: Column, *, names: bool) -> None:
+    kind, wire_type = ("u1", VARINT) if names else (c.kind, FIXED64)
+    count = len(names_of(c)) if names and issubclass(c.type, IntFlag) else len(c.elements)
+    if count:
+        builder.fields_of_message(name, number, kind, count, wire_type)
+    elif c.shape:
+        builder.tag(number, LENGTH)
+        builder.bytes(varint(8 * c.size))
+        builder.field(name, (kind, (c.size,)))
+    else:
+        builder.tag(number, wire_type)
+        builder.field(name, kind)
+
+
+def row_schema(table: Table) -> Schema:
+    """Return the protobuf type of a row; meaning and unit of a column stand in its field's comment."""
+    full_name = f"{PACKAGE}.{table.topic.strip('/').title()}"
+    file = new_file(full_name)
+    message = file.message_type[0]
+    for number, (name, c, names) in enumerate(_fields(table.columns), start=1):
+        elements = c.elements
+        kind, type_name = (Type.TYPE_DOUBLE if c.type is float else Type.TYPE_SFIXED64), ""
+        if elements or names:
+            nested = message.nested_type.add(name=f"{name}_type")
+            if names and issubclass(c.type, IntFlag):
+                elements, kind = tuple(names_of(c)), Type.TYPE_BOOL
+            elif names:
+                enum = nested.enum_type.add(name="Name")
+                for text, value in sorted(
+                    {**names_of(c), "UNNAMED": UNNAMED}.items(), key=lambda item: item[1]
+                ):
+                    enum.value.add(name=text, number=value)
+                kind, type_name = Type.TYPE_ENUM, f".{full_name}.{name}_type.Name"
+            for k, element in enumerate(elements, start=1):
+                add_field(nested, element, k, kind, type_name=type_name)
+            if elements:
+                kind, type_name = Type.TYPE_MESSAGE, f".{full_name}.{name}_type"
+        add_field(message, name, number, kind, type_name=type_name, repeated=bool(c.shape and not elements))
+        comment(file, number - 1, f"{c.meaning} [{c.unit}]" if c.unit else c.meaning)
+    return schema_of(full_name, [file])

@@ -1,0 +1,407 @@
+"""What every drive protocol promises: its two ends, exchanged frame by frame over a bus without bit time.
+
+A protocol's test class gives `protocol` and `RESOLUTION`; see test_protocols.py.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import cantools
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from drivers.can.bus_time import frame_bits
+from drivers.config import DriveSettings
+from drivers.errors import ProtocolError
+from drivers.protocol import (
+    ALWAYS,
+    BUS,
+    ERROR,
+    EXTENDED,
+    REMOTE,
+    DriveProtocol,
+    DriveSetup,
+    Frame,
+    Received,
+    Sync,
+    run_of,
+)
+from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
+from drivers.tick import Record, copy_of, new_record
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.faults.fault import Fault
+from plant_fmu.drives.faults.frames import FrameLoss
+from plant_fmu.drives.faults.leg import Silence
+from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.drives.nodes import Nodes
+
+PERIOD_NS = 4_000_000
+SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)
+LENGTH = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
+RATE = np.array([0.25, -0.25, 0.5, -0.5, 0.75, -0.75])
+FORCE = np.array([1000.0, -2000.0, 3000.0, 4.0, -60.0, 0.0])
+OFF = Command(DriveMode.OFF, np.zeros(LEGS))
+PATIENCE = 200
+"""Ticks within which a dialogue without losses is over."""
+
+
+class Given:
+    """A plant whose legs are where they are."""
+
+    internal_step_s = 1e-4
+
+    def reset(self) -> tuple[Array, Array]:
+        return LENGTH.copy(), RATE.copy()
+
+    def step(self, _force: Array, _brake: Array, _wrench: Array, _dt_s: float) -> tuple[Array, Array]:
+        return self.reset()
+
+    def truth(self) -> None:
+        return None
+
+    def applied_force(self) -> Array | None:
+        return None
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+class Twice:
+    """A protocol that is asked everything twice, and may neither answer differently nor change its input."""
+
+    def __init__(self, protocol: DriveProtocol) -> None:
+        self._protocol = protocol
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._protocol, name)
+        return self._checked(found) if callable(found) else found
+
+    def decode(self, dialogue: Any, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS) -> Any:
+        """As the others, but for the tick, which it fills."""
+        given, other = (dialogue, run, last), copy_of(tick)
+        before = pickle.dumps(given)
+        first = self._protocol.decode(*given, other, since_ns)
+        again = self._protocol.decode(*given, tick, since_ns)
+        assert pickle.dumps(given) == before
+        assert (pickle.dumps(first), other.tobytes()) == (pickle.dumps(again), tick.tobytes())
+        return again
+
+    @staticmethod
+    def _checked(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*given: Any) -> Any:
+            before = pickle.dumps(given)
+            first = pickle.dumps(method(*given))
+            again = method(*given)
+            assert pickle.dumps(given) == before
+            assert pickle.dumps(again) == first
+            return again
+
+        return call
+
+
+def at_tick(tick: int) -> Any:
+    """Return the record of a tick before anything has been heard."""
+    record = new_record()
+    record["tick"] = tick
+    return record
+
+
+class Ends:
+    """Controller's end and drives' end of one protocol. State: both, and what goes between them."""
+
+    def __init__(self, protocol: DriveProtocol, *faults: Fault) -> None:
+        self.protocol = protocol
+        settings = DriveSettings(heartbeat_ms=24.0)
+        emulation = DriveEmulation(encoder_resolution_m=0.0)
+        self.nodes = Nodes(Given(), protocol, emulation, settings, FaultPlan(faults))
+        self.dialogue = protocol.start(SETUP)
+        self.measurement = new_record()
+        self.tick = -1
+        self.to_controller: list[Received] = []
+        self.opening: tuple[Frame, ...] = ()
+        self.sent: tuple[Frame, ...] = ()
+        self.set_up: tuple[Frame, ...] = ()
+        self.received: list[Received] = []
+
+    def step(
+        self, command: Command = OFF, *, set_up: bool = True, first: Sequence[Frame] = ()
+    ) -> tuple[Frame, ...]:
+        """Pass one tick; return the frames of its set-up. `first` goes before the command."""
+        self.tick += 1
+        t_ns, protocol = self.tick * PERIOD_NS, self.protocol
+        self.opening = protocol.begin(self.dialogue, self.tick)
+        self._to_drives(t_ns + 100_000, self.opening)
+        self.received, self.to_controller = self.to_controller, []
+        last, self.measurement = self.measurement, at_tick(self.tick)
+        self.dialogue = protocol.decode(self.dialogue, run_of(self.received), last, self.measurement, t_ns)
+        self.dialogue, self.sent = protocol.command(self.dialogue, command, self.tick)
+        self.set_up = ()
+        if set_up:
+            self.dialogue, self.set_up = protocol.set_up(self.dialogue, self.measurement)
+        self._to_drives(t_ns + 2_000_000, (*first, *self.sent, *self.set_up))
+        return self.set_up
+
+    def _to_drives(self, t_ns: int, frames: Sequence[Frame]) -> None:
+        replies = self.nodes.step(t_ns, [Received(t_ns, frame) for frame in frames])
+        self.to_controller += [Received(t, frame) for t, frame in replies]
+
+    def until_set_up(self, legs: Sequence[int] = range(LEGS)) -> None:
+        """Lead the dialogue to its end."""
+        for _ in range(PATIENCE):
+            self.step()
+            there = self.protocol.legs_set_up(self.dialogue)
+            if all(there[leg] and self.measurement["drive_state"][leg] == DriveState.OFF for leg in legs):
+                return
+        raise AssertionError(f"not set up: {self.measurement}")
+
+    def running(self, force: Array = FORCE) -> None:
+        """Bring the drives to RUN with a force."""
+        self.until_set_up()
+        for mode in (DriveMode.READY, DriveMode.RUN):
+            for _ in range(3):
+                self.step(Command(mode, force), set_up=False)
+        assert self.measurement["drive_state"].tolist() == [DriveState.RUN] * LEGS
+
+
+def shapes(frames: Sequence[Frame]) -> Counter[tuple[int, int, int]]:
+    return Counter((frame.id, len(frame.data), frame.flags) for frame in frames)
+
+
+class ProtocolContract:
+    """Inherit, and give what stands first."""
+
+    RESOLUTION: tuple[float, float, float | None, float]
+    """Of length m, rate m/s, force N in the feedback (None: it carries none) and force in the command."""
+
+    @pytest.fixture
+    def protocol(self) -> DriveProtocol:
+        raise NotImplementedError
+
+    def test_what_an_end_remembers_is_a_value_and_its_functions_are_pure(self, protocol):
+        ends = Ends(Twice(protocol))
+        ends.running()
+        assert pickle.loads(pickle.dumps(ends.dialogue)) == ends.dialogue
+
+    def test_the_dialogue_sets_up_every_drive_and_then_falls_silent(self, protocol):
+        ends = Ends(protocol)
+        assert not any(protocol.legs_set_up(ends.dialogue))
+        ends.until_set_up()
+        drives = ends.nodes._drives
+        assert drives.watchdog_ns.tolist() == [50_000_000] * LEGS
+        assert drives.reaction.tolist() == [Reaction.DAMP] * LEGS
+        assert [ends.step() for _ in range(60)] == [()] * 60
+
+    def test_no_tick_has_more_frames_of_set_up_than_stated(self, protocol):
+        ends = Ends(protocol)
+        counts = [len(ends.step()) for _ in range(PATIENCE)]
+        assert max(counts) == protocol.set_up_frames
+        for frame in ends.set_up:
+            frame_bits(len(frame.data), frame.flags)
+
+    def test_a_drive_that_is_silent_is_not_set_up_and_does_not_hold_up_the_others(self, protocol):
+        ends = Ends(protocol, Silence(leg=3))
+        ends.until_set_up([0, 1, 2, 4, 5])
+        assert not protocol.legs_set_up(ends.dialogue)[3]
+
+    def test_a_dialogue_that_loses_frames_comes_to_its_end_all_the_same(self, protocol):
+        ends = Ends(protocol, FrameLoss(probability=0.3, stop_s=0.2))
+        ends.until_set_up()
+        assert ends.nodes._drives.configured.tolist() == [True] * LEGS
+
+    def test_a_dialogue_begun_anew_sets_up_drives_that_stayed_powered(self, protocol):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        ends.dialogue = protocol.start(SETUP._replace(watchdog_s=0.08))
+        assert not any(protocol.legs_set_up(ends.dialogue))
+        ends.until_set_up()
+        assert ends.nodes._drives.watchdog_ns.tolist() == [80_000_000] * LEGS
+
+    def test_a_drive_that_has_lost_its_set_up_is_set_up_again(self, protocol):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        drives = ends.nodes._drives
+        drives.state[2], drives.configured[2] = DriveState.BOOT, False
+        for _ in range(2 * LEGS + 2):
+            ends.step()
+        ends.until_set_up()
+        assert drives.configured.tolist() == [True] * LEGS
+
+    def test_the_dialogue_leaves_powered_drives_alone(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        run = Command(DriveMode.RUN, FORCE)
+        ends.dialogue, _ = protocol.command(protocol.start(SETUP), run, ends.tick)
+        for _ in range(PATIENCE):
+            assert ends.step(run) == ()
+        assert ends.measurement["drive_state"].tolist() == [DriveState.RUN] * LEGS
+
+    @pytest.mark.parametrize("watchdog_s", [0.0, -1.0, 1e6, np.nan])
+    def test_a_watchdog_that_does_not_fit_is_refused(self, protocol, watchdog_s):
+        with pytest.raises(ProtocolError, match="watchdog"):
+            protocol.start(SETUP._replace(watchdog_s=watchdog_s))
+
+    def test_a_command_reaches_the_drives_after_the_stated_delay_and_not_before(self, protocol):
+        ends = Ends(protocol)
+        ends.running(np.zeros(LEGS))
+        heard = []
+        for k in range(3):
+            ends.step(Command(DriveMode.RUN, FORCE if k == 0 else 2.0 * FORCE), set_up=False)
+            heard.append(ends.nodes.snapshot().command)
+        allowed = self.RESOLUTION[3] / 2 * (1 + 1e-6)
+        delay = protocol.command_delay_ticks
+        assert delay in (0, 1)
+        assert all(not force.any() for force in heard[:delay])
+        np.testing.assert_allclose(heard[delay], FORCE, rtol=0, atol=allowed)
+        np.testing.assert_allclose(heard[delay + 1], 2.0 * FORCE, rtol=0, atol=allowed)
+
+    def test_nothing_but_the_delay_decides_which_frames_carry_the_command(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        before = ends.protocol.begin(ends.dialogue, 1000)
+        dialogue, sent = protocol.command(ends.dialogue, Command(DriveMode.RUN, -FORCE), 1000)
+        after = protocol.begin(dialogue, 1000)
+        assert (bool(sent), before == after) == (
+            (False, False) if protocol.command_delay_ticks else (True, True)
+        )
+
+    def test_feedback_is_fresh_and_carries_length_rate_force_and_state(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        m, resolution = ends.measurement, self.RESOLUTION
+        assert m["age"].tolist() == [0] * LEGS
+        assert m["rejected"] == 0
+        assert m["blind"].tolist() == [False] * LEGS
+        np.testing.assert_allclose(m["length"], LENGTH, rtol=0, atol=resolution[0] / 2 * (1 + 1e-6) + 1e-12)
+        np.testing.assert_allclose(m["rate"], RATE, rtol=0, atol=resolution[1] / 2 * (1 + 1e-6))
+        if resolution[2] is not None:
+            total = (resolution[2] + resolution[3]) / 2 * (1 + 1e-6)
+            np.testing.assert_allclose(m["drive_force"], FORCE, rtol=0, atol=total)
+
+    def test_every_frame_of_the_feedback_is_fresh_in_its_tick_alone(self, protocol):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        for _ in range(20):
+            ends.step()
+            begun = ends.tick * PERIOD_NS
+            fresh = [each for each in ends.received if protocol.fresh(each, ends.tick, begun)]
+            assert {each.frame.id for each in fresh} == protocol.feedback_ids
+            assert not any(protocol.fresh(each, ends.tick + 1, begun + PERIOD_NS) for each in fresh)
+            assert not any(protocol.fresh(Received(begun, frame), ends.tick, begun) for frame in ends.opening)
+
+    def test_a_drive_that_falls_silent_ages_by_itself(self, protocol):
+        ends = Ends(protocol, Silence(leg=2, start_s=1.0))
+        ends.until_set_up()
+        while ends.measurement["age"][2] == 0:
+            ends.step()
+        ages = [ends.measurement["age"].tolist()]
+        for _ in range(2):
+            ends.step()
+            ages.append(ends.measurement["age"].tolist())
+        assert ages == [[0, 0, n, 0, 0, 0] for n in (1, 2, 3)]
+
+    def test_what_was_never_heard_is_as_old_as_never(self, protocol):
+        m = at_tick(5)
+        protocol.decode(protocol.start(SETUP), b"", new_record(), m)
+        assert m["age"].tolist() == [NEVER] * LEGS
+        assert (m["tick"], m["rejected"]) == (5, 0)
+
+    def test_an_emergency_stop_faults_all_drives_and_says_why(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        ends.step(Command(DriveMode.RUN, FORCE), set_up=False, first=protocol.emergency_stop())
+        for _ in range(2):
+            ends.step()
+        assert ends.measurement["drive_state"].tolist() == [DriveState.FAULT] * LEGS
+        assert (ends.measurement["drive_fault"] != 0).all()
+        assert ends.nodes.snapshot().brake.all()
+
+    def test_a_reset_for_as_many_ticks_as_stated_clears_the_faults(self, protocol):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        ends.step(first=protocol.emergency_stop())
+        for _ in range(2):
+            ends.step()
+        for _ in range(protocol.reset_ticks):
+            ends.step(Command(DriveMode.RESET, np.zeros(LEGS)))
+        for _ in range(8):
+            ends.step()
+        assert ends.measurement["drive_state"].tolist() == [DriveState.OFF] * LEGS
+        assert not ends.measurement["drive_fault"].any()
+
+    def test_the_frames_of_a_tick_are_those_that_the_bus_time_counts(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        ends.step(Command(DriveMode.RUN, FORCE), set_up=False)
+        answers = [each.frame for each in ends.received if each.frame.id in protocol.feedback_ids]
+        assert shapes((*ends.opening, *ends.sent, *answers)) == shapes(protocol.cyclic_frames())
+
+    def test_every_frame_can_be_on_a_bus(self, protocol):
+        ends = Ends(protocol)
+        ends.step()
+        stop = protocol.emergency_stop()
+        for frame in (*protocol.cyclic_frames(), *ends.step(), *stop):
+            frame_bits(len(frame.data), frame.flags)
+            assert 0 <= frame.id <= (0x1FFF_FFFF if frame.flags & EXTENDED else 0x7FF)
+            assert frame.bus == 0
+
+    @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 255 * BUS])
+    def test_frames_of_another_kind_or_bus_are_foreign(self, protocol, flag):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        ends.step()
+        strange = [each._replace(frame=_other(each.frame, flag)) for each in ends.received]
+        m = at_tick(ends.tick + 1)
+        dialogue = protocol.decode(ends.dialogue, run_of(strange), ends.measurement, m)
+        assert (dialogue, m["rejected"], m["age"].tolist()) == (ends.dialogue, 0, [1] * LEGS)
+        assert not any(protocol.fresh(each, ends.tick, 0) for each in strange)
+        memory = protocol.power_up()
+        for frame in (*ends.opening, *ends.sent, *protocol.emergency_stop()):
+            assert protocol.parse(memory, _other(frame, flag)) == (memory, ())
+
+    def test_frames_of_any_length_and_content_are_survived_at_both_ends(self, protocol):
+        ends = Ends(protocol)
+        stop = protocol.emergency_stop()
+        seen = {frame.id: frame for frame in (*protocol.cyclic_frames(), *stop)}
+        for _ in range(40):
+            ends.step()
+            seen |= {each.frame.id: each.frame for each in ends.received}
+            seen |= {frame.id: frame for frame in ends.set_up}
+        generator = np.random.default_rng(1)
+        memory, dialogue, m = protocol.power_up(), ends.dialogue, ends.measurement
+        for tick in range(ends.tick + 1, ends.tick + 40):
+            broken = [
+                frame._replace(data=generator.bytes(int(generator.integers(0, 65))))
+                for frame in seen.values()
+            ]
+            for frame in broken:
+                memory, _ = protocol.parse(memory, frame)
+            last, m = m, at_tick(tick)
+            dialogue = protocol.decode(dialogue, run_of([Received(0, f) for f in broken]), last, m)
+            assert np.isfinite([*m["length"], *m["rate"]]).all()
+            assert m["rejected"] > 0
+
+    @pytest.mark.parametrize("force", [[np.nan] * 6, [0, 0, np.inf, 0, 0, 0], [1e12] * 6, [0.0] * 5])
+    def test_a_force_that_does_not_fit_is_refused(self, protocol, force):
+        with pytest.raises(ProtocolError, match="N"):
+            protocol.command(protocol.start(SETUP), Command(DriveMode.RUN, np.array(force)), 0)
+
+    def test_a_drive_never_sends_a_nan(self, protocol):
+        state = np.zeros(LEGS, np.int64)
+        with pytest.raises(ProtocolError, match="not a number"):
+            protocol.feedbacks(Sync(0), LENGTH, np.full(LEGS, np.nan), FORCE, state)
+
+    def test_the_database_if_there_is_one_can_be_read(self, protocol):
+        if protocol.database is not None:
+            name, text = protocol.database
+            assert name.endswith(".dbc")
+            cantools.database.load_string(text, "dbc")
+
+
+def _other(frame: Frame, flag: int) -> Frame:
+    """Return the frame with a flag that it did not have, or without the one that it had."""
+    return frame._replace(flags=frame.flags ^ flag)

@@ -1,0 +1,306 @@
+"""A drive family of the tests, with nothing in common with our own but the contract.
+
+29-bit identifiers, one per kind and node. Three exchanges set a node up. No SYNC and no counter: a drive
+answers its poll, in two frames, and the poll carries the command of the last tick. Heartbeats carry fault
+codes of the drives' own.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from math import isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.config import BusSettings, DriveSettings
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import (
+    ALWAYS,
+    ERROR,
+    EXTENDED,
+    OTHER_BUSES,
+    REMOTE,
+    Answer,
+    Configure,
+    DeviceCommand,
+    DeviceMessage,
+    DriveSetup,
+    EmergencyStop,
+    Frame,
+    Received,
+    Rejected,
+    Status,
+    Sync,
+    frames_of,
+)
+from drivers.signals import (
+    INVALID,
+    LEGS,
+    NEVER,
+    Command,
+    DriveMode,
+    DriveState,
+    Reaction,
+)
+from drivers.tick import Record
+
+STOP, POLL, PLACE, LOAD, SET, DONE, BEAT = range(7)
+"""Kinds of frames, in the order of arbitration."""
+BASE = 0x0A00_0000
+MAX_NODE = 0xFFFF
+EXCHANGES = 3
+MAGIC = 0x5E7
+RETRY = 10
+"""Ticks after which a request without an answer is repeated."""
+OWN_FAULTS = 0x7300
+"""Added to a DriveFault: the code of the drives' own."""
+_FIELDS = {
+    STOP: struct.Struct("<"),
+    POLL: struct.Struct("<Bf"),
+    PLACE: struct.Struct("<ii"),
+    LOAD: struct.Struct("<fB"),
+    SET: struct.Struct("<BI"),
+    DONE: struct.Struct("<B"),
+    BEAT: struct.Struct("<BH"),
+}
+_STEP_m = 1e-7
+
+
+class StubDialogue(NamedTuple):
+    """The controller's end."""
+
+    values: tuple[int, ...]
+    """What each exchange sets."""
+    done: tuple[int, ...]
+    """Exchanges that each node has confirmed."""
+    asked: tuple[int, ...]
+    """Tick of each node's last request."""
+    polls: tuple[Frame, ...]
+    """What the next tick begins with."""
+
+
+class StubMemory(NamedTuple):
+    """The drives' end: one element a drive."""
+
+    done: tuple[int, ...]
+    watchdog_us: tuple[int, ...]
+    polls: tuple[int, ...]
+    """Polls heard: none is a repetition."""
+
+
+def _put(values: tuple[int, ...], leg: int, value: int) -> tuple[int, ...]:
+    return (*values[:leg], value, *values[leg + 1 :])
+
+
+class StubProtocol:
+    """The stub's tables."""
+
+    database = "stub.dbc", 'VERSION ""\n'
+    command_delay_ticks = 1
+    set_up_frames = 2
+    reset_ticks = 2
+
+    def __init__(self, node_ids: list[int]) -> None:
+        for leg, node in enumerate(node_ids):
+            if not 0 <= node <= MAX_NODE:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed: up to {MAX_NODE}, given: {node}"
+                )
+        self._id = {
+            (kind, leg): BASE | kind << 16 | node for kind in _FIELDS for leg, node in enumerate(node_ids)
+        }
+        self._meaning = {identifier: key for key, identifier in self._id.items()}
+        self.feedback_ids = frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS))
+
+    def _frame(self, kind: int, leg: int, *values: float) -> Frame:
+        return Frame(self._id[kind, leg], _FIELDS[kind].pack(*values), EXTENDED)
+
+    def _read(self, frame: Frame) -> tuple[int, int, tuple[float, ...] | None] | None:
+        """Return kind, leg and fields; no fields for a wrong length, None for a foreign frame."""
+        if not frame.flags & EXTENDED or frame.flags & (REMOTE | ERROR | OTHER_BUSES):
+            return None
+        if frame.id not in self._meaning:
+            return None
+        kind, leg = self._meaning[frame.id]
+        fields = _FIELDS[kind]
+        return kind, leg, fields.unpack(frame.data) if len(frame.data) == fields.size else None
+
+    # controller's end
+
+    def start(self, setup: DriveSetup) -> StubDialogue:
+        watchdog_us = setup.watchdog_s * 1e6
+        if not 1 <= watchdog_us < 1 << 32:
+            raise ProtocolError(f"drive watchdog of {setup.watchdog_s} s")
+        values = (MAGIC, round(watchdog_us), int(setup.reaction))
+        nothing = (0,) * LEGS
+        return StubDialogue(values, nothing, (-RETRY,) * LEGS, self._polls(DriveMode.OFF, nothing))
+
+    def _polls(self, mode: int, force: tuple[float, ...]) -> tuple[Frame, ...]:
+        return tuple(self._frame(POLL, leg, mode, f) for leg, f in enumerate(force))
+
+    def begin(self, dialogue: StubDialogue, _tick: int) -> tuple[Frame, ...]:
+        return dialogue.polls
+
+    def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
+        read = self._read(received.frame)
+        return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
+
+    def decode(
+        self,
+        dialogue: StubDialogue,
+        run: bytes,
+        last: Record,
+        tick: Record,
+        since_ns: int = ALWAYS,
+    ) -> StubDialogue:
+        place: dict[int, tuple[float, ...]] = {}
+        load: dict[int, tuple[float, ...]] = {}
+        number, before, rejected = int(tick["tick"]), int(last["tick"]), 0
+        for name in ("length", "rate", "drive_force", "drive_state", "drive_fault"):
+            tick[name] = last[name]
+        for received in frames_of(run):
+            read = self._read(received.frame)
+            if read is None:
+                continue
+            kind, leg, fields = read
+            if fields is None or (kind == LOAD and int(fields[1]) & ~INVALID >= len(DriveState)):
+                rejected += 1
+            elif kind == PLACE and self.fresh(received, number, since_ns):
+                place[leg] = fields
+            elif kind == LOAD and self.fresh(received, number, since_ns):
+                load[leg] = fields
+            elif kind == DONE and fields[0] == dialogue.done[leg]:
+                done, asked = _put(dialogue.done, leg, int(fields[0]) + 1), _put(dialogue.asked, leg, -RETRY)
+                dialogue = dialogue._replace(done=done, asked=asked)
+            elif kind == BEAT:
+                tick["drive_fault"][leg] = fields[1]
+        tick["age"] = np.minimum(last["age"] + (number - before if before >= 0 else 1), NEVER)
+        tick["blind"] = 0
+        for leg in place.keys() & load.keys():
+            said = int(load[leg][1])
+            tick["drive_force"][leg], tick["drive_state"][leg] = load[leg][0], said & ~INVALID
+            tick["blind"][leg] = bool(said & INVALID)
+            if not tick["blind"][leg]:
+                tick["length"][leg], tick["rate"][leg] = (value * _STEP_m for value in place[leg])
+                tick["age"][leg] = 0
+        tick["counted_age"], tick["rejected"] = tick["age"], rejected
+        return dialogue
+
+    def command(
+        self, dialogue: StubDialogue, command: Command, _tick: int
+    ) -> tuple[StubDialogue, tuple[Frame, ...]]:
+        force = tuple(command.force.tolist())
+        if len(force) != LEGS or not all(isfinite(f) and abs(f) < 1e9 for f in force):
+            raise ProtocolError(f"force command {force}: six of less than 1e9 N are allowed")
+        return dialogue._replace(polls=self._polls(command.mode, force)), ()
+
+    def set_up(self, dialogue: StubDialogue, tick: Record) -> tuple[StubDialogue, tuple[Frame, ...]]:
+        frames: list[Frame] = []
+        number = int(tick["tick"])
+        for leg in range(LEGS):
+            state, waited = tick["drive_state"][leg], number - dialogue.asked[leg]
+            if tick["age"][leg] > 1 or waited < RETRY or state in (DriveState.READY, DriveState.RUN):
+                continue
+            done = dialogue.done[leg]
+            if done == EXCHANGES:
+                if state != DriveState.BOOT or tick["age"][leg]:
+                    continue
+                done = 0  # it has lost its set-up
+            if len(frames) == self.set_up_frames:
+                break
+            frames.append(self._frame(SET, leg, done, dialogue.values[done]))
+            dialogue = dialogue._replace(
+                done=_put(dialogue.done, leg, done), asked=_put(dialogue.asked, leg, number)
+            )
+        return dialogue, tuple(frames)
+
+    def legs_set_up(self, dialogue: StubDialogue) -> tuple[bool, ...]:
+        return tuple(done == EXCHANGES for done in dialogue.done)
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        return tuple(self._frame(STOP, leg) for leg in range(LEGS))
+
+    # drives' end
+
+    def power_up(self) -> StubMemory:
+        nothing = (0,) * LEGS
+        return StubMemory(nothing, nothing, nothing)
+
+    def parse(self, memory: StubMemory, frame: Frame) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
+        read = self._read(frame)
+        if read is None or read[0] not in self._heard:
+            return memory, ()
+        kind, leg, fields = read
+        if fields is None:
+            return memory, (Rejected("length"),)
+        return self._heard[kind](self, memory, leg, fields)
+
+    def _on_stop(
+        self, memory: StubMemory, leg: int, _fields: tuple[float, ...]
+    ) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
+        return memory, (EmergencyStop((leg,)),)
+
+    def _on_poll(
+        self, memory: StubMemory, leg: int, fields: tuple[float, ...]
+    ) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
+        mode, force = fields
+        if mode >= len(DriveMode) or not isfinite(force):
+            return memory, (Rejected("mode or force"),)
+        count = memory.polls[leg] + 1
+        command = DeviceCommand((leg,), int(mode), np.array([force]), count)
+        return memory._replace(polls=_put(memory.polls, leg, count)), (command, Sync(0, (leg,)))
+
+    def _on_set(
+        self, memory: StubMemory, leg: int, fields: tuple[float, ...]
+    ) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
+        step, value = map(int, fields)
+        fits = (value == MAGIC, value > 0, value < len(Reaction))
+        if step >= EXCHANGES or step > memory.done[leg] or not fits[step]:
+            return memory, (Rejected("exchange"),)
+        memory = memory._replace(done=_put(memory.done, leg, step + 1))
+        answer = Answer(leg, self._frame(DONE, leg, step))
+        if step == 1:
+            memory = memory._replace(watchdog_us=_put(memory.watchdog_us, leg, value))
+        if step < EXCHANGES - 1:
+            return memory, (answer,)
+        return memory, (Configure(leg, memory.watchdog_us[leg] * 1e-6, Reaction(value)), answer)
+
+    _heard: dict[int, Callable[..., tuple[StubMemory, tuple[DeviceMessage, ...]]]] = {
+        STOP: _on_stop,
+        POLL: _on_poll,
+        SET: _on_set,
+    }
+
+    def feedbacks(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
+    ) -> list[tuple[int, Frame]]:
+        frames = []
+        for leg in sync.legs:
+            values = float(length[leg]), float(rate[leg]), float(force[leg])
+            if any(np.isnan(values)):
+                raise ProtocolError(f"feedback of leg {leg} is not a number: {values}")
+            steps = [round(float(np.clip(v / _STEP_m, -(1 << 31), (1 << 31) - 1))) for v in values[:2]]
+            frames.append((leg, self._frame(PLACE, leg, *steps)))
+            frames.append(
+                (leg, self._frame(LOAD, leg, float(np.clip(values[2], -1e9, 1e9)), int(state[leg])))
+            )
+        return frames
+
+    def status(self, status: Status) -> tuple[Frame, ...]:
+        code = OWN_FAULTS + status.fault if status.fault else 0
+        return (self._frame(BEAT, status.leg, status.state, code),)
+
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        zeros = np.zeros(LEGS)
+        answers = self.feedbacks(Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))
+        return (*self._polls(DriveMode.OFF, (0.0,) * LEGS), *(frame for _, frame in answers))
+
+
+def stub(bus: BusSettings, drives: DriveSettings) -> StubProtocol:
+    """Return the codec of a configuration: the stub's row."""
+    if bus.layout == "ideal":
+        raise ConfigurationError("bus.layout: allowed with the stub: classic, fd, given: ideal")
+    return StubProtocol(drives.node_ids)

@@ -1,0 +1,161 @@
+"""localcan under python-can: its bus, its logger, its viewer."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+
+from drivers.can.localcan.interface import LocalCanBus
+from drivers.protocol import BRS, FD, Frame
+
+pytestmark = pytest.mark.usefixtures("runtime")
+
+
+def next_message(bus: can.BusABC) -> can.Message:
+    received = bus.recv(1.0)
+    assert received is not None
+    return received
+
+
+def message(identifier, data=b"", **options):
+    return can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **options)
+
+
+def test_python_can_sees_the_bus_under_its_entry_point():
+    with (
+        can.Bus("t", "localcan", bitrate=1_000_000, data_bitrate=5_000_000, fd=True, ignore_config=True) as a,
+        can.Bus("t", "localcan", receive_own_messages=True, ignore_config=True) as b,
+    ):
+        assert isinstance(a, LocalCanBus)
+        assert b.protocol == can.CanProtocol.CAN_FD
+        before = time.time()
+        a.send(message(0x42, bytes(12), is_fd=True, bitrate_switch=True))
+        got = next_message(b)
+        assert before <= got.timestamp <= time.time()
+        assert (got.arbitration_id, got.is_fd, got.bitrate_switch, got.dlc, got.is_rx) == (
+            0x42,
+            True,
+            True,
+            12,
+            True,
+        )
+        b.send(message(0x43))
+        assert not next_message(b).is_rx
+        assert next_message(a).arbitration_id == 0x43
+        assert isinstance(b, LocalCanBus)
+        b.send(can.Message(is_error_frame=True))
+        assert next_message(a).is_error_frame
+        a.set_filters([{"can_id": 0x50, "can_mask": 0x7FF}])
+        b.send(message(0x4F))
+        b.send(message(0x50))
+        assert next_message(a).arbitration_id == 0x50
+        assert {"interface": "localcan", "channel": "t"} in can.detect_available_configs("localcan")
+
+
+def test_python_can_refusals():
+    with LocalCanBus("t", bitrate=125_000, fd=False) as bus:
+        with pytest.raises(can.CanInitializationError, match="125000"):
+            LocalCanBus("t", bitrate=250_000)
+        with pytest.raises(can.CanOperationError) as caught:  # noqa: PT012 - the 65th or a later one
+            for _ in range(200):
+                bus.send(message(0x1, bytes(8)))
+        assert caught.value.error_code == errno.ENOBUFS
+        bus.flush_tx_buffer()
+        with pytest.raises(can.CanOperationError, match="classic"):
+            bus.send(message(0x1, is_fd=True))
+
+
+def test_asyncio_reader_gets_all_messages_over_the_file_descriptor():
+    async def run():
+        with LocalCanBus("t", bitrate=1_000_000, fd=False) as a, LocalCanBus("t") as b:
+            reader = can.AsyncBufferedReader()
+            notifier = can.Notifier(b, [reader], loop=asyncio.get_running_loop())
+            for burst in range(5):
+                for i in range(10):
+                    a.send(message(0x100 + 10 * burst + i, bytes(8)))
+                await asyncio.sleep(0.005 * burst)
+            identifiers = [
+                (await asyncio.wait_for(reader.get_message(), 2)).arbitration_id for _ in range(50)
+            ]
+            notifier.stop()
+            return identifiers
+
+    identifiers = asyncio.run(run())
+    assert sorted(identifiers) == list(range(0x100, 0x100 + 50))
+
+
+def participants(node):
+    return len([slot for slot in node._wire.slots() if slot.serial])
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + 15
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_python_can_logger_records_the_bus(join, tmp_path):
+    node = join()
+    path = tmp_path / "bus.log"
+    # where the tests run in the background SIGINT is ignored, and so it would be in here
+    start = (
+        "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "runpy.run_module('can.logger', run_name='__main__')"
+    )
+    logger = subprocess.Popen(
+        [sys.executable, "-c", start, "-i", "localcan", "-c", "t", "-f", str(path)],
+        stdout=subprocess.DEVNULL,
+    )
+    try:
+        wait_for(lambda: participants(node) == 2)
+        node.send([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)])
+        time.sleep(0.3)
+        logger.send_signal(signal.SIGINT)
+        assert logger.wait(10) == 0
+    finally:
+        logger.kill()
+        logger.wait()
+    with can.LogReader(path) as log:
+        messages = list(log)
+    assert [m.arbitration_id for m in messages] == list(range(0x100, 0x100 + 50))
+    assert [bytes(m.data) for m in messages] == [bytes([i] * 12) for i in range(50)]
+    assert participants(node) == 1
+
+
+def test_python_can_viewer_shows_the_bus(join):
+    node = join()
+    master, slave = pty.openpty()
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "can.viewer", "-i", "localcan", "-c", "t"],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        env={**os.environ, "TERM": "xterm", "LINES": "40", "COLUMNS": "120"},
+    )
+    os.close(slave)
+    screen = b""
+    try:
+        wait_for(lambda: participants(node) == 2)
+        deadline = time.monotonic() + 10
+        while b"5A5" not in screen and time.monotonic() < deadline:
+            node.send([Frame(0x5A5, b"\xc0\xff\xee")])
+            if select.select([master], [], [], 0.05)[0]:
+                screen += os.read(master, 65536)
+        os.write(master, b"q")
+        assert viewer.wait(10) == 0
+    finally:
+        viewer.kill()
+        viewer.wait(10)
+        os.close(master)
+    assert b"5A5" in screen

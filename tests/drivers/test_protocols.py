@@ -1,0 +1,236 @@
+"""Every drive protocol keeps the contract, and one that shares nothing with ours runs and replays."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import cast
+
+import numpy as np
+import pytest
+
+from drivers import PROTOCOLS
+from drivers.can.bus import Bus
+from drivers.errors import ConfigurationError
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received, frames_of, run_of
+from drivers.signals import Command, DriveMode, DriveState, Mode
+from hil.app.compose import bit_timing, build_cycle, build_nodes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.sim.command import simulate
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.clock import Deadlines
+from hil.loop.daemon import switch_off
+from hil.loop.report import waiting_text
+from hil.record.log import Log
+from tests.drivers.protocol_contract import Ends, ProtocolContract
+from tests.drivers.stub_protocol import StubProtocol, stub
+
+NODES = "node_ids: [1, 2, 3, 4, 5, 6]"
+STUB_NODES = "protocol: stub\n  node_ids: [4096, 513, 770, 1027, 1284, 65535]"
+
+
+class TestLegsClassic(ProtocolContract):
+    RESOLUTION = (1e-7, 1e-4, None, 2.0)
+
+    @pytest.fixture
+    def protocol(self):
+        return LegsProtocol("classic", (1, 2, 3, 4, 5, 6))
+
+
+class TestLegsFd(ProtocolContract):
+    RESOLUTION = (1e-7, 1e-7, 2.0, 1e-3)
+
+    @pytest.fixture
+    def protocol(self):
+        return LegsProtocol("fd", (127, 20, 30, 40, 50, 1))
+
+
+class TestLegsIdeal(ProtocolContract):
+    RESOLUTION = (0.0, 0.0, 0.0, 0.0)
+
+    @pytest.fixture
+    def protocol(self):
+        return LegsProtocol("ideal", (1, 2, 3, 4, 5, 6))
+
+
+class TestStub(ProtocolContract):
+    RESOLUTION = (1e-7, 1e-7, 5e-4, 5e-4)
+
+    @pytest.fixture
+    def protocol(self):
+        return StubProtocol([4096, 513, 770, 1027, 1284, 65535])
+
+    def test_a_fault_code_of_the_drives_own_passes_through(self, protocol):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        for _ in range(3):
+            ends.step(first=protocol.emergency_stop())
+        assert ends.measurement["drive_fault"].tolist() == [0x7302] * 6
+
+    def test_it_has_the_traits_that_ours_lacks(self, protocol):
+        ends = Ends(protocol)
+        for _ in range(30):
+            ends.step()
+            assert len(ends.opening) == 6, "polls, no SYNC"
+        assert {frame.flags for frame in protocol.cyclic_frames()} == {EXTENDED}
+        assert len(protocol.feedback_ids) == 12
+
+
+class Wire:
+    """A bus that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.sent: list[Frame] = []
+
+    def flush_tx(self) -> None:
+        """Nothing waits."""
+
+    def send(self, frames: tuple[Frame, ...]) -> int:
+        self.sent += frames
+        return 0
+
+
+@pytest.fixture
+def row(monkeypatch):
+    """The table with one row more."""
+    monkeypatch.setitem(PROTOCOLS, "stub", stub)
+
+
+def configuration(*changes: tuple[str, str], name: str = "vcan50") -> Configuration:
+    text = resources.files("configs").joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return loads(text, name)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stub") / "run.mcap"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PROTOCOLS, "stub", stub)
+        summary = simulate(configuration((NODES, STUB_NODES)), log=path, duration_s=3.0)
+    return summary, Log.open(path)
+
+
+def test_one_row_makes_a_protocol_run_to_parked(recorded):
+    summary, log = recorded
+    assert summary["success"], summary
+    rows = log.rows()
+    assert rows["mode"][-1] == Mode.PARKED
+    assert {Mode.LOADING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING} <= set(rows["mode"].tolist())
+    assert summary["rejected_frames"] == 0
+    assert (rows["age"][3:] == 0).all()
+
+
+def test_its_log_replays_to_the_bit(recorded):
+    summary, _ = recorded
+    assert summary["replay"]["exact"], summary["replay"]
+    assert summary["replay"]["ticks"] == len(recorded[1].rows())
+
+
+def test_its_frames_and_its_database_are_in_the_log(recorded):
+    _, log = recorded
+    assert log.attachments["stub.dbc"] == b'VERSION ""\n'
+    assert "legs.dbc" not in log.attachments
+    ticks = list(log.ticks())
+    sent = [frame for tick in ticks for frame in tick.sent]
+    assert {frame.flags for frame in sent} == {EXTENDED}
+    assert min(frame.id for frame in sent) > 0x7FF
+    sizes = [len(tick.sent) for tick in ticks]
+    assert max(sizes) == 6 + StubProtocol.set_up_frames, "six polls and the dialogue"
+    assert sizes[-1] == 6
+
+
+def test_the_dialogue_is_the_same_after_a_reset_of_the_cycle(row):
+    c = configuration((NODES, STUB_NODES))
+    cycle = build_cycle(c, 50.0, 0.24)
+    before = cycle.dialogue
+    cycle.dialogue = before._replace(done=(3,) * 6)
+    cycle.reset()
+    assert cycle.dialogue == before
+
+
+def test_a_loop_that_fails_switches_the_drives_off_also_where_the_poll_is_the_command(row):
+    cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
+    run = Command(DriveMode.RUN, np.full(6, 100.0))
+    cycle.dialogue, _ = cycle.parts.protocol.command(cycle.dialogue, run, 0)
+    bus = Wire()
+    switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
+    assert len(bus.sent) == 5 * 6
+    heard = [cycle.parts.protocol.parse(cycle.parts.protocol.power_up(), frame)[1][0] for frame in bus.sent]
+    assert {each.mode for each in heard if isinstance(each, DeviceCommand)} == {DriveMode.OFF}
+
+
+@pytest.mark.parametrize("change", [(NODES, STUB_NODES), (NODES, NODES)])
+def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_fresh(row, change):
+    c = configuration(change)
+    nodes, plant = build_nodes(c)
+    lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, bit_timing(c), 0.01)
+    try:
+        lockstep.tick = 0
+        feedback, ended_ns = lockstep._exchange(0, lockstep.cycle.begin(0))
+        assert {each.frame.id for each in feedback} >= lockstep.wanted
+        assert ended_ns < 4_000_000
+        lockstep.fresh = lambda received, tick, since_ns: False
+        feedback, ended_ns = lockstep._exchange(20_000_000, lockstep.cycle.begin(1))
+        assert {each.frame.id for each in feedback} >= lockstep.wanted
+        assert ended_ns == 30_000_000
+    finally:
+        plant.close()
+
+
+def test_drives_whose_set_up_is_not_complete_are_named(row):
+    cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
+    cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
+    cycle.dialogue = cycle.dialogue._replace(done=(3, 3, 3, 3, 1, 3))
+    assert waiting_text(cycle) == "the drives are not ready: drive 4 does not complete its set-up"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            [(NODES, f"protocol: mit\n  {NODES}")],
+            "drives.protocol: unknown value, allowed: legs, stub, given: mit",
+        ),
+        (
+            [(NODES, "node_ids: [1, 2, 3, 4, 5, 128]")],
+            "drives.node_ids[5]: out of range, allowed: a whole number at least 1 and at most 127, given: 128",
+        ),
+        (
+            [(NODES, STUB_NODES.replace("513", "65536"))],
+            "drives.node_ids[1]: out of range, allowed: up to 65535, given: 65536",
+        ),
+        (
+            [(NODES, f"{NODES}\n  options: {{gain: 2}}")],
+            "drives.options: protocol legs has none, given: gain",
+        ),
+        (
+            [("layout: classic  ", "layout: ideal  "), (NODES, STUB_NODES)],
+            "bus.layout: allowed with the stub: classic, fd, given: ideal",
+        ),
+    ],
+)
+def test_a_row_checks_the_settings_of_its_protocol(row, changes, message):
+    with pytest.raises(ConfigurationError) as caught:
+        configuration(*changes)
+    assert any(message in problem for problem in caught.value.problems), caught.value.problems
+
+
+def test_sensors_are_refused_where_no_sync_carries_their_stamp(row):
+    sensors = (
+        ("layout: classic  ", "layout: fd  "),
+        ("recording:\n", "sensors:\n  imu: {rate_Hz: 50}\n\nrecording:\n"),
+    )
+    configuration(*sensors)
+    with pytest.raises(ConfigurationError, match=r"drives\.protocol: stub sends no SYNC"):
+        configuration((NODES, STUB_NODES), *sensors)
+
+
+def test_the_bus_index_travels_in_the_flags_and_bus_0_leaves_every_byte_as_it_was():
+    frame = Frame(0x181, b"\1\2", FD)
+    assert (frame.bus, Frame(0x181, b"", FD | 3 << 8).bus) == (0, 3)
+    assert run_of([Received(5, frame)]).hex() == "050000000000000081010000020002000102"
+    frames = [Received(5, frame), Received(-7, Frame(0x0A01_1000, b"", EXTENDED | 3 << 8))]
+    assert list(frames_of(run_of(frames))) == frames

@@ -1,0 +1,21 @@
+"""Run in the copy: what each drive gives of its command under the new fault, as one line of JSON."""
+
+import json
+
+from drivers.signals import Mode
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import load
+from hil.app.sim.lockstep import build_lockstep
+from hil.loop.course import Course
+from plant_fmu.drives.faults import FAULTS
+from plant_fmu.drives.faults.plan import FaultPlan
+
+c = load("virtual")
+cycle = build_cycle(c, 1000.0, 0.01)
+nodes, plant = build_nodes(c, FaultPlan([FAULTS["derated"].model_validate({"leg": 5})]))
+lockstep, course = build_lockstep(c, cycle, nodes), Course(cycle)
+while cycle.mode is not Mode.RELEASING:
+    lockstep.step(course.commands(lockstep.tick + 1))
+seen = nodes.snapshot()
+print(json.dumps((seen.force / seen.command).round(9).tolist()))
+plant.close()

@@ -1,0 +1,266 @@
+"""What an extension costs: each step of the map's table "How to add", done in a copy of the tree, and run."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from os import environ
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.record.log import Log
+
+pytestmark = pytest.mark.long
+
+ROOT = Path(__file__).parents[2]
+PARTS = Path(__file__).parent / "parts"
+LIMITS = {"column": 2, "law": 2, "safety rule": 3, "protocol": 2, "plant fault": 2, "command": 2}
+"""Source files that an extension may touch."""
+NEW = None
+"""Stands for the anchor of a file that is new."""
+ROW_FUNCTION = """def _stub(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    from drivers.stub import stub  # noqa: PLC0415
+
+    return stub(bus, drives)
+
+
+"""
+STEPS: dict[str, list[tuple[str, str | None, str]]] = {
+    "column": [
+        (
+            "drivers/tick.py",
+            ')\n"""What the log holds',
+            '    _("reference", "leg_error", float, "m", "q_d less q", *PER_LEG),\n',
+        ),
+        (
+            "hil/loop/cycle.py",
+            '        tick["reference_time_s"] = t\n',
+            '        tick["leg_error"] = tick["q_d"] - tick["q"]\n',
+        ),
+    ],
+    "law": [
+        ("hil/control/mine.py", NEW, (PARTS / "law.py").read_text()),
+        (
+            "hil/control/__init__.py",
+            "from hil.control.partial_linearisation",
+            "from hil.control.mine import CriticalSettings, SlowSettings\n",
+        ),
+        ("hil/control/__init__.py", "    | PIDSettings\n", "    | CriticalSettings\n    | SlowSettings\n"),
+    ],
+    "safety rule": [
+        ("drivers/signals.py", "\n\nclass Warn(IntFlag)", "    CEILING = 32768\n"),
+        ("hil/safety/ceiling.py", NEW, (PARTS / "rule.py").read_text()),
+        ("hil/safety/kernels.py", "from hil.safety.certificate", "from hil.safety.ceiling import too_high\n"),
+        ("hil/safety/kernels.py", "\n\nLIMITS = np.dtype", "_CEILING = int(Fault.CEILING)\n"),
+        (
+            "hil/safety/kernels.py",
+            "    if hopped(tick.hop):\n",
+            "    if too_high(tick.p[2]):\n        faults |= _CEILING\n",
+        ),
+    ],
+    "protocol": [
+        ("drivers/stub.py", NEW, (ROOT / "tests/drivers/stub_protocol.py").read_text()),
+        (
+            "drivers/__init__.py",
+            "PROTOCOLS: dict",
+            ROW_FUNCTION,
+        ),
+        ("drivers/__init__.py", '    "legs": _legs,\n', '    "stub": _stub,\n'),
+    ],
+    "plant fault": [
+        ("plant_fmu/drives/faults/derated.py", NEW, (PARTS / "fault.py").read_text()),
+        (
+            "plant_fmu/drives/faults/__init__.py",
+            "from plant_fmu.drives.faults.encoder",
+            "from plant_fmu.drives.faults.derated import Derated\n",
+        ),
+        (
+            "plant_fmu/drives/faults/__init__.py",
+            '    "encoder_offset": EncoderOffset,\n',
+            '    "derated": Derated,\n',
+        ),
+    ],
+    "command": [
+        ("hil/cli/lengths.py", NEW, (PARTS / "command.py").read_text()),
+        ("hil/cli/__init__.py", '    "run": "', '    "lengths": "Leg lengths at home.",\n'),
+    ],
+}
+
+
+def sources(tree):
+    files = (path for package in ("drivers", "hil", "plant_fmu") for path in (tree / package).rglob("*"))
+    return {
+        path.relative_to(tree).as_posix(): path.read_bytes()
+        for path in files
+        if path.is_file() and path.suffix != ".pyc"
+    }
+
+
+def insert(file, anchor, text):
+    """Put a text before the one place where the anchor is."""
+    if anchor is NEW:
+        assert not file.exists()
+        file.write_text(text)
+        return
+    before = file.read_text()
+    assert before.count(anchor) == 1, f"{file}: {anchor!r} is there {before.count(anchor)} times"
+    file.write_text(before.replace(anchor, text + anchor))
+
+
+@pytest.fixture(scope="session")
+def copied(tmp_path_factory):
+    """A copy of the tree with every extension, and the source files that differ after each of them."""
+    tree = tmp_path_factory.mktemp("tree")
+    listed = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+    for name in subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0"):
+        if name and (ROOT / name).is_file():
+            (tree / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / name, tree / name)
+    touched = {}
+    before = sources(tree)
+    for extension, steps in STEPS.items():
+        for path, anchor, text in steps:
+            insert(tree / path, anchor, text)
+        after = sources(tree)
+        touched[extension] = {path for path in after if before.get(path) != after[path]}
+        before = after
+    return tree, touched
+
+
+@pytest.fixture(scope="session")
+def tree(copied):
+    return copied[0]
+
+
+def python(tree, *arguments, code=0):
+    """Run the copy with this interpreter; return standard output."""
+    here = environ | {"PYTHONPATH": str(tree)}
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=tree,
+        env=here,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def ask(tree, script):
+    return json.loads(python(tree, "-c", (PARTS / script).read_text()).splitlines()[-1])
+
+
+def changed(tree, name, *changes):
+    """Write a shipped configuration with other lines, and return its name."""
+    text = (tree / f"configs/{name}.yaml").read_text()
+    for pattern, new in changes:
+        text, found = re.subn(pattern, new, text, flags=re.MULTILINE | re.DOTALL)
+        assert found == 1, pattern
+    (tree / "changed.yaml").write_text(text)
+    return "changed.yaml"
+
+
+@pytest.mark.parametrize("extension", LIMITS)
+def test_an_extension_touches_no_more_files_than_allowed(copied, extension):
+    assert 0 < len(copied[1][extension]) <= LIMITS[extension], copied[1][extension]
+
+
+@pytest.mark.parametrize("extension", LIMITS)
+def test_the_map_names_what_an_extension_touches(copied, extension):
+    """Files that there are by their path, new ones by their folder."""
+    page = (ROOT / "docs/guides/architecture.md").read_text()
+    row = re.search(rf"^\| a {extension} \|.*$", page, re.MULTILINE)
+    assert row is not None
+    for path in copied[1][extension]:
+        named = path if (ROOT / path).exists() else f"{Path(path).parent}/"
+        assert f"`{named}" in row[0], named
+
+
+def test_a_new_column_is_in_the_log_with_its_unit(tree):
+    python(tree, "-m", "hil.cli", "sim", "virtual", "--duration", "0.05", "--log", "column.mcap")
+    log = Log.open(tree / "column.mcap")
+    column = next(column for column in log.columns if column.name == "leg_error")
+    assert (column.unit, column.meaning, column.elements[5]) == ("m", "q_d less q", "leg_5")
+    rows = log.rows()
+    np.testing.assert_array_equal(rows["leg_error"], rows["q_d"] - rows["q"])
+    assert rows["leg_error"].any()
+
+
+def test_a_new_safety_rule_faults_the_run(tree):
+    """The rule's ceiling is 1.15 m; the shipped path stays below."""
+    hold = "reference: {type: hold, duration_s: 1, pose: {position_m: [0, 0, 1.2]}}\n\n"
+    high = changed(tree, "virtual", ("^reference:.*?(?=^limits:)", hold))
+    said = python(tree, "-m", "hil.cli", "sim", high, "--log", "rule.mcap", code=1)
+    assert "CEILING" in said
+    rows = Log.open(tree / "rule.mcap").rows()
+    first = rows["faults"].tolist().index(32768)
+    assert rows["p"][first, 2] > 1.15 > rows["p"][first - 1, 2]
+
+
+def test_a_new_protocol_runs_to_parked(tree):
+    node_ids = (r"node_ids: \[1, 2, 3, 4, 5, 6\]", "protocol: stub\n  node_ids: [11, 12, 13, 14, 15, 16]")
+    its = changed(tree, "vcan50", node_ids)
+    python(tree, "-m", "hil.cli", "sim", its, "--duration", "3", "--log", "own.mcap", "--json", "own.json")
+    summary = json.loads((tree / "own.json").read_text())
+    assert summary["success"]
+    assert summary["replay"]["exact"]
+    log = Log.open(tree / "own.mcap")
+    assert log.rows()["mode"][-1] == 9, "PARKED"
+    assert "stub.dbc" in log.attachments
+
+
+def test_a_new_plant_fault_acts_on_its_leg(tree):
+    """Leg 5 gives half of what it is commanded, the others give all."""
+    assert ask(tree, "ask_fault.py") == [1.0, 1.0, 1.0, 1.0, 1.0, 0.5]
+
+
+def test_a_new_command_runs_and_is_listed(tree):
+    assert re.search(
+        r"^  lengths +Leg lengths at home\.$", python(tree, "-m", "hil.cli", "--help"), re.MULTILINE
+    )
+    # the book's home: base hexagon of 2 m, platform triangle of 1 m, 1 m above it
+    length = np.sqrt((2 - np.sqrt(0.75)) ** 2 + 0.25 + 1)
+    assert python(tree, "-m", "hil.cli", "lengths").split() == [f"{length:.3f}"] * 6
+
+
+@pytest.fixture(scope="session")
+def law(tree):
+    return ask(tree, "ask_law.py")
+
+
+def test_a_new_law_runs_in_lockstep(law):
+    code, output, summary = law["ran"]
+    assert code == 0, output
+    summary = json.loads(summary)
+    assert summary["success"]
+    assert summary["law"] == "critical"
+
+
+def test_its_keys_are_checked_and_in_the_schema(law):
+    assert law["schema"] == ["CriticalSettings", "SlowSettings"]
+    assert "controller.stiffness_N_m: out of range" in law["wrong"]
+
+
+def test_a_law_without_a_theorem_is_not_proven_and_says_why(law):
+    assert law["verdicts"][0] == "not proven: nobody has proven anything of it"
+    assert "  not monitored: nobody has proven anything of it" in law["checked"][0]
+
+
+def test_a_law_with_linear_error_dynamics_is_judged_and_watched_by_them(law):
+    """Half of 40 rad/s with the inertia known exactly: what inverse dynamics of 20 rad/s gets."""
+    assert law["verdicts"][1] == "proven: errors die out as exp(-16.7 t)"
+    lines = law["checked"][1]
+    assert any(line.startswith("  crosses over at 41 rad/s") for line in lines), "2.058 wn"
+    assert any(line.startswith("  monitored: ") for line in lines)
+
+
+def test_it_is_compared_with_the_gains_that_it_derives(law):
+    """1595.67 kg, the heaviest motion of the book's legs, at the shipped 20 rad/s."""
+    found = law["compared"]["critical"]
+    assert found["stiffness_N_m"] == pytest.approx(1595.673 * 400, rel=1e-6)
+    assert "slow" not in law["compared"]
+    assert "law slow: no default settings (factor)" in law["left_out"]

@@ -1,0 +1,164 @@
+"""What `hil run` says of its rate where it may not have SCHED_FIFO or that is not kept, and what it calls a stall."""
+
+from math import nan
+
+import pytest
+
+from drivers.signals import DriveFault, Fault, Mode
+from hil.app.configuration.configuration import load
+from hil.app.output import console
+from hil.app.run import rate_selection
+from hil.loop.course import Ending
+from tests.records import record_of
+
+
+@pytest.fixture
+def ordinary(monkeypatch):
+    """Deny SCHED_FIFO on a machine whose worst wake-up is as told; return what is printed."""
+    said = []
+    monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: False)
+    monkeypatch.setattr(console, "print", lambda text, **_: said.append(text))
+
+    def machine(rate_Hz, worst_s):
+        monkeypatch.setattr(rate_selection, "holdable_rate", lambda *_: (rate_Hz, worst_s))
+        return said
+
+    return machine
+
+
+LACK = "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
+
+
+def test_a_rate_that_is_held_is_not_called_another(ordinary):
+    said = ordinary(50.0, 0.001)
+    assert rate_selection.select_rate(load("vcan50"), with_plant=False) == (50.0, 0.24)
+    assert said == [LACK]
+
+
+def test_a_lower_rate_is_named_beside_the_configured_one(ordinary):
+    said = ordinary(125.0, 0.001)
+    assert rate_selection.select_rate(load("virtual"), with_plant=True) == (125.0, 0.2)
+    assert said == [f"{LACK}: the loop runs at 125 Hz instead of 1000 Hz, emulated drives' watchdog 200 ms"]
+
+
+def test_stalls_that_no_rate_outlasts_are_foretold(ordinary):
+    said = ordinary(50.0, 0.241)  # twelve periods of 20 ms stop the platform
+    rate_selection.select_rate(load("vcan50"), with_plant=False)
+    assert said == [f"{LACK}; stalls of 241 ms now: expect a controlled stop, or take load off this machine"]
+
+
+@pytest.fixture
+def fifo(ordinary, monkeypatch):
+    """Grant SCHED_FIFO on a machine with such a share of late wake-ups; return what is printed."""
+
+    def machine(late):
+        monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: True)
+        monkeypatch.setattr(rate_selection, "late_share", lambda *_: late)
+        return ordinary(125.0, 0.001)
+
+    return machine
+
+
+def test_a_machine_that_keeps_real_time_runs_at_the_configured_rate(fifo):
+    said = fifo(0.01)
+    assert rate_selection.select_rate(load("virtual"), with_plant=True) == (1000.0, 0.01)
+    assert said == []
+
+
+def test_with_the_plant_on_a_machine_that_does_not_keep_it_the_loop_is_slowed(fifo):
+    said = fifo(0.024)
+    assert rate_selection.select_rate(load("virtual"), with_plant=True) == (125.0, 0.2)
+    lack = "this machine does not keep SCHED_FIFO, 2.4 % of its wake-ups are 100 us late"
+    assert said == [f"{lack}: the loop runs at 125 Hz instead of 1000 Hz, emulated drives' watchdog 200 ms"]
+
+
+@pytest.mark.parametrize(("name", "with_plant"), [("virtual", False), ("vcan50", True)])
+def test_real_drives_and_limits_that_outlast_a_stall_leave_the_rate_as_it_is(fifo, name, with_plant):
+    said = fifo(nan)  # not measured
+    c = load(name)
+    assert rate_selection.select_rate(c, with_plant=with_plant) == (
+        c.loop.rate_Hz,
+        c.drives.watchdog_ms * 1e-3,
+    )
+    assert said == []
+
+
+CLEAR, WATCHDOG, OVERFORCE = DriveFault.NONE, DriveFault.WATCHDOG, DriveFault.OVERFORCE
+
+
+def stalled(mode, faults, drive=CLEAR, *, name="virtual", rate=1000.0, changes=None, **ending):
+    c = load(name)
+    for section, values in (changes or {}).items():
+        c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})
+    tick = record_of(drive_fault=[0] * 5 + [drive])
+    watchdog_s = c.drives.watchdog_ms * 1e-3
+    return rate_selection.stalled(c, tick, Ending(mode, faults, "", 5000, **ending), rate, watchdog_s)
+
+
+@pytest.mark.parametrize(
+    ("faults", "drive", "expected"),
+    [
+        (Fault.STALE, CLEAR, True),
+        (Fault.STALE | Fault.DRIVE, WATCHDOG, True),
+        (Fault.DRIVE, WATCHDOG, True),
+        (Fault.DRIVE | Fault.FOLLOWING, WATCHDOG, True),
+        (Fault.DRIVE, CLEAR, False),
+        (Fault.FOLLOWING, CLEAR, False),
+        (Fault.STALE | Fault.FOLLOWING, CLEAR, False),
+        (Fault.STALE, OVERFORCE, False),
+        (Fault.DRIVE, OVERFORCE, False),
+        (Fault.STALE | Fault.ESTOP, CLEAR, False),
+        (Fault.NONE, CLEAR, False),
+    ],
+)
+def test_silence_a_watchdog_and_what_it_leaves_behind_are_faults_of_a_stall(faults, drive, expected):
+    assert stalled(Mode.FAULT, faults, drive) is expected
+
+
+def test_missed_periods_are_a_stall_and_another_stop_is_none():
+    assert stalled(Mode.PARKED, Fault.NONE, missed=True)
+    assert not stalled(Mode.PARKED, Fault.NONE)
+
+
+def test_a_loop_that_failed_itself_is_no_stall_whatever_else_was_latched():
+    assert not stalled(Mode.FAULT, Fault.STALE, raised=True)
+
+
+def test_a_loop_that_is_slow_or_patient_already_is_not_slowed_once_more():
+    assert not stalled(Mode.FAULT, Fault.STALE, rate=125.0)
+    assert not stalled(Mode.FAULT, Fault.STALE, name="vcan50", rate=50.0)
+    assert not stalled(Mode.FAULT, Fault.STALE, rate=150.0, changes={"loop": {"rate_Hz": 150.0}})
+
+
+def test_where_the_limits_are_patient_only_a_watchdog_can_be_lengthened():
+    patient = {"stale_fault_ticks": 60, "missed_stop_ticks": 60}
+    assert not stalled(Mode.FAULT, Fault.STALE, changes={"limits": patient})
+    assert not stalled(Mode.PARKED, Fault.NONE, changes={"limits": patient}, missed=True)
+    assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient})
+    long = {"watchdog_ms": 60.0}
+    assert not stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient, "drives": long})
+    assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"drives": long}), "the limits come first"
+
+
+def test_what_hangs_on_a_bus_beyond_this_machine_is_not_engaged_twice():
+    assert not stalled(Mode.FAULT, Fault.STALE, changes={"bus": {"interface": "socketcan"}})
+
+
+def test_a_loop_may_not_be_slowed_that_refuses_to_be():
+    assert not stalled(Mode.FAULT, Fault.STALE, changes={"loop": {"without_realtime": "refuse"}})
+
+
+def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):
+    asked = []
+
+    def holdable_rate(_rate, periods):
+        asked.append(periods)
+        return 125.0, 0.0
+
+    said = fifo(0.5)
+    monkeypatch.setattr(rate_selection, "holdable_rate", holdable_rate)
+    c = load("virtual")
+    limits = c.limits.model_copy(update={"missed_stop_ticks": 50})
+    rate_selection.select_rate(c.model_copy(update={"limits": limits}), with_plant=True)
+    assert asked == [5]
+    assert len(said) == 1

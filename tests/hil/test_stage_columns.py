@@ -1,0 +1,261 @@
+"""Each stage of a tick reads and fills the columns that are its own, and no others.
+
+A stage runs twice from the same state: on a tick as it is, and on one in which every column that it may not
+read is poison. Both must come out the same to the bit, in what the stage owns and in what it returns, and
+all else must be as it was. Red for a law that takes tau for its last force, a safety that looks at tau_law,
+a filter that takes q for the measured length, a decoder that leaves the age of a silent leg as it found it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.config import TrackerSettings
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import Received, Status, run_of
+from drivers.sensors import Readings, Sample
+from drivers.signals import INVALID, DriveFault, DriveState, Mode
+from drivers.tick import COLUMNS, ROW, Record, copy_of, new_record, part
+from hil.app.compose import build_cycle, build_nodes, feedback_window_s
+from hil.app.configuration.configuration import load
+from hil.app.sim.lockstep import Lockstep
+from hil.config.estimation import FusionSettings
+from hil.config.limits import LimitSettings
+from hil.estimation.external_wrench import ExternalWrench
+from hil.estimation.fused_pose import PoseFusion
+from hil.estimation.fusion import FusedEstimator
+from hil.estimation.observer import WrenchObserver
+from hil.estimation.pose import Estimator
+from hil.estimation.predictor import Predictor
+from hil.loop import cycle as loop
+from hil.loop.reference import fill_reference
+from hil.robot.dynamics import Model
+from hil.robot.force_path import ForcePath
+from hil.safety import Safety
+from hil.safety.certificate import Watch
+from hil.signals import Operator
+from tests.drivers.legs_frames import one_feedback
+from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
+from tests.records import altered, arrived, record_of
+
+ODD = 0x5EED_5EED_5EED_5EED | 1
+MS = 1_000_000
+POSE = ("p", "R", "twist")
+STATE = ("q", "dq", *POSE, "J")
+LAWS_READ = (*part("estimate", "reference"), "shortfall")
+SAFETY_READS = (
+    *(name for name in part("input") if name not in {"tick", "t_ns", "compute_ns", "frames_crc32"}),
+    *("mode", "tau_asked", "rejected", "drive_state", "counted_age", "length", "rate", "drive_force"),
+    *(*STATE, "fk_residual", "hop", "condition", "unseen", "fusion_faults", "fusion_warnings"),
+    *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
+)
+LYAPUNOV = ("lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share")
+
+
+def poisoned(tick: Record, *kept: str) -> Record:
+    """The tick with nan, or a large odd number, in all columns but those kept."""
+    poison = {name: np.nan if c.type is float else ODD for name, c in COLUMNS.items() if name not in kept}
+    return altered(tick, **poison)
+
+
+def bits(tick: Record, name: str) -> bytes:
+    return tick[name].tobytes()
+
+
+Stage = Callable[[Record], Any]
+
+
+def follow(
+    make_stage: Callable[[], Stage], ticks: list[Record], reads: tuple[str, ...], owns: tuple[str, ...]
+):
+    """Run a fresh stage through the ticks, and another one through them with poison; compare."""
+    plain, blind = make_stage(), make_stage()
+    seen = set()
+    for tick in ticks:
+        clean, dirty = copy_of(tick), poisoned(tick, *reads)
+        before = copy_of(dirty)
+        assert repr(plain(clean)) == repr(blind(dirty))
+        differing = {name for name in owns if bits(clean, name) != bits(dirty, name)}
+        assert not differing, "what the stage fills depends on columns that are not its own"
+        filled = {name for name in COLUMNS if bits(tick, name) != bits(clean, name)}
+        written = filled | {name for name in COLUMNS if bits(before, name) != bits(dirty, name)}
+        assert written <= set(owns), "the stage writes into columns that are not its own"
+        seen |= filled
+    assert seen, "the stage has done nothing"
+
+
+def moving(**columns: Any) -> list[Record]:
+    """Ticks along the book's path, a little off it, with something in every column that a stage may read."""
+    chance, ticks = np.random.default_rng(11), []
+    for k, case in enumerate(BOOK["states"][4:12]):
+        tick = arrived(PLATFORM, sample(case), 1e-3 * k, tick=k, t_ns=k * MS, lateness_ns=k, recorder_alive=1)
+        tick["q"] += chance.normal(0.0, 1e-4, 6)
+        tick["dq"] += chance.normal(0.0, 1e-3, 6)
+        tick["p"] += chance.normal(0.0, 1e-4, 3)
+        tick["length"], tick["rate"] = tick["q"], tick["dq"]
+        tick["age"] = tick["counted_age"] = [0, 0, 0, 0, 0, k % 2]
+        tick["drive_state"], tick["drive_force"] = DriveState.RUN, chance.normal(3600.0, 100.0, 6)
+        tick["mode"], tick["condition"], tick["fk_residual"] = Mode.TRACKING, 5.0 + k, 1e-9 * k
+        tick["wrench"], tick["shortfall"] = chance.normal(0.0, 50.0, 6), chance.normal(0.0, 50.0, 6)
+        tick["tau_asked"] = chance.normal(3600.0, 500.0, 6)
+        ticks.append(altered(tick, **columns))
+    return ticks
+
+
+@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
+def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layout):
+    protocol = LegsProtocol(layout, (1, 2, 3, 4, 5, 6))
+    frames = [
+        one_feedback(protocol, leg, 1.5 + 0.1 * leg, 0.25, 100.0 * leg, DriveState.RUN, 8) for leg in range(4)
+    ]
+    frames.append(one_feedback(protocol, 4, 1.5, 0.25, 100.0, DriveState.RUN | INVALID, 8))
+    frames += protocol.status(Status(2, DriveState.FAULT, DriveFault.ESTOP))
+    run = run_of([Received(1000 + k, frame) for k, frame in enumerate(frames)])
+    last = record_of(
+        tick=7, length=1.0, rate=0.5, drive_force=20.0, drive_state=DriveState.READY, drive_fault=1, age=3
+    )
+    lasts = [
+        last,
+        poisoned(last, "tick", "length", "rate", "drive_force", "drive_state", "drive_fault", "age"),
+    ]
+    stages = iter([lambda tick, last=last: protocol.decode(None, run, last, tick) for last in lasts])
+    follow(lambda: next(stages), [record_of(tick=8)], ("tick",), part("measurement"))
+
+
+def test_the_estimator_fills_the_pose_from_lengths_and_rates():
+    ticks, first = moving(), sample(BOOK["states"][4])
+    owns = (*POSE, "J", "fk_iterations", "fk_residual", "hop", "condition")
+    follow(lambda: Estimator(PLATFORM, first.p, first.R).update, ticks, ("q", "dq"), owns)
+    lost = altered(ticks[0], q=np.nan)
+    follow(lambda: Estimator(PLATFORM, first.p, first.R).update, [lost], ("q", "dq"), owns)
+
+
+def fusion():
+    """A filter with a tracker that has begun on the book's path."""
+    settings = FusionSettings(may_lose_legs=[5])
+    first, tracker = sample(BOOK["states"][4]), TrackerSettings()
+    found = PoseFusion(FusedEstimator(PLATFORM, Model(PLATFORM), settings, tracker, None, 1e-3), settings)
+    found.start(-1, -MS, first.p, first.R)
+    return found
+
+
+def test_the_filter_fills_estimate_and_fusion_from_the_measurement():
+    def make_stage():
+        found = fusion()
+
+        def run(tick):
+            number = int(tick["tick"])
+            samples = (Sample(number - 1, 0.3e-3, (0.1, 0.2, 1.1, 0.0, 0.0, 0.0)),) if number % 2 else ()
+            found.estimate(tick, number * MS, Readings(tracker=samples), np.full(6, 3600.0), np.zeros(6))
+
+        return run
+
+    reads = ("tick", "length", "rate", "drive_force", "drive_state", "age", "blind")
+    owns = (*STATE, "fk_residual", "condition", *part("fusion"), "counted_age")
+    follow(make_stage, moving(), (*reads, "innovation_tracker", "tracker"), owns)
+
+
+def test_the_reference_is_filled_from_the_sample_alone():
+    owns = ("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d")
+    there = sample(BOOK["states"][20])
+    follow(lambda: lambda tick: fill_reference(PLATFORM, there, tick), moving(), (), owns)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_law_fills_its_force_from_estimate_reference_and_shortfall(name):
+    follow(lambda: make(name).effort, moving(), LAWS_READ, ("tau_law",))
+
+
+@pytest.mark.parametrize("pose", [0.0, 1.0])
+def test_safety_fills_force_and_certificate_and_looks_neither_at_the_law_nor_at_what_was_sent(pose):
+    table = np.zeros((12, 6))
+    table[2:5], table[5], table[6], table[8] = 4.0, 1e3, 1e-6, 1.0
+    table[11] = [pose, 0.0, 1.0, 2.0, 1.0, 1e-3]
+    limits = LimitSettings(
+        force_N=3700.0, force_step_N=3000.0, force_window_N=1e5, speed_m_s=9.0, deceleration_m_s2=9.0,
+        following_error_m=9.0,
+    )  # fmt: skip
+
+    def make_stage():
+        return Safety(limits, 0.5, 9.0, 1e3, 1e5, watch=Watch(table, 1)).judge
+
+    off = moving(mode=Mode.IDLE)
+    follow(make_stage, moving() + off[:2] + moving(), SAFETY_READS, ("tau", *LYAPUNOV))
+
+
+def test_the_predictor_moves_the_state_on_and_reads_nothing_else_but_the_load():
+    def make_stage():
+        predictor = Predictor(Model(PLATFORM), ForcePath(1e-3, 0.5e-3, 0.8e-3), 0.5e-3)
+
+        def run(tick):
+            predictor.ahead(tick, free=True)
+            predictor.sent(np.full(6, 3000.0))
+
+        return run
+
+    follow(make_stage, moving(), ("tick", *POSE, "wrench"), STATE)
+
+
+@pytest.mark.parametrize("fusing", [False, True])
+def test_the_observer_fills_the_load_from_pose_twist_and_the_drives(fusing):
+    def make_stage():
+        observer = WrenchObserver(Model(PLATFORM), ForcePath(1e-3, 0.0, 0.8e-3), 20.0)
+        wrench = ExternalWrench(observer, None, 1e-3)
+
+        def run(tick):
+            wrench.fill(tick, fusing=fusing)
+            observer.sent(np.full(6, 3000.0))
+
+        return run
+
+    reads = ("tick", "drive_state", *POSE, *(["legs_used"] if fusing else []))
+    follow(make_stage, moving(legs_used=0b111111), reads, ("wrench", "wrench_sensor"))
+
+
+FILLED = (
+    *part("input", "measurement", "output", "verdict"),
+    *("q", "dq", "p", "R", "wrench_sensor", "reference_time_s"),
+    *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
+)
+"""What some stage fills in every tick of a run, whatever stood there; the certificate's stay as they begin."""
+REMEMBERED = ("tick", *part("measurement"), "p", "R", "tau")
+"""What of a tick the next one may look at."""
+
+
+def rows_of_a_run(after_each=lambda _cycle: None, ticks=1500):
+    configuration = load("virtual")
+    rate = configuration.loop.rate_Hz
+    cycle = build_cycle(configuration, rate, 0.01)
+    cycle.tick = new_record()
+    nodes, plant = build_nodes(configuration)
+    try:
+        lockstep = Lockstep(cycle, nodes, None, feedback_window_s(configuration, rate))
+        rows = []
+        for _ in range(ticks):
+            operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()
+            rows.append(lockstep.step(operator)[2].row.copy())
+            after_each(cycle)
+        assert cycle.mode is Mode.TRACKING
+    finally:
+        plant.close()
+    return rows
+
+
+def test_a_run_does_not_depend_on_what_stood_in_a_new_record_or_in_the_last_one(monkeypatch):
+    expected = rows_of_a_run()
+
+    def spoilt_record():
+        return poisoned(new_record(), *(name for name in COLUMNS if name not in FILLED or name in LYAPUNOV))
+
+    def spoil(cycle):
+        for name in COLUMNS:
+            if name not in REMEMBERED:
+                cycle.tick[name] = np.nan if COLUMNS[name].type is float else ODD
+
+    monkeypatch.setattr(loop, "new_record", spoilt_record)
+    for row, other in zip(expected, rows_of_a_run(spoil), strict=True):
+        assert not [name for name in ROW.names or () if bits(row, name) != bits(other, name)]

@@ -1,0 +1,259 @@
+"""How a run begins and ends: the rule itself, and that the daemon and the lockstep keep to the same one."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drivers.protocol import Received
+from drivers.signals import DriveState, Fault, Mode, Stop
+from drivers.tick import FIRST
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import load
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.course import Course, Ending
+from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.signals import Operator
+from plant_fmu.drives.faults.encoder import EncoderOffset
+from plant_fmu.drives.faults.frames import FrameLoss
+from plant_fmu.drives.faults.leg import Silence
+from plant_fmu.drives.faults.plan import FaultPlan
+from tests.records import altered, record_of
+
+RATE_Hz = 100.0
+SET_UP = SimpleNamespace(legs_set_up=lambda _: (True,) * 6)
+HEARD = {"age": 0, "drive_state": DriveState.OFF}
+
+
+def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
+    return SimpleNamespace(
+        mode=mode,
+        mode_tick=mode_tick,
+        faults=faults,
+        stop_requested=stop,
+        tick=record_of(**(HEARD | measured)),
+        dialogue=None,
+        parts=SimpleNamespace(rate_Hz=RATE_Hz, fusion=None, protocol=SET_UP),
+    )
+
+
+def states(*different):
+    return np.array([*different, *[DriveState.OFF] * (6 - len(different))], np.int64)
+
+
+def first_end(course, until):
+    """Return the first ending, looked for in every tick."""
+    for tick in range(until):
+        ending = course.ending(tick)
+        if ending is not None:
+            return ending
+    return None
+
+
+def test_engages_once_idle_and_never_twice():
+    now = cycle(Mode.WAITING)
+    course = Course(now)
+    assert course.commands(0) == ()
+    now.mode = Mode.IDLE
+    assert course.commands(1) == (Operator.ENGAGE,)
+    assert course.commands(2) == ()
+
+
+def test_stops_once_at_its_duration_also_where_that_tick_is_skipped():
+    course = Course(cycle(Mode.TRACKING), 0.5)
+    assert course.commands(49) == ()
+    assert course.commands(53) == (Operator.STOP,)
+    assert course.commands(54) == ()
+
+
+def test_resets_in_the_first_tick_alone_and_only_on_request():
+    assert Course(cycle(Mode.WAITING)).commands(0) == ()
+    course = Course(cycle(Mode.WAITING), reset=True)
+    assert course.commands(0) == (Operator.RESET,)
+    assert course.commands(1) == ()
+
+
+def test_its_own_commands_come_before_the_operators():
+    course = Course(cycle(Mode.IDLE), 0.01, reset=True)
+    mine = (Operator.RESET, Operator.ENGAGE, Operator.STOP)
+    assert course.commands(1, (Operator.ESTOP,)) == (*mine, Operator.ESTOP)
+
+
+@pytest.mark.parametrize("mode", [m for m in Mode if m not in {Mode.PARKED, Mode.FAULT, Mode.WAITING}])
+def test_goes_on_between_the_start_and_the_end(mode):
+    assert first_end(Course(cycle(mode, drive_state=states(DriveState.FAULT))), 3000) is None
+
+
+def test_ends_parked_as_soon_as_all_drives_are_off():
+    now = cycle(Mode.PARKED, mode_tick=7, drive_state=states(*[DriveState.OFF] * 5, DriveState.READY))
+    course = Course(now)
+    assert course.ending(8) is None
+    now.tick = altered(now.tick, drive_state=states())
+    assert course.ending(9) == Ending(Mode.PARKED, Fault.NONE, "", 9)
+
+
+def test_ends_parked_a_quarter_of_a_second_later_where_a_drive_does_not_report_off():
+    ending = first_end(Course(cycle(Mode.PARKED, mode_tick=7, drive_state=states(DriveState.BOOT))), 1000)
+    assert ending == Ending(Mode.PARKED, Fault.NONE, "", 7 + 25)
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "operator", "requested"),
+    [(None, (), False), (0.1, (), True), (None, (Operator.STOP,), True), (None, (Operator.ESTOP,), True)],
+)
+def test_a_stop_by_the_operator_or_the_duration_was_requested(duration_s, operator, requested):
+    course = Course(cycle(Mode.PARKED), duration_s)
+    course.commands(10, operator)
+    ending = course.ending(10)
+    assert ending is not None
+    assert ending.requested is requested
+    assert ending.success
+
+
+@pytest.mark.parametrize(
+    ("stop", "missed", "what"),
+    [(Stop.MISSED, True, "limits.missed_stop_ticks"), (Stop.RECORDER, False, "recording.on_recorder_loss")],
+)
+def test_a_stop_by_safety_is_no_success_and_says_why(stop, missed, what):
+    ending = first_end(Course(cycle(Mode.PARKED, stop=stop)), 10)
+    assert ending is not None
+    assert (ending.success, ending.missed, ending.requested) == (False, missed, False)
+    assert what in ending.reason
+
+
+def test_ends_a_quarter_of_a_second_after_a_fault_with_what_was_known_in_its_tick():
+    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.STALE, age=np.array([0, 0, 5, 0, 0, 0]))
+    course = Course(now)
+    assert course.ending(40) is None
+    now.tick = altered(now.tick, age=[9, 9, 30, 9, 9, 9])
+    assert course.ending(64) is None
+    text = "latched fault STALE (leg 2 not heard for 5 ticks)"
+    assert course.ending(65) == Ending(Mode.FAULT, Fault.STALE, text, 65, 40)
+
+
+def test_a_second_fault_after_a_reset_has_a_tail_and_a_text_of_its_own():
+    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.ESTOP)
+    course = Course(now)
+    assert course.ending(50) is None
+    now.mode, now.mode_tick, now.faults = Mode.FAULT, 60, Fault.BUS
+    assert course.ending(60) is None
+    assert course.ending(84) is None
+    assert course.ending(85) == Ending(Mode.FAULT, Fault.BUS, "latched fault BUS", 85, 60)
+
+
+def test_a_slow_loop_still_tells_the_drives_to_switch_off_five_times():
+    slow = cycle(Mode.FAULT, faults=Fault.BUS)
+    slow.parts.rate_Hz = 5.0
+    ending = first_end(Course(slow), 100)
+    assert ending is not None
+    assert ending.ticks == 5
+
+
+def test_ends_after_two_seconds_without_any_drive():
+    never = FIRST["age"]
+    assert first_end(Course(cycle(Mode.WAITING, age=never)), 3000) == Ending(
+        Mode.WAITING, Fault.NONE, "no drives", 200
+    )
+
+
+def test_one_drive_heard_is_waited_for_ten_seconds_and_the_others_are_named():
+    age = FIRST["age"].copy()
+    age[4] = 0
+    ending = first_end(Course(cycle(Mode.WAITING, age=age)), 3000)
+    assert ending is not None
+    assert ending.ticks == 1000
+    assert "drive 0 never answered" in ending.reason
+    assert "drive 4" not in ending.reason
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_fault_that_a_drive_has_latched_before_ends_the_wait_after_two_seconds(leg):
+    state = states()
+    state[leg] = DriveState.FAULT
+    ending = first_end(Course(cycle(Mode.WAITING, drive_state=state)), 3000)
+    assert ending is not None
+    assert ending.ticks == 200
+    assert f"drive {leg} stays in FAULT" in ending.reason
+    assert "--reset" in ending.reason
+
+
+class Wire:
+    """The ideal bus of a lockstep behind the calls that the daemon makes."""
+
+    def __init__(self, nodes, period_ns):
+        self.nodes, self.period_ns, self.tick = nodes, period_ns, -1
+        self.period_s = 0.0
+        self.commands, self.answers = [], []
+        nodes.start(0)
+
+    # what the daemon asks of the clock
+    def wait(self):
+        self.tick += 1
+        return self.tick, self.tick * self.period_ns, 0, 0
+
+    # ... and of the bus
+    def send(self, frames):
+        t_ns = self.tick * self.period_ns
+        self.commands += [Received(t_ns, frame) for frame in frames]
+        if not self.answers:
+            self.answers = [Received(*reply) for reply in self.nodes.step(t_ns, self.commands)] or [None]
+            self.commands = []
+        return 0
+
+    def drain_now(self):
+        self.answers = []
+        return []
+
+    def drain(self, deadline_ns, wanted):
+        answers = [answer for answer in self.answers if answer is not None]
+        self.answers = [None]
+        return answers
+
+    def events(self):
+        return SimpleNamespace(errors=0, off=False, overflow=0)
+
+
+ALL_LOST = FrameLoss()
+LEG_0 = Silence(leg=0)
+
+
+@pytest.mark.parametrize(
+    ("faults", "mode", "seconds"),
+    [
+        ([], Mode.PARKED, None),
+        ([ALL_LOST], Mode.WAITING, 2.0),
+        ([FrameLoss(start_s=1.0)], Mode.FAULT, None),
+        ([LEG_0], Mode.WAITING, 10.0),
+        ([Silence(leg=4, start_s=0.3)], Mode.FAULT, None),
+        ([Silence(leg=2, start_s=1.2)], Mode.FAULT, None),
+        ([EncoderOffset(leg=5, offset_m=0.3, start_s=1.1)], Mode.FAULT, None),
+    ],
+)
+def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, seconds):
+    c = load("ideal")
+    rate, duration_s = c.loop.rate_Hz, None if mode is Mode.WAITING else 1.4
+
+    def ends():
+        nodes, plant = build_nodes(c, FaultPlan(faults))
+        return build_cycle(c, rate, c.drives.watchdog_ms * 1e-3), nodes, plant
+
+    here, nodes, plant = ends()
+    rows = []
+    stepped = Lockstep(here, nodes, None, 0.0).run(duration_s, lambda *args: rows.append(args[2].row))
+    plant.close()
+
+    there, nodes, plant = ends()
+    wire, seen = Wire(nodes, round(1e9 / rate)), []
+    recording = SimpleNamespace(alive=True, dropped=0, tick=lambda row, *_, **__: seen.append(row))
+    shell = Shell(wire, wire, recording, OperatorPanel(), 0)  # type: ignore[arg-type]
+    ran = run(Course(there, duration_s), shell)
+    plant.close()
+
+    assert ran == stepped
+    assert ran.mode is mode, ran
+    assert len(seen) == len(rows) == ran.ticks + 1
+    assert all((a["mode"], a["faults"]) == (b["mode"], b["faults"]) for a, b in zip(rows, seen, strict=True))
+    if seconds is not None:
+        assert ran.ticks == round(seconds * rate)

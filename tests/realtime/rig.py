@@ -1,0 +1,223 @@
+"""The rig of the real-time tests: processes over localcan, a listener on their bus, ends by exact number.
+
+Every test of a session uses the same channel. What a test leaves behind, killed as it may be, is what the
+next one has to start on without cleaning up.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.can.bus import Bus
+from drivers.protocol import DeviceCommand, Sync
+from drivers.signals import LEGS, NEVER, DriveMode
+from hil.app.compose import build_protocol
+from hil.app.configuration.configuration import load
+from hil.loop.clock import fifo_allowed
+from tests.drivers.legs_frames import decode, parse
+
+ROOT = Path(__file__).resolve().parents[2]
+CHANNEL = "test-" + os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))[:12]
+START_S = 120.0
+"""Starts may have to compile first."""
+END_S = 60.0
+SHORT = """\
+    - {t_s: 0, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 0]}
+    - {t_s: 0.5, position_m: [0.0625, 0.125, 0.9375], rotation_vector_deg: [1.25, 2.5, 3.75]}
+    - {t_s: 1, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 0]}
+"""
+"""A quarter of the book's path in half its time: the same acceleration. One second."""
+PATIENT = {
+    "rate_Hz: 1000": "rate_Hz: 500",
+    "watchdog_ms: 10 ": "watchdog_ms: 150 ",
+    "stale_fault_ticks: 5": "stale_fault_ticks: 60\n  missed_stop_ticks: 60",
+}
+FIFO = fifo_allowed(80)
+
+
+def configuration(
+    folder: Path, changes: dict[str, str] | None = None, *, short: bool = False, patient: bool = True
+) -> Path:
+    """Write configs/virtual.yaml with a channel and a log folder of the test's own, and `changes` of its text.
+
+    patient: a stall of a tenth of a second, as a loaded or a virtual machine has them, faults nothing: half
+    the rate, longer watchdog, higher limits of stale ticks and missed periods. Without it the timing is the shipped one.
+    """
+    text = (ROOT / "configs" / "virtual.yaml").read_text()
+    if short:
+        first = text.index("    - {t_s: 0, ")
+        last = text.index("\n", text.index("    - {t_s: 2, ")) + 1
+        text = text[:first] + SHORT + text[last:]
+    edits = {
+        "channel: hil0": f"channel: {CHANNEL}",
+        "folder: runs": f"folder: {folder}/runs",
+        "periods: 10": "periods: 1" if short else "periods: 3",
+        "brake_release_s: 0.1": "brake_release_s: 0.05",
+        "force_ramp_s: 0.3": "force_ramp_s: 0.2",
+        **(PATIENT if patient else {}),
+    }
+    for old, new in (*edits.items(), *(changes or {}).items()):
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    file = folder / "rig.yaml"
+    file.write_text(text)
+    return file
+
+
+class Process:
+    """One `hil` command. State: the process and the descendants that were seen."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *arguments: str,
+        entry: str = "hil.cli",
+        prefix: Sequence[str] = (),
+        **options: Any,
+    ) -> None:
+        self.json = folder / f"{arguments[0]}-{time.monotonic_ns()}.json"
+        self._errors = self.json.with_suffix(".err")
+        command = [*prefix, sys.executable, "-m", entry, *arguments, "--json", str(self.json)]
+        options = {"cwd": ROOT, **options}
+        with self._errors.open("wb") as errors:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+                **options,
+            )
+        self.pid = self._process.pid
+        self.family: dict[str, int] = {}
+
+    def find_family(self) -> dict[str, int]:
+        """Return the process numbers of `daemon`, its `recorder`, its `plant` and the `plant's recorder`."""
+        recorder, plant = _child(self.pid, "hil.record"), _child(self.pid, "hil.cli plant")
+        self.family = {
+            "daemon": self.pid,
+            "recorder": recorder,
+            "plant": plant,
+            "plant's recorder": _child(plant, "hil.record"),
+        }
+        return self.family
+
+    def wait_for_child(self, words: str) -> int:
+        """Wait until it has a child whose command line has `words`; return its number."""
+        end = time.monotonic() + START_S
+        while time.monotonic() < end:
+            with contextlib.suppress(AssertionError):
+                return _child(self.pid, words)
+            assert not gone(self.pid), self.errors
+            time.sleep(0.01)
+        raise AssertionError(self.errors)
+
+    def wait(self, timeout_s: float = END_S) -> int:
+        """Return the exit code."""
+        return self._process.wait(timeout_s)
+
+    @property
+    def errors(self) -> str:
+        """What it has said on standard error."""
+        return self._errors.read_text()
+
+    @property
+    def messages(self) -> list[str]:
+        """Its lines on standard error, without the remark of a first start."""
+        return [line for line in self.errors.splitlines() if not line.startswith("compiling the mathematics")]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Its --json summary."""
+        summary: dict[str, Any] = json.loads(self.json.read_text())
+        return summary
+
+    def interrupt(self) -> None:
+        """Ctrl-C: SIGINT to the whole process group, as a terminal does."""
+        os.killpg(self.pid, signal.SIGINT)
+
+    def clean_up(self) -> None:
+        """End what is left, by number."""
+        for pid in (self.pid, *self.family.values()):
+            if not gone(pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        self._process.wait(10.0)
+
+
+def _child(parent: int, words: str) -> int:
+    """Return the child of `parent` whose command line has `words`."""
+    for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+        if words in Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode():
+            return int(pid)
+    raise AssertionError(f"process {parent} has no child {words}")
+
+
+def gone(pid: int) -> bool:
+    """Tell whether a process has ended; a zombie has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def wait_until_gone(*pids: int, timeout_s: float = 20.0) -> None:
+    """Wait until all have ended by themselves."""
+    end = time.monotonic() + timeout_s
+    while not all(map(gone, pids)):
+        assert time.monotonic() < end, f"still there: {[p for p in pids if not gone(p)]}"
+        time.sleep(0.02)
+
+
+class Listener:
+    """A third participant on the bus, which only listens. State: what it has heard."""
+
+    def __init__(self, file: Path) -> None:
+        c = load(str(file))
+        self._protocol = build_protocol(c)
+        self._bus = Bus.open(c.bus, role="listener")
+        self._rate = np.zeros(LEGS)
+        self._counter = 0
+        self.mode = -1
+        """Mode of the last command."""
+        self.last_sync_ns = 0
+
+    def look(self) -> None:
+        """Take what has come, wait for it 20 ms at most."""
+        for received in self._bus.wait(time.monotonic_ns() + 20_000_000):
+            match parse(self._protocol, received.frame):
+                case Sync(counter=counter):
+                    self._counter, self.last_sync_ns = counter, received.t_ns
+                case DeviceCommand(mode=mode):
+                    self.mode = mode
+                case _:
+                    heard = decode(self._protocol, (received,), self._counter)
+                    self._rate = np.where(heard["age"] < NEVER, heard["rate"], self._rate)
+
+    @property
+    def speed(self) -> float:
+        """Largest leg rate now, m/s."""
+        return float(np.abs(self._rate).max())
+
+    def wait_for_motion(self, process: Process, speed: float) -> None:
+        """Wait until a leg is faster than this (m/s), brakes open."""
+        end = time.monotonic() + START_S
+        while not (self.mode == DriveMode.RUN and self.speed > speed):
+            self.look()
+            assert not gone(process.pid), process.errors
+            assert time.monotonic() < end, process.errors
+
+    def close(self) -> None:
+        """Leave."""
+        self._bus.close()

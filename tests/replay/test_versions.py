@@ -1,0 +1,123 @@
+"""A log of another version is refused in one sentence that names what differs and the version that replays it."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import LogError
+from drivers.tick import RECORDED, ROW, Column
+from hil.app.compose import attachments
+from hil.app.configuration.configuration import load
+from hil.app.replay import replay_log
+from hil.cli import main
+from hil.record import Recording, environment
+from hil.record.log import Log
+from hil.record.row import Table
+from tests.hil.samples import assert_same, random_ticks, record
+
+OLD = Path(__file__).resolve().parents[1] / "data" / "log_0.1.0.mcap"
+NEW = Column("output", "temperature", float, "K", "of the oil")
+
+
+def recorded(path, columns=RECORDED, **files):
+    c = load("virtual")
+    attached = dict(attachments(c)) | {name.replace("_", "."): text for name, text in files.items()}
+    table = Table("/tick", columns)
+    ticks = random_ticks(20, dtype=table.dtype)
+    with Recording.start(
+        path, configuration=c.text, table=table, attachments=list(attached.items()), lockstep=True,
+        metadata={"kind": "sim", "rate_Hz": 1000.0, "watchdog_s": 0.01},
+    ) as recording:  # fmt: skip
+        record(recording, ticks)
+    return ticks
+
+
+def test_a_log_of_0_1_0_is_refused_in_one_sentence_that_names_its_version():
+    result = CliRunner().invoke(main, ["replay", str(OLD)])
+    assert result.exit_code == 2
+    sentence = result.stderr.strip().splitlines()[-1]
+    assert "Traceback" not in result.stderr
+    assert re.search(
+        r"columns differ \(of another type or with other elements: drive_state, drive_fault, age and \d+ more\): "
+        r"replay it with version 0\.1\.0 \(git 7dfb941[0-9a-f]{33}\), which made it; this is 0\.2\.0",
+        sentence,
+    )
+
+
+def test_a_log_of_0_1_0_reads_as_0_1_0_wrote_it():
+    log = Log.open(OLD)
+    rows = log.rows()
+    assert rows.dtype.names == ROW.names
+    np.testing.assert_array_equal(rows["tick"], np.arange(54))
+    np.testing.assert_array_equal(np.diff(rows["t_ns"]), 1_000_000)
+    np.testing.assert_array_equal(rows["mode"][[0, -1]], [0, 6])
+    last = rows[-1]  # as the reader of 0.1.0 gives it
+    assert (last["q"][3], last["tau"][5], last["p"][2]) == (
+        1.5924606044609297,
+        1817.916749869596,
+        0.9999812961994976,
+    )
+    R = rows["R"][-1].reshape(3, 3)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert log.events() == []
+    ticks = list(log.ticks())
+    assert [len(tick.received) for tick in ticks] == rows["frames_received"].tolist()
+    assert all(tick.sent for tick in ticks)
+
+
+CHANGES = {
+    "added": ((*RECORDED, NEW), "only the log has temperature"),
+    "removed": (tuple(c for c in RECORDED if c.name != "tau"), "only this version has tau"),
+    "renamed": (
+        tuple(c._replace(name="torque") if c.name == "tau" else c for c in RECORDED),
+        "only the log has torque; only this version has tau",
+    ),
+    "of another type": (
+        tuple(c._replace(type=float) if c.name == "skipped" else c for c in RECORDED),
+        "of another type or with other elements: skipped",
+    ),
+    "of other elements": (
+        tuple(c._replace(elements=("z", "y", "x")) if c.name == "p_d" else c for c in RECORDED),
+        "of another type or with other elements: p_d",
+    ),
+    "moved": ((*RECORDED[:-2], RECORDED[-1], RECORDED[-2]), "in another order"),
+}
+
+
+@pytest.mark.parametrize(("columns", "difference"), CHANGES.values(), ids=CHANGES)
+def test_a_log_whose_columns_differ_is_refused_with_the_difference_and_its_rows_are_readable(
+    tmp_path, columns, difference
+):
+    ticks = recorded(tmp_path / "a.mcap", columns)
+    result = CliRunner().invoke(main, ["replay", str(tmp_path / "a.mcap")])
+    assert result.exit_code == 2
+    assert isinstance(result.exception, SystemExit)
+    sentence = " ".join(result.stderr.split())
+    assert f"its columns differ ({difference}): replay it with version 0.2.0" in sentence
+    assert_same(Log.open(tmp_path / "a.mcap").ticks(), ticks)
+
+
+def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_path):
+    recorded(tmp_path / "a.mcap", legs_dbc=b'VERSION "other"')
+    with pytest.raises(LogError, match=r"made with another legs\.dbc: replay it with version 0\.2\.0"):
+        replay_log(tmp_path / "a.mcap")
+
+
+def test_a_log_names_version_and_columns_in_its_metadata(tmp_path):
+    recorded(tmp_path / "a.mcap", (*RECORDED, NEW))
+    metadata = Log.open(tmp_path / "a.mcap").metadata
+    assert metadata["environment"]["version"] == environment()["version"] == "0.2.0"
+    last = json.loads(metadata["hil"]["columns"])[-1]
+    assert (last["name"], last["unit"], last["meaning"]) == ("temperature", "K", "of the oil")
+
+
+def test_a_table_of_columns_that_this_version_cannot_read_is_no_traceback(tmp_path):
+    recorded(tmp_path / "a.mcap")
+    content = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "b.mcap").write_bytes(content.replace(b'"elements"', b'"segments"'))
+    with pytest.raises(LogError, match=r"b\.mcap: its table of columns cannot be read"):
+        Log.open(tmp_path / "b.mcap")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, TypeVar, cast
 
 import numba
@@ -10,11 +11,26 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+from numba.np import linalg
 
 from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
 from drivers.compiled.cache import Locator
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _import_without_blas() -> None:
+    """Import what asks SciPy for a BLAS, which no kernel uses: it would cost each start 0.1 to 0.3 s."""
+
+    def no_blas() -> None:
+        raise ImportError("kernels use no BLAS")
+
+    numbas, linalg.ensure_blas = linalg.ensure_blas, no_blas
+    import_module("numba.np.arraymath")
+    linalg.ensure_blas = numbas
+
+
+_import_without_blas()
 
 VECTOR = types.Array(types.float64, 1, "C", readonly=True)
 """Argument: any C-contiguous float64 vector, writeable or not."""

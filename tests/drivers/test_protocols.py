@@ -15,7 +15,7 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received, frames_of, run_of
 from drivers.signals import Command, DriveMode, DriveState, Mode
 from hil.app.compose import bit_timing, build_cycle, build_nodes
-from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.clock import Deadlines
@@ -92,8 +92,11 @@ class Wire:
 
 @pytest.fixture
 def row(monkeypatch):
-    """The table with one row more."""
+    """The table with one row more; no other test sees it in the schema."""
     monkeypatch.setitem(PROTOCOLS, "stub", stub)
+    json_schema.cache_clear()
+    yield
+    json_schema.cache_clear()
 
 
 def configuration(*changes: tuple[str, str], name: str = "vcan50") -> Configuration:

@@ -105,6 +105,7 @@ def test_motion_of_a_rotation_vector_by_differences(r, dr, ddr):
 BITS = """
 import hashlib, json, sys
 import numpy as np
+from drivers.tick import new_record
 from hil.robot.dynamics import Model
 from hil.estimation.pose import Estimator
 from hil.robot.geometry import Platform
@@ -115,11 +116,13 @@ digest = hashlib.sha256()
 for case in truth["cases"]:
     platform, s = Platform.from_dict(truth["geometries"][case["geometry"]]), case["state"]
     model = Model(platform, leg_spin="universal")
-    e = Estimator(platform, s["fk_guess_p"], s["fk_guess_R"]).update(
-        np.array(case["expected"]["lengths"]), np.array(case["expected"]["rates"]))
-    tau = joint_idc_kernel(model.constants, model.code, e.p, e.R, e.twist, e.J, np.ones(6), np.ones(6))
-    r = rotation_vector(e.R)
-    for x in (e.p, e.R, e.twist, e.J, np.float64(e.condition), tau, r, *rotation_motion_kernel(r, r, r)):
+    e = new_record()
+    e["q"], e["dq"] = case["expected"]["lengths"], case["expected"]["rates"]
+    Estimator(platform, s["fk_guess_p"], s["fk_guess_R"]).update(e)
+    p, R, twist, J = (e[name] for name in ("p", "R", "twist", "J"))
+    tau = joint_idc_kernel(model.constants, model.code, p, R, twist, J, np.ones(6), np.ones(6))
+    r = rotation_vector(R)
+    for x in (p, R, twist, J, e["condition"], tau, r, *rotation_motion_kernel(r, r, r)):
         digest.update(x.tobytes())
 print(digest.hexdigest())
 """

@@ -20,7 +20,7 @@ run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the pla
 test: lint fmu  ## import contracts, ruff, mypy, pytest (its summary is the last line)
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
 
-long: fmu  ## slow checks that `make test` leaves out: what an extension costs
+long: fmu  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
 	@$(BIN)/python -m pytest -n0 -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy

@@ -263,6 +263,7 @@ def test_the_tests_of_a_rule_notice_every_change_of_it(family):
     assert not left, "\n".join(left)
 
 
+@pytest.mark.long
 def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
     module = claims("test_safety.py")
     links = plain_links()
@@ -275,6 +276,7 @@ def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
     assert not left, "\n".join(left)
 
 
+@pytest.mark.long
 def test_the_tests_of_the_whole_notice_every_change_of_its_state():
     module = claims("test_safety.py")
     left = survivors("guard", module, lambda m: setattr(module, "guard", m), "test_guard_")

@@ -87,7 +87,13 @@ def test_the_probe_repeats(usual):
     assert probe({}) == usual
 
 
-@pytest.mark.parametrize(("library", "variables"), VARIANTS.values(), ids=VARIANTS)
+@pytest.mark.parametrize(
+    ("library", "variables"),
+    [
+        pytest.param(*variant, id=name, marks=() if name.startswith("both") else pytest.mark.long)
+        for name, variant in VARIANTS.items()
+    ],
+)
 def test_replay_is_exact_under_other_kernels(usual, logs, tmp_path, library, variables):
     differs = probe(variables)[library] != usual[library]
     copies = [shutil.copy(logs / f"{name}.mcap", tmp_path) for name in RECORDED]

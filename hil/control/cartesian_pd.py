@@ -13,7 +13,7 @@ from drivers.compiled.compiler import OUT_VECTOR, VECTOR, direct, record
 from drivers.tick import TICK, Record
 from hil.config.model import ModelSettings
 from hil.config.values import Positive, ThreePositive
-from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, gains, per_axis
+from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, Memoryless, gains, per_axis
 from hil.mathematics.linear_algebra import solve_transposed
 from hil.mathematics.rotations import relative_rotation, rotation_vector_kernel
 from hil.robot.dynamics import Model
@@ -81,7 +81,7 @@ class CartesianPDSettings(LawSettings):
         }
 
 
-class CartesianPD:
+class CartesianPD(Memoryless):
     """tau = J^-T [K_p e + K_v (twist_d - twist) + G], e = [p_d - p; e_R], G only with a model.
 
     K_p and K_v are diagonal in the base frame. ``shortest_turn``: e_R = log(R_d R^T), the rotation vector
@@ -94,8 +94,6 @@ class CartesianPD:
     pose itself. It is another law wherever the platform is turned: its stiffness is K_p times the inverse of
     d omega / d phi', which is not symmetric, so that no energy belongs to it; and it jumps where the platform
     itself is turned by half a turn.
-
-    No mutable state.
     """
 
     def __init__(
@@ -105,9 +103,6 @@ class CartesianPD:
         self.gains = gains(GAINS, K_p, K_v)
         self.model = model
         self.rotation_error = rotation_error
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
 
     def effort(self, tick: Record) -> None:
         """Fill tau_law; NaN where J is singular."""

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from hil.mathematics.rotations import relative_rotation, rotation_vector_rate
-from hil.mathematics.vectors import at, rotate, rotate_back
+from hil.mathematics.vectors import at, rotate, rotate_back, sub
 
 
 @helper
@@ -27,10 +27,7 @@ def error_axes(pose: bool, tick: Any, e: Array, de: Array, rate: Array, feed: Ar
         return
     r = relative_rotation(tick.R, tick.R_d)
     turning = rotate(tick.R_d, rotate_back(tick.R, at(tick.twist, 3)))
-    Omega = np.empty(3)
-    for i in range(3):
-        Omega[i] = tick.twist_d[3 + i] - turning[i]
-    dr = rotation_vector_rate(r, Omega)
+    dr = rotation_vector_rate(r, np.array(sub(at(tick.twist_d, 3), turning)))
     for i in range(3):
         e[i] = tick.p_d[i] - tick.p[i]
         de[i] = tick.twist_d[i] - tick.twist[i]

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import ZERO6, Array
 from drivers.errors import ConfigurationError
 from drivers.tick import Record
-from hil.control.law import LawContext, ModelBasedSettings, per_leg
+from hil.control.law import LawContext, Memoryless, ModelBasedSettings, per_leg
 from hil.control.pd import JointPD, LegGains
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
@@ -46,7 +46,7 @@ class FeedforwardPDSettings(LegGains, ModelBasedSettings):
         return FeedforwardPD(pd, model, context.period_s, table, context.preview_s)
 
 
-class FeedforwardPD:
+class FeedforwardPD(Memoryless):
     """tau = tau_ff + K_v (dq_d - dq) + K_p (q_d - q), tau_ff = J^-T (M dtwist_d + H + G - wrench) + friction.
 
     All of tau_ff is of the reference, not of the measured pose. With an exact model and q near q_d the error
@@ -55,8 +55,6 @@ class FeedforwardPD:
     Offline, tau_ff is a table of the whole trajectory at the ticks of the loop, made before the run; on the
     way to the trajectory, while stopping and at rest it is computed as online. An external load is not
     known beforehand: offline leaves it out. Without one, both give the same bits.
-
-    No mutable state.
     """
 
     def __init__(
@@ -68,9 +66,6 @@ class FeedforwardPD:
         self.period_s = period_s
         self.table = table
         self.preview_s = preview_s
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
 
     def effort(self, tick: Record) -> None:
         """Fill tau_law; NaN where J is singular on the reference."""

@@ -14,7 +14,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
 from drivers.tick import TICK, Record
-from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, ModelBasedSettings, gains
+from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, LinearisingLaw, ModelBasedSettings
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import joint_idc_kernel
 
@@ -31,32 +31,6 @@ class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         return JointInverseDynamics(context.model(self.model), *self.gains())
 
 
-class JointInverseDynamics:
-    """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction, ddq* = ddq_d + K_D dE + K_P E.
-
-    E = q_d - q (6,) m. Friction is that of the measured rates. No mutable state.
-    """
-
-    def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
-        """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals."""
-        self.model = model
-        self.gains = gains(GAINS, K_P, K_D)
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        fill_linearised_pd(self.gains, self.model.constants, self.model.code, tick)
-
-
-def linearising_tau(model: Model, tick: Record, ddq_star: Array) -> Array:
-    """Return tau (6,) N for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
-    return joint_idc_kernel(
-        model.constants, model.code, tick["p"], tick["R"], tick["twist"], tick["J"], ddq_star, tick["wrench"]
-    )
-
-
 @direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
 def fill_linearised_pd(k: Any, c: Array, code: int, tick: Any) -> None:
     """Fill tau_law for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2; NaN where J is singular."""
@@ -65,3 +39,21 @@ def fill_linearised_pd(k: Any, c: Array, code: int, tick: Any) -> None:
         e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
         ddq_star[i] = tick.ddq_d[i] + k.K_D[i] * de + k.K_P[i] * e
     tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)
+
+
+class JointInverseDynamics(LinearisingLaw):
+    """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction, ddq* = ddq_d + K_D dE + K_P E.
+
+    E = q_d - q (6,) m; K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals. Friction is that of the measured
+    rates.
+    """
+
+    dtype = GAINS
+    fill = staticmethod(fill_linearised_pd)
+
+
+def linearising_tau(model: Model, tick: Record, ddq_star: Array) -> Array:
+    """Return tau (6,) N for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
+    return joint_idc_kernel(
+        model.constants, model.code, tick["p"], tick["R"], tick["twist"], tick["J"], ddq_star, tick["wrench"]
+    )

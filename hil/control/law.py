@@ -64,12 +64,37 @@ LAW_COLUMNS = part("estimate", "reference", "effort")
 """What the kernel of a law sees of a tick."""
 
 
+class Memoryless:
+    """A law without mutable state."""
+
+    def reset(self) -> None:
+        """Nothing is accumulated."""
+
+
 def gains(dtype: np.dtype[np.void], *values: Array | float) -> Record:
     """Return the gains of a law as a record of `dtype`, in the order of its fields."""
     record = np.zeros((), dtype)
     for name, value in zip(dtype.names or (), values, strict=True):
         record[name] = value
     return record
+
+
+class LinearisingLaw(Memoryless):
+    """A law around inverse dynamics that is one kernel: of its gains, its model and the tick."""
+
+    dtype: ClassVar[np.dtype[np.void]]
+    """Of its gains."""
+    fill: "ClassVar[staticmethod[[Any, Array, int, Any], None]]"
+    """Fills tau_law from the gains, the model's constants and code, and the tick."""
+
+    def __init__(self, model: Model, *values: Array | float) -> None:
+        """Take the gains in the order of their record."""
+        self.model = model
+        self.gains = gains(self.dtype, *values)
+
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law; NaN where J is singular."""
+        self.fill(self.gains, self.model.constants, self.model.code, tick)
 
 
 class ErrorDynamics(NamedTuple):

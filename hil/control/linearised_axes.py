@@ -122,13 +122,6 @@ def _pose_axes(errors: Array, dtwist: Array) -> Array:
     r = errors[0, 3:].copy()
     still = np.zeros(3)
     E, _, _ = rotation_motion_kernel(r, still, still)
-    turned = rotate(E, at(dtwist, 3))
-    Omega = np.empty(3)
-    for i in range(3):
-        Omega[i] = turned[i]
-    ddr = rotation_vector_rate(r, Omega)
-    acceleration = np.empty(6)
-    for i in range(3):
-        acceleration[i] = dtwist[i]
-        acceleration[3 + i] = ddr[i]
+    acceleration = dtwist.copy()
+    acceleration[3:] = rotation_vector_rate(r, np.array(rotate(E, at(dtwist, 3))))
     return acceleration

@@ -33,8 +33,6 @@ class PartialLinearisation(JointInverseDynamics):
     The exact law less H and wrench, which stay as a disturbance: with exact M, G, J it leaves
     E'' + K_D E' + K_P E = J M^-1 (H - wrench). Without G there would be a constant error, without J_dot twist
     a far larger one than H's: on the book's path (wn 20 rad/s) H costs 0.23 mm of leg error, J_dot twist 2.6.
-
-    No mutable state.
     """
 
     def effort(self, tick: Record) -> None:

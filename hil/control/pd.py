@@ -11,7 +11,7 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import direct, record
 from drivers.tick import TICK, Record
 from hil.config.values import NonNegative, Positive, SixNonNegative, SixPositive
-from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, gains, per_leg
+from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, Memoryless, gains, per_leg
 
 GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("m", "<f8", 6)])
 
@@ -62,23 +62,18 @@ class PDSettings(DriveGains):
         return self.pd()
 
 
-class JointPD:
+class JointPD(Memoryless):
     """tau = K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d, K_p, K_v and m diagonal.
 
     m is what each drive has to accelerate along its own leg. Where gears make it dominate the platform,
     m ddq_d is all the feed-forward that a leg needs, and nothing couples the legs (Siciliano, Sciavicco,
     Villani and Oriolo, Robotics, 2009, 8.3). A leg of mass m alone follows m E'' + K_v E' + K_p E = 0,
     E = q_d - q. m = 0 is the notes' law.
-
-    No mutable state.
     """
 
     def __init__(self, K_p: Array, K_v: Array, m: Array) -> None:
         """K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg are the diagonals."""
         self.gains = gains(GAINS, K_p, K_v, m)
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
 
     def effort(self, tick: Record) -> None:
         """Fill tau_law."""

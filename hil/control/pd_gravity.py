@@ -6,7 +6,7 @@ from typing import Literal
 
 from drivers.arrays import ZERO6
 from drivers.tick import Record
-from hil.control.law import LawContext, ModelBasedSettings
+from hil.control.law import LawContext, Memoryless, ModelBasedSettings
 from hil.control.pd import DriveGains, JointPD
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
@@ -26,21 +26,16 @@ class PDGravitySettings(DriveGains, ModelBasedSettings):
         return JointPDGravity(self.pd(), context.model(self.model))
 
 
-class JointPDGravity:
+class JointPDGravity(Memoryless):
     """tau = K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d + J^-T G, J and G at the measured pose.
 
     With an exact G a reference at rest is reached without error: V = kinetic energy + e.K_p e / 2 falls by
     dq.K_v dq (Takegaki and Arimoto, 1981; LaSalle). In motion the error is that of the PD less gravity.
-
-    No mutable state.
     """
 
     def __init__(self, pd: JointPD, model: Model) -> None:
         self.pd = pd
         self.model = model
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
 
     def effort(self, tick: Record) -> None:
         """Fill tau_law; NaN where J is singular."""

@@ -8,12 +8,11 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, kernel, record
-from drivers.tick import TICK, Record
+from drivers.tick import TICK
 from hil.control.inverse_dynamics import GAINS
-from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, ModelBasedSettings, gains
+from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, LinearisingLaw, ModelBasedSettings
 from hil.mathematics.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
 from hil.mathematics.vectors import add, at, cross, rotate, rotate_back, sub
-from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 
 
@@ -28,48 +27,13 @@ class PoseInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         return PoseInverseDynamics(context.model(self.model), *self.gains())
 
 
-class PoseInverseDynamics:
-    """tau = J^-T (M dtwist* + H + G - wrench) + friction, all at the measured pose.
-
-    With an exact model dtwist = dtwist*, and that is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
-    rotation vector of the shortest turn from R to R_d (base frame), obeys e'' + K_D e' + K_P e = 0 in
-    all six components, exactly and for turns of any size below half a turn:
-
-    - position: dv* = dv_d + K_D (v_d - v) + K_P (p_d - p);
-    - rotation: E = R_d R^T = exp([r]x) turns with Omega = omega_d - E omega, hence r' = L(r)^-1 Omega with
-      L = d Omega / d r' (``hil.mathematics.rotations.rotation_vector_rate``), and
-      domega* = E^T (domega_d - Omega x E omega - Omega'*), Omega'* the Omega' of r'' = -K_D r' - K_P r.
-
-    Often omega_d - omega is put for r'. It is no derivative of r, not even to first order, where
-    r' = omega_d - omega - r x omega: that law's error dynamics change with the speed.
-
-    No mutable state.
-    """
-
-    def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
-        """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals, position first, axes of the base frame."""
-        self.model = model
-        self.gains = gains(GAINS, K_P, K_D)
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        _fill(self.gains, self.model.constants, self.model.code, tick)
-
-
 @kernel(VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR)
 def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array) -> Array:
-    """Return [e; de] (2, 6) of the class: e = [p_d - p; r] m, rad, de its derivative."""
+    """Return [e; de] (2, 6) of `PoseInverseDynamics`: e = [p_d - p; r] m, rad, de its derivative."""
     r = relative_rotation(R, R_d)
     still = np.zeros(3)
     E, _, _ = rotation_motion_kernel(r, still, still)
-    turning = sub(at(twist_d, 3), rotate(E, at(twist, 3)))
-    Omega = np.empty(3)
-    for i in range(3):
-        Omega[i] = turning[i]
-    dr = rotation_vector_rate(r, Omega)
+    dr = rotation_vector_rate(r, np.array(sub(at(twist_d, 3), rotate(E, at(twist, 3)))))
     errors = np.empty((2, 6))
     for i in range(3):
         errors[0, i] = p_d[i] - p[i]
@@ -81,12 +45,9 @@ def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_
 
 @kernel(MATRIX, VECTOR, VECTOR, VECTOR, VECTOR)
 def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwist_d: Array) -> Array:
-    """Return dtwist* (6,) m/s^2, rad/s^2 of the class under which the errors obey e'' = -u."""
+    """Return dtwist* (6,) m/s^2, rad/s^2 of `PoseInverseDynamics`, under which the errors obey e'' = -u."""
     r, dr = errors[0, 3:].copy(), errors[1, 3:].copy()
-    ddr = np.empty(3)
-    for i in range(3):
-        ddr[i] = -u[3 + i]
-    E, _, dOmega = rotation_motion_kernel(r, dr, ddr)
+    E, _, dOmega = rotation_motion_kernel(r, dr, -u[3:])
     E_omega = rotate(E, at(twist, 3))
     turning = sub(at(twist_d, 3), E_omega)
     domega = rotate_back(E, sub(at(dtwist_d, 3), add(cross(turning, E_omega), at(dOmega, 0))))
@@ -106,3 +67,25 @@ def _fill(k: Any, c: Array, code: int, tick: Any) -> None:
         u[i] = k.K_D[i] * errors[1, i] + k.K_P[i] * errors[0, i]
     dtwist = demanded_dtwist(errors, u, twist, tick.twist_d, tick.dtwist_d)
     tick.tau_law[:] = inverse_dynamics_kernel(c, code, p, R, twist, dtwist, tick.wrench)
+
+
+class PoseInverseDynamics(LinearisingLaw):
+    """tau = J^-T (M dtwist* + H + G - wrench) + friction, all at the measured pose.
+
+    With an exact model dtwist = dtwist*, and that is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
+    rotation vector of the shortest turn from R to R_d (base frame), obeys e'' + K_D e' + K_P e = 0 in
+    all six components, exactly and for turns of any size below half a turn:
+
+    - position: dv* = dv_d + K_D (v_d - v) + K_P (p_d - p);
+    - rotation: E = R_d R^T = exp([r]x) turns with Omega = omega_d - E omega, hence r' = L(r)^-1 Omega with
+      L = d Omega / d r' (``hil.mathematics.rotations.rotation_vector_rate``), and
+      domega* = E^T (domega_d - Omega x E omega - Omega'*), Omega'* the Omega' of r'' = -K_D r' - K_P r.
+
+    Often omega_d - omega is put for r'. It is no derivative of r, not even to first order, where
+    r' = omega_d - omega - r x omega: that law's error dynamics change with the speed.
+
+    K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals, position first, axes of the base frame.
+    """
+
+    dtype = GAINS
+    fill = staticmethod(_fill)

@@ -37,7 +37,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick import TICK, Record
+from drivers.tick import TICK
 from hil.config.values import NonNegative
 from hil.control.law import (
     LAW_COLUMNS,
@@ -45,11 +45,10 @@ from hil.control.law import (
     ErrorDynamics,
     ErrorGains,
     LawContext,
+    LinearisingLaw,
     ModelBasedSettings,
-    gains,
 )
 from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
-from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import joint_idc_kernel
 
 GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("rho", "<f8"), ("epsilon", "<f8")])
@@ -97,25 +96,6 @@ class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         }
 
 
-class RobustInverseDynamics:
-    """ddq* = ddq_d + K_D de + K_P e + rho y / max(|y|, epsilon), y = de + K_D e / 2, by inverse dynamics.
-
-    e = q_d - q (6,) m, |y| over all legs. No mutable state.
-    """
-
-    def __init__(self, model: Model, K_P: Array, K_D: Array, rho: float, epsilon: float) -> None:
-        """K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals; rho in m/s^2, epsilon in m/s."""
-        self.model = model
-        self.gains = gains(GAINS, K_P, K_D, rho, epsilon)
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        _fill(self.gains, self.model.constants, self.model.code, tick)
-
-
 @direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
 def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
     ddq_star, y = np.empty(6), np.empty(6)
@@ -130,3 +110,14 @@ def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
         for i in range(6):
             ddq_star[i] += g.rho * (y[i] / size)
     tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)
+
+
+class RobustInverseDynamics(LinearisingLaw):
+    """ddq* = ddq_d + K_D de + K_P e + rho y / max(|y|, epsilon), y = de + K_D e / 2, by inverse dynamics.
+
+    e = q_d - q (6,) m, |y| over all legs. K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals; rho in m/s^2,
+    epsilon in m/s.
+    """
+
+    dtype = GAINS
+    fill = staticmethod(_fill)

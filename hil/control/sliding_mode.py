@@ -32,11 +32,17 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick import TICK, Record
+from drivers.tick import TICK
 from hil.config.values import NonNegative, Positive
-from hil.control.law import LAW_COLUMNS, DesiredLoop, ErrorDynamics, LawContext, ModelBasedSettings, gains
+from hil.control.law import (
+    LAW_COLUMNS,
+    DesiredLoop,
+    ErrorDynamics,
+    LawContext,
+    LinearisingLaw,
+    ModelBasedSettings,
+)
 from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
-from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import joint_idc_kernel
 
 GAINS = np.dtype([("slope", "<f8"), ("k", "<f8"), ("phi", "<f8")])
@@ -102,26 +108,6 @@ class SlidingModeSettings(ModelBasedSettings):
         }
 
 
-class SlidingMode:
-    """ddq* = ddq_d + lambda de + k sat(s / phi), s = de + lambda e, by exact inverse dynamics.
-
-    e = q_d - q (6,) m; sat(x) is x between -1 and 1, and sgn(s) stands for it where phi = 0, sgn(0) = 0.
-    No mutable state.
-    """
-
-    def __init__(self, model: Model, slope: float, k: float, phi: float) -> None:
-        """Take lambda in 1/s (``slope``), k in m/s^2 and phi in m/s, the same for all legs."""
-        self.model = model
-        self.gains = gains(GAINS, slope, k, phi)
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        _fill(self.gains, self.model.constants, self.model.code, tick)
-
-
 @direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
 def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
     ddq_star = np.empty(6)
@@ -131,3 +117,14 @@ def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
         switched = s / g.phi if abs(s) < g.phi else np.sign(s)
         ddq_star[i] = tick.ddq_d[i] + g.slope * de + g.k * switched
     tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)
+
+
+class SlidingMode(LinearisingLaw):
+    """ddq* = ddq_d + lambda de + k sat(s / phi), s = de + lambda e, by exact inverse dynamics.
+
+    e = q_d - q (6,) m; sat(x) is x between -1 and 1, and sgn(s) stands for it where phi = 0, sgn(0) = 0.
+    Gains: lambda in 1/s (``slope``), k in m/s^2 and phi in m/s, the same for all legs.
+    """
+
+    dtype = GAINS
+    fill = staticmethod(_fill)

@@ -13,24 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
-from hil.estimation.fusion_layout import (
-    DECIDED,
-    FADE,
-    FADES,
-    IMU,
-    KEPT,
-    LATCH,
-    LENGTH,
-    R_LENGTH,
-    R_RATE,
-    RATE,
-    TRACKER,
-    TRACKER_AT,
-    TWIST,
-    UNDECIDED,
-    USED,
-    T,
-)
+from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_predict import predict
 from hil.estimation.fusion_update import beyond, correct, leg_rows, take, update_gyro, update_tracker
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor
@@ -57,32 +40,32 @@ def interval(
         0:n]
     )  # fmt: skip
     dx[:] = 0.0
-    new = u[TRACKER] == UNDECIDED
-    for fades in range(FADES + 1):
+    new = u[k.TRACKER] == k.UNDECIDED
+    for fades in range(k.FADES + 1):
         if new:
-            u[TRACKER] = UNDECIDED
+            u[k.TRACKER] = k.UNDECIDED
         x[:] = x0
         P[:, :] = P0
         done = 0.0
-        if u[TRACKER] != 0.0:
-            done = u[TRACKER_AT] * u[T]
-            predict(x, P, u, c, done, u[FADE], F, W)
+        if u[k.TRACKER] != 0.0:
+            done = u[k.TRACKER_AT] * u[k.T]
+            predict(x, P, u, c, done, u[k.FADE], F, W)
             update_tracker(x, P, u, c, dx, h, K, Ph)
-        predict(x, P, u, c, u[T] - done, u[FADE], F, W)
+        predict(x, P, u, c, u[k.T] - done, u[k.FADE], F, W)
         count, last = beyond(a, b, x, P, u, c, h, g)
-        if u[DECIDED] != 0.0 or count == 0 or fades == FADES:
+        if u[k.DECIDED] != 0.0 or count == 0 or fades == k.FADES:
             break
-        if count == 1 and u[USED + last] < KEPT:
-            u[USED + last] = 0.0
+        if count == 1 and u[k.USED + last] < k.KEPT:
+            u[k.USED + last] = 0.0
             break
-        u[FADE] *= 100.0
-    u[DECIDED] = 1.0
+        u[k.FADE] *= 100.0
+    u[k.DECIDED] = 1.0
     for i in range(6):
-        if u[USED + i] != 0.0:
+        if u[k.USED + i] != 0.0:
             l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
-            take(P, h, c[R_LENGTH] + rate * rate * c[LATCH], u[LENGTH + i] - l, dx, K, Ph)
-            take(P, g, c[R_RATE], u[RATE + i] - rate, dx, K, Ph)
-    if u[IMU] != 0.0:
+            take(P, h, c[k.R_LENGTH] + rate * rate * c[k.LATCH], u[k.LENGTH + i] - l, dx, K, Ph)
+            take(P, g, c[k.R_RATE], u[k.RATE + i] - rate, dx, K, Ph)
+    if u[k.IMU] != 0.0:
         update_gyro(x, P, u, c, dx, h, K, Ph)
     correct(x, dx)
 
@@ -99,9 +82,9 @@ def rerun_kernel(
     n = covariances.shape[1]
     work = np.empty((2 * n + 5, n))
     for i in range(count):
-        k = (first + i) % size
-        before = (k + size - 1) % size
-        interval(a, b, c, intervals[k], states[before], covariances[before], states[k], covariances[k], work)
+        now = (first + i) % size
+        x0, P0 = states[(now + size - 1) % size], covariances[(now + size - 1) % size]
+        interval(a, b, c, intervals[now], x0, P0, states[now], covariances[now], work)
 
 
 @kernel(MATRIX, MATRIX, REAL, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_MATRIX)
@@ -120,10 +103,10 @@ def observed_kernel(
     for i in range(6):
         total = 0.0
         for j in range(6):
-            total += J[i, j] * x[TWIST + j]
+            total += J[i, j] * x[k.TWIST + j]
         dq[i] = total
-        error = abs(u[LENGTH + i] - q[i])
-        if u[USED + i] != 0.0 and not error <= residual:
+        error = abs(u[k.LENGTH + i] - q[i])
+        if u[k.USED + i] != 0.0 and not error <= residual:
             residual = error
     work = np.empty((25, 6))
     LU = work[0:6]

@@ -2,22 +2,7 @@
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kernel
-from hil.estimation.fusion_layout import (
-    DIFFERENCE,
-    DTWIST,
-    FORCE,
-    FORCE_BIAS,
-    GRADIENT,
-    GRAVITY,
-    IMU,
-    Q_FORCE_BIAS,
-    Q_GYRO_BIAS,
-    Q_V,
-    Q_W,
-    R_FORCE,
-    TWIST,
-    T,
-)
+from hil.estimation import fusion_layout as k
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale, sub
 from hil.robot.dynamics_kernels import forward_dynamics_kernel
 
@@ -52,34 +37,34 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
     """
     n = P.shape[0]
     R = rotation_of(x)
-    a = at(u, DTWIST)
-    turn = at(u, DTWIST + 3)
-    w = at(x, TWIST + 3)
-    q_v = c[Q_V]
+    a = at(u, k.DTWIST)
+    turn = at(u, k.DTWIST + 3)
+    w = at(x, k.TWIST + 3)
+    q_v = c[k.Q_V]
     F[:, :] = 0.0
     for i in range(n):
         F[i, i] = 1.0
     share = 0.0
-    if u[IMU] != 0.0 and u[T] > 0.0:
-        share = q_v / u[T]
-        share = share / (share + c[R_FORCE])
-        f = at(u, FORCE)
+    if u[k.IMU] != 0.0 and u[k.T] > 0.0:
+        share = q_v / u[k.T]
+        share = share / (share + c[k.R_FORCE])
+        f = at(u, k.FORCE)
         if n > 12:
-            f = sub(f, at(x, FORCE_BIAS))
+            f = sub(f, at(x, k.FORCE_BIAS))
         f = rotate(R, f)
-        a = add(a, scale(share, sub(add(f, at(c, GRAVITY)), a)))
+        a = add(a, scale(share, sub(add(f, at(c, k.GRAVITY)), a)))
         q_v *= 1.0 - share
-        k = share * dt  # dv changes by dtheta x f share dt
-        F[6, 4], F[6, 5], F[7, 3] = k * f[2], -k * f[1], -k * f[2]
-        F[7, 5], F[8, 3], F[8, 4] = k * f[0], k * f[1], -k * f[0]
+        gain = share * dt  # dv changes by dtheta x f share dt
+        F[6, 4], F[6, 5], F[7, 3] = gain * f[2], -gain * f[1], -gain * f[2]
+        F[7, 5], F[8, 3], F[8, 4] = gain * f[0], gain * f[1], -gain * f[0]
         if n > 12:
             for i in range(3):
                 for j in range(3):
-                    F[6 + i, 15 + j] = -k * R[i, j]
+                    F[6 + i, 15 + j] = -gain * R[i, j]
     for i in range(6):
         kept = dt * (1.0 - share) if i < 3 else dt
         for j in range(6):
-            F[6 + i, j] += kept * u[GRADIENT + 6 * i + j]
+            F[6 + i, j] += kept * u[k.GRADIENT + 6 * i + j]
     for i in range(3):
         for j in range(n):
             if j != 6 + i:
@@ -101,20 +86,20 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
     for i in range(n):
         for j in range(n):
             total = 0.0
-            for k in range(n):
-                total += F[i, k] * P[k, j]
+            for m in range(n):
+                total += F[i, m] * P[m, j]
             W[i, j] = total
     for i in range(n):
         for j in range(i, n):
             total = 0.0
-            for k in range(n):
-                total += W[i, k] * F[j, k]
+            for m in range(n):
+                total += W[i, m] * F[j, m]
             P[i, j] = total
-    add_process_noise(P, q_v * fade, c[Q_W] * fade, c[Q_GYRO_BIAS], c[Q_FORCE_BIAS], dt)
+    add_process_noise(P, q_v * fade, c[k.Q_W] * fade, c[k.Q_GYRO_BIAS], c[k.Q_FORCE_BIAS], dt)
     for i in range(3):
-        x[i] += dt * (x[TWIST + i] + 0.5 * dt * a[i])
-        x[TWIST + i] += dt * a[i]
-        x[TWIST + 3 + i] += dt * turn[i]
+        x[i] += dt * (x[k.TWIST + i] + 0.5 * dt * a[i])
+        x[k.TWIST + i] += dt * a[i]
+        x[k.TWIST + 3 + i] += dt * turn[i]
     exp_step(R, phi)
 
 
@@ -159,17 +144,15 @@ def accelerate_kernel(constants: Array, code: int, x: Array, tau: Array, wrench:
     twist = x[12:18].copy()
     there = forward_dynamics_kernel(constants, code, p, R, twist, tau, wrench)
     for i in range(6):
-        u[DTWIST + i] = there[i]
+        u[k.DTWIST + i] = there[i]
     for j in range(6):
         pj = p.copy()
         Rj = R.copy()
         if j < 3:
-            pj[j] += DIFFERENCE
+            pj[j] += k.DIFFERENCE
         else:
-            turn = (
-                DIFFERENCE if j == 3 else 0.0, DIFFERENCE if j == 4 else 0.0, DIFFERENCE if j == 5 else 0.0
-            )  # fmt: skip
-            exp_step(Rj, turn)
+            d = k.DIFFERENCE
+            exp_step(Rj, (d if j == 3 else 0.0, d if j == 4 else 0.0, d if j == 5 else 0.0))
         moved = forward_dynamics_kernel(constants, code, pj, Rj, twist, tau, wrench)
         for i in range(6):
-            u[GRADIENT + 6 * i + j] = (moved[i] - there[i]) / DIFFERENCE
+            u[k.GRADIENT + 6 * i + j] = (moved[i] - there[i]) / k.DIFFERENCE

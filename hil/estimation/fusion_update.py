@@ -4,31 +4,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
-from hil.estimation.fusion_layout import (
-    DTWIST,
-    FORCE_BIAS,
-    GATE,
-    GYRO,
-    GYRO_BIAS,
-    IMU_AT,
-    INNOVATION,
-    LATCH,
-    LENGTH,
-    R_GYRO,
-    R_LENGTH,
-    R_POSITION,
-    R_RATE,
-    R_ROTATION,
-    RATE,
-    TRACKER,
-    TRACKER_INNOVATION,
-    TRACKER_P,
-    TRACKER_R,
-    TWIST,
-    UNDECIDED,
-    USED,
-    T,
-)
+from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_predict import exp_step, rotation_of, variance_of
 from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
@@ -74,11 +50,11 @@ def correct(x: Array, dx: Array) -> None:
     """Apply the correction dx (n,) to x, and clear it."""
     for i in range(3):
         x[i] += dx[i]
-        x[TWIST + i] += dx[6 + i]
-        x[TWIST + 3 + i] += dx[9 + i]
+        x[k.TWIST + i] += dx[6 + i]
+        x[k.TWIST + 3 + i] += dx[9 + i]
         if dx.shape[0] > 12:
-            x[GYRO_BIAS + i] += dx[12 + i]
-            x[FORCE_BIAS + i] += dx[15 + i]
+            x[k.GYRO_BIAS + i] += dx[12 + i]
+            x[k.FORCE_BIAS + i] += dx[15 + i]
     R = rotation_of(x)
     exp_step(R, at(dx, 3))
     orthonormalise(R)
@@ -95,8 +71,8 @@ def leg_rows(a: Vector, b: Vector, x: Array, h: Array, g: Array) -> tuple[float,
     R = rotation_of(x)
     r = rotate(R, b)
     l, s = leg(a, r, at(x, 0))
-    v = at(x, TWIST)
-    w = at(x, TWIST + 3)
+    v = at(x, k.TWIST)
+    w = at(x, k.TWIST + 3)
     u = add(v, cross(w, r))
     rate = dot(s, u)
     ds = scale(1.0 / l, sub(u, scale(rate, s)))
@@ -121,11 +97,12 @@ def beyond(a: Array, b: Array, x: Array, P: Array, u: Array, c: Array, h: Array,
     last = 0
     for i in range(6):
         l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
-        u[INNOVATION + i] = u[LENGTH + i] - l
-        if u[USED + i] == 0.0:
+        u[k.INNOVATION + i] = u[k.LENGTH + i] - l
+        if u[k.USED + i] == 0.0:
             continue
-        far = u[INNOVATION + i] ** 2 > c[GATE] * (variance_of(P, h) + c[R_LENGTH] + rate * rate * c[LATCH])
-        fast = (u[RATE + i] - rate) ** 2 > c[GATE] * (variance_of(P, g) + c[R_RATE])
+        spread = variance_of(P, h) + c[k.R_LENGTH] + rate * rate * c[k.LATCH]
+        far = u[k.INNOVATION + i] ** 2 > c[k.GATE] * spread
+        fast = (u[k.RATE + i] - rate) ** 2 > c[k.GATE] * (variance_of(P, g) + c[k.R_RATE])
         if far or fast:
             count += 1
             last = i
@@ -136,27 +113,27 @@ def beyond(a: Array, b: Array, x: Array, P: Array, u: Array, c: Array, h: Array,
 def update_tracker(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: Array, Ph: Array) -> None:
     """Use the tracker's pose at the state's instant, unless a number of it lies beyond the gate."""
     R = rotation_of(x)
-    Z = u[TRACKER_R : TRACKER_R + 9].reshape(3, 3)
+    Z = u[k.TRACKER_R : k.TRACKER_R + 9].reshape(3, 3)
     turned = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             turned[i, j] = Z[i, 0] * R[j, 0] + Z[i, 1] * R[j, 1] + Z[i, 2] * R[j, 2]
     angle = rotation_vector_kernel(turned)
     for i in range(3):
-        u[TRACKER_INNOVATION + i] = u[TRACKER_P + i] - x[i]
-        u[TRACKER_INNOVATION + 3 + i] = angle[i]
-    if u[TRACKER] == UNDECIDED:
-        u[TRACKER] = 1.0
+        u[k.TRACKER_INNOVATION + i] = u[k.TRACKER_P + i] - x[i]
+        u[k.TRACKER_INNOVATION + 3 + i] = angle[i]
+    if u[k.TRACKER] == k.UNDECIDED:
+        u[k.TRACKER] = 1.0
         for i in range(6):
-            r = c[R_POSITION] if i < 3 else c[R_ROTATION]
-            if u[TRACKER_INNOVATION + i] ** 2 > c[GATE] * (P[i, i] + r):
-                u[TRACKER] = -1.0
-    if u[TRACKER] < 0.0:
+            r = c[k.R_POSITION] if i < 3 else c[k.R_ROTATION]
+            if u[k.TRACKER_INNOVATION + i] ** 2 > c[k.GATE] * (P[i, i] + r):
+                u[k.TRACKER] = -1.0
+    if u[k.TRACKER] < 0.0:
         return
     for i in range(6):
         h[:] = 0.0
         h[i] = 1.0
-        take(P, h, c[R_POSITION] if i < 3 else c[R_ROTATION], u[TRACKER_INNOVATION + i], dx, K, Ph)
+        take(P, h, c[k.R_POSITION] if i < 3 else c[k.R_ROTATION], u[k.TRACKER_INNOVATION + i], dx, K, Ph)
     correct(x, dx)
 
 
@@ -167,9 +144,9 @@ def update_gyro(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: 
     R^T changes by -R^T [dtheta]x: d(R^T omega) = R^T (domega + omega x dtheta).
     """
     R = rotation_of(x)
-    w = at(x, TWIST + 3)
-    left = (1.0 - u[IMU_AT]) * u[T]
-    expected = rotate_back(R, sub(w, scale(left, at(u, DTWIST + 3))))
+    w = at(x, k.TWIST + 3)
+    left = (1.0 - u[k.IMU_AT]) * u[k.T]
+    expected = rotate_back(R, sub(w, scale(left, at(u, k.DTWIST + 3))))
     for i in range(3):
         column = (R[0, i], R[1, i], R[2, i])
         turned = cross(column, w)  # column . (omega x dtheta) = dtheta . (column x omega)
@@ -180,5 +157,5 @@ def update_gyro(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: 
             h[9 + j] = column[j]
         if P.shape[0] > 12:
             h[12 + i] = 1.0
-            bias = x[GYRO_BIAS + i]
-        take(P, h, c[R_GYRO], u[GYRO + i] - expected[i] - bias, dx, K, Ph)
+            bias = x[k.GYRO_BIAS + i]
+        take(P, h, c[k.R_GYRO], u[k.GYRO + i] - expected[i] - bias, dx, K, Ph)

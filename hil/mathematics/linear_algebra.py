@@ -133,6 +133,18 @@ def largest_eigenvalue_bound(A: Array, B: Array) -> float:
 
 
 @helper
+def fill_gram(A: Array, r: float, G: Array) -> None:
+    """Fill G = (A S)^T (A S), S = diag(1, 1, 1, r, r, r); all (6, 6)."""
+    for i in range(6):
+        for j in range(i, 6):
+            total = 0.0
+            for m in range(6):
+                total += A[m, i] * A[m, j]
+            G[i, j] = total * (1.0 if i < 3 else r) * (1.0 if j < 3 else r)
+            G[j, i] = G[i, j]
+
+
+@helper
 def condition_from_lu(J: Array, r: float, LU: Array, order: Ints, work: Array) -> float:
     """Return the bound of ``condition_kernel`` from J and its LU factors; ``work`` is scratch (19, 6)."""
     A = work[0:6]
@@ -144,21 +156,9 @@ def condition_from_lu(J: Array, r: float, LU: Array, order: Ints, work: Array) -
         unit[j] = 1.0
         lu_solve(LU, order, unit, K[j])  # row j of K is column j of the inverse
         unit[j] = 0.0
-    for i in range(6):
-        for j in range(i, 6):
-            total = 0.0
-            for m in range(6):
-                total += J[m, i] * J[m, j]
-            A[i, j] = total * (1.0 if i < 3 else 1.0 / r) * (1.0 if j < 3 else 1.0 / r)
-            A[j, i] = A[i, j]
+    fill_gram(J, 1.0 / r, A)
     largest = largest_eigenvalue_bound(A, B)
-    for i in range(6):
-        for j in range(i, 6):
-            total = 0.0
-            for m in range(6):
-                total += K[m, i] * K[m, j]
-            A[i, j] = total * (1.0 if i < 3 else r) * (1.0 if j < 3 else r)
-            A[j, i] = A[i, j]
+    fill_gram(K, r, A)
     return float(np.sqrt(largest * largest_eigenvalue_bound(A, B)))
 
 

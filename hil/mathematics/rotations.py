@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel
-from hil.mathematics.vectors import Vector, add, at, cross, dot, scale
+from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale
 
 _TERMS = 24
 """Enough for |r| <= 2 pi at rounding."""
@@ -112,12 +112,9 @@ def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector,
 @kernel(VECTOR, VECTOR, VECTOR)
 def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
     """Return R, omega and alpha as `rotation_motion`, as arrays."""
-    R, omega, alpha = np.empty((3, 3)), np.empty(3), np.empty(3)
-    w, dw = rotation_motion(at(r, 0), at(dr, 0), at(ddr, 0), R)
-    for i in range(3):
-        omega[i] = w[i]
-        alpha[i] = dw[i]
-    return R, omega, alpha
+    R = np.empty((3, 3))
+    omega, alpha = rotation_motion(at(r, 0), at(dr, 0), at(ddr, 0), R)
+    return R, np.array(omega), np.array(alpha)
 
 
 @kernel(VECTOR, VECTOR)
@@ -127,55 +124,35 @@ def rotation_vector_rate(r: Array, omega: Array) -> Array:
     The inverse of omega(r, dr) of ``rotation_motion_kernel``: dr = omega - r x omega / 2 + D r x (r x omega),
     D = (2 B - A) / (2 B x), its numerator as a power series in x, too (Bullo and Murray, 1995). |r| < 2 pi.
     """
-    rv = (r[0], r[1], r[2])
-    w = (omega[0], omega[1], omega[2])
+    rv, w = at(r, 0), at(omega, 0)
     x = dot(rv, rv)
     B, _ = _series(_COSINE, x)
     N, _ = _series(_INVERSE, x)
     rxw = cross(rv, w)
-    dr = add(w, add(scale(-0.5, rxw), scale(N / (2.0 * B), cross(rv, rxw))))
-    rate = np.empty(3)
-    for i in range(3):
-        rate[i] = dr[i]
-    return rate
+    return np.array(add(w, add(scale(-0.5, rxw), scale(N / (2.0 * B), cross(rv, rxw)))))
 
 
 @kernel(MATRIX)
 def rotation_vector_kernel(R: Array) -> Array:
     """Return r with exp([r]x) = R, |r| <= pi, from the unit quaternion and a halved arc tangent. R (3, 3)."""
     # Largest of w, x, y, z first: no small divisor.
-    q = np.empty(4)
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     if trace > 0.0:
-        q[0] = 1.0 + trace
-        q[1] = R[2, 1] - R[1, 2]
-        q[2] = R[0, 2] - R[2, 0]
-        q[3] = R[1, 0] - R[0, 1]
+        w, v = 1.0 + trace, (R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
     elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
-        q[0] = R[2, 1] - R[1, 2]
-        q[1] = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
-        q[2] = R[0, 1] + R[1, 0]
-        q[3] = R[0, 2] + R[2, 0]
+        w, v = R[2, 1] - R[1, 2], (1.0 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0])
     elif R[1, 1] >= R[2, 2]:
-        q[0] = R[0, 2] - R[2, 0]
-        q[1] = R[0, 1] + R[1, 0]
-        q[2] = 1.0 + R[1, 1] - R[0, 0] - R[2, 2]
-        q[3] = R[1, 2] + R[2, 1]
+        w, v = R[0, 2] - R[2, 0], (R[0, 1] + R[1, 0], 1.0 + R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1])
     else:
-        q[0] = R[1, 0] - R[0, 1]
-        q[1] = R[0, 2] + R[2, 0]
-        q[2] = R[1, 2] + R[2, 1]
-        q[3] = 1.0 + R[2, 2] - R[0, 0] - R[1, 1]
-    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    sign = -1.0 if q[0] < 0.0 else 1.0
-    cosine = sign * q[0] / norm
-    sine = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) / norm  # of half the angle
+        w, v = R[1, 0] - R[0, 1], (R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 + R[2, 2] - R[0, 0] - R[1, 1])
+    norm = np.sqrt(w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    sign = -1.0 if w < 0.0 else 1.0
+    c, s = sign * w / norm, np.sqrt(dot(v, v)) / norm  # of half the angle
     r = np.zeros(3)
-    if sine == 0.0:
+    if s == 0.0:
         return r
     # The angle is 2 * 8 * atan of the tangent of an eighth of the half angle, at most tan(pi/16).
-    s = sine
-    c = cosine
+    sine = s
     for _ in range(3):
         h = np.sqrt(0.5 * (1.0 + c))
         s = s / (2.0 * h)
@@ -188,7 +165,7 @@ def rotation_vector_kernel(R: Array) -> Array:
         total = (-total) * x + 1.0 / (2 * n + 1)
     angle = 16.0 * t * total
     for i in range(3):
-        r[i] = sign * q[i + 1] / norm / sine * angle
+        r[i] = sign * v[i] / norm / sine * angle
     return r
 
 
@@ -205,11 +182,7 @@ def relative_rotation(R0: Array, R1: Array) -> Array:
 @kernel(MATRIX, VECTOR)
 def turned(R: Array, x: Array) -> Array:
     """Return [R x[:3]; R x[3:]], (6,): a twist or wrench of the platform frame in the base frame."""
-    y = np.empty(6)
-    for i in range(3):
-        y[i] = R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
-        y[3 + i] = R[i, 0] * x[3] + R[i, 1] * x[4] + R[i, 2] * x[5]
-    return y
+    return np.array(rotate(R, at(x, 0)) + rotate(R, at(x, 3)))
 
 
 def rotation_from_vector(r: Array) -> Array:

@@ -126,8 +126,7 @@ class Calibration:
 
 def predicted(platform: Platform, measured: Measurements) -> Array:
     """Leg lengths (n, 6) m that `platform` has at the measured poses: |p + R b_i - a_i|."""
-    theta = _start(platform)
-    return _model(theta, measured.p, measured.rotations())[0]
+    return _model(_start(platform), measured.p, measured.rotations())[0]
 
 
 def start_offsets(platform: Platform, measured: Measurements) -> Array:
@@ -210,9 +209,7 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
         dof=dof,
         chi_square=chi_square if given else None,
         p_value=float(gammaincc(dof / 2, chi_square / 2)) if given else None,
-        sigma=float(np.sqrt(np.mean(measured.length_std**2)))
-        if measured.length_std is not None
-        else float(np.sqrt(scale)),
+        sigma=float(np.sqrt(scale if measured.length_std is None else np.mean(measured.length_std**2))),
         undetermined=tuple(c for leg in range(6) for c in _combinations(leg, lost[leg])),
         weak=tuple(c for leg in range(6) for c in _weak(leg, covariance)),
     )
@@ -313,8 +310,7 @@ def _combinations(leg: int, V: Array) -> list[Combination]:
 
 
 def _weak(leg: int, covariance: Array) -> list[Combination]:
-    block = covariance[7 * leg : 7 * leg + 7, 7 * leg : 7 * leg + 7]
-    variance, V = np.linalg.eigh(block)
+    variance, V = np.linalg.eigh(covariance[7 * leg : 7 * leg + 7, 7 * leg : 7 * leg + 7])
     return [
         Combination(leg, _named(V[:, j]), float(np.sqrt(variance[j])))
         for j in range(6, -1, -1)

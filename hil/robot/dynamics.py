@@ -109,10 +109,10 @@ class Model:
         constants = pack_constants(
             platform, inertia_scale, spin=leg_spin == "universal", massless_legs=variant == "massless_legs"
         )
-        reflected = inertia_scale * _per_leg("reflected_mass", "kg", reflected_mass)
+        reflected = inertia_scale * _not_negative("reflected_mass", "kg", reflected_mass)
         constants[kernels.REFLECTED : kernels.REFLECTED + 6] = reflected
-        constants[kernels.VISCOUS : kernels.VISCOUS + 6] = _per_leg("viscous", "N s/m", viscous)
-        constants[kernels.COULOMB : kernels.COULOMB + 6] = _per_leg("coulomb", "N", coulomb)
+        constants[kernels.VISCOUS : kernels.VISCOUS + 6] = _not_negative("viscous", "N s/m", viscous)
+        constants[kernels.COULOMB : kernels.COULOMB + 6] = _not_negative("coulomb", "N", coulomb)
         constants[kernels.SLIDING_SPEED] = _not_negative("sliding_speed", "m/s", sliding_speed, ())
         if variant in ("constant", "constant_MG"):
             if frozen_at is None:
@@ -314,7 +314,7 @@ def pack_constants(
     return c
 
 
-def _not_negative(name: str, unit: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _not_negative(name: str, unit: str, value: ArrayLike, shape: tuple[int, ...] = (6,)) -> Array:
     try:
         x = np.asarray(value, np.float64)
     except (TypeError, ValueError):
@@ -323,10 +323,6 @@ def _not_negative(name: str, unit: str, value: ArrayLike, shape: tuple[int, ...]
         allowed = "a finite number >= 0" + (" for all legs, or six of them" if shape else "")
         raise ModelError(f"{name}: got {value!r} {unit}, allowed is {allowed}")
     return np.broadcast_to(x, shape)
-
-
-def _per_leg(name: str, unit: str, value: ArrayLike) -> Array:
-    return _not_negative(name, unit, value, (6,))
 
 
 def _wrench(wrench: ArrayLike | None) -> Array:

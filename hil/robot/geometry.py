@@ -6,7 +6,7 @@ No mathematics but the checks.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -123,17 +123,12 @@ class Platform:
         GeometryError
             Where a key is missing or its value cannot be used.
         """
-        body = _section(d, "platform", ("mass", "com", "inertia"))
-        legs = {
-            name: _section(d, name, ("mass", "com", "inertia_axial", "inertia_transverse"))
-            for name in ("cylinder", "rod")
-        }
         return cls(
             base_joints=_get(d, "base_joints"),
             platform_joints=_get(d, "platform_joints"),
-            platform=Body(**body),
-            cylinder=LegBody(**legs["cylinder"]),
-            rod=LegBody(**legs["rod"]),
+            platform=_section(d, "platform", Body),
+            cylinder=_section(d, "cylinder", LegBody),
+            rod=_section(d, "rod", LegBody),
             gravity=_get(d, "gravity"),
             universal_joint_base_axes=d.get("universal_joint_base_axes"),
         )
@@ -141,15 +136,6 @@ class Platform:
     def to_dict(self) -> dict[str, Any]:
         """Return plain lists and floats that ``from_dict`` takes."""
         axes = self.universal_joint_base_axes
-        legs = {
-            name: {
-                "mass": body.mass,
-                "com": body.com,
-                "inertia_axial": body.inertia_axial,
-                "inertia_transverse": body.inertia_transverse,
-            }
-            for name, body in (("cylinder", self.cylinder), ("rod", self.rod))
-        }
         return {
             "base_joints": self.base_joints.tolist(),
             "platform_joints": self.platform_joints.tolist(),
@@ -158,7 +144,8 @@ class Platform:
                 "com": self.platform.com.tolist(),
                 "inertia": self.platform.inertia.tolist(),
             },
-            **legs,
+            "cylinder": asdict(self.cylinder),
+            "rod": asdict(self.rod),
             "gravity": self.gravity.tolist(),
             **({} if axes is None else {"universal_joint_base_axes": axes.tolist()}),
         }
@@ -171,19 +158,16 @@ def _get(d: Mapping[str, Any], key: str, inside: str = "") -> Any:
         raise GeometryError(inside + key, "nothing", "a value: the key is required") from None
 
 
-def _section(d: Mapping[str, Any], name: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    section = _get(d, name)
+def _section(d: Mapping[str, Any], name: str, kind: type[Body | LegBody]) -> Any:
+    section, keys = _get(d, name), [field.name for field in fields(kind)]
     if not isinstance(section, Mapping):
         raise GeometryError(name, section, "a mapping with " + ", ".join(keys))
     unknown = set(section) - set(keys)
     if unknown:
         raise GeometryError(name, ", ".join(sorted(map(str, unknown))), "only " + ", ".join(keys))
-    found = {
-        key: section.get(key) if key == "inertia_axial" else _get(section, key, name + ".") for key in keys
-    }
-    if "inertia_axial" in found and found["inertia_axial"] is None:
-        found["inertia_axial"] = 0.0
-    return found
+    if section.get("inertia_axial") is None and "inertia_axial" in keys:
+        section = {**section, "inertia_axial": 0.0}
+    return kind(**{key: _get(section, key, name + ".") for key in keys})
 
 
 def _array(where: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

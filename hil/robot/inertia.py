@@ -76,11 +76,8 @@ def combine(bodies: Sequence[Body]) -> Body:
 
     m = sum m_k, com = sum m_k c_k / m, I = sum [I_k + m_k (d_k.d_k 1 - d_k d_k^T)], d_k = c_k - com.
     """
-    mass, moment = 0.0, np.zeros(3)
-    for body in bodies:
-        mass += body.mass
-        moment = moment + body.mass * np.asarray(body.com, np.float64)
-    com = moment / mass
+    mass = sum(body.mass for body in bodies)
+    com = sum((body.mass * np.asarray(body.com, np.float64) for body in bodies), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for body in bodies:
         inertia = inertia + np.asarray(body.inertia, np.float64) + steiner(body.mass, body.com - com)

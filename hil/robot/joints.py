@@ -52,8 +52,9 @@ def in_pairs(
     """
     half = spacing / 2
     depth = math.sqrt(radius**2 - half**2)
-    rows = []
-    for c, s in map(_about_z, centres_deg):
-        for side in (-half, half):
-            rows.append([c * depth - s * side, s * depth + c * side, z])
+    rows = [
+        [c * depth - s * side, s * depth + c * side, z]
+        for c, s in map(_about_z, centres_deg)
+        for side in (-half, half)
+    ]
     return np.array(rows if begin == "first_leg" else [rows[-1], *rows[:-1]])

@@ -47,14 +47,19 @@ class Pose(NamedTuple):
     """m, largest difference between a given length and that of the pose."""
 
 
-def check_vector(name: str, value: ArrayLike, size: int) -> Array:
-    """Return ``value`` as a contiguous float64 vector; KinematicsError if not finite or not of that size."""
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: str) -> Array:
     try:
         x = np.ascontiguousarray(value, np.float64)
     except (TypeError, ValueError):
-        raise KinematicsError(f"{name}: got {value!r}, allowed are {size} numbers", **{name: value}) from None
-    if x.shape != (size,):
-        raise KinematicsError(f"{name}: got shape {x.shape}, allowed is ({size},)", **{name: x})
+        raise KinematicsError(f"{name}: got {value!r}, allowed {allowed}", **{name: value}) from None
+    if x.shape != shape:
+        raise KinematicsError(f"{name}: got shape {x.shape}, allowed is {shape}", **{name: x})
+    return x
+
+
+def check_vector(name: str, value: ArrayLike, size: int) -> Array:
+    """Return ``value`` as a contiguous float64 vector; KinematicsError if not finite or not of that size."""
+    x = _shaped(name, value, (size,), f"are {size} numbers")
     if not np.isfinite(x).all():
         raise KinematicsError(f"{name}: got {x.tolist()}, allowed are finite numbers", **{name: x})
     return x
@@ -62,12 +67,7 @@ def check_vector(name: str, value: ArrayLike, size: int) -> Array:
 
 def check_rotation(R: ArrayLike) -> Array:
     """Return ``R`` as a contiguous float64 (3, 3); KinematicsError if it is no rotation."""
-    try:
-        x = np.ascontiguousarray(R, np.float64)
-    except (TypeError, ValueError):
-        raise KinematicsError(f"R: got {R!r}, allowed is a 3x3 rotation matrix", R=R) from None
-    if x.shape != (3, 3):
-        raise KinematicsError(f"R: got shape {x.shape}, allowed is (3, 3)", R=x)
+    x = _shaped("R", R, (3, 3), "is a 3x3 rotation matrix")
     error = float(np.abs(x.T @ x - np.eye(3)).max())
     determinant = float(np.dot(x[0], np.cross(x[1], x[2])))
     if not error <= ROTATION_TOLERANCE or determinant < 0:

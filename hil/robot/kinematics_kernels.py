@@ -33,12 +33,9 @@ def lengths_and_jacobian(a: Array, b: Array, p: Array, R: Array, l: Array, J: Ar
         r = rotate(R, row(b, i))
         l[i], s = leg(row(a, i), r, position)
         m = cross(r, s)
-        J[i, 0] = s[0]
-        J[i, 1] = s[1]
-        J[i, 2] = s[2]
-        J[i, 3] = m[0]
-        J[i, 4] = m[1]
-        J[i, 5] = m[2]
+        for j in range(3):
+            J[i, j] = s[j]
+            J[i, 3 + j] = m[j]
 
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX)
@@ -78,12 +75,9 @@ def jacobian_rate_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array) -
         l, s = leg(row(a, i), r, at(p, 0))
         _, _, ds = leg_motion(l, s, r, v, w)
         m = add(cross(cross(w, r), s), cross(r, ds))
-        Jdot[i, 0] = ds[0]
-        Jdot[i, 1] = ds[1]
-        Jdot[i, 2] = ds[2]
-        Jdot[i, 3] = m[0]
-        Jdot[i, 4] = m[1]
-        Jdot[i, 5] = m[2]
+        for j in range(3):
+            Jdot[i, j] = ds[j]
+            Jdot[i, 3 + j] = m[j]
     return Jdot
 
 
@@ -150,9 +144,8 @@ def newton(
         if previous > FLOOR:
             hop = max(hop, 8.0 * size / previous)
         previous = size
-        p[0] += step[0]
-        p[1] += step[1]
-        p[2] += step[2]
+        for i in range(3):
+            p[i] += step[i]
         cayley_step(R, at(step, 3))
     return max_iterations, np.inf, hop
 

@@ -3,8 +3,6 @@
 A full queue and a dead bus look the same; only time tells them apart.
 """
 
-from __future__ import annotations
-
 from drivers.compiled.compiler import helper
 from hil.safety.history import HISTORY, ones
 

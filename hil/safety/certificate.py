@@ -12,8 +12,6 @@ for each axis: `bound` is the smallest of what all ticks since the start of the 
 its certificate where W - noise > bound.
 """
 
-from __future__ import annotations
-
 from math import nan, sqrt
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Each limit works in place on tau (6,) N and tells whether it acted. All three al
 that any order of them leaves something to send.
 """
 
-from __future__ import annotations
-
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 

@@ -3,8 +3,6 @@
 Written so that a value that is not a number faults.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 LEGS = range(6)

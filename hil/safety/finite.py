@@ -1,7 +1,5 @@
 """Rule: every number is finite."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Array

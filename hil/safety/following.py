@@ -1,7 +1,5 @@
 """Rule on tracking: the leg error against a limit that grows with the commanded speed."""
 
-from __future__ import annotations
-
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 

@@ -1,7 +1,5 @@
 """Safety: all rules of one tick in a fixed order, between the law and the bus."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal, NamedTuple
 

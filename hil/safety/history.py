@@ -1,7 +1,5 @@
 """What a rule remembers of past ticks, as bits of one integer."""
 
-from __future__ import annotations
-
 from drivers.compiled.compiler import helper
 
 HISTORY = 32

@@ -1,7 +1,5 @@
 """The rules of one tick fused into one kernel: what faults, and how far the forces may go."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

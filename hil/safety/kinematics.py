@@ -3,8 +3,6 @@
 Each rule is written so that a value that is not a number faults.
 """
 
-from __future__ import annotations
-
 from drivers.compiled.compiler import helper
 
 HOP = 1.0

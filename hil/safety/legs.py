@@ -1,7 +1,5 @@
 """Rules on what the drives say: how long ago, and in which state."""
 
-from __future__ import annotations
-
 from drivers.arrays import Ints
 from drivers.compiled.compiler import helper
 from drivers.signals import DriveState

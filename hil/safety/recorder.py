@@ -1,7 +1,5 @@
 """Rule on the recorder: the run can go on without it, but not silently."""
 
-from __future__ import annotations
-
 from drivers.compiled.compiler import helper
 
 

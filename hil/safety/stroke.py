@@ -1,7 +1,5 @@
 """Rules on leg length and speed: hard ends, braking distance before the soft ends, top speed."""
 
-from __future__ import annotations
-
 import math
 
 from drivers.arrays import Array

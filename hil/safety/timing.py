@@ -3,8 +3,6 @@
 Integer arithmetic on what the tick says about itself.
 """
 
-from __future__ import annotations
-
 from drivers.compiled.compiler import helper
 from hil.safety.history import HISTORY, ones
 

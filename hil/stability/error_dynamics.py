@@ -123,10 +123,8 @@ def tightest_alpha(K_P: float, K_D: float) -> float:
     for _ in range(200):
         middle = (low + high) / 2.0
         u = middle - K_D / 2.0
-        if ((4.0 * u + 1.5 * K_D) * u + 2.0 * kappa) * u + kappa * K_D / 2.0 < 0.0:
-            low = middle
-        else:
-            high = middle
+        rises = ((4.0 * u + 1.5 * K_D) * u + 2.0 * kappa) * u + kappa * K_D / 2.0 < 0.0
+        low, high = (middle, high) if rises else (low, middle)
     return (low + high) / 2.0
 
 

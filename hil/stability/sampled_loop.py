@@ -89,10 +89,7 @@ def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
 
 def sampled_controller(controller: LinearController) -> LinearSystem:
     """Return a file's controller as a system from [e, de] to u."""
-    columns = {"error": 0, "rate_error": 1}
-    chosen = np.zeros((len(controller.inputs), 2))
-    for row, name in enumerate(controller.inputs):
-        chosen[row, columns[name]] = 1.0
+    chosen = np.eye(2)[[("error", "rate_error").index(name) for name in controller.inputs]]
     n, m = len(controller.A), len(controller.inputs)
     B = np.array(controller.B, float).reshape(n, m) @ chosen
     A, C = np.array(controller.A, float).reshape(n, n), np.array(controller.C, float)

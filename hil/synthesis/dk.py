@@ -174,11 +174,9 @@ def dk_iteration(
             f"round {k + 1}: gamma {made.gamma:.3f}, mu <= {found.peak:.3f} at {found.peak_rad_s:.0f} rad/s"
         )
         falls = found.peak < (1.0 - GAIN) * best.bounds.peak
-        best = (
-            Iterated(made.K, found, history)
-            if found.peak < best.bounds.peak
-            else best._replace(history=history)
-        )
+        if found.peak < best.bounds.peak:
+            best = Iterated(made.K, found, history)
+        best = best._replace(history=history)
         if not falls:
             break
     if best.bounds.peak >= 1.0:

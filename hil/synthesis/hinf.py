@@ -87,12 +87,8 @@ def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
     B1, B2, C1, C2 = B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:]
     D11, D12, D21, D22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
     _require(A, B2, lambda real: real > -AXIS, "does not decay and cannot be moved by u")
-    _require(
-        A.T,
-        C2.T,
-        lambda real: real > -AXIS,
-        "does not decay and is not seen in y; is it a weight that integrates?",
-    )
+    unseen = "does not decay and is not seen in y; is it a weight that integrates?"
+    _require(A.T, C2.T, lambda real: real > -AXIS, unseen)
     U, s, Vt = np.linalg.svd(D12)
     if n_z < n_u or s[-1] <= RANK * s[0]:
         raise SynthesisError(
@@ -151,18 +147,15 @@ def _optimum(plant: _Normal) -> float:
     top, left = plant.D11[: len(plant.D11) - m2], plant.D11[:, : plant.D11.shape[1] - p2]
     low = max([0.0, *(float(np.linalg.norm(M, 2)) for M in (top, left) if M.size)])
     high = max(2.0 * low, 1.0)
-    while not _feasible(plant, high):
+    while _riccati(plant, high) is None:
         low, high = high, 4.0 * high
         if high > 1e15:
             raise SynthesisError("no gamma below 1e15 will do: numbers of the plant are too far apart")
-    while low == 0.0 and _feasible(plant, high / 4.0) and high > 1e-15:
+    while low == 0.0 and _riccati(plant, high / 4.0) and high > 1e-15:
         high /= 4.0
     while high - low > TOLERANCE * high:
         middle = 0.5 * (low + high)
-        if _feasible(plant, middle):
-            high = middle
-        else:
-            low = middle
+        low, high = (low, middle) if _riccati(plant, middle) else (middle, high)
     return high
 
 
@@ -171,10 +164,6 @@ class _Riccati(NamedTuple):
     Y: Array
     F: Array
     L: Array
-
-
-def _feasible(plant: _Normal, gamma: float) -> bool:
-    return _riccati(plant, gamma) is not None
 
 
 def _riccati(plant: _Normal, gamma: float) -> _Riccati | None:
@@ -259,6 +248,4 @@ def _central(plant: _Normal, gamma: float) -> LinearSystem | None:
     if not D22.any():
         return K
     E = np.linalg.inv(np.eye(m2) + K.D @ D22)  # u = K (y - D22 u)
-    return LinearSystem(
-        K.A - K.B @ D22 @ E @ K.C, K.B - K.B @ D22 @ E @ K.D, E @ K.C, E @ K.D
-    )  # fmt: skip
+    return LinearSystem(K.A - K.B @ D22 @ E @ K.C, K.B - K.B @ D22 @ E @ K.D, E @ K.C, E @ K.D)

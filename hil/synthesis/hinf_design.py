@@ -52,17 +52,13 @@ class Designed(NamedTuple):
     figures: dict[str, Any]
 
 
+@computable()
 def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
     """Return the controller of the smallest gamma, within 1.1 of the optimum, that a loop can run.
 
     Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
     message says which and what would help.
     """
-    with computable():
-        return _first_usable(design, axis, progress)
-
-
-def _first_usable(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
     P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
     n_y = len(design.inputs)
     reasons: tuple[str, ...] = ()
@@ -93,9 +89,7 @@ def channels(closed: LinearSystem, inputs: Sequence[str]) -> dict[str, float]:
     found = {}
     for i, effect in enumerate(("error", "control")):
         for j, cause in enumerate(causes):
-            one = LinearSystem(
-                closed.A, closed.B[:, [j]], closed.C[[i]], closed.D[[i]][:, [j]], closed.period_s
-            )  # fmt: skip
+            one = closed._replace(B=closed.B[:, [j]], C=closed.C[[i]], D=closed.D[[i]][:, [j]])
             found[f"{cause} to {effect}"] = norm(one).value
     return found
 

@@ -49,17 +49,13 @@ def mu_grid(rate_Hz: float) -> Array:
     return np.asarray(np.geomspace(*SPAN, POINTS) * pi * rate_Hz)
 
 
+@computable()
 def design_mu(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
     """Return the controller of the least mu that D-K iteration comes to.
 
     Raises SynthesisError: no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
     the message says which and what would help.
     """
-    with computable():
-        return _designed(design, axis, progress)
-
-
-def _designed(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
     if design.uncertainty is None:
         raise SynthesisError(
             "the design has no section uncertainty, allowed: inertia, transport_ms, drive_bandwidth_Hz; or "

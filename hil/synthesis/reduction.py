@@ -22,10 +22,8 @@ def reduced(K: LinearSystem, inputs: Array, share: float) -> tuple[LinearSystem,
         return K, 0.0
     A, T = matrix_balance(K.A)
     B, C = np.linalg.solve(T, K.B) * inputs, K.C @ T
-    L_c, L_o = (
-        _factor(solve_continuous_lyapunov(A, -B @ B.T)),
-        _factor(solve_continuous_lyapunov(A.T, -C.T @ C)),
-    )
+    L_c = _factor(solve_continuous_lyapunov(A, -B @ B.T))
+    L_o = _factor(solve_continuous_lyapunov(A.T, -C.T @ C))
     U, s, Vt = np.linalg.svd(L_o.T @ L_c)
     n = int((s > share * s[0]).sum())
     right, left = L_c @ Vt[:n].T / np.sqrt(s[:n]), L_o @ U[:, :n] / np.sqrt(s[:n])

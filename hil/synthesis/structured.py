@@ -68,12 +68,8 @@ def lag_error(omega: Array, lag_ms: tuple[float, float], nominal_ms: float) -> A
 
     |tau0 - tau| omega / |1 + j tau omega| grows with the distance from tau0 on either side, to the ends.
     """
-    return np.asarray(
-        np.max(
-            [1e-3 * abs(nominal_ms - tau) * omega / np.abs(1.0 + 1e-3j * tau * omega) for tau in lag_ms],
-            axis=0,
-        )
-    )
+    errors = [1e-3 * abs(nominal_ms - tau) * omega / np.abs(1.0 + 1e-3j * tau * omega) for tau in lag_ms]
+    return np.asarray(np.max(errors, axis=0))
 
 
 def cover(omega: Array, error: Array, corner: float) -> LinearSystem:

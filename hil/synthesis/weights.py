@@ -25,9 +25,7 @@ def rational(section: TransferFunction, what: str) -> LinearSystem:
 
     Raises SynthesisError: it is improper, or no function at all.
     """
-    numerator, denominator = (
-        np.trim_zeros(p, "f") for p in (section.numerator, section.denominator)
-    )  # fmt: skip
+    numerator, denominator = (np.trim_zeros(p, "f") for p in (section.numerator, section.denominator))
     if not len(denominator):
         raise SynthesisError(f"{what}: the denominator is zero")
     if len(numerator) > len(denominator):

@@ -9,7 +9,7 @@ from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control.state_space import StateSpaceSettings
 from hil.stability.assessment import Assessment, unless
-from hil.stability.disturbance import Linearised, along, summary
+from hil.stability.disturbance import along, summary
 from hil.stability.sampled import analyse
 from hil.stability.sampled_loop import sampled_controller
 from hil.stability.ultimate import EXACT
@@ -24,12 +24,8 @@ def configured(subject: Subject, law: StateSpaceSettings) -> Assessment:
 
 def designed(subject: Subject, controller: LinearController, model: ModelSettings) -> Assessment:
     """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors."""
-    alpha = subject.stated.model_error
     conditions, worst, d, gamma = [], None, np.zeros(6), 1.0
-    for scale in (1.0,) if alpha == 0.0 else (1.0 - alpha, 1.0 + alpha):
-        friction = subject.friction(model)
-        believed = subject.believed(model, scale)
-        linearised = Linearised(subject.robot, believed, controller.axes, subject.stated.load, friction)
+    for linearised in subject.linearised(model, controller.axes):
         found = summary(along(linearised, subject.path))
         loop = analyse(subject.axis._replace(gain=found.gamma), sampled_controller(controller))
         off = float(found.spread.max())

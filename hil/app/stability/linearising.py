@@ -7,7 +7,6 @@ import numpy as np
 from drivers.arrays import Array
 from hil.app.stability.subject import Subject
 from hil.app.stability.wording import (
-    Axes,
     beside,
     bound_lines,
     decay,
@@ -16,12 +15,12 @@ from hil.app.stability.wording import (
     unstable,
     worst,
 )
+from hil.config.axis_model import AxisSpace
 from hil.control.law import ErrorDynamics, LawSettings
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
 from hil.mathematics.linear_system import LinearSystem
 from hil.stability.assessment import Assessment, unless
-from hil.stability.disturbance import Linearised
 from hil.stability.error_dynamics import decay_rate
 from hil.stability.prediction import predicting
 from hil.stability.reaching import redesign, sliding
@@ -34,7 +33,7 @@ SURVEYED = "within the bound nothing disturbs by more than at the extremes looke
 
 def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Assessment:
     """Judge e'' + K_D e' + K_P e = d by its Lyapunov function, and the loop as it is sampled."""
-    axes: Axes = "pose" if dynamics.pose else "joint"
+    axes: AxisSpace = "pose" if dynamics.pose else "joint"
     K_P, K_D = dynamics.K_P, dynamics.K_D
     bound = bounded(subject, law, axes, K_P, K_D)
     loop = sampled(subject, law, K_P, K_D, bound if isinstance(bound, Ultimate) else None)
@@ -117,14 +116,11 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     return Assessment(unless(conditions), claim, conditions, lines, figures)
 
 
-def bounded(subject: Subject, law: LawSettings, axes: Axes, K_P: Array, K_D: Array) -> Ultimate | str:
+def bounded(subject: Subject, law: LawSettings, axes: AxisSpace, K_P: Array, K_D: Array) -> Ultimate | str:
     """Return the ultimate bound at the worse end of the stated model error, or why there is none."""
     assert law.believed is not None
-    alpha, friction = subject.stated.model_error, subject.friction(law.believed)
     found: Ultimate | None = None
-    for scale in (1.0,) if alpha == 0.0 else (1.0 - alpha, 1.0 + alpha):
-        believed = subject.believed(law.believed, scale)
-        linearised = Linearised(subject.robot, believed, axes, subject.stated.load, friction)
+    for linearised in subject.linearised(law.believed, axes):
         one = ultimate(linearised, subject.path, K_P, K_D, condition=subject.c.limits.condition)
         if isinstance(one, str):
             return one

@@ -10,13 +10,14 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
+from hil.config.axis_model import AxisSpace
 from hil.config.model import ModelSettings
 from hil.control.law import per_leg
 from hil.control.model import build_model
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
-from hil.stability.disturbance import Friction, Load
+from hil.stability.disturbance import Friction, Linearised, Load
 from hil.stability.sampled import Axis
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.path import PoseSample
@@ -84,6 +85,12 @@ class Subject:
         viscous = np.abs(self.plant.viscous_friction_N_s_m - per_leg(settings.viscous_friction_N_s_m))
         coulomb = np.abs(self.plant.coulomb_friction_N - per_leg(settings.coulomb_friction_N))
         return Friction(viscous, coulomb)
+
+    def linearised(self, settings: ModelSettings, axes: AxisSpace) -> list[Linearised]:
+        """Return the robot under a law with this model, at each end of the stated model error."""
+        alpha, load, friction = self.stated.model_error, self.stated.load, self.friction(settings)
+        believed = [self.believed(settings, scale) for scale in sorted({1.0 - alpha, 1.0 + alpha})]
+        return [Linearised(self.robot, model, axes, load, friction) for model in believed]
 
     def outside(self, p: Array, R: Array) -> str | None:
         """Say which limit a pose breaks: the soft ends of a leg, or the condition of J."""

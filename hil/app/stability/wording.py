@@ -1,18 +1,17 @@
 """Lines and figures of assessed laws that linearise the robot."""
 
 from math import isfinite
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
 from hil.app.stability.subject import Subject
+from hil.config.axis_model import AxisSpace
 from hil.stability.error_dynamics import decay_rate
 from hil.stability.reaching import Reaching
 from hil.stability.sampled import Sampled
 from hil.stability.ultimate import Ultimate
-
-Axes = Literal["joint", "pose"]
 
 
 def beside(subject: Subject) -> str:
@@ -62,7 +61,7 @@ def _late(bound: Ultimate, loop: Sampled) -> float:
     return max(1.0, loop.peak_gain / float(bound.certificate.error_gain().min()))
 
 
-def worst(bound: Ultimate, loop: Sampled, axes: Axes) -> str:
+def worst(bound: Ultimate, loop: Sampled, axes: AxisSpace) -> str:
     """Return the ultimate bound in words."""
     error = _late(bound, loop) * bound.error
     if axes == "joint":
@@ -70,7 +69,7 @@ def worst(bound: Ultimate, loop: Sampled, axes: Axes) -> str:
     return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
 
 
-def bound_lines(bound: Ultimate, loop: Sampled, axes: Axes) -> tuple[list[str], dict[str, Any]]:
+def bound_lines(bound: Ultimate, loop: Sampled, axes: AxisSpace) -> tuple[list[str], dict[str, Any]]:
     """Return certificate and bound as lines and figures."""
     proved = bound.certificate
     late = _late(bound, loop)

@@ -87,9 +87,7 @@ def halves(cell: Cell, side: int) -> tuple[Cell, Cell]:
 
 def faces(sides: Cell, moving: Sequence[int]) -> list[Cell]:
     """Return the faces of a cell: one of the sides `moving` at one of its ends."""
-    return [
-        (*sides[:k], (end, end), *sides[k + 1 :]) for k in moving for end in sides[k]
-    ]  # fmt: skip
+    return [(*sides[:k], (end, end), *sides[k + 1 :]) for k in moving for end in sides[k]]
 
 
 def without(outer: Cell, inner: Cell) -> list[Cell]:

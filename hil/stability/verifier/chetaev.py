@@ -107,9 +107,8 @@ def _one_positive(functions: tuple[Enclosure, ...], reach: Ball, u: Sequence[Bal
 
 def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:
     """Tell whether W > 0 all along one ray: so arbitrarily near to the origin, for all parameters."""
-    for ends in product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=n):
-        if max(map(abs, ends)) == 1.0 and budget.take():
-            ray: Cell = (*((e, e) for e in ends), *ranges, reach)
-            if down.on(ray) < arb(0):
-                return True
+    for ends in _RAYS(repeat=n):
+        ray: Cell = (*((e, e) for e in ends), *ranges, reach)
+        if max(map(abs, ends)) == 1.0 and budget.take() and down.on(ray) < arb(0):
+            return True
     return False

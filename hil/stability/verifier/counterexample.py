@@ -45,9 +45,7 @@ def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
         value = h.at(point)
         if not (value > 0 or (exact_zero and value.contains(0))) or not _inside(signs, point):
             continue
-        if value > 0:
-            return point
-        if exact_zero and value.contains(0) and value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0:
+        if value > 0 or (value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0):
             return point
     return _searched(h, signs)
 
@@ -60,23 +58,22 @@ def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
         directions += [d for d in product((1, -1, 2, -2, 3, -3), repeat=2) if abs(d[0]) != abs(d[1])]
     angles = _ANGLES if g.has(sp.sin, sp.cos, sp.tan) and not signs.system.bounded else ()
     for parameters in _parameters(signs):
-        for length, share in ((k, min(k, 6)) for k in range(len(_LENGTHS))):
+        for far in range(len(_LENGTHS)):
             for d in directions:
-                point = {x: _step(signs, x, k, length, share) for x, k in zip(states, d, strict=True)}
-                yield point | parameters
+                yield {x: _step(signs, x, k, far) for x, k in zip(states, d, strict=True)} | parameters
         for angle in angles:
             for d in directions:
                 yield {x: k * angle for x, k in zip(states, d, strict=True)} | parameters
 
 
-def _step(signs: Signs, x: sp.Symbol, k: int, length: int, share: int) -> sp.Expr:
+def _step(signs: Signs, x: sp.Symbol, k: int, far: int) -> sp.Expr:
     if k == 0:
         return sp.S.Zero
     low, high = signs.system.domain[x]
     end = high if k > 0 else low
     if end.is_infinite:
-        return k * _LENGTHS[length]
-    return abs(sp.Rational(k, 3 if abs(k) > 1 else 1)) * end * _SHARES[share]
+        return k * _LENGTHS[far]
+    return abs(sp.Rational(k, 3 if abs(k) > 1 else 1)) * end * _SHARES[min(far, len(_SHARES) - 1)]
 
 
 def _sparse(n: int) -> list[tuple[int, ...]]:
@@ -87,15 +84,14 @@ def _sparse(n: int) -> list[tuple[int, ...]]:
 def _parameters(signs: Signs) -> list[Point]:
     fixed = {p: [(low + high) / 2, low, high] for p, (low, high) in signs.system.ranges.items()}
     free = signs.system.positive
+    few = len(free) <= 2
+    positive = (
+        list(product(_PARAMETERS, repeat=len(free))) if few else [(v,) * len(free) for v in _PARAMETERS]
+    )
     choices: list[Point] = []
     for values in product(*fixed.values()) if len(fixed) <= 2 else zip(*fixed.values(), strict=True):
         ranged = dict(zip(fixed, values, strict=True))
-        for some in (
-            product(_PARAMETERS, repeat=len(free))
-            if len(free) <= 2
-            else [(v,) * len(free) for v in _PARAMETERS]
-        ):
-            choices.append(ranged | dict(zip(free, some, strict=True)))
+        choices += [ranged | dict(zip(free, some, strict=True)) for some in positive]
     return choices
 
 

@@ -6,7 +6,7 @@ has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown pos
 """
 
 from collections.abc import Sequence
-from functools import cache, reduce
+from functools import cache
 from math import lcm
 
 import sympy as sp
@@ -38,17 +38,13 @@ class Ray:
         self.rest = sp.S.Zero
         for term in sp.Add.make_args(along):
             coefficient, power = term.as_independent(T)
-            exponent = power.as_base_exp()[1] if power.as_base_exp()[0] == T else None
-            if power == 1:
-                exponent = sp.S.Zero
-            if exponent is not None and exponent.is_Integer and exponent >= 0:
+            base, exponent = (T, sp.S.Zero) if power == 1 else power.as_base_exp()
+            if base == T and exponent.is_Integer and exponent >= 0:
                 self.powers[int(exponent)] = self.powers.get(int(exponent), sp.S.Zero) + coefficient
             else:
                 self.rest += term
         self._derivatives = [self.rest]
-        self.smooth = not any(
-            node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest)
-        )  # fmt: skip
+        self.smooth = not any(node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest))
 
     def at_zero(self, j: int) -> sp.Expr:
         """Return the coefficient of t^j at t = 0, a function of u."""
@@ -108,7 +104,7 @@ def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
         if order is None or order == 0:
             return None
         orders.append(order)
-    D = reduce(lcm, orders)
+    D = lcm(*orders)
     return tuple(D // e for e in orders) if D <= HIGHEST_ORDER else None
 
 
@@ -125,9 +121,7 @@ def definite_near(
         return None
     ray = Ray(g, states, weights)
     k = ray.order()
-    if k is None:
-        return None
-    if unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
+    if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
         return None
     c = Enclosure(ray.remainder(k), (*ray.u, *(p for p, _ in parameters), T))
     leading = Enclosure(ray.at_zero(k), (*ray.u, *(p for p, _ in parameters)))

@@ -9,9 +9,9 @@ from enum import Enum
 import sympy as sp
 
 from hil.stability.verifier.linearisation import Eigenvalues
+from hil.stability.verifier.system import Interval, Point
 
-Point = dict[sp.Symbol, sp.Expr]
-Box = dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+Box = dict[sp.Symbol, Interval]
 
 
 class Truth(Enum):

@@ -45,9 +45,7 @@ class Signs:
 
     def positive(self, g: sp.Expr) -> bool:
         """Tell whether g > 0 on the whole domain, its equilibrium included."""
-        if g.is_positive:
-            return True
-        if self._structure(g) == NOWHERE:
+        if g.is_positive or self._structure(g) == NOWHERE:
             return True
         if not self.enclosable(g):
             return False
@@ -85,18 +83,14 @@ class Signs:
             return True
         ranges = self._ranges(g)
         near = origin.definite_near(g, states, ranges, self.budget)
-        if near is None:
-            return False
-        inner = near[0]
-        outer = self._outer(g, states, ranges)
-        if outer is None:
+        if near is None or (outer := self._outer(g, states, ranges)) is None:
             return False
         if open_ends and len(states) == 1:
             if (trimmed := self._open(g, states[0], outer[0])) is None:
                 return False
             outer = (trimmed,)
         names = (*states, *(p for p, _ in ranges))
-        cells = [(*c, *(r for _, r in ranges)) for c in without(outer, inner)]
+        cells = [(*c, *(r for _, r in ranges)) for c in without(outer, near[0])]
         return positive([Enclosure(g, names)], cells, self.budget)
 
     def _definite_by_structure(self, g: sp.Expr, states: tuple[sp.Symbol, ...]) -> bool:
@@ -151,14 +145,10 @@ class Signs:
     def _nonnegative(self, g: sp.Expr) -> Zeros | None:
         if g == 0:
             return ((),)
-        for form in (g, *half_angles(g)):
-            zeros = self._structure(form)
-            if zeros is not None:
-                return zeros
-        for form in (g, *half_angles(g)):
-            zeros = self._by_factors(form)
-            if zeros is not None:
-                return zeros
+        for judge in (self._structure, self._by_factors):
+            for form in (g, *half_angles(g)):
+                if (zeros := judge(form)) is not None:
+                    return zeros
         if not self.enclosable(g) and (freed := self.freed(g)) is not None:
             return self.nonnegative(freed)
         return None

@@ -6,7 +6,6 @@ defined at s = 0 as well; if that function is positive on all (u, s), so is g, a
 """
 
 from collections.abc import Mapping, Sequence
-from functools import reduce
 from math import lcm
 
 import sympy as sp
@@ -45,7 +44,7 @@ def definite_far(
     tops = [max((d[i] for d in degrees if sum(d) == d[i]), default=0) for i in range(n)]
     if 0 in tops:
         return None
-    D = reduce(lcm, tops)
+    D = lcm(*tops)
     weights = [D // e for e in tops]
     if D > HIGHEST_ORDER or any(
         sum(w * d for w, d in zip(weights, degree, strict=True)) > D for degree in degrees

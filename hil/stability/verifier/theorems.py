@@ -96,33 +96,19 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> tuple[_Proof | None, Certif
     if at_origin != 0:
         if not (at_origin.is_finite is False or signs.positive(at_origin) or signs.positive(-at_origin)):
             return None, _undecided(f"V(0) = {at_origin} is not shown to be 0")
-        return None, CertificateFinding(
-            Certificate.NOT_POSITIVE_DEFINITE,
-            None,
-            None,
-            system.in_own_symbols(origin),
-            at_origin,
-            "V(0) must be 0",
-        )
+        at, refuted = system.in_own_symbols(origin), Certificate.NOT_POSITIVE_DEFINITE
+        return None, CertificateFinding(refuted, at=at, value=at_origin, reason="V(0) must be 0")
     if not regular(system.f, signs) or not regular({system.states[0]: V}, signs):
         return None, _undecided("f or V is not shown to be finite and locally Lipschitz on the whole box")
-    V_dot = None
-    why = ""
+    V_dot, why = None, ""
     try:
         V_dot = lie_derivative(V, system.f)
     except ModelError as error:
         why = f"V is not shown to be continuously differentiable: {error}"
     shown = None if V_dot is None else system.shown(V_dot)
     if (point := counterexample.not_above_zero(V, signs)) is not None:
-        value = V.subs(point)
-        return None, CertificateFinding(
-            Certificate.NOT_POSITIVE_DEFINITE,
-            shown,
-            None,
-            system.in_own_symbols(point),
-            value,
-            "V must be > 0 there",
-        )
+        at, refuted = system.in_own_symbols(point), Certificate.NOT_POSITIVE_DEFINITE
+        return None, CertificateFinding(refuted, shown, None, at, V.subs(point), "V must be > 0 there")
     if V_dot is None:
         return None, _undecided(why)
     if (point := counterexample.above_zero(V_dot, signs)) is not None:
@@ -229,11 +215,8 @@ def _scaled(system: System, share: float) -> dict[sp.Symbol, tuple[sp.Expr, sp.E
 
 
 def _own_box(system: System) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]:
-    centre = {system.own[x]: system.equilibrium[system.own[x]] for x in system.states}
-    return {
-        system.own[x]: (low + centre[system.own[x]], high + centre[system.own[x]])
-        for x, (low, high) in system.domain.items()
-    }
+    own, centre = system.own, system.equilibrium
+    return {own[x]: (low + centre[own[x]], high + centre[own[x]]) for x, (low, high) in system.domain.items()}
 
 
 def _whole_space(system: System) -> bool:
@@ -245,8 +228,7 @@ def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
     if not signs.enclosable(V):
         if signs.own(sp.denom(sp.together(V))):
             return False
-        V = signs.freed(V)
-        if V is None:
+        if (V := signs.freed(V)) is None:
             return False
     ranges = {p: signs.sides[p] for p in signs.system.ranges}
     return tail.definite_far(V, signs.system.states, ranges, signs.budget) is not None

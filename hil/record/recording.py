@@ -7,12 +7,10 @@ waits: when the ring is full the tick is dropped and counted. In lockstep it wai
 import contextlib
 import json
 import os
-import struct
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -172,12 +170,10 @@ class Recording:
         received: Sequence[Received],
         sent: Sequence[Frame],
         operator: Sequence[int] = (),
-        sent_t_ns: Sequence[int] = (),
         setpoints: Sequence[SetPoint] = (),
     ) -> None:
         """Record one tick: its row, the frames consumed and sent in their order, commands and set-points.
 
-        `sent_t_ns` gives the instant of each sent frame; by default it is the time of the tick.
         A 0-d array as `row` is fastest.
 
         Raises LogError for a frame of more than 64 bytes, and in lockstep where the recorder has died or one
@@ -208,10 +204,6 @@ class Recording:
                         raise _too_long(can_id, length)
                     pack_item(buffer, item % capacity * size, now, can_id, SENT, flags, length, data)
                     item += 1
-                if sent_t_ns:
-                    first = item - len(sent)
-                    for i, t_ns in enumerate(sent_t_ns):
-                        struct.pack_into("<q", buffer, (first + i) % capacity * size, t_ns)
                 for command in operator:
                     pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
                     item += 1
@@ -287,9 +279,7 @@ class Recording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

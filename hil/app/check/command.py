@@ -86,9 +86,10 @@ def _bus(report: Report, c: Configuration) -> None:
     protocol = build_protocol(c)
     opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
     asked = {frame.id for frame in opening} | protocol.feedback_ids
-    timing = BitTiming(c.bus.bitrate_bit_s, c.bus.data_bitrate_bit_s)
     times = {
-        f.id: frame_time_ns(len(f.data), f.flags, timing) for f in protocol.cyclic_frames() if f.id in asked
+        f.id: frame_time_ns(len(f.data), f.flags, BitTiming.of(c.bus))
+        for f in protocol.cyclic_frames()
+        if f.id in asked
     }
     feedback_us = sum(times.values()) / 1e3
     window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6

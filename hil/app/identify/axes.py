@@ -23,19 +23,15 @@ from hil.app.identify.delay import (
     recorded_run,
 )
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
-from hil.app.identify.plot import draw
+from hil.app.identify.plot import NAMES, draw
 from hil.app.output import picture_path
-from hil.config.axis_model import AxisModel, AxisResponse, AxisSpace, NominalAxis, UncertaintyProfile
+from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
 from hil.identify.axis_fit import Fit, Uncertainty, fit_axes, uncertainty
 from hil.identify.excitation import axis_excitation
 from hil.identify.response import Response, estimate
 from hil.identify.spectra import Spectra, periodic, segmented
 
-NAMES: dict[AxisSpace, tuple[str, ...]] = {
-    "joint": tuple(f"leg {k}" for k in range(6)),
-    "pose": ("x", "y", "z", "rx", "ry", "rz"),
-}
 REMARK = "Made by hil identify: the linearised axes from demanded acceleration to measured position."
 
 

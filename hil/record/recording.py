@@ -91,9 +91,11 @@ class Recording:
         self._process = process
         self._lockstep = lockstep
         self._counters = ring.counters
-        self._written = 0
         self._items = 0
-        self._dropped = 0
+        self.ticks = 0
+        """Ticks that went into the ring."""
+        self.dropped = 0
+        """Ticks that found the ring full."""
         self._summary: LogSummary | None = None
 
     @classmethod
@@ -154,16 +156,6 @@ class Recording:
         """Whether the recorder process is still there."""
         return self._process.poll() is None
 
-    @property
-    def dropped(self) -> int:
-        """Ticks that found the ring full."""
-        return self._dropped
-
-    @property
-    def ticks(self) -> int:
-        """Ticks that went into the ring."""
-        return self._written
-
     def tick(
         self,
         row: Rows | np.void,
@@ -181,11 +173,11 @@ class Recording:
         """
         count = len(received) + len(sent) + len(operator) + len(setpoints)
         if not self._has_room(count):
-            self._dropped += 1
-            self._counters[DROPPED] = self._dropped
+            self.dropped += 1
+            self._counters[DROPPED] = self.dropped
             return
         ring = self._ring
-        slot = self._written % ring.capacity
+        slot = self.ticks % ring.capacity
         ring.rows[slot] = row
         if count:
             buffer, size, capacity = ring.item_bytes, ITEM.itemsize, ring.item_capacity
@@ -214,8 +206,8 @@ class Recording:
             self._items = item
         ring.ends[slot] = self._items
         fence()
-        self._written += 1
-        self._counters[WRITTEN] = self._written
+        self.ticks += 1
+        self._counters[WRITTEN] = self.ticks
 
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
@@ -246,17 +238,17 @@ class Recording:
         return self._summary
 
     def _summarise(self, reply: Mapping[str, Any]) -> LogSummary:
-        lost = self._written - self._counters[READ]
+        lost = self.ticks - self._counters[READ]
         error = reply.get("error", "" if "ticks" in reply else "the recorder died")
         return LogSummary(
             path=self.path,
             ticks=reply.get("ticks", self._counters[READ]),
             messages=reply.get("messages", 0),
-            dropped=self._dropped,
+            dropped=self.dropped,
             lost=lost,
             size_bytes=reply.get("size_bytes", self.path.stat().st_size if self.path.exists() else 0),
             recorder_cpu_s=reply.get("recorder_cpu_s", 0.0),
-            complete=not error and not self._dropped and not lost,
+            complete=not error and not self.dropped and not lost,
             error=error,
         )
 
@@ -264,7 +256,7 @@ class Recording:
         """Return whether one row and `count` items fit; in lockstep wait until they do."""
         ring, counters = self._ring, self._counters
         while (
-            self._written - counters[READ] >= ring.capacity
+            self.ticks - counters[READ] >= ring.capacity
             or self._items + count - counters[READ_ITEMS] > ring.item_capacity
         ):
             if not self._lockstep:

@@ -39,7 +39,6 @@ class Identified(NamedTuple):
     """All that a log tells of its axes."""
 
     model: AxisModel
-    response: Response
     fit: Fit
     uncertainty: Uncertainty
     blocks: int
@@ -121,7 +120,7 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
         measured=[_measured(response, axis) for axis in range(6)],
     )
     motion = 1e3 * float(np.ptp(rows["q"][rows["mode"] == Mode.TRACKING], axis=0).min())
-    return Identified(model, response, fit, bound, len(spectra.V), lines is not None, motion)
+    return Identified(model, fit, bound, len(spectra.V), lines is not None, motion)
 
 
 def _measured(response: Response, axis: int) -> AxisResponse:

@@ -68,12 +68,13 @@ WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 MATRIX = tuple(row + column for row in XYZ for column in XYZ)
 
 
-def _column(part: Part, name: str, kind: Any, unit: str, meaning: str, *elements: str) -> Column:
+def column(part: Part, name: str, kind: Any, unit: str, meaning: str, *elements: str) -> Column:
+    """Return a column whose shape follows from the names of its elements."""
     shape = (3, 3) if elements == MATRIX else (len(elements),) if elements else ()
     return Column(part, name, kind, unit, meaning, elements, shape)
 
 
-_ = _column
+_ = column
 RECORDED = (
     _("input", "tick", int, "", "number of the tick"),
     _("input", "t_ns", int, "ns", "scheduled time on the monotonic clock"),

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
-from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 from drivers.can.bus_time import BitTiming
@@ -155,9 +154,7 @@ class Bus:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -165,9 +162,8 @@ def _open_localcan(settings: BusSettings) -> Link:
     spin_us = _number(settings, "spin_us", 50.0)
     tx_limit = int(_number(settings, "tx_limit", 64))
     _refuse_options(settings, {"spin_us", "tx_limit"})
-    timing = BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s)
     fd = settings.layout == "fd"
-    return Participant(settings.channel, timing, fd=fd, spin_us=spin_us, tx_limit=tx_limit)
+    return Participant(settings.channel, BitTiming.of(settings), fd=fd, spin_us=spin_us, tx_limit=tx_limit)
 
 
 def _open_socketcan(settings: BusSettings) -> Link:

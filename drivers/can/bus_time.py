@@ -23,14 +23,19 @@ BRS and CRC delimiter straddle the two rates; both are counted at the slow one. 
 Error frame: two superposed flags 12, delimiter 8, interframe 3 = 23 bits.
 """
 
+from __future__ import annotations
+
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from drivers.errors import BusError, ConfigurationError
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+
+if TYPE_CHECKING:
+    from drivers.config import BusSettings
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Data lengths that CAN FD can carry, bytes."""
@@ -46,6 +51,11 @@ class BitTiming(NamedTuple):
     """bit/s in the arbitration phase (and of all classic frames)."""
     data_bitrate: int
     """bit/s of the data phase of CAN FD frames with bit-rate switch."""
+
+    @classmethod
+    def of(cls, bus: BusSettings) -> BitTiming:
+        """Return the configured ones."""
+        return cls(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
 
 
 def frame_bits(length: int, flags: int) -> tuple[int, int]:

@@ -96,12 +96,10 @@ class RoleLock:
         os.pwrite(self._fd, f"{os.getpid()}\n".encode(), 0)
         forget_in_child(self)
 
-    def forget(self) -> None:
-        """Close this process's copy of the lock."""
+    def close(self) -> None:
+        """Give the role back; in a forked child, close its copy of the lock."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
-    def close(self) -> None:
-        """Give the role back."""
-        self.forget()
+    forget = close

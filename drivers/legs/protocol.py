@@ -127,7 +127,7 @@ class LegsProtocol:
             first = legs[-1] + 1
 
         feedback_id = [self._feedback.id - 1 + node for node in nodes]
-        self._feedback_ids = frozenset(feedback_id)
+        self.feedback_ids = frozenset(feedback_id)
         self._counter_at = self._feedback.place("Counter").start
         self._feedback_legs = list(enumerate(feedback_id))
         # Per leg: identifier, CRC register after it.
@@ -137,7 +137,7 @@ class LegsProtocol:
         self._tabulate()
         # Device side: identifier -> parser.
         self._parsers: dict[int, Callable[[bytes], DeviceMessage]] = {
-            self._estop.id: _parse_estop,
+            self._estop.id: lambda _: EmergencyStop(),
             self._sync.id: self._parse_sync,
             **{command.codec.id: partial(self._parse_command, command) for command in self._commands},
             **{
@@ -165,11 +165,6 @@ class LegsProtocol:
         self._command_range = np.array([command.scale[0], *ends], float)
         self._command_size = sum(size for size, _ in frames)
         self._split = struct.Struct(f"{feedback.length}s" * LEGS).unpack
-
-    @property
-    def feedback_ids(self) -> frozenset[int]:
-        """Identifiers of the six cyclic feedbacks."""
-        return self._feedback_ids
 
     # controller side
 
@@ -268,7 +263,7 @@ class LegsProtocol:
         """Tell whether a frame is a feedback to this tick's SYNC by its counter."""
         identifier, data, flags = received.frame
         return (
-            identifier in self._feedback_ids
+            identifier in self.feedback_ids
             and not flags & FOREIGN
             and len(data) == self._feedback.length
             and (tick - data[self._counter_at]) & 0xF == 0
@@ -355,7 +350,3 @@ class LegsProtocol:
         _, command = self.command(None, Command(DriveMode.OFF, zeros), 0)
         feedbacks = self.feedbacks(Sync(0), zeros, zeros, zeros, np.full(LEGS, DriveState.OFF, np.int64))
         return (*self.begin(None, 0), *command, *(frame for _, frame in feedbacks))
-
-
-def _parse_estop(_data: bytes) -> DeviceMessage:
-    return EmergencyStop()

@@ -10,12 +10,10 @@ import numpy as np
 
 from drivers import PROTOCOLS
 from drivers.arrays import Array
-from drivers.can.bus_time import BitTiming, BusBudget
 from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
-from hil.app.configuration import bus_budget as budgets
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
@@ -80,25 +78,6 @@ def build_sensors(configuration: Configuration) -> SensorProtocol | None:
     """Return the codec of the configured sensors, for both ends; None where there are none."""
     sensors = SensorProtocol(configuration.bus, configuration.sensors)
     return sensors if sensors.kinds else None
-
-
-def bit_timing(configuration: Configuration) -> BitTiming:
-    """Return the bus' bit rates."""
-    return BitTiming(configuration.bus.bitrate_bit_s, configuration.bus.data_bitrate_bit_s)
-
-
-def bus_budget(configuration: Configuration, rate_Hz: float) -> BusBudget | None:
-    """Return the bus-time arithmetic of one tick; None for the ideal layout, which takes no time.
-
-    Raises ConfigurationError when the frames do not fit.
-    """
-    c = configuration
-    return budgets.bus_budget(c.bus, c.drives, c.sensors, rate_Hz)
-
-
-def feedback_window_s(configuration: Configuration, rate_Hz: float) -> float:
-    """Return how long a tick waits for its six feedbacks; by default 75 % of the period."""
-    return configuration.loop.window_s(rate_Hz)
 
 
 def build_cycle(

@@ -1,40 +1,33 @@
 """The columns that `hil plant` records."""
 
-from typing import Any
+from functools import partial
 
-from drivers.signals import LEGS, DriveFault, DriveState
-from drivers.tick import MATRIX, PER_LEG, TWIST, WRENCH, XYZ, Column
+from drivers.signals import DriveFault, DriveState
+from drivers.tick import MATRIX, PER_LEG, TWIST, WRENCH, XYZ, column
 from hil.record.row import Table
 
-
-def _per_leg(name: str, kind: type[Any], unit: str, meaning: str) -> Column:
-    """Return a column with one element a leg."""
-    return Column("output", name, kind, unit, meaning, PER_LEG, (LEGS,))
-
-
+own = partial(column, "output")
 PLANT = Table(
     "/plant",
     (
-        Column("output", "tick", int, "", "number of the row"),
-        Column("output", "t_ns", int, "ns", "instant of length and rate on the monotonic clock"),
-        Column("output", "syncs", int, "", "SYNC frames heard so far"),
-        Column("output", "commands", int, "", "valid command frames with a new counter so far"),
-        Column("output", "repeated", int, "", "valid command frames without one so far"),
-        Column("output", "rejected", int, "", "frames refused so far"),
-        _per_leg("drive_state", DriveState, "", "state of each drive"),
-        _per_leg("drive_fault", DriveFault, "", "why a drive is in FAULT"),
-        _per_leg("length", float, "m", "true leg length, joint centre to joint centre"),
-        _per_leg("rate", float, "m/s", "true leg rate"),
-        _per_leg("command", float, "N", "last valid command, > 0 extends"),
-        _per_leg("force", float, "N", "what the drive puts on the plant, > 0 extends"),
-        _per_leg("applied_force", float, "N", "the plant's own answer to that; force where it has none"),
-        _per_leg("brake", float, "1", "1 engaged, 0 released"),
-        Column("output", "wrench", float, "N, N m", "load ON the platform", WRENCH, (6,)),
-        Column("output", "p", float, "m", "platform origin in the base frame; nan: unknown", XYZ, (3,)),
-        Column("output", "R", float, "1", "x_base = p + R x_platform; nan: unknown", MATRIX, (3, 3)),
-        Column(
-            "output", "twist", float, "m/s, rad/s", "velocity of the origin; omega; base frame", TWIST, (6,)
-        ),
+        own("tick", int, "", "number of the row"),
+        own("t_ns", int, "ns", "instant of length and rate on the monotonic clock"),
+        own("syncs", int, "", "SYNC frames heard so far"),
+        own("commands", int, "", "valid command frames with a new counter so far"),
+        own("repeated", int, "", "valid command frames without one so far"),
+        own("rejected", int, "", "frames refused so far"),
+        own("drive_state", DriveState, "", "state of each drive", *PER_LEG),
+        own("drive_fault", DriveFault, "", "why a drive is in FAULT", *PER_LEG),
+        own("length", float, "m", "true leg length, joint centre to joint centre", *PER_LEG),
+        own("rate", float, "m/s", "true leg rate", *PER_LEG),
+        own("command", float, "N", "last valid command, > 0 extends", *PER_LEG),
+        own("force", float, "N", "what the drive puts on the plant, > 0 extends", *PER_LEG),
+        own("applied_force", float, "N", "the plant's own answer to that; force where it has none", *PER_LEG),
+        own("brake", float, "1", "1 engaged, 0 released", *PER_LEG),
+        own("wrench", float, "N, N m", "load ON the platform", *WRENCH),
+        own("p", float, "m", "platform origin in the base frame; nan: unknown", *XYZ),
+        own("R", float, "1", "x_base = p + R x_platform; nan: unknown", *MATRIX),
+        own("twist", float, "m/s, rad/s", "velocity of the origin; omega; base frame", *TWIST),
     ),
 )
 """The truth that the controller does not know.

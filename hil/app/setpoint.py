@@ -9,6 +9,14 @@ from hil.config.reference import LiveReference
 from hil.loop.setpoints import TAKEN, SetPointSender
 
 
+def require_live(c: Configuration) -> None:
+    """Raise ConfigurationError for a reference that takes no set-points."""
+    if not isinstance(c.reference, LiveReference):
+        raise ConfigurationError(
+            f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
+        )
+
+
 def send_setpoints(configuration: Configuration, lines: Iterable[str]) -> dict[str, Any]:
     """Send each line `x y z [rx ry rz]` (m, deg) as it comes; return the summary.
 
@@ -16,10 +24,7 @@ def send_setpoints(configuration: Configuration, lines: Iterable[str]) -> dict[s
     answers.
     """
     c = configuration
-    if not isinstance(c.reference, LiveReference):
-        raise ConfigurationError(
-            f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
-        )
+    require_live(c)
     sent, refused = 0, []
     with SetPointSender(c.bus.interface, c.bus.channel) as sender:
         for line in lines:

@@ -1,22 +1,13 @@
 """`hil design`: a table of methods, one command each."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import click
 
 from hil.cli.shared import FILE, finish_lines, reporting
 
-
-class _Method(NamedTuple):
-    """How a method introduces itself."""
-
-    short: str
-    text: str
-
-
 METHODS = {
-    "hinf": _Method(
+    "hinf": (
         "H-infinity: the weights are met at every frequency.",
         """Design an H-infinity controller for the linearised axes of a robot, from DESIGN.
 
@@ -31,7 +22,7 @@ METHODS = {
     sampled loop, delay and hold included, within 1.01 gamma. If there is none, the reason is printed, and
     what to change.""",
     ),
-    "mu": _Method(
+    "mu": (
         "mu: the weights are met whatever the robot is within its uncertainty.",
         """Design a controller by D-K iteration for axes that are known within limits only, from DESIGN.
 
@@ -46,7 +37,7 @@ METHODS = {
     looked at, at every frequency, and of the exact sampled loop at the corners of the uncertainty.""",
     ),
 }
-"""Name -> introduction; what it does is in the table of hil.app.design.command."""
+"""Name -> one line, and introduction; what it does is in the table of hil.app.design.command."""
 
 EXIT = """
 
@@ -70,8 +61,8 @@ def command() -> None:
     """Design a robust controller for the linearised axes, as a file for the law `state_space`."""
 
 
-def _command(name: str, method: _Method) -> click.Command:
-    @click.command(name, short_help=method.short, help=method.text + EXIT.format(name=name))
+def _command(name: str, short: str, text: str) -> click.Command:
+    @click.command(name, short_help=short, help=text + EXIT.format(name=name))
     @click.argument("design", metavar="DESIGN")
     @click.option(
         "--model", type=FILE, metavar="AXIS.yaml", help="The axis, from `hil identify`; before DESIGN's own."
@@ -113,5 +104,5 @@ def _command(name: str, method: _Method) -> click.Command:
     return command
 
 
-for _name, _method in METHODS.items():
-    command.add_command(_command(_name, _method))
+for _name, _texts in METHODS.items():
+    command.add_command(_command(_name, *_texts))

@@ -99,13 +99,9 @@ class Cycle:
         self.last_tau = ZERO6
         self.shortfall = ZERO6
         """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
-        parts.law.reset()
-        parts.wrench.reset()
-        if parts.predictor is not None:
-            parts.predictor.reset()
-        parts.safety.reset()
-        if parts.steering is not None:
-            parts.steering.reset()
+        for part in (parts.law, parts.wrench, parts.predictor, parts.safety, parts.steering):
+            if part is not None:
+                part.reset()
 
     def begin(self, tick: int) -> tuple[Frame, ...]:
         """Return the frames that start a tick: the drives answer with their encoders."""
@@ -262,7 +258,7 @@ class Cycle:
                 self.offset = self.holding - self._tau_at_rest(tick)
             case Mode.APPROACH:
                 if parts.steering is not None:
-                    parts.steering.restart()
+                    parts.steering.trajectory.reset()
                 here, start = self.motion.sample(number), parts.trajectory.sample(0.0)
                 duration = self._approach_s(here, start)
                 move = quintic_move(here.p, here.R, start.p, start.R, duration)
@@ -273,7 +269,7 @@ class Cycle:
                     parts.law.reset()
                     self.offset = ZERO6
                     if parts.steering is not None:
-                        parts.steering.restart()
+                        parts.steering.trajectory.reset()
                     self.entry_tick = number
                 self.motion.start(parts.trajectory, number)
             case Mode.STOPPING:

@@ -15,7 +15,7 @@ for keeps LOADING, RELEASING and PARKING, with the force on, until they are `ove
 Without a force ramp LOADING goes straight to TRACKING: the law acts at the instant the brakes open.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from drivers.signals import DriveMode, DriveState, Mode
@@ -48,6 +48,10 @@ class Facts(NamedTuple):
     stop: bool
     """Safety asks for a controlled stop."""
 
+    def all_in(self, state: DriveState) -> bool:
+        """Tell whether all six drives report this state."""
+        return all(s == state for s in self.drive_state)
+
 
 class Durations(NamedTuple):
     """Times of the entry and the exit, s."""
@@ -56,77 +60,24 @@ class Durations(NamedTuple):
     release: float
 
 
-def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
-    """Return the mode of this tick. Faults are latched elsewhere: here FAULT only leaves by RESET."""
-    if (facts.stop or Operator.STOP in facts.operator) and mode in _STOPPED:
-        return _STOPPED[mode]
-    return _NEXT[mode](facts, durations)
+def _finished(facts: Facts, _durations: Durations) -> bool:
+    return facts.finished
 
 
-def _waiting(facts: Facts, durations: Durations) -> Mode:
-    del durations
-    return Mode.IDLE if facts.ready and _all(facts, DriveState.OFF) else Mode.WAITING
-
-
-def _idle(facts: Facts, durations: Durations) -> Mode:
-    del durations
-    return Mode.LOADING if Operator.ENGAGE in facts.operator else Mode.IDLE
-
-
-def _loading(facts: Facts, durations: Durations) -> Mode:
-    if facts.elapsed < durations.load or not _all(facts, DriveState.READY):
-        return Mode.LOADING
-    return Mode.RELEASING if durations.load > 0 else Mode.TRACKING
-
-
-def _releasing(facts: Facts, durations: Durations) -> Mode:
-    open_ = facts.elapsed >= durations.release and _all(facts, DriveState.RUN)
-    return Mode.APPROACH if open_ else Mode.RELEASING
-
-
-def _approach(facts: Facts, durations: Durations) -> Mode:
-    del durations
-    return Mode.TRACKING if facts.finished else Mode.APPROACH
-
-
-def _tracking(facts: Facts, durations: Durations) -> Mode:
-    del durations
-    return Mode.PARKING if facts.finished else Mode.TRACKING
-
-
-def _stopping(facts: Facts, durations: Durations) -> Mode:
-    del durations
-    return Mode.PARKING if facts.finished else Mode.STOPPING
-
-
-def _parking(facts: Facts, durations: Durations) -> Mode:
-    shut = facts.elapsed >= durations.release and _all(facts, DriveState.READY)
-    return Mode.UNLOADING if shut else Mode.PARKING
-
-
-def _unloading(facts: Facts, durations: Durations) -> Mode:
-    return Mode.PARKED if facts.elapsed >= durations.load else Mode.UNLOADING
-
-
-def _parked(facts: Facts, durations: Durations) -> Mode:
-    del facts, durations
-    return Mode.PARKED
-
-
-def _fault(facts: Facts, durations: Durations) -> Mode:
-    del durations
-    return Mode.WAITING if Operator.RESET in facts.operator else Mode.FAULT
-
-
-def _all(facts: Facts, state: DriveState) -> bool:
-    return all(s == state for s in facts.drive_state)
-
-
-_NEXT = (
-    _waiting, _idle, _loading, _releasing, _approach, _tracking, _stopping, _parking, _unloading, _parked,
-    _fault,
-)  # fmt: skip
-"""By mode: where it leads without a stop."""
+_NEXT: tuple[tuple[Mode, Callable[[Facts, Durations], bool]], ...] = (
+    (Mode.IDLE, lambda facts, _: facts.ready and facts.all_in(DriveState.OFF)),
+    (Mode.LOADING, lambda facts, _: Operator.ENGAGE in facts.operator),
+    (Mode.RELEASING, lambda facts, least: facts.elapsed >= least.load and facts.all_in(DriveState.READY)),
+    (Mode.APPROACH, lambda facts, least: facts.elapsed >= least.release and facts.all_in(DriveState.RUN)),
+    (Mode.TRACKING, _finished),
+    (Mode.PARKING, _finished),
+    (Mode.PARKING, _finished),
+    (Mode.UNLOADING, lambda facts, least: facts.elapsed >= least.release and facts.all_in(DriveState.READY)),
+    (Mode.PARKED, lambda facts, least: facts.elapsed >= least.load),
+    (Mode.PARKED, lambda _facts, _: False),
+    (Mode.WAITING, lambda facts, _: Operator.RESET in facts.operator),
+)
+"""By mode: where it leads without a stop, and when."""
 _STOPPED = {
     Mode.WAITING: Mode.PARKED,
     Mode.IDLE: Mode.PARKED,
@@ -145,6 +96,16 @@ _DRIVES = {
     **dict.fromkeys((Mode.LOADING, Mode.PARKING, Mode.UNLOADING), DriveMode.READY),
 }
 """What the drives are asked for; OFF in the other modes."""
+
+
+def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
+    """Return the mode of this tick. Faults are latched elsewhere: here FAULT only leaves by RESET."""
+    if (facts.stop or Operator.STOP in facts.operator) and mode in _STOPPED:
+        return _STOPPED[mode]
+    following, due = _NEXT[mode]
+    if not due(facts, durations):
+        return mode
+    return Mode.TRACKING if mode is Mode.LOADING and durations.load <= 0 else following
 
 
 def overdue(mode: Mode, elapsed: float, durations: Durations) -> bool:

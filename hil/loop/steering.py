@@ -37,14 +37,10 @@ class Steering:
 
     def reset(self) -> None:
         """Back to the start, with nothing counted."""
-        self.restart()
+        self.trajectory.reset()
         self.counts = NO_SETPOINTS
         self.answers: list[int] = []
         """Bits of Refusal for each set-point of the last tick, in their order."""
-
-    def restart(self) -> None:
-        """Put the trajectory back to its start."""
-        self.trajectory.reset()
 
     def step(self, setpoints: Sequence[SetPoint], tick: int | None, tracking: bool) -> None:
         """Take this tick's set-points, and move on to `tick` of the trajectory where it is under way.

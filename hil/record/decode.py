@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 from drivers.tick import Column
-from hil.record.layout import MAX_DATA, RECORD_HEADER, frame_layout, unpack_varint5
+from hil.record.layout import FRAME_FLAGS, MAX_DATA, RECORD_HEADER, frame_layout, unpack_varint5
 from hil.record.mcap_read import MessageTable
 from hil.record.row import RowCodec
 from hil.record.schema import Schema, message_class
@@ -37,7 +36,6 @@ ITEM = np.dtype(
     ]
 )
 _NUMBERS = ("tick", "index", "direction", "id", "bus")
-_FLAGS = {"is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI}
 
 
 class Decoder:
@@ -133,7 +131,7 @@ class Decoder:
         items["t_ns"] = seconds * 1_000_000_000 + nanos - self._epoch
         for name in _NUMBERS:
             items[name] = frames[name]
-        for name, bit in _FLAGS.items():
+        for name, bit in FRAME_FLAGS.items():
             items["flags"] |= frames[name] * np.uint8(bit)
         items["length"] = length
         if length:
@@ -147,7 +145,7 @@ class Decoder:
         item["t_ns"] = stamp.seconds * 1_000_000_000 + stamp.nanos - self._epoch
         for name in _NUMBERS:
             item[name] = getattr(message, name, 0)  # version 0.1.0 had no `bus`
-        item["flags"] = sum(bit for name, bit in _FLAGS.items() if getattr(message, name))
+        item["flags"] = sum(bit for name, bit in FRAME_FLAGS.items() if getattr(message, name))
         length = len(message.data)
         if length > MAX_DATA:
             raise LogError(f"{self._name}: a frame with {length} data bytes: at most {MAX_DATA}")

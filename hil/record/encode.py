@@ -1,5 +1,7 @@
 """From a batch of ticks in the ring to MCAP messages as bytes."""
 
+import struct
+from bisect import bisect_left
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -7,10 +9,11 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.opcode import Opcode
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.arrays import Ints, Rows
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
+from drivers.can.bus_time import FD_LENGTHS
 from hil.record import layout
 from hil.record.recording import VIEW_EVERY, Scene
 from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, SETPOINT, Batch
@@ -20,9 +23,9 @@ from hil.record.schema import RX, TX, Schema, frame_schema, message_class, opera
 
 TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
 """Channel ids."""
-_DLC = np.array([layout.data_length_code(length) for length in range(layout.MAX_DATA + 1)], np.uint8)
 _LAST = 1 << 24
-_BITS = {"is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI}
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode, bytes that follow, channel, sequence, log and publish time, ns; then the message."""
 
 
 class Messages(NamedTuple):
@@ -102,9 +105,9 @@ class Encoder:
         records["nanos"] = layout.pack_varint5(nanos)
         records["id"] = items["id"]
         flags = items["flags"]
-        for name, bit in _BITS.items():
+        for name, bit in layout.FRAME_FLAGS.items():
             records[name] = (flags & bit) != 0
-        records["dlc"] = _DLC[length]
+        records["dlc"] = bisect_left(FD_LENGTHS, length)  # code of ISO 11898-1
         if length:
             records["data"] = items["data"][:, :length]
         records["direction"] = np.where(items["kind"] == RECEIVED, RX, TX)
@@ -175,18 +178,9 @@ def _foxglove(message: Any) -> Schema:
 
 def _single(channel: int, tick: int, log_time: int, publish_time: int, message: Any, key: Ints) -> _Block:
     payload = message if isinstance(message, bytes) else message.SerializeToString(deterministic=True)
-    record = b"".join(
-        (
-            b"\x05",
-            (22 + len(payload)).to_bytes(8, "little"),
-            channel.to_bytes(2, "little"),
-            (tick & 0xFFFFFFFF).to_bytes(4, "little"),
-            log_time.to_bytes(8, "little"),
-            publish_time.to_bytes(8, "little"),
-            payload,
-        )
-    )
-    return _Block(key, channel, np.array([log_time]), [record])
+    size = layout.RECORD_HEADER - 9 + len(payload)
+    head = _MESSAGE.pack(Opcode.MESSAGE, size, channel, tick & 0xFFFFFFFF, log_time, publish_time)
+    return _Block(key, channel, np.array([log_time]), [head + payload])
 
 
 def _in_order(blocks: list[_Block]) -> Messages:
@@ -198,9 +192,7 @@ def _in_order(blocks: list[_Block]) -> Messages:
     order = np.argsort(key)
     data = [record for block in blocks for record in block.data]
     channel = np.repeat([block.channel for block in blocks], [len(block.key) for block in blocks])
-    length = np.repeat(
-        [len(block.data[0]) if block.data else 0 for block in blocks], [len(block.key) for block in blocks]
-    )
+    length = np.array([len(record) for record in data], np.int64)
     log_time = np.concatenate([block.log_time for block in blocks])
     return Messages(
         [data[i] for i in order.tolist()], channel[order], log_time[order], length[order], key[order] // _LAST

@@ -21,7 +21,7 @@ def figures(rows: Rows) -> dict[str, Any]:
     powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING)
     result: dict[str, Any] = {
         "ticks": len(rows),
-        "duration_s": _span_s(rows),
+        "duration_s": float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0,
         "final_mode": Mode(int(rows["mode"][-1])).name if len(rows) else None,
         "faults": _names(Fault, np.bitwise_or.reduce(rows["faults"])) if len(rows) else [],
         "tracking": {"ticks": int(tracking.sum())} | errors(rows[tracking]),
@@ -42,13 +42,9 @@ def figures(rows: Rows) -> dict[str, Any]:
         }
     if np.isfinite(rows["lyapunov"]).any():
         result["certificate"] = certificate(rows)
-    if tracking.any() and len(rows) > 0:
+    if tracking.any():
         result["first_motion_s"] = float((rows["t_ns"][tracking][0] - rows["t_ns"][0]) * 1e-9)
     return result
-
-
-def _span_s(rows: Rows) -> float:
-    return float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0
 
 
 def limited_ticks(rows: Rows) -> dict[str, int]:

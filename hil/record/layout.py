@@ -12,13 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Bytes, Ints, Rows
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 
 RECORD_HEADER = 31
 """Bytes of an MCAP Message record in front of its data."""
 MAX_DATA = 64
 VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5
 """Wire types."""
-_DLC_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+FRAME_FLAGS = {
+    "is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI,
+}  # fmt: skip
+"""Field of hil.Frame -> flag of `Frame`."""
 _SHIFTS = np.array([0, 7, 14, 21, 28], np.int64)
 _MORE = np.array([0x80, 0x80, 0x80, 0x80, 0], np.uint8)
 
@@ -134,11 +138,6 @@ def unpack_varint5(encoded: Bytes) -> Ints:
     """Decode five-byte varints: (n, 5) -> (n,)."""
     values: Ints = ((encoded & 0x7F).astype(np.int64) << _SHIFTS).sum(axis=1)
     return values
-
-
-def data_length_code(length: int) -> int:
-    """Return the DLC of ISO 11898-1 for a data field of `length` bytes."""
-    return next(code for code, size in enumerate(_DLC_LENGTHS) if size >= length)
 
 
 @cache

@@ -267,7 +267,7 @@ class Log:
         loose: list[bytes] = []
         for record in records(self.path):
             if record.opcode == Opcode.MESSAGE:
-                loose.append(b"\x05" + len(record.content).to_bytes(8, "little") + record.content)
+                loose.append(record.whole)
                 if len(loose) < 4096:
                     continue
             if loose:

@@ -72,34 +72,15 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._write(MAGIC + record_bytes(Header("", library)))
 
-    def add_schema(self, name: str, data: bytes, encoding: str = "protobuf", schema_id: int = 0) -> int:
-        """Write a schema; return its id."""
-        schemas = self._summary[Opcode.SCHEMA]
-        schema = Schema(id=schema_id or len(schemas) + 1, name=name, encoding=encoding, data=data)
-        schemas.append(schema)
+    def add_schema(self, schema: Schema) -> None:
+        """Write a schema."""
+        self._summary[Opcode.SCHEMA].append(schema)
         self._write(record_bytes(schema))
-        return schema.id
 
-    def add_channel(
-        self,
-        topic: str,
-        schema_id: int,
-        metadata: Mapping[str, str] | None = None,
-        encoding: str = "protobuf",
-        channel_id: int = 0,
-    ) -> int:
-        """Write a channel; return its id."""
-        channels = self._summary[Opcode.CHANNEL]
-        channel = Channel(
-            id=channel_id or len(channels) + 1,
-            topic=topic,
-            message_encoding=encoding,
-            schema_id=schema_id,
-            metadata=dict(metadata or {}),
-        )
-        channels.append(channel)
+    def add_channel(self, channel: Channel) -> None:
+        """Write a channel."""
+        self._summary[Opcode.CHANNEL].append(channel)
         self._write(record_bytes(channel))
-        return channel.id
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record."""

@@ -43,6 +43,11 @@ class Record(NamedTuple):
     content: bytes
     complete: bool
 
+    @property
+    def whole(self) -> bytes:
+        """The record as it stands in the file."""
+        return _HEAD.pack(self.opcode, len(self.content)) + self.content
+
     def parse(self) -> Any:
         """Return the record as an object of mcap.records, None for kinds that are not needed."""
         reader = _READERS.get(self.opcode)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Channel, Schema
 
 from drivers.arrays import Ints
 from hil.record.encode import Encoder, Messages
@@ -94,9 +95,8 @@ class Recorder:
             media_type = _MEDIA.get(Path(name).suffix, "application/octet-stream")
             self.file.add_attachment(name, data, setup["created_ns"], media_type)
         for channel_id, (topic, schema, metadata) in self._encoder.channels.items():
-            schema_id = self.file.add_schema(schema.name, schema.descriptors)
-            if self.file.add_channel(topic, schema_id, metadata) != channel_id:
-                raise AssertionError(topic)
+            self.file.add_schema(Schema(channel_id, schema.descriptors, "protobuf", schema.name))
+            self.file.add_channel(Channel(channel_id, topic, "protobuf", metadata, channel_id))
         self.file.sync()
 
     def run(self, control: _Control) -> None:

@@ -7,12 +7,10 @@ waits: when the ring is full the tick is dropped and counted. In lockstep it wai
 import contextlib
 import json
 import os
-import struct
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -93,9 +91,11 @@ class Recording:
         self._process = process
         self._lockstep = lockstep
         self._counters = ring.counters
-        self._written = 0
         self._items = 0
-        self._dropped = 0
+        self.ticks = 0
+        """Ticks that went into the ring."""
+        self.dropped = 0
+        """Ticks that found the ring full."""
         self._summary: LogSummary | None = None
 
     @classmethod
@@ -156,28 +156,16 @@ class Recording:
         """Whether the recorder process is still there."""
         return self._process.poll() is None
 
-    @property
-    def dropped(self) -> int:
-        """Ticks that found the ring full."""
-        return self._dropped
-
-    @property
-    def ticks(self) -> int:
-        """Ticks that went into the ring."""
-        return self._written
-
     def tick(
         self,
         row: Rows | np.void,
         received: Sequence[Received],
         sent: Sequence[Frame],
         operator: Sequence[int] = (),
-        sent_t_ns: Sequence[int] = (),
         setpoints: Sequence[SetPoint] = (),
     ) -> None:
         """Record one tick: its row, the frames consumed and sent in their order, commands and set-points.
 
-        `sent_t_ns` gives the instant of each sent frame; by default it is the time of the tick.
         A 0-d array as `row` is fastest.
 
         Raises LogError for a frame of more than 64 bytes, and in lockstep where the recorder has died or one
@@ -185,11 +173,11 @@ class Recording:
         """
         count = len(received) + len(sent) + len(operator) + len(setpoints)
         if not self._has_room(count):
-            self._dropped += 1
-            self._counters[DROPPED] = self._dropped
+            self.dropped += 1
+            self._counters[DROPPED] = self.dropped
             return
         ring = self._ring
-        slot = self._written % ring.capacity
+        slot = self.ticks % ring.capacity
         ring.rows[slot] = row
         if count:
             buffer, size, capacity = ring.item_bytes, ITEM.itemsize, ring.item_capacity
@@ -208,10 +196,6 @@ class Recording:
                         raise _too_long(can_id, length)
                     pack_item(buffer, item % capacity * size, now, can_id, SENT, flags, length, data)
                     item += 1
-                if sent_t_ns:
-                    first = item - len(sent)
-                    for i, t_ns in enumerate(sent_t_ns):
-                        struct.pack_into("<q", buffer, (first + i) % capacity * size, t_ns)
                 for command in operator:
                     pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
                     item += 1
@@ -222,8 +206,8 @@ class Recording:
             self._items = item
         ring.ends[slot] = self._items
         fence()
-        self._written += 1
-        self._counters[WRITTEN] = self._written
+        self.ticks += 1
+        self._counters[WRITTEN] = self.ticks
 
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
@@ -254,17 +238,17 @@ class Recording:
         return self._summary
 
     def _summarise(self, reply: Mapping[str, Any]) -> LogSummary:
-        lost = self._written - self._counters[READ]
+        lost = self.ticks - self._counters[READ]
         error = reply.get("error", "" if "ticks" in reply else "the recorder died")
         return LogSummary(
             path=self.path,
             ticks=reply.get("ticks", self._counters[READ]),
             messages=reply.get("messages", 0),
-            dropped=self._dropped,
+            dropped=self.dropped,
             lost=lost,
             size_bytes=reply.get("size_bytes", self.path.stat().st_size if self.path.exists() else 0),
             recorder_cpu_s=reply.get("recorder_cpu_s", 0.0),
-            complete=not error and not self._dropped and not lost,
+            complete=not error and not self.dropped and not lost,
             error=error,
         )
 
@@ -272,7 +256,7 @@ class Recording:
         """Return whether one row and `count` items fit; in lockstep wait until they do."""
         ring, counters = self._ring, self._counters
         while (
-            self._written - counters[READ] >= ring.capacity
+            self.ticks - counters[READ] >= ring.capacity
             or self._items + count - counters[READ_ITEMS] > ring.item_capacity
         ):
             if not self._lockstep:
@@ -287,9 +271,7 @@ class Recording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

@@ -111,11 +111,6 @@ class Ring:
         self.fd = -1
 
     # consumer
-    @property
-    def waiting(self) -> int:
-        """Rows published and not yet read."""
-        return self.counters[WRITTEN] - self.counters[READ]
-
     def ready(self, limit: int) -> bool:
         """Return whether `limit` rows wait, or a quarter of the room for items is taken."""
         events = self.counters[EVENTS]

@@ -56,7 +56,7 @@ class _Salvage:
     def add(self, record: Record) -> None:
         """Take over one record of the original."""
         if record.opcode == Opcode.MESSAGE and record.complete:
-            self._loose.append(b"\x05" + len(record.content).to_bytes(8, "little") + record.content)
+            self._loose.append(record.whole)
             if len(self._loose) >= 1024:
                 self.flush()
         elif record.opcode == Opcode.CHUNK:
@@ -76,18 +76,12 @@ class _Salvage:
                 schema = record.parse()
                 if schema.id not in self._schemas:
                     self._schemas.add(schema.id)
-                    self.file.add_schema(schema.name, schema.data, schema.encoding, schema.id)
+                    self.file.add_schema(schema)
             case Opcode.CHANNEL:
                 channel = record.parse()
                 if channel.id not in self._topics:
                     self._topics[channel.id] = channel.topic
-                    self.file.add_channel(
-                        channel.topic,
-                        channel.schema_id,
-                        channel.metadata,
-                        channel.message_encoding,
-                        channel.id,
-                    )
+                    self.file.add_channel(channel)
             case Opcode.METADATA:
                 metadata = record.parse()
                 self.file.add_metadata(metadata.name, metadata.metadata)
@@ -135,10 +129,9 @@ class _Salvage:
             self._write(data, split(data)[0])
 
     def _write(self, data: bytes, table: MessageTable) -> None:
-        end = int(table.offset[-1] + table.length[-1])
         parts = [data[o : o + n] for o, n in zip(table.offset.tolist(), table.length.tolist(), strict=True)]
         offset = np.cumsum(table.length) - table.length
-        self.file.add_chunk(b"".join(parts) if parts else data[:end], table.channel, table.log_time, offset)
+        self.file.add_chunk(b"".join(parts), table.channel, table.log_time, offset)
         self._count(table)
 
     def _is_tick(self, table: MessageTable) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -86,21 +86,16 @@ class SceneDrawer:
         tops = p + self._b @ R.T
         update = SceneUpdate(
             entities=[
-                self._entity("base", BASE, stamp, lines=[self._outline(self._a, _GREY)]),
-                self._entity("platform", BASE, stamp, lines=[self._outline(tops, _BLUE)]),
-                self._entity(
-                    "legs",
-                    BASE,
-                    stamp,
-                    cylinders=[self._leg(a, b) for a, b in zip(self._a, tops, strict=True)],
-                ),
+                self._entity("base", stamp, lines=[self._outline(self._a, _GREY)]),
+                self._entity("platform", stamp, lines=[self._outline(tops, _BLUE)]),
+                self._entity("legs", stamp, cylinders=list(map(self._leg, self._a, tops))),
             ]
         )
         return bytes(update.SerializeToString(deterministic=True))
 
     @staticmethod
-    def _entity(name: str, frame: str, stamp: Timestamp, **primitives: Any) -> Any:
-        return SceneEntity(timestamp=stamp, frame_id=frame, id=name, frame_locked=True, **primitives)
+    def _entity(name: str, stamp: Timestamp, **primitives: Any) -> Any:
+        return SceneEntity(timestamp=stamp, frame_id=BASE, id=name, frame_locked=True, **primitives)
 
     def _outline(self, joints: Array, color: Any) -> Any:
         centre = joints.mean(axis=0)

@@ -10,11 +10,12 @@ import pytest
 
 from drivers import PROTOCOLS
 from drivers.can.bus import Bus
+from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received, frames_of, run_of
 from drivers.signals import Command, DriveMode, DriveState, Mode
-from hil.app.compose import bit_timing, build_cycle, build_nodes
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
@@ -169,7 +170,7 @@ def test_a_loop_that_fails_switches_the_drives_off_also_where_the_poll_is_the_co
 def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_fresh(row, change):
     c = configuration(change)
     nodes, plant = build_nodes(c)
-    lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, bit_timing(c), 0.01)
+    lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, BitTiming.of(c.bus), 0.01)
     try:
         lockstep.tick = 0
         feedback, ended_ns = lockstep._exchange(0, lockstep.cycle.begin(0))

@@ -20,7 +20,7 @@ from drivers.protocol import Received, Status, run_of
 from drivers.sensors import Readings, Sample
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick import COLUMNS, ROW, Record, copy_of, new_record, part
-from hil.app.compose import build_cycle, build_nodes, feedback_window_s
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
@@ -233,7 +233,7 @@ def rows_of_a_run(after_each=lambda _cycle: None, ticks=1500):
     cycle.tick = new_record()
     nodes, plant = build_nodes(configuration)
     try:
-        lockstep = Lockstep(cycle, nodes, None, feedback_window_s(configuration, rate))
+        lockstep = Lockstep(cycle, nodes, None, configuration.loop.window_s(rate))
         rows = []
         for _ in range(ticks):
             operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()

@@ -59,7 +59,7 @@ def test_of_several_in_one_tick_the_last_good_one_is_followed(steering):
 def test_what_comes_before_or_after_the_tracking_is_refused(steering):
     steering.step((at(0.1),), None, tracking=False)
     assert steering.answers == [Refusal.NOT_TRACKING]
-    steering.restart()
+    steering.trajectory.reset()
     assert go(steering, 1, 500)[0] == 0.0
     assert steering.counts == Counts(0, 1, 0), "a restart forgets the place, not the count"
 

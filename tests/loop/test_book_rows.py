@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.signals import Fault, Mode, Stop, Warn
 from hil.app.check.command import inspect
-from hil.app.compose import build_cycle, build_nodes, feedback_window_s
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.sim.lockstep import Lockstep
@@ -99,7 +99,7 @@ def track(configuration, seconds, faults=None, prepare=None):
     try:
         if prepare is not None:
             prepare(cycle, plant)
-        lockstep = Lockstep(cycle, nodes, None, feedback_window_s(configuration, rate))
+        lockstep = Lockstep(cycle, nodes, None, configuration.loop.window_s(rate))
         operator: tuple[Operator, ...] = ()
         while len(rows) < round(seconds * rate):
             row = lockstep.step(operator)[2].row

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.can.bus_time import BitTiming
 from drivers.signals import DriveState, Mode
-from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
@@ -150,7 +151,7 @@ def both_ends(configuration):
     rate = configuration.loop.rate_Hz
     cycle = build_cycle(configuration, rate, configuration.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(configuration)
-    lockstep = Lockstep(cycle, nodes, bit_timing(configuration), feedback_window_s(configuration, rate))
+    lockstep = Lockstep(cycle, nodes, BitTiming.of(configuration.bus), configuration.loop.window_s(rate))
     return lockstep, plant.close
 
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
 from drivers.signals import Fault, Mode, Warn
-from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
@@ -84,7 +85,7 @@ def run(configuration, *faults, seed=1):
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, FaultPlan(faults, seed))
-    lockstep = Lockstep(cycle, nodes, bit_timing(c), feedback_window_s(c, rate))
+    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate))
     rows, truths = [], []
     warned = 0
 
@@ -176,7 +177,7 @@ def test_on_shut_brakes_the_pose_stays_and_no_further_encoder_is_blamed():
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, FaultPlan([EncoderOffset(leg=2, start_s=MOVING_S, offset_m=2e-3)], 1))
-    lockstep = Lockstep(cycle, nodes, bit_timing(c), feedback_window_s(c, rate))
+    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate))
     operator: tuple[Operator, ...] = (Operator.RESET,)
     for _ in range(1200):
         row = lockstep.step(operator)[2].row

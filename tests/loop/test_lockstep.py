@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.can.arbitration import arbitrate, priority
-from drivers.can.bus_time import frame_time_ns
+from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.protocol import Frame
 from drivers.signals import Mode
-from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
@@ -91,8 +91,8 @@ def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monk
         assert old in text
         text = text.replace(old, new)
     c = loads(text, virtual.name, virtual.folder)
-    cycle, (nodes, plant), timing = build_cycle(c, 400.0, 0.025), build_nodes(c), bit_timing(c)
-    lockstep = Lockstep(cycle, nodes, timing, feedback_window_s(c, 400.0))
+    cycle, (nodes, plant), timing = build_cycle(c, 400.0, 0.025), build_nodes(c), BitTiming.of(c.bus)
+    lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(400.0))
     live = nodes.step
     answers: list[tuple[int, Frame]] = []
     got: set[tuple[int, Frame]] = set()

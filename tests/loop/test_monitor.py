@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.can.bus_time import BitTiming
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick import ROW
-from hil.app.compose import bit_timing, build_cycle, build_nodes, bus_budget, feedback_window_s
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
@@ -60,8 +62,8 @@ def run(c, faults, until_s):
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
     nodes, plant = build_nodes(c, FaultPlan(faults))
     rate = c.loop.rate_Hz
-    timing = None if bus_budget(c, rate) is None else bit_timing(c)
-    lockstep = Lockstep(cycle, nodes, timing, feedback_window_s(c, rate))
+    timing = None if bus_budget(c.bus, c.drives, c.sensors, rate) is None else BitTiming.of(c.bus)
+    lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(rate))
     rows, engaged = [], False
     operator: tuple[Operator, ...] = ()
     try:

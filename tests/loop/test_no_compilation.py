@@ -6,7 +6,8 @@ import subprocess
 import sys
 
 PROGRAM = """
-from hil.app.compose import bit_timing, build_cycle, build_nodes, feedback_window_s
+from drivers.can.bus_time import BitTiming
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
 from drivers.signals import Mode
@@ -16,7 +17,7 @@ from numba.core import dispatcher
 c = load("virtual")
 cycle = build_cycle(c, c.loop.rate_Hz, 0.01)
 nodes, plant = build_nodes(c)
-lockstep = Lockstep(cycle, nodes, bit_timing(c), feedback_window_s(c, c.loop.rate_Hz))
+lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(c.loop.rate_Hz))
 
 
 def refuse(self, sig):

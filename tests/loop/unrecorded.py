@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.app.compose import bit_timing, build_cycle, build_nodes, bus_budget, feedback_window_s
+from drivers.can.bus_time import BitTiming
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.clock import collector_paused
@@ -21,8 +23,8 @@ def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, faults)
     try:
-        timing = None if bus_budget(c, rate) is None else bit_timing(c)
-        lockstep = Lockstep(cycle, nodes, timing, feedback_window_s(c, rate))
+        timing = None if bus_budget(c.bus, c.drives, c.sensors, rate) is None else BitTiming.of(c.bus)
+        lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(rate))
         kept: list[np.ndarray] = []
         with collector_paused():
             ending = lockstep.run(None, lambda inp, opening, out: kept.append(out.row))

@@ -26,29 +26,18 @@ from tools.benchmarks.memory import memory
 from tools.benchmarks.realtime import realtime
 from tools.benchmarks.tick import tick
 
-PARTS: dict[str, Callable[[Benchmark], list[Figure]]] = {
-    "realtime": realtime,
-    "tick": tick,
-    "mathematics": mathematics,
-    "laws": laws,
-    "simulation": simulation,
-    "replay": replaying,
-    "recorder": recorder,
-    "fmu": fmu,
-    "memory": memory,
+PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {
+    "realtime": (realtime, "real time: the loop at 1 kHz against hil plant on localcan"),
+    "tick": (tick, "tick compute, hot: recorded ticks back to back"),
+    "mathematics": (mathematics, "mathematics of one tick, hot"),
+    "laws": (laws, "mathematics of one tick under each control law, hot"),
+    "simulation": (simulation, "lockstep"),
+    "replay": (replaying, "replay"),
+    "recorder": (recorder, "recorder, fed without pause"),
+    "fmu": (fmu, "FMU"),
+    "memory": (memory, "memory"),
 }
-"""In the order in which they run."""
-TITLES = {
-    "realtime": "real time: the loop at 1 kHz against hil plant on localcan",
-    "tick": "tick compute, hot: recorded ticks back to back",
-    "mathematics": "mathematics of one tick, hot",
-    "laws": "mathematics of one tick under each control law, hot",
-    "simulation": "lockstep",
-    "replay": "replay",
-    "recorder": "recorder, fed without pause",
-    "fmu": "FMU",
-    "memory": "memory",
-}
+"""Name -> what measures it, and its title; in the order in which they run."""
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 
 
@@ -123,11 +112,12 @@ def run_parts(names: list[str], seconds: float, memory_minutes: float) -> dict[s
         click.echo(f"{', '.join(v if k != 'cores' else f'{v} cores' for k, v in here.items())}\n")
         parts: dict[str, list[Figure]] = {}
         for name in names:
+            measure, title = PARTS[name]
             try:
-                parts[name] = PARTS[name](benchmark)
+                parts[name] = measure(benchmark)
             except HilError as error:
                 parts[name] = [Figure(FAILED, note=str(error))]
-            click.echo("\n".join(lines(TITLES[name], parts[name])) + "\n")
+            click.echo("\n".join(lines(title, parts[name])) + "\n")
     judged = [f for figures in parts.values() for f in figures if f.met is not None]
     missed = [f for f in judged if not f.met]
     click.echo(f"{len(judged) - len(missed)} of {len(judged)} marks met")

@@ -7,6 +7,8 @@ import subprocess
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 LONGEST_US = 20_000
 """Length of the histogram; later wake-ups count as this."""
 
@@ -36,16 +38,10 @@ class WakeUps(NamedTuple):
 
     def percentiles(self) -> dict[str, float]:
         """Return p50, p99 and max, us."""
-        total = sum(self.counts.values())
-        found = {}
-        for name, share in (("p50", 0.5), ("p99", 0.99)):
-            seen = 0
-            for latency in sorted(self.counts):
-                seen += self.counts[latency]
-                if seen >= share * total:
-                    found[name] = float(latency)
-                    break
-        return found | {"max": self.largest_us}
+        latencies = sorted(self.counts)
+        seen = np.cumsum([self.counts[latency] for latency in latencies])
+        p50, p99 = (float(latencies[np.searchsorted(seen, share * seen[-1])]) for share in (0.5, 0.99))
+        return {"p50": p50, "p99": p99, "max": self.largest_us}
 
     def later_than(self, us: float) -> float:
         """Return the share that was later, %."""

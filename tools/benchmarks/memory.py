@@ -52,20 +52,17 @@ def memory(benchmark: Benchmark) -> list[Figure]:
 
 def memory_figures(samples_kB: list[int], minutes: float) -> list[Figure]:
     """Return peak and growth; a shorter run than the mark's is extrapolated, and says so."""
+    short = minutes < MARK_MINUTES
     grown_MB = (samples_kB[-1] - samples_kB[0]) / 1024.0
     figures = [
         Figure("daemon, resident", {"": max(samples_kB) / 1024.0}, "MB", Mark(300.0)),
-        Figure(f"its growth in {minutes:g} min", {"": grown_MB}, "MB", _growth_mark(minutes)),
+        Figure(f"its growth in {minutes:g} min", {"": grown_MB}, "MB", None if short else Mark(2.0)),
     ]
-    if minutes < MARK_MINUTES:
+    if short:
         each = grown_MB / minutes * MARK_MINUTES
         note = f"EXTRAPOLATED from {minutes:g} min; --memory-minutes {MARK_MINUTES:g} measures it"
         figures.append(Figure(f"  in {MARK_MINUTES:g} min", {"": each}, "MB", Mark(2.0), note))
     return figures
-
-
-def _growth_mark(minutes: float) -> Mark | None:
-    return Mark(2.0) if minutes >= MARK_MINUTES else None
 
 
 def _wait_for(log: Path, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:

@@ -17,7 +17,7 @@ from drivers.can.runtime_folder import RoleLock
 from drivers.errors import RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import Mode
-from hil.app.compose import build_cycle, feedback_window_s, record
+from hil.app.compose import build_cycle, record
 from hil.app.configuration.configuration import Configuration
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import RELAXED_WATCHDOG_S, patience
@@ -109,7 +109,7 @@ def measure(c: Configuration, benchmark: Benchmark) -> Measured:
         with real_time(c.loop.priority, c.loop.cpu) as granted:
             used, begun = cpu_s(recorder), time.monotonic()
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
-            window_ns = round(feedback_window_s(c, rate) * 1e9)
+            window_ns = round(c.loop.window_s(rate) * 1e9)
             shell = Shell(bus, deadlines, recording, panel, window_ns)
             ending = run(Course(cycle, benchmark.seconds), shell)
             wall = time.monotonic() - begun
@@ -135,10 +135,11 @@ def realtime(benchmark: Benchmark) -> list[Figure]:
     if not powered:
         raise RunError(f"the run ended before the drives were powered: {early}")
     stale, skipped = summary["stale_ticks"], summary["skipped_ticks"]
+    due = len(rows) + skipped
     feedback, command = m.bus.latencies()
     slow = "" if m.granted.fifo else "no SCHED_FIFO"
     answered = spread(feedback, largest=True)
-    slack_us = feedback_window_s(c, m.rate_Hz) * 1e6 - answered["median"]
+    slack_us = c.loop.window_s(m.rate_Hz) * 1e6 - answered["median"]
     return [
         *([Figure(EARLY, note=early)] if early else []),
         Figure("rate", {"": m.rate_Hz}, "Hz", note="; ".join(filter(None, (f"{len(rows)} ticks", slow)))),
@@ -146,14 +147,8 @@ def realtime(benchmark: Benchmark) -> list[Figure]:
         _beside(c, benchmark, slack_us),
         Figure("SYNC to six feedbacks", answered, "us", note="or window over"),
         Figure("SYNC to command sent", spread(command, largest=True), "us"),
-        Figure("stale ticks", {"": _percent(stale, powered)}, "%", Mark(0.5), f"{stale} of {powered}"),
-        Figure(
-            "skipped ticks",
-            {"": _percent(skipped, len(rows) + skipped)},
-            "%",
-            Mark(0.1),
-            f"{skipped} of {len(rows) + skipped}",
-        ),
+        Figure("stale ticks", {"": 100.0 * stale / powered}, "%", Mark(0.5), f"{stale} of {powered}"),
+        Figure("skipped ticks", {"": 100.0 * skipped / due}, "%", Mark(0.1), f"{skipped} of {due}"),
         *patience_figures(rows, c, benchmark.configuration),
         Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
         Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
@@ -172,7 +167,3 @@ def _beside(c: Configuration, benchmark: Benchmark, slack_us: float) -> Figure:
         f"later than the {slack_us:.0f} us that the window leaves after six feedbacks"
     )
     return Figure(name, found.percentiles(), "us", note=note)
-
-
-def _percent(part: int, whole: int) -> float:
-    return 100.0 * part / whole

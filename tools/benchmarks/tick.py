@@ -3,6 +3,7 @@
 import gc
 
 from hil.app.compose import build_cycle
+from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.loop.replay import replay
@@ -41,8 +42,5 @@ def _parts(benchmark: Benchmark) -> Parts:
 def _feed(benchmark: Benchmark, cycle: Cycle) -> int:
     """Return how many of the ticks came out differently."""
     gc.collect()
-    gc.disable()  # as the daemon does
-    try:
+    with collector_paused():
         return replay(benchmark.held, cycle).different_ticks
-    finally:
-        gc.enable()

@@ -270,7 +270,8 @@ class Wire:
         """Drop a participant's frames that have not started; return how many."""
         queued = _TIME.unpack_from(self.memory, _QUEUED_AT)[0]
         raw = self.memory[_QUEUE_AT : _QUEUE_AT + queued * RECORD.size]
-        kept = [record for record in _split(raw) if RECORD.unpack(record)[3] != serial]
+        records = (raw[i : i + RECORD.size] for i in range(0, len(raw), RECORD.size))
+        kept = [record for record in records if RECORD.unpack(record)[3] != serial]
         _TIME.pack_into(self.memory, _STATE_AT, 1)
         self.memory[_QUEUE_AT : _QUEUE_AT + len(kept) * RECORD.size] = b"".join(kept)
         _TIME.pack_into(self.memory, _QUEUED_AT, len(kept))
@@ -292,7 +293,3 @@ class Wire:
     def waiting(self, queued: int) -> bytes:
         """Return the RECORDs in the transmit queue."""
         return self.memory[_QUEUE_AT : _QUEUE_AT + queued * RECORD.size]
-
-
-def _split(raw: bytes) -> list[bytes]:
-    return [raw[i : i + RECORD.size] for i in range(0, len(raw), RECORD.size)]

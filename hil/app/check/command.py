@@ -1,6 +1,5 @@
 """`hil check CONFIG`: what bus, legs and limits say about a configuration before anything moves."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from hil.app.check.findings import Report
 from hil.app.check.monitor import report_monitor
 from hil.app.compose import build_admission, build_protocol, drive_setup
 from hil.app.configuration.bus_budget import bus_budget
-from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Problem, parse
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
@@ -28,17 +27,11 @@ from hil.trajectory.build import build_trajectory
 from hil.trajectory.path import axis_limits, six_words
 
 
-def check(path: str | Path) -> Report:
-    """Load a configuration and walk its reference.
-
-    Raises ConfigurationError with all problems: those of the file, or the limits that the reference breaks,
-    each with its first instant.
-    """
-    return inspect(load(path))
-
-
 def inspect(c: Configuration) -> Report:
-    """Return the report on a loaded configuration. Raises ConfigurationError as `check`."""
+    """Return the report on a configuration and its whole reference.
+
+    Raises ConfigurationError with the limits that the reference breaks, each with its first instant.
+    """
     report = Report(c.name)
     platform = build_platform(c.platform)
     model = Model(platform, leg_spin=c.platform.leg_spin)
@@ -86,9 +79,10 @@ def _bus(report: Report, c: Configuration) -> None:
     protocol = build_protocol(c)
     opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
     asked = {frame.id for frame in opening} | protocol.feedback_ids
-    timing = BitTiming(c.bus.bitrate_bit_s, c.bus.data_bitrate_bit_s)
     times = {
-        f.id: frame_time_ns(len(f.data), f.flags, timing) for f in protocol.cyclic_frames() if f.id in asked
+        f.id: frame_time_ns(len(f.data), f.flags, BitTiming.of(c.bus))
+        for f in protocol.cyclic_frames()
+        if f.id in asked
     }
     feedback_us = sum(times.values()) / 1e3
     window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6

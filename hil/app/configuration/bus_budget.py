@@ -24,5 +24,4 @@ def bus_budget(
     if bus.layout == "ideal":
         return None
     frames += nodes.cyclic_frames(rate_Hz)
-    timing = BitTiming(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
-    return check(frames, timing, rate_Hz, bus.max_load_percent)
+    return check(frames, BitTiming.of(bus), rate_Hz, bus.max_load_percent)

@@ -23,19 +23,15 @@ from hil.app.identify.delay import (
     recorded_run,
 )
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
-from hil.app.identify.plot import draw
+from hil.app.identify.plot import NAMES, draw
 from hil.app.output import picture_path
-from hil.config.axis_model import AxisModel, AxisResponse, AxisSpace, NominalAxis, UncertaintyProfile
+from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
 from hil.identify.axis_fit import Fit, Uncertainty, fit_axes, uncertainty
 from hil.identify.excitation import axis_excitation
 from hil.identify.response import Response, estimate
 from hil.identify.spectra import Spectra, periodic, segmented
 
-NAMES: dict[AxisSpace, tuple[str, ...]] = {
-    "joint": tuple(f"leg {k}" for k in range(6)),
-    "pose": ("x", "y", "z", "rx", "ry", "rz"),
-}
 REMARK = "Made by hil identify: the linearised axes from demanded acceleration to measured position."
 
 
@@ -43,7 +39,6 @@ class Identified(NamedTuple):
     """All that a log tells of its axes."""
 
     model: AxisModel
-    response: Response
     fit: Fit
     uncertainty: Uncertainty
     blocks: int
@@ -125,7 +120,7 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
         measured=[_measured(response, axis) for axis in range(6)],
     )
     motion = 1e3 * float(np.ptp(rows["q"][rows["mode"] == Mode.TRACKING], axis=0).min())
-    return Identified(model, response, fit, bound, len(spectra.V), lines is not None, motion)
+    return Identified(model, fit, bound, len(spectra.V), lines is not None, motion)
 
 
 def _measured(response: Response, axis: int) -> AxisResponse:

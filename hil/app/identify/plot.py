@@ -4,9 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.config.axis_model import AxisModel
+from hil.config.axis_model import AxisModel, AxisSpace
 from hil.identify.axis_fit import COHERENT
 from hil.identify.nominal import axis_response
+
+NAMES: dict[AxisSpace, tuple[str, ...]] = {
+    "joint": tuple(f"leg {k}" for k in range(6)),
+    "pose": ("x", "y", "z", "rx", "ry", "rz"),
+}
 
 
 def draw(model: AxisModel, path: Path, title: str) -> Path:
@@ -20,9 +25,10 @@ def draw(model: AxisModel, path: Path, title: str) -> Path:
     figure = Figure(figsize=(12, 8.5), layout="constrained")
     (magnitude, coherence), (phase, bound) = figure.subplots(2, 2, sharex=True)
     T = 1.0 / model.rate_Hz
-    names = [f"leg {k}" for k in range(6)] if model.axes == "joint" else ["x", "y", "z", "rx", "ry", "rz"]
     transport, lag = 1e-3 * model.nominal.transport_ms, 1e-3 * model.nominal.lag_ms
-    for k, (name, gain, axis) in enumerate(zip(names, model.nominal.gain, model.measured, strict=True)):
+    for k, (name, gain, axis) in enumerate(
+        zip(NAMES[model.axes], model.nominal.gain, model.measured, strict=True)
+    ):
         f = np.array(axis.frequency_Hz)
         w2 = (2.0 * np.pi * f) ** 2 / gain
         G = np.array(axis.magnitude) * np.exp(1j * np.deg2rad(axis.phase_deg))

@@ -12,7 +12,8 @@ from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.errors import LogError, RunError
 from drivers.signals import Mode
-from hil.app.compose import build_cycle, bus_budget, feedback_window_s, record
+from hil.app.compose import build_cycle, record
+from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.output import console, log_path, warn
@@ -73,7 +74,7 @@ def run_daemon(
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
-            window_ns = round(feedback_window_s(c, rate) * 1e9)
+            window_ns = round(c.loop.window_s(rate) * 1e9)
             shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints)
             ending = run(Course(cycle, duration_s, reset=reset), shell)
         trouble = _trouble(ending, c, "" if plant is None else plant.trouble(), with_plant=with_plant)
@@ -126,7 +127,7 @@ def _summary(
     c: Configuration, cycle: Cycle, ending: Ending, trouble: str, granted: RealTime, closed: LogSummary
 ) -> dict[str, Any]:
     rate = cycle.parts.rate_Hz
-    budget = bus_budget(c, rate)
+    budget = bus_budget(c.bus, c.drives, c.sensors, rate)
     result: dict[str, Any] = {
         "success": ending.success and not trouble,
         "kind": "run",

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import tempfile
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from drivers.child_process import start
@@ -58,12 +57,12 @@ class SupervisedPlant:
             readable, _, _ = select.select([self._report], [], [], START_S)
             served = bool(readable) and os.read(self._report, 1) == b"\n"
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         if not served:
             self._end()
             message = self._message()
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise PlantError(f"the plant did not start: {message}")
         return self
 
@@ -111,9 +110,7 @@ class SupervisedPlant:
         )
         return f"{how}: {text}" if text else how
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._end()
         if not self._errors.closed:
             self._errors.close()

@@ -8,13 +8,14 @@ from typing import Any
 from drivers.errors import ConfigurationError, PlantError
 from drivers.protocol import Frame
 from drivers.signals import Mode
-from hil.app.compose import build_cycle, build_nodes, bus_budget, record
+from hil.app.compose import build_cycle, build_nodes, record
+from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.output import log_path
 from hil.app.replay import replay_log
+from hil.app.setpoint import require_live
 from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
-from hil.config.reference import LiveReference
 from hil.loop.clock import collector_paused
 from hil.loop.course import Ending
 from hil.loop.cycle import Cycle
@@ -34,10 +35,7 @@ class Script:
     """
 
     def __init__(self, c: Configuration, cycle: Cycle, path: Path) -> None:
-        if not isinstance(c.reference, LiveReference):
-            raise ConfigurationError(
-                f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
-            )
+        require_live(c)
         t, chi = read_poses(path, at_least=1)
         self._t = t.tolist()
         self._setpoints = [SetPoint(*words) for words in chi.tolist()]
@@ -92,7 +90,7 @@ def simulate(
     c = configuration
     c.require("sim")
     rate = c.loop.rate_Hz
-    budget = bus_budget(c, rate)
+    budget = bus_budget(c.bus, c.drives, c.sensors, rate)
     watchdog_s = c.drives.watchdog_ms * 1e-3
     cycle = build_cycle(c, rate, watchdog_s)
     if cycle.parts.trajectory.duration_s is None and duration_s is None:

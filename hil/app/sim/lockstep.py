@@ -11,7 +11,6 @@ from typing import NamedTuple
 from drivers.can.arbitration import priority, transmit
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.protocol import ALWAYS, Frame, Received
-from hil.app.compose import bit_timing, feedback_window_s
 from hil.app.configuration.configuration import Configuration
 from hil.loop.course import Course, Ending
 from hil.loop.cycle import Cycle
@@ -216,5 +215,5 @@ class Lockstep:
 
 def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes) -> Lockstep:
     """Return both ends on the configured bus; layout `ideal` takes no bus time."""
-    timing = None if c.bus.layout == "ideal" else bit_timing(c)
-    return Lockstep(cycle, nodes, timing, feedback_window_s(c, c.loop.rate_Hz))
+    timing = None if c.bus.layout == "ideal" else BitTiming.of(c.bus)
+    return Lockstep(cycle, nodes, timing, c.loop.window_s(c.loop.rate_Hz))

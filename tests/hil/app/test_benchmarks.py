@@ -24,7 +24,7 @@ from hil.trajectory.holding import hold
 from tests.drivers.legs_frames import command_frames
 from tests.records import asked, record_of
 from tools.benchmarks import cyclictest, realtime
-from tools.benchmarks.__main__ import PARTS, TITLES, main
+from tools.benchmarks.__main__ import PARTS, main
 from tools.benchmarks.benchmark import CHANNEL, Benchmark, Held
 from tools.benchmarks.figures import Figure, Mark, lines, number, spread
 from tools.benchmarks.fmu import fmu
@@ -394,6 +394,6 @@ def test_a_file_that_is_no_summary_is_not_overwritten(monkeypatch, tmp_path):
 
 
 def test_every_part_has_a_title_and_can_be_asked_for():
-    assert set(PARTS) == set(TITLES)
+    assert all(title for _, title in PARTS.values())
     text = CliRunner().invoke(main, ["--help"]).output
     assert "|".join(PARTS) in text.replace("\n", "").replace(" ", "")

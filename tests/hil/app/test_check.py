@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from hil.app.check.command import check, inspect
+from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 from hil.app.reachability import window_swing
 
@@ -30,7 +30,7 @@ def edited(*changes):
 
 @pytest.mark.parametrize("name", ["bench", "ideal", "lab", "socketcan", "vcan50", "virtual"])
 def test_every_shipped_configuration_passes(name):
-    report = check(name)
+    report = inspect(load(name))
     json.dumps(report.to_dict())
     text = "\n".join(report.lines)
     for word in ("robot at home", "bus", "watchdog", "reference", "real time on this machine"):
@@ -39,7 +39,7 @@ def test_every_shipped_configuration_passes(name):
 
 
 def test_the_figures_of_the_books_path_are_the_books():
-    figures = check("virtual").figures
+    figures = inspect(load("virtual")).figures
     home = BOOK["home_static"]
     assert figures["home"]["leg_lengths_m"] == pytest.approx(home["length"], abs=1e-9)
     assert figures["home"]["static_forces_N"] == pytest.approx(home["force"], rel=1e-9)
@@ -58,7 +58,7 @@ def test_the_figures_of_the_books_path_are_the_books():
 
 
 def test_the_arithmetic_of_the_bus_is_shown():
-    report = check("virtual")
+    report = inspect(load("virtual"))
     text = "\n".join(report.lines)
     # 34 + 358 / 5 = 105.6 us, 34 + 153 / 5 = 64.6 us, SYNC of one byte 65 us.
     assert "1 x CAN FD  32 byte: 34 bit + 358 fast bit = 105.6 us each" in text

@@ -11,6 +11,12 @@
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
+#define API EXPORT int
+#define JOIN2(a, b) a##b
+#define JOIN(a, b) JOIN2(a, b)
+/* A function of the standard that this FMU has no use for; FMI(name) gives it the importer's prefix. */
+#define UNSUPPORTED(function, ...) \
+    API FMI(function)(__VA_ARGS__) { return instance_unsupported(c, #function); }
 
 /* Numbers of both standards' status enumerations. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
@@ -30,9 +36,8 @@ struct Instance {
 Instance *instance_new(const char *name, const char *token, int logging, Report report, void *environment,
                        void *logger);
 void instance_free(Instance *instance);
-int instance_log_category(const char *category);
+Status instance_set_logging(Instance *instance, int on, size_t n, const char *const categories[]);
 Status instance_fail(const Instance *instance, const char *message);
-/* A function of the standard that this FMU has no use for. */
 Status instance_unsupported(const Instance *instance, const char *function);
 
 Status instance_enter_initialisation(Instance *instance, double start_time);
@@ -45,7 +50,7 @@ Status instance_step(Instance *instance, double time, double dt);
 Status instance_save(const Instance *instance, void **state);
 Status instance_restore(Instance *instance, const void *state);
 Status instance_discard(void **state);
-size_t instance_saved_size(void);
+Status instance_saved_size(const Instance *instance, const void *state, size_t *size);
 Status instance_serialise(const Instance *instance, const void *state, unsigned char *bytes, size_t size);
 Status instance_deserialise(const Instance *instance, const unsigned char *bytes, size_t size, void **state);
 

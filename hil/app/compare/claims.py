@@ -108,8 +108,7 @@ def _H_small(e: Evidence) -> Finding:
 def _J_dot_small(e: Evidence) -> Finding:
     j = e.shares["J_dot"]
     text = (
-        f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; "
-        f"peak: {e.says('printed')}, {e.says('inverse_dynamics')}"
+        f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; peak: {e.says('printed')}, {e.says(ID)}"
     )
     return Finding(e.error("printed") < CLOSE * e.error(ID), text)
 

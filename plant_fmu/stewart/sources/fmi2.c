@@ -1,7 +1,5 @@
 /* FMI 2.0 face: every function of the standard, co-simulation. Value reference = place in Plant.v.
  */
-#include <string.h>
-
 #include "instance.h"
 
 #ifdef FMI2_FUNCTION_PREFIX
@@ -32,8 +30,7 @@ typedef struct {
 
 static void report(const Instance *instance, Status status, const char *message)
 {
-    Logger logger;
-    memcpy(&logger, &instance->logger, sizeof logger);
+    const Logger logger = (Logger)instance->logger;
     if (logger) logger(instance->environment, instance->name, status, "logStatusError", "%s", message);
 }
 
@@ -48,10 +45,8 @@ API FMI(fmi2SetDebugLogging)(void *c, int on, size_t n, const String categories[
 EXPORT void *FMI(fmi2Instantiate)(String name, int type, String guid, String resources, const Callbacks *callbacks,
                                   int visible, int logging)
 {
-    void *logger = NULL;
-    if (callbacks) memcpy(&logger, &callbacks->logger, sizeof logger);
-    Instance *instance =
-        instance_new(name, guid, logging, report, callbacks ? callbacks->environment : NULL, logger);
+    Instance *instance = instance_new(name, guid, logging, report, callbacks ? callbacks->environment : NULL,
+                                      callbacks ? (Function)callbacks->logger : NULL);
     if (instance && type != 1) {
         instance_unsupported(instance, "model exchange");
         instance_free(instance);
@@ -135,16 +130,13 @@ API FMI(fmi2SetInteger)(void *c, const Ref vr[], size_t n, const int value[])
     return OK;
 }
 
-/* There are no Boolean and no String variables. */
-#define NO_VARIABLES(function, T)                                          \
-    API FMI(function)(void *c, const Ref vr[], size_t n, T value[])        \
-    {                                                                      \
-        return c && n == 0 ? OK : instance_unsupported(c, #function);      \
-    }
-NO_VARIABLES(fmi2GetBoolean, int)
-NO_VARIABLES(fmi2GetString, String)
-NO_VARIABLES(fmi2SetBoolean, const int)
-NO_VARIABLES(fmi2SetString, const String)
+/* There are no Boolean and no String variables, and no derivatives of inputs and outputs. */
+NO_VARIABLES(fmi2GetBoolean, void *c, const Ref vr[], size_t n, int value[])
+NO_VARIABLES(fmi2GetString, void *c, const Ref vr[], size_t n, String value[])
+NO_VARIABLES(fmi2SetBoolean, void *c, const Ref vr[], size_t n, const int value[])
+NO_VARIABLES(fmi2SetString, void *c, const Ref vr[], size_t n, const String value[])
+NO_VARIABLES(fmi2SetRealInputDerivatives, void *c, const Ref vr[], size_t n, const int order[], const double value[])
+NO_VARIABLES(fmi2GetRealOutputDerivatives, void *c, const Ref vr[], size_t n, const int order[], double value[])
 
 API FMI(fmi2GetFMUstate)(void *c, void **state) { return instance_save(c, state); }
 API FMI(fmi2SetFMUstate)(void *c, void *state) { return instance_restore(c, state); }
@@ -161,14 +153,6 @@ API FMI(fmi2DeSerializeFMUstate)(void *c, const char bytes[], size_t size, void 
 UNSUPPORTED(fmi2GetDirectionalDerivative, void *c, const Ref unknown[], size_t n_unknown, const Ref known_[],
             size_t n_known, const double dv_known[], double dv_unknown[])
 
-API FMI(fmi2SetRealInputDerivatives)(void *c, const Ref vr[], size_t n, const int order[], const double value[])
-{
-    return c && n == 0 ? OK : instance_unsupported(c, "fmi2SetRealInputDerivatives");
-}
-API FMI(fmi2GetRealOutputDerivatives)(void *c, const Ref vr[], size_t n, const int order[], double value[])
-{
-    return c && n == 0 ? OK : instance_unsupported(c, "fmi2GetRealOutputDerivatives");
-}
 API FMI(fmi2DoStep)(void *c, double time, double dt, int no_set_state_before)
 {
     return instance_step(c, time, dt);
@@ -178,30 +162,25 @@ UNSUPPORTED(fmi2CancelStep, void *c)
 /* No step is ever pending; status and last time are known after every step all the same. */
 API FMI(fmi2GetStatus)(void *c, int kind, int *value)
 {
-    if (c && kind == 0) {
-        *value = OK;
-        return OK;
-    }
-    return instance_unsupported(c, "fmi2GetStatus");
+    if (!c || kind != 0) return instance_unsupported(c, "fmi2GetStatus");
+    *value = OK;
+    return OK;
 }
 API FMI(fmi2GetRealStatus)(void *c, int kind, double *value)
 {
     Instance *instance = c;
     char why[REASON_SIZE];
-    if (instance && kind == 2 && plant_refresh(&instance->plant, V_time, why) == 0) {
-        *value = instance->plant.v[V_time];
-        return OK;
-    }
-    return instance_unsupported(c, "fmi2GetRealStatus");
+    if (!instance || kind != 2 || plant_refresh(&instance->plant, V_time, why) != 0)
+        return instance_unsupported(c, "fmi2GetRealStatus");
+    *value = instance->plant.v[V_time];
+    return OK;
 }
 UNSUPPORTED(fmi2GetIntegerStatus, void *c, int kind, int *value)
 API FMI(fmi2GetBooleanStatus)(void *c, int kind, int *value)
 {
-    if (c && kind == 3) {
-        *value = 0;
-        return OK;
-    }
-    return instance_unsupported(c, "fmi2GetBooleanStatus");
+    if (!c || kind != 3) return instance_unsupported(c, "fmi2GetBooleanStatus");
+    *value = 0;
+    return OK;
 }
 UNSUPPORTED(fmi2GetStringStatus, void *c, int kind, String *value)
 

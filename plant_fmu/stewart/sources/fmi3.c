@@ -23,16 +23,8 @@ typedef void (*Callback)(void);
 
 static void report(const Instance *instance, Status status, const char *message)
 {
-    Logger logger;
-    memcpy(&logger, &instance->logger, sizeof logger);
+    const Logger logger = (Logger)instance->logger;
     if (logger) logger(instance->environment, status, "logStatusError", message);
-}
-
-static void *pointer_of(Logger logger)
-{
-    void *pointer;
-    memcpy(&pointer, &logger, sizeof pointer);
-    return pointer;
 }
 
 EXPORT String FMI(fmi3GetVersion)(void) { return "3.0"; }
@@ -47,7 +39,7 @@ EXPORT void *FMI(fmi3InstantiateCoSimulation)(String name, String token, String 
                                               size_t n_intermediate, void *environment, Logger logger,
                                               Callback intermediate_update)
 {
-    Instance *instance = instance_new(name, token, logging, report, environment, pointer_of(logger));
+    Instance *instance = instance_new(name, token, logging, report, environment, (Function)logger);
     if (instance && n_intermediate > 0) {
         instance_unsupported(instance, "intermediate update");
         instance_free(instance);
@@ -152,32 +144,26 @@ API FMI(fmi3SetInt64)(void *c, const Ref vr[], size_t n, const int64_t values[],
     return OK;
 }
 
-/* Types without variables: an empty list is no error. */
-#define NO_VARIABLES(function, T)                                                         \
-    API FMI(function)(void *c, const Ref vr[], size_t n, T values[], size_t n_values)     \
-    {                                                                                     \
-        return c && n == 0 ? OK : instance_unsupported(c, #function);                     \
-    }
-NO_VARIABLES(fmi3GetFloat32, float)
-NO_VARIABLES(fmi3GetInt8, int8_t)
-NO_VARIABLES(fmi3GetUInt8, uint8_t)
-NO_VARIABLES(fmi3GetInt16, int16_t)
-NO_VARIABLES(fmi3GetUInt16, uint16_t)
-NO_VARIABLES(fmi3GetInt32, int32_t)
-NO_VARIABLES(fmi3GetUInt32, uint32_t)
-NO_VARIABLES(fmi3GetUInt64, uint64_t)
-NO_VARIABLES(fmi3GetBoolean, bool)
-NO_VARIABLES(fmi3GetString, String)
-NO_VARIABLES(fmi3SetFloat32, const float)
-NO_VARIABLES(fmi3SetInt8, const int8_t)
-NO_VARIABLES(fmi3SetUInt8, const uint8_t)
-NO_VARIABLES(fmi3SetInt16, const int16_t)
-NO_VARIABLES(fmi3SetUInt16, const uint16_t)
-NO_VARIABLES(fmi3SetInt32, const int32_t)
-NO_VARIABLES(fmi3SetUInt32, const uint32_t)
-NO_VARIABLES(fmi3SetUInt64, const uint64_t)
-NO_VARIABLES(fmi3SetBoolean, const bool)
-NO_VARIABLES(fmi3SetString, const String)
+NO_VARIABLES(fmi3GetFloat32, void *c, const Ref vr[], size_t n, float values[], size_t n_values)
+NO_VARIABLES(fmi3GetInt8, void *c, const Ref vr[], size_t n, int8_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt8, void *c, const Ref vr[], size_t n, uint8_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetInt16, void *c, const Ref vr[], size_t n, int16_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt16, void *c, const Ref vr[], size_t n, uint16_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetInt32, void *c, const Ref vr[], size_t n, int32_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt32, void *c, const Ref vr[], size_t n, uint32_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt64, void *c, const Ref vr[], size_t n, uint64_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetBoolean, void *c, const Ref vr[], size_t n, bool values[], size_t n_values)
+NO_VARIABLES(fmi3GetString, void *c, const Ref vr[], size_t n, String values[], size_t n_values)
+NO_VARIABLES(fmi3SetFloat32, void *c, const Ref vr[], size_t n, const float values[], size_t n_values)
+NO_VARIABLES(fmi3SetInt8, void *c, const Ref vr[], size_t n, const int8_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt8, void *c, const Ref vr[], size_t n, const uint8_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetInt16, void *c, const Ref vr[], size_t n, const int16_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt16, void *c, const Ref vr[], size_t n, const uint16_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetInt32, void *c, const Ref vr[], size_t n, const int32_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt32, void *c, const Ref vr[], size_t n, const uint32_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt64, void *c, const Ref vr[], size_t n, const uint64_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetBoolean, void *c, const Ref vr[], size_t n, const bool values[], size_t n_values)
+NO_VARIABLES(fmi3SetString, void *c, const Ref vr[], size_t n, const String values[], size_t n_values)
 
 /* The rest of the standard that this FMU has no use for. */
 UNSUPPORTED(fmi3GetBinary, void *c, const Ref vr[], size_t n, size_t sizes[], Binary values[], size_t n_values)

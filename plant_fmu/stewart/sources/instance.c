@@ -11,7 +11,7 @@ typedef struct {
 } Saved;
 
 Instance *instance_new(const char *name, const char *token, int logging, Report report, void *environment,
-                       void *logger)
+                       Function logger)
 {
     Instance *instance = calloc(1, sizeof *instance);
     if (!instance) return NULL;

@@ -17,11 +17,15 @@
 /* A function of the standard that this FMU has no use for; FMI(name) gives it the importer's prefix. */
 #define UNSUPPORTED(function, ...) \
     API FMI(function)(__VA_ARGS__) { return instance_unsupported(c, #function); }
+/* The same for a type without variables: an empty list is no error. */
+#define NO_VARIABLES(function, ...) \
+    API FMI(function)(__VA_ARGS__) { return c && n == 0 ? OK : instance_unsupported(c, #function); }
 
 /* Numbers of both standards' status enumerations. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 
 typedef struct Instance Instance;
+typedef void (*Function)(void); /* of any type, cast back before it is called */
 typedef void (*Report)(const Instance *instance, Status status, const char *message);
 
 struct Instance {
@@ -30,11 +34,11 @@ struct Instance {
     char name[128];
     Report report;
     void *environment; /* given back to the importer's logger */
-    void *logger;
+    Function logger;
 };
 
 Instance *instance_new(const char *name, const char *token, int logging, Report report, void *environment,
-                       void *logger);
+                       Function logger);
 void instance_free(Instance *instance);
 Status instance_set_logging(Instance *instance, int on, size_t n, const char *const categories[]);
 Status instance_fail(const Instance *instance, const char *message);

@@ -16,8 +16,3 @@ class HoldTrajectory:
     def sample(self, t: float) -> PoseSample:  # noqa: ARG002
         """Return the pose, at rest: the same arrays each time."""
         return self._sample
-
-
-def hold(p: Array, R: Array) -> HoldTrajectory:
-    """Return the trajectory that stays at p (3,) m, R (3, 3), base frame, until stopped."""
-    return HoldTrajectory(p, R)

@@ -299,7 +299,7 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
     files = databases(configuration)
     if isinstance(configuration.reference, SampledReference):
-        files.append((REFERENCE_CSV, configuration.path(configuration.reference.path).read_bytes()))
+        files.append((REFERENCE_CSV, (configuration.folder / configuration.reference.path).read_bytes()))
     if isinstance(configuration.controller, StateSpaceSettings):
         path = controller_path(configuration.controller, configuration.folder)
         files.append((CONTROLLER_FILE, path.read_bytes()))

@@ -1,5 +1,6 @@
 """The file that `hil design` reads: an axis, how it is controlled, and what is asked of the loop."""
 
+from math import pi
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -7,7 +8,6 @@ from pydantic import Field, model_validator
 from drivers.section import Section
 from hil.config.axis_model import AxisSpace
 from hil.config.delay import Delay
-from hil.config.design_uncertainty import UncertaintyRanges
 from hil.config.linear_controller import ControllerInput
 from hil.config.values import Positive
 
@@ -83,6 +83,31 @@ class DesignWeights(Section):
     control: ControlWeight | TransferFunction
     """Or the weight itself, s^2/m."""
     noise: NoiseWeight
+
+
+class UncertaintyRanges(Section):
+    """What the controller has to stand at once; mu < 1 says that it does."""
+
+    inertia: Annotated[float, Field(gt=0, lt=1)]
+    """Share by which mass and inertia may be off: 0.2 for +-20 %."""
+    transport_ms: tuple[Delay, Delay]
+    """From, to: pure delay of feedback, computing and command."""
+    drive_bandwidth_Hz: tuple[Positive, Positive]
+    """From, to: corner of the drives' force loop, first order."""
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for name in ("transport_ms", "drive_bandwidth_Hz"):
+            low, high = getattr(self, name)
+            if low >= high:
+                raise ValueError(f"{name} goes from {low:g} to {high:g}, allowed: from less to more")
+        return self
+
+    @property
+    def lag_ms(self) -> tuple[float, float]:
+        """Time constants of the drives, ms, least and most: 1000 / (2 pi bandwidth)."""
+        slow, fast = self.drive_bandwidth_Hz
+        return 1000.0 / (2.0 * pi * fast), 1000.0 / (2.0 * pi * slow)
 
 
 class Design(Section):

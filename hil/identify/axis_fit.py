@@ -137,11 +137,8 @@ def uncertainty(response: Response, fit: Fit) -> Uncertainty:
         if not own[six].any(axis=0).all():
             continue
         sigma = _largest_singular_value(D[six], V[six])
-        if sigma is None:
-            coupled = False
-            bound[k] = alone[six].max()
-        else:
-            bound[k] = max(sigma, float(alone[six].max()))
+        coupled = coupled and sigma is not None
+        bound[k] = max(sigma or 0.0, float(alone[six].max()))
     bounded = np.isfinite(bound)
     if bounded.sum() < 2:
         raise IdentificationError(

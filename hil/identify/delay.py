@@ -167,11 +167,10 @@ class _Fit:
         fast = np.minimum(np.abs(motion.rate[1:]), np.abs(motion.rate[:-1])) > SLIDING_SPEED
         self.slides = fast & (motion.rate[1:] * motion.rate[:-1] > 0.0)
         """(n - 1, 6): the leg moves one way over the whole period."""
-        self.period_s = motion.period_s
 
     def residual(self, transport_s: float, lag_s: float, use: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return residuals (m,) N and the coefficients (6, 4): gain, offset, viscous, coulomb."""
-        force = mean_forces(self.motion.tau, self.period_s, transport_s, lag_s)
+        force = mean_forces(self.motion.tau, self.motion.period_s, transport_s, lag_s)
         residuals, coefficients = [], []
         for leg in range(6):
             k = use[self.slides[use, leg]]
@@ -183,7 +182,7 @@ class _Fit:
 
     def both(self, use: NDArray[np.intp], start: tuple[float, float] | None = None) -> tuple[float, float]:
         """Return transport and lag, s, from the best of a few starts, or from one."""
-        T = self.period_s
+        T = self.motion.period_s
         starts = [start] if start else [(a * T, b * T) for a in (0.25, 1.5, 3.5) for b in (0.1, 1.0)]
         fits = [
             least_squares(
@@ -200,7 +199,7 @@ class _Fit:
 
     def transport(self, use: NDArray[np.intp], start: float) -> float:
         """Return the delay, s, if all of it is transport."""
-        T = self.period_s
+        T = self.motion.period_s
         fit = least_squares(
             lambda x: self.residual(x[0] * T, 0.0, use)[0],
             [min(max(start / T, 1e-3), LONGEST_PERIODS - 1e-3)],

@@ -30,7 +30,7 @@ from hil.loop.steering import NO_SETPOINTS
 from hil.robot.dynamics import Model
 from hil.safety.guard import Verdict
 from hil.signals import Operator, TickInput, TickOutput
-from hil.trajectory.move import quintic_move
+from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 
 _put_input = struct.Struct(f"<{len(INPUT_COLUMNS) + 2}q").pack_into
@@ -261,7 +261,7 @@ class Cycle:
                     parts.steering.trajectory.reset()
                 here, start = self.motion.sample(number), parts.trajectory.sample(0.0)
                 duration = self._approach_s(here, start)
-                move = quintic_move(here.p, here.R, start.p, start.R, duration)
+                move = GeodesicMove(here.p, here.R, start.p, start.R, duration)
                 self.motion.start(move, number, then=parts.trajectory)
                 self.entry_tick = number
             case Mode.TRACKING:

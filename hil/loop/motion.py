@@ -1,7 +1,7 @@
 """Which path the platform is on, and where along it."""
 
 from drivers.arrays import Array
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.path import PoseSample, Trajectory
 from hil.trajectory.stopping import StoppingTrajectory
@@ -32,7 +32,7 @@ class Motion:
 
     def rest(self, p: Array, R: Array, tick: int) -> None:
         """Stay at a pose from this tick on."""
-        self.start(hold(p, R), tick)
+        self.start(HoldTrajectory(p, R), tick)
 
     def stop(self, tick: int, duration_s: float) -> None:
         """Slow down to rest along the present path within `duration_s`; a live one within its own limits."""

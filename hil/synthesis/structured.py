@@ -15,8 +15,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import SynthesisError
-from hil.config.design import Design, DesignAxis
-from hil.config.design_uncertainty import UncertaintyRanges
+from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import drive, pade
 from hil.synthesis.mu import Block

@@ -4,8 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from drivers.errors import ConfigurationError
 from hil.config.reference import (
     Evaluated,
@@ -19,10 +17,11 @@ from hil.config.reference import (
     WaypointReference,
 )
 from hil.config.values import Pose
-from hil.trajectory.holding import hold_words
+from hil.mathematics.rotations import rotation_from_vector
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.multisine import multisine_trajectory
-from hil.trajectory.path import Trajectory, axis_limits, require_half_turn, six_words
+from hil.trajectory.path import Trajectory, axis_limits, checked_words
 from hil.trajectory.sampled import sampled_trajectory
 from hil.trajectory.sinusoids import SinusoidTrajectory
 from hil.trajectory.tabulated import TabulatedTrajectory, require_end
@@ -47,9 +46,8 @@ class Context(NamedTuple):
 
 
 def _hold(settings: HoldReference, context: Context) -> Trajectory:
-    chi = six_words(settings.pose or context.home)
-    require_half_turn(float(np.linalg.norm(chi[3:])), "reference.pose.rotation_vector_deg")
-    return hold_words(chi, settings.duration_s)
+    chi = checked_words(settings.pose or context.home, "reference.pose")
+    return HoldTrajectory(chi[:3], rotation_from_vector(chi[3:]), settings.duration_s)
 
 
 def _sampled(settings: SampledReference, context: Context) -> Trajectory:
@@ -61,8 +59,7 @@ def _sampled(settings: SampledReference, context: Context) -> Trajectory:
 
 
 def _live(settings: LiveReference, context: Context) -> Trajectory:
-    chi = six_words(settings.start or context.home)
-    require_half_turn(float(np.linalg.norm(chi[3:])), "reference.start.rotation_vector_deg")
+    chi = checked_words(settings.start or context.home, "reference.start")
     return LiveTrajectory(chi, axis_limits(settings.limits), context.period_s)
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 
 from drivers.arrays import Array
-from hil.mathematics.rotations import rotation_from_vector
 from hil.trajectory.path import PoseSample
 
 
@@ -17,13 +16,3 @@ class HoldTrajectory:
     def sample(self, t: float) -> PoseSample:  # noqa: ARG002
         """Return the pose, at rest: the same arrays each time."""
         return self._sample
-
-
-def hold(p: Array, R: Array) -> HoldTrajectory:
-    """Return the trajectory that stays at p (3,) m, R (3, 3), base frame, until stopped."""
-    return HoldTrajectory(p, R)
-
-
-def hold_words(chi: Array, duration_s: float | None) -> HoldTrajectory:
-    """Return the trajectory that stays at the six words chi (6,) m, rad."""
-    return HoldTrajectory(chi[:3], rotation_from_vector(chi[3:]), duration_s)

@@ -178,9 +178,8 @@ class LiveTrajectory:
         self._rest = self._start
         self._history[:, POSITION] = self._history[:, MEAN] = self._start
         self._history[:, SPEED] = 0.0
-        before = (
-            np.arange(-len(self._history), 0)[:, None] + 1.0
-        )  # row 0 is tick 0, the others came before it
+        # Row 0 is tick 0, the others came before it.
+        before = np.arange(-len(self._history), 0)[:, None] + 1.0
         self._history[:, TOTAL] = np.roll(before, 1, axis=0) * self._start
         self.duration_s: float | None = None
         self._sample = self._evaluate()
@@ -224,11 +223,7 @@ class LiveTrajectory:
     def _judge(self, x1: Array, v1: Array, admit: Callable[[Array], int]) -> int:
         """Return what is first found against the way to rest from x1, v1 at the next tick, its end first."""
         way = way_to_rest(self._history, self._tick, self._window, x1, v1, self._step, self._period)
-        for chi in way[::-1]:
-            against = admit(chi)
-            if against:
-                return against
-        return 0
+        return next(filter(None, map(admit, way[::-1])), 0)
 
     def sample(self, t: float) -> PoseSample:  # noqa: ARG002 - what comes later is not known
         """Return the sample of the tick last advanced to."""

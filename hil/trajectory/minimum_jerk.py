@@ -40,7 +40,7 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
         right = np.array([360.0 * (i * before + j * after), 60.0 * (after - before)])
         if k > 1:  # the knot before is eliminated: its block is C, ours to it C^T
             C = _coupling(float(h[k - 1]))
-            factor = _times(_transposed(C), _inverse(blocks[-1]))
+            factor = _times(C.T, _inverse(blocks[-1]))
             block = block - _times(factor, C)
             right = right - _times(factor, rights[-1])
         blocks.append(block)
@@ -65,10 +65,6 @@ def _inverse(A: Array) -> Array:
     determinant = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
     adjugate = np.array([[A[1, 1], -A[0, 1]], [-A[1, 0], A[0, 0]]])
     return np.asarray(adjugate / determinant)
-
-
-def _transposed(A: Array) -> Array:
-    return np.ascontiguousarray(A.T)
 
 
 def _times(A: Array, B: Array) -> Array:

@@ -33,7 +33,10 @@ def evaluate(
 
 
 class GeodesicMove:
-    """Quintic rest-to-rest move along the straight line and the shortest turn, in `duration_s` > 0."""
+    """Quintic rest-to-rest move along the straight line and the shortest turn, in `duration_s` > 0.
+
+    p0, p1 (3,) m; R0, R1 (3, 3); base frame.
+    """
 
     def __init__(self, p0: Array, R0: Array, p1: Array, R1: Array, duration_s: float) -> None:
         self.duration_s = float(duration_s)
@@ -46,8 +49,3 @@ class GeodesicMove:
         sample = blank()
         evaluate(t, self._p0, self._R0, self._dp, self._phi, self.duration_s, *sample)
         return sample
-
-
-def quintic_move(p0: Array, R0: Array, p1: Array, R1: Array, duration_s: float) -> GeodesicMove:
-    """Return the move from (p0, R0) to (p1, R1); p (3,) m, R (3, 3), base frame, `duration_s` > 0."""
-    return GeodesicMove(p0, R0, p1, R1, duration_s)

@@ -74,6 +74,13 @@ def six_words(pose: Pose | Waypoint) -> Array:
     return np.concatenate([np.asarray(pose.position_m, float), np.deg2rad(pose.rotation_vector_deg)])
 
 
+def checked_words(pose: Pose | Waypoint, where: str) -> Array:
+    """As `six_words`. Raises ConfigurationError for a turn of more than a half; `where` is the pose's key."""
+    chi = six_words(pose)
+    require_half_turn(float(np.linalg.norm(chi[3:])), f"{where}.rotation_vector_deg")
+    return chi
+
+
 def axis_limits(limits: AxisLimits) -> Array:
     """Return (3, 6): largest velocity, acceleration and jerk of the six words, in m and rad."""
 
@@ -89,12 +96,9 @@ def axis_limits(limits: AxisLimits) -> Array:
     )
 
 
-def words_of_points(points: Sequence[Pose] | Sequence[Waypoint]) -> Array:
+def words_of_points(points: Sequence[Pose | Waypoint]) -> Array:
     """Return chi (n, 6) of `reference.points`. Raises ConfigurationError for a turn of more than a half."""
-    chi = np.array([six_words(point) for point in points])
-    for k, angle in enumerate(np.linalg.norm(chi[:, 3:], axis=1)):
-        require_half_turn(float(angle), f"reference.points[{k}].rotation_vector_deg")
-    return chi
+    return np.array([checked_words(point, f"reference.points[{k}]") for k, point in enumerate(points)])
 
 
 def require_half_turn(angle: float, where: str) -> None:

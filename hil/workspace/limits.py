@@ -174,10 +174,11 @@ class Surveyor:
         m[np.isnan(m)] = -1.0  # a leg of length zero has no direction
         return m
 
-    def inside(self, P: Array, R: Array) -> Flags:
+    def inside(self, P: Array, R: Array, what: str = "", progress: Progress = silent) -> Flags:
         """Return (n,): whether each pose keeps all limits and lies on home's side of det J = 0."""
         found: Flags = np.ones(len(P), np.bool_)
         for k in range(0, len(P), CHUNK):
+            progress(what, k / len(P))
             part = R if R.ndim == 2 else R[k : k + CHUNK]
             found[k : k + CHUNK] = (self.margins(self.survey(P[k : k + CHUNK], part)) >= 0).all(axis=1)
         return found

@@ -76,8 +76,6 @@ class CrossSection(NamedTuple):
     """(n, m)."""
     condition: Array
     """(n, m), 2-norm condition number; nan where not reached."""
-    singular_value: Array
-    """(n, m), smallest singular value of J with lengths made comparable."""
     points: Array
     """(k, 2) m, on the boundary."""
     kinds: Ints
@@ -148,7 +146,7 @@ def flood_grid(
     """
     shape = tuple(len(x) for x in axes)
     X = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
-    inside = _inside(surveyor, X, "nodes", progress)
+    inside = surveyor.inside(X + surveyor.p, surveyor.R, "nodes", progress)
     number = np.arange(len(X)).reshape(shape)
     links: list[tuple[Ints, Ints]] = []
     good: list[Flags] = []
@@ -158,7 +156,8 @@ def flood_grid(
         both = inside[first] & inside[second]
         middle = 0.5 * (X[first[both]] + X[second[both]])
         passes = np.zeros(len(first), np.bool_)
-        passes[both] = _inside(surveyor, middle, f"steps along {'xyz'[k]}", progress)
+        what = f"steps along {'xyz'[k]}"
+        passes[both] = surveyor.inside(middle + surveyor.p, surveyor.R, what, progress)
         links.append((first, second))
         good.append(passes)
     rows = np.concatenate([f[g] for (f, _), g in zip(links, good, strict=True)])
@@ -210,11 +209,9 @@ def cut(
     reached = flood.reached.transpose(u, v, normal)[:, :, 0]
     where = np.argwhere(flood.reached)
     P = np.stack([axes[k][where[:, k]] for k in range(3)], axis=1) + surveyor.p
-    number, least = surveyor.dexterity(P, surveyor.R)
+    number, _ = surveyor.dexterity(P, surveyor.R)
     condition = np.full(reached.shape, np.nan)
-    singular_value = np.full(reached.shape, np.nan)
     condition[where[:, u], where[:, v]] = number
-    singular_value[where[:, u], where[:, v]] = least
     points = np.concatenate([flood.crossings[u], flood.crossings[v]]) + surveyor.p
     kinds = np.concatenate([flood.kinds[u], flood.kinds[v]])
     return CrossSection(
@@ -223,18 +220,9 @@ def cut(
         axes[v] + surveyor.p[v],
         reached,
         condition,
-        singular_value,
         points[:, [u, v]],
         kinds,
     )
-
-
-def _inside(surveyor: Surveyor, X: Array, what: str, progress: Progress) -> Flags:
-    found = np.empty(len(X), np.bool_)
-    for k in range(0, len(X), CHUNK):
-        progress(what, k / len(X))
-        found[k : k + CHUNK] = surveyor.inside(X[k : k + CHUNK] + surveyor.p, surveyor.R)
-    return found
 
 
 def _leaving(

@@ -56,15 +56,14 @@ class Drives:
         # First-order lag over one step: its end value and its mean.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         self.lags = x > 0.0
-        stage = (
+        common = np.array([
             settings.force_limit_N,
             emulation.damping_N_s_m,
             emulation.hold_stiffness_N_m,
             float(self.lags),
             exp(-x),
             (1.0 - exp(-x)) / x if x > 0.0 else 1.0,
-        )
-        common = np.array(stage, float)
+        ])  # fmt: skip
         self.enter = partial(kernels.enter, integers, reals)
         self.obey = partial(kernels.obey, integers, reals, common)
         self.actuate = partial(kernels.actuate, integers, reals, common)

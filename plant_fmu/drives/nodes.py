@@ -127,7 +127,9 @@ class Nodes:
         self._generator = np.random.default_rng(self._faults.seed)
         self._truth: Truth | None = None
         self._truth_k = -1
-        self._syncs = self._commands = self._repeated = self._rejected = 0
+        self.syncs = 0
+        """SYNC frames or polls heard since the start."""
+        self._commands = self._repeated = self._rejected = 0
         self._disturb()
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
@@ -151,11 +153,6 @@ class Nodes:
         self._advance(t_ns)
         return out
 
-    @property
-    def syncs(self) -> int:
-        """SYNC frames or polls heard since the start."""
-        return self._syncs
-
     def snapshot(self) -> Snapshot:
         """Return the plant's end as it is now; arrays are copies."""
         truth = self._know()
@@ -171,7 +168,7 @@ class Nodes:
             brake=self._drives.brake.copy(),
             wrench=self._present.wrench.copy(),
             truth=truth,
-            syncs=self._syncs,
+            syncs=self.syncs,
             commands=self._commands,
             repeated=self._repeated,
             rejected=self._rejected,
@@ -283,7 +280,7 @@ class Nodes:
                     self._rejected += 1
 
     def _latch(self, sync: Sync, t: int, out: list[tuple[int, Frame]]) -> None:
-        self._syncs += 1
+        self.syncs += 1
         self._advance(t)
         dt = (t - self._grid_ns()) * 1e-9
         force = self._plant.applied_force()

@@ -7,7 +7,6 @@ the mean over the plant's last internal step, as of a device that integrates.
 
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,26 +18,11 @@ from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
 from plant_fmu.drives.faults.plan import FaultPlan
-from plant_fmu.drives.nodes import Nodes, Snapshot
+from plant_fmu.drives.nodes import Nodes
 from plant_fmu.plant import Plant, Truth
 
 _LONGEST_STAMP_S = 0.0655
 """A sensor that has heard no SYNC for so long cannot say when it measures, and is silent."""
-
-
-class Moment(NamedTuple):
-    """What there is to measure at one instant."""
-
-    p: Array
-    """(3,) m."""
-    R: Array
-    """(3, 3)."""
-    twist: Array
-    """(6,) m/s, rad/s, base frame."""
-    dtwist: Array
-    """(6,) m/s^2, rad/s^2."""
-    wrench: Array
-    """(6,) N, N m, base frame."""
 
 
 class SensedNodes(Nodes):
@@ -64,7 +48,7 @@ class SensedNodes(Nodes):
         self._noise = noise
         self._gravity = np.array(gravity, float)
         self._period_ns = {kind: 1e9 / getattr(settings, kind).rate_Hz for kind in sensors.kinds}
-        self._measure: dict[str, Callable[[Moment], Array]] = {
+        self._measure: dict[str, Callable[[Truth], Array]] = {
             "tracker": self._pose,
             "imu": self._inertial,
             "wrench": self._load,
@@ -121,12 +105,11 @@ class SensedNodes(Nodes):
         before_ns = due_ns - round(self._plant.internal_step_s * 1e9)
         early = [frame for frame in frames if frame.t_ns <= before_ns]
         out += self._live(before_ns, early)
-        first = self.snapshot()
+        first_ns, first = self._grid_ns(), self._true().twist
         out += self._live(due_ns, frames[len(early) :])
-        last = self.snapshot()
-        if last.t_ns > first.t_ns:
-            change = _truth(last).twist - _truth(first).twist
-            self._dtwist = change / ((last.t_ns - first.t_ns) * 1e-9)
+        moved_ns = self._grid_ns() - first_ns
+        if moved_ns > 0:
+            self._dtwist = (self._true().twist - first) / (moved_ns * 1e-9)
 
     def _sample(self, kind: str, t_ns: int) -> None:
         """Take one sample, and keep its frame until its latency is over."""
@@ -144,46 +127,44 @@ class SensedNodes(Nodes):
         if arrived is not None:
             self._waiting.append((sent_ns, arrived))
 
-    def _moment(self, t_ns: int) -> Moment:
+    def _true(self) -> Truth:
+        truth = self._know()
+        if truth is None:
+            raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
+        return truth
+
+    def _moment(self, t_ns: int) -> Truth:
         """Return the truth at `t_ns`, carried on from the plant's grid point by the twist."""
-        snapshot = self.snapshot()
-        truth = _truth(snapshot)
-        dt = (t_ns - snapshot.t_ns) * 1e-9
+        truth = self._true()
+        dt = (t_ns - self._grid_ns()) * 1e-9
         p = truth.p + truth.twist[:3] * dt
         R = (Rotation.from_rotvec(truth.twist[3:] * dt) * Rotation.from_matrix(truth.R)).as_matrix()
-        return Moment(p, R, truth.twist, self._dtwist, snapshot.wrench)
+        return truth._replace(p=p, R=R)
 
-    def _pose(self, moment: Moment) -> Array:
+    def _pose(self, truth: Truth) -> Array:
         noise, chance = self._noise.tracker, self._chance
-        p = moment.p + noise.position_bias_m + noise.position_noise_m * chance.standard_normal(3)
+        p = truth.p + noise.position_bias_m + noise.position_noise_m * chance.standard_normal(3)
         r = np.deg2rad(noise.rotation_bias_deg + noise.orientation_noise_deg * chance.standard_normal(3))
-        R = Rotation.from_rotvec(r) * Rotation.from_matrix(moment.R)
+        R = Rotation.from_rotvec(r) * Rotation.from_matrix(truth.R)
         return np.concatenate((p, R.as_rotvec()))
 
-    def _inertial(self, moment: Moment) -> Array:
-        noise, chance = self._noise.imu, self._chance
-        w = _into(moment.R, moment.twist[3:]) + noise.angular_rate_bias_rad_s
-        f = _into(moment.R, moment.dtwist[:3] - self._gravity) + noise.specific_force_bias_m_s2
-        w += noise.angular_rate_noise_rad_s * chance.standard_normal(3)
-        f += noise.specific_force_noise_m_s2 * chance.standard_normal(3)
-        return np.concatenate((w, f))
+    def _inertial(self, truth: Truth) -> Array:
+        s, f = self._noise.imu, self._dtwist[:3] - self._gravity
+        return self._turned(
+            truth,
+            (truth.twist[3:], s.angular_rate_bias_rad_s, s.angular_rate_noise_rad_s),
+            (f, s.specific_force_bias_m_s2, s.specific_force_noise_m_s2),
+        )
 
-    def _load(self, moment: Moment) -> Array:
-        noise, chance = self._noise.wrench, self._chance
-        f = _into(moment.R, moment.wrench[:3]) + noise.force_bias_N
-        m = _into(moment.R, moment.wrench[3:]) + noise.moment_bias_N_m
-        f += noise.force_noise_N * chance.standard_normal(3)
-        m += noise.moment_noise_N_m * chance.standard_normal(3)
-        return np.concatenate((f, m))
+    def _load(self, truth: Truth) -> Array:
+        s, wrench = self._noise.wrench, self._present.wrench
+        return self._turned(
+            truth,
+            (wrench[:3], s.force_bias_N, s.force_noise_N),
+            (wrench[3:], s.moment_bias_N_m, s.moment_noise_N_m),
+        )
 
-
-def _into(R: Array, x: Array) -> Array:
-    """Return a vector of the base frame in the platform frame."""
-    turned: Array = R.T @ x
-    return turned
-
-
-def _truth(snapshot: Snapshot) -> Truth:
-    if snapshot.truth is None:
-        raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
-    return snapshot.truth
+    def _turned(self, truth: Truth, *vectors: tuple[Array, tuple[float, float, float], float]) -> Array:
+        """Return (vector in the base frame, bias, noise) as they are measured in the platform frame."""
+        normal = self._chance.standard_normal
+        return np.concatenate([truth.R.T @ x + bias + noise * normal(3) for x, bias, noise in vectors])

@@ -19,16 +19,7 @@ MAX_RATIO = 400
 RATIO_FREE_BYTES = 1024**2
 """Members up to this size may have any ratio."""
 _CHUNK = 1 << 20
-_DAMAGED = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    OSError,
-    EOFError,
-    NotImplementedError,
-    ValueError,
-    RuntimeError,
-)
+_DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, ValueError, RuntimeError)
 """What zipfile raises on damaged or unreadable members."""
 
 

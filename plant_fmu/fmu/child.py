@@ -43,17 +43,7 @@ class _Board:
 
     def __init__(self, memory: mmap.mmap) -> None:
         self.memory = memory
-        self.record = np.frombuffer(memory, _LAYOUT, 1)[0]
-        inputs: tuple[Array, ...] = tuple(self.record[name] for name in ("force", "brake", "wrench"))
-        self.force, self.brake, self.wrench = inputs
-        self.measured: Array = self.record["measured"]
-        self.truth: Array = self.record["truth"]
-
-    def say(self, text: str) -> None:
-        self.record["text"] = text.encode()
-
-    def heard(self) -> str:
-        return bytes(self.record["text"]).decode("utf-8", "replace")
+        self.record: Any = np.frombuffer(memory, _LAYOUT, 1)[0]
 
     def release(self) -> None:
         """Drop the views, then the memory: a mapping with views on it cannot be closed."""
@@ -140,7 +130,7 @@ class ChildHost:
             )
             raise self._end(f"{self.spec.path}: the FMU's process {how} when it was to {what}")
         if self._board.record["status"] != _OK:
-            raise PlantError(self._board.heard())
+            raise PlantError(bytes(self._board.record["text"]).decode("utf-8", "replace"))
 
     def _ask(self, command: int, timeout_s: float, what: str) -> None:
         if self._ended is not None:
@@ -151,8 +141,8 @@ class ChildHost:
         self._wait(timeout_s, what)
 
     def _measured(self) -> tuple[Array, Array]:
-        y = self._board.measured
-        return y[:6].copy(), y[6:].copy()
+        y = self._board.record["measured"].copy()
+        return y[:6], y[6:]
 
     def reset(self) -> tuple[Array, Array]:
         """As FmuHost.reset."""
@@ -163,11 +153,8 @@ class ChildHost:
         """As FmuHost.step; also raises PlantError when the FMU hangs or its process dies."""
         if self._ended is not None:
             raise PlantError(self._ended)
-        board = self._board
-        board.force[:] = force
-        board.brake[:] = brake
-        board.wrench[:] = wrench
-        board.record["dt"] = dt_s
+        for name, value in (("force", force), ("brake", brake), ("wrench", wrench), ("dt", dt_s)):
+            self._board.record[name] = value
         self._ask(_STEP, self._step_timeout_s, "step")
         return self._measured()
 
@@ -176,12 +163,12 @@ class ChildHost:
         if not self.spec.truth:
             return None
         self._ask(_TRUTH, self._step_timeout_s, "give its outputs")
-        y = self._board.truth.copy()
+        y = self._board.record["truth"].copy()
         return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
 
     def applied_force(self) -> Array | None:
         """As FmuHost.applied_force, at no cost: it comes with the answer to every step."""
-        return self._board.truth[18:24].copy() if self.spec.truth else None
+        return self._board.record["truth"][18:24].copy() if self.spec.truth else None
 
     def close(self) -> None:
         """Let the child free the FMU and end; stop it if it does not. A second call does nothing."""
@@ -224,7 +211,7 @@ def _attempt(board: _Board, work: Callable[[], Any]) -> Any:
         result = work()
     except HilError as error:
         board.record["status"] = _REFUSED
-        board.say(str(error))
+        board.record["text"] = str(error).encode()
         return None
     board.record["status"] = _OK
     return result
@@ -240,18 +227,21 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
     if host is None:
         return
 
+    force, brake, wrench = (board.record[name] for name in ("force", "brake", "wrench"))
+
     def true_state() -> None:
         truth = host.truth()
         if truth is not None:
-            board.truth[:] = np.concatenate([truth.p, truth.R.ravel(), truth.twist, truth.applied_force])
+            parts = truth.p, truth.R.ravel(), truth.twist, truth.applied_force
+            board.record["truth"] = np.concatenate(parts)
 
     def measure(answer: tuple[Array, Array]) -> None:
-        board.measured[:6], board.measured[6:] = answer
+        board.record["measured"] = np.concatenate(answer)
         true_state()
 
     tasks: dict[int, Callable[[], None]] = {
         _RESET: lambda: measure(host.reset()),
-        _STEP: lambda: measure(host.step(board.force, board.brake, board.wrench, float(board.record["dt"]))),
+        _STEP: lambda: measure(host.step(force, brake, wrench, float(board.record["dt"]))),
         _TRUTH: true_state,
         _CLOSE: host.close,
     }

@@ -212,7 +212,6 @@ class FmuHost:
         return y[:LEGS], y[LEGS:]
 
     def _failed(self, ended: int, status: int, what: str) -> PlantError:
-        """Return the error for an exchange that ended like this."""
         if ended == fmu_call.OUTPUT_NOT_FINITE:
             y = self._outputs[: fmu_call.MEASURED]
             return PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{self._said()}")

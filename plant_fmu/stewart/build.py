@@ -12,7 +12,7 @@ import tempfile
 import uuid
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
@@ -28,7 +28,6 @@ from plant_fmu.stewart.description import (
 
 SOURCES = Path(__file__).parent / "sources"
 _COMMON = ("mechanics", "contact", "plant", "instance")
-_FACE: dict[str, str] = {"2.0": "fmi2", "3.0": "fmi3"}
 FLAGS = (
     "-O2",
     "-funroll-loops",
@@ -113,7 +112,7 @@ def find_compiler(*, zig: bool = False) -> Compiler:
 
 
 def _source_files(version: FmiVersion) -> dict[str, bytes]:
-    names = [*(f"{n}.{x}" for n in _COMMON for x in ("c", "h")), f"{_FACE[version]}.c"]
+    names = [*(f"{n}.{x}" for n in _COMMON for x in ("c", "h")), f"fmi{version[0]}.c"]
     try:
         files = {name: (SOURCES / name).read_bytes() for name in names}
     except OSError as error:
@@ -195,8 +194,10 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
 
     Raises PlantError without a compiler, on a compilation that fails, or a cache that cannot be written.
     """
-    if fmi_version not in _FACE:
-        raise PlantError(f"FMI version {fmi_version!r} is not built; allowed are {', '.join(_FACE)}")
+    if fmi_version not in get_args(FmiVersion):
+        raise PlantError(
+            f"FMI version {fmi_version!r} is not built; allowed are {', '.join(get_args(FmiVersion))}"
+        )
     keys = list(TARGETS) if release else [this_machine()]
     compiler = find_compiler(zig=release)
     guid = token(fmi_version)

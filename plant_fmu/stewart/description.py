@@ -12,7 +12,7 @@ from plant_fmu.stewart.variables import (
     TYPES,
     UNITS,
     VARIABLES,
-    Variable,
+    Causality,
     element_name,
     parameters_behind,
     type_of,
@@ -87,12 +87,12 @@ def _types(root: ET.Element, version: FmiVersion) -> None:
         ET.SubElement(items, "Item", name=item, value=str(value))
 
 
-def _variability(variable: Variable) -> dict[str, str]:
-    if variable.causality == "parameter":
-        return {"variability": "fixed", "initial": "exact"}
-    if variable.causality == "output":
-        return {"variability": "continuous", "initial": "calculated"}
-    return {"variability": "continuous"}
+_VARIABILITY: dict[Causality, dict[str, str]] = {
+    "independent": {"variability": "continuous"},
+    "parameter": {"variability": "fixed", "initial": "exact"},
+    "input": {"variability": "continuous"},
+    "output": {"variability": "continuous", "initial": "calculated"},
+}
 
 
 def _dependencies(depends: Sequence[str]) -> dict[str, str]:
@@ -139,7 +139,7 @@ def model_description_3(token: str) -> bytes:
             "valueReference": reference[v.name],
             "description": v.description,
             "causality": v.causality,
-            **_variability(v),
+            **_VARIABILITY[v.causality],
             **typed,
         }
         if v.type == "LegSpin":
@@ -177,7 +177,7 @@ def model_description_2(token: str, sources: Sequence[str]) -> bytes:
                     "valueReference": str(place[v.name] + k),
                     "description": v.description,
                     "causality": v.causality,
-                    **_variability(v),
+                    **_VARIABILITY[v.causality],
                 },
             )
             if v.type == "LegSpin":

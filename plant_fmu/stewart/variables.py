@@ -195,15 +195,18 @@ def element_name(variable: Variable, element: int) -> str:
     return f"{variable.name}[{i + 1},{j + 1}]"
 
 
+_JOINTS = ("base_joints", "platform_joints")
+_POSE = ("initial_position", "initial_rotation")
+_BEHIND: dict[str, tuple[str, ...]] = {
+    "position": ("initial_position",),
+    "rotation": ("initial_rotation",),
+    "twist": ("initial_twist",),
+    "applied_force": ("force_bandwidth",),
+    "length": (*_JOINTS, *_POSE),
+    "rate": (*_JOINTS, *_POSE, "initial_twist"),
+}
+
+
 def parameters_behind(output: str) -> tuple[str, ...]:
-    """Parameters that an output's initial value depends on."""
-    pose = ("initial_position", "initial_rotation")
-    if output in {"position", "rotation", "twist"}:
-        return {"position": pose[:1], "rotation": pose[1:], "twist": ("initial_twist",)}[output]
-    if output == "applied_force":
-        return ("force_bandwidth",)
-    if output == "length":
-        return ("base_joints", "platform_joints", *pose)
-    if output == "rate":
-        return ("base_joints", "platform_joints", *pose, "initial_twist")
-    return tuple(v.name for v in VARIABLES if v.causality == "parameter")
+    """Parameters that an output's initial value depends on: those of `_BEHIND`, else all."""
+    return _BEHIND.get(output) or tuple(v.name for v in VARIABLES if v.causality == "parameter")

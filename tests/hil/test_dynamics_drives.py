@@ -19,7 +19,7 @@ from hil.robot.dynamics import Model, Variant
 from hil.robot.dynamics_kernels import joint_idc_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import KinematicsError
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import arrived, asked
 
@@ -222,7 +222,7 @@ def test_the_configured_law_believes_in_the_configured_drives(per_leg):
     dq, ddq = np.array(e["rates"]), np.array(e["length_accels"])
     legs = np.array(e["leg_forces"]) + np.linalg.solve(J.T, wrench)  # the state has no wrench
     expected = legs + m * ddq + b * dq + c * np.sign(dq)
-    context = LawContext(platform, "none", 1e-3, hold(p, R))
+    context = LawContext(platform, "none", 1e-3, HoldTrajectory(p, R))
     assert relative(asked(settings.build(context), tick), expected) <= 1e-9
 
 

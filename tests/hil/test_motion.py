@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.trajectory.holding import hold
-from hil.trajectory.move import quintic_move
+from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.move import GeodesicMove
 from hil.trajectory.piecewise import PiecewisePolynomial
 
 T = 1e-3
@@ -24,7 +24,7 @@ def next_path():
 @pytest.mark.parametrize("duration", [0.5, 0.4996, 0.50000000001, 0.3 * T / T])
 def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
     motion = Motion(T, HERE, EYE)
-    motion.start(quintic_move(HERE, EYE, THERE, EYE, duration), 100, then=next_path())
+    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, duration), 100, then=next_path())
     begins = next(tick for tick in range(100, 1000) if motion.finished(tick))
     seen = {tick: motion.ahead(tick, AHEAD) for tick in range(begins - 4, begins)}
     for tick, (sample, along) in seen.items():
@@ -44,7 +44,7 @@ def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
 
 def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
     motion = Motion(T, HERE, EYE)
-    motion.start(quintic_move(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
+    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
     for tick in range(500, 520):
         sample, along = motion.ahead(tick, AHEAD)
         assert along is None
@@ -54,7 +54,7 @@ def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
 
 def test_the_look_ahead_of_a_stop_is_the_stop():
     motion = Motion(T, HERE, EYE)
-    motion.start(quintic_move(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
+    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
     before = motion.ahead(250, AHEAD)[0]
     motion.stop(250, 0.5)
     after = motion.ahead(250, AHEAD)[0]
@@ -70,5 +70,5 @@ def test_the_look_ahead_past_the_last_end_is_rest():
     assert along is None
     assert sample.p[0] == pytest.approx(2.1)
     assert not sample.twist.any()
-    motion.start(hold(THERE, EYE), 10)
+    motion.start(HoldTrajectory(THERE, EYE), 10)
     np.testing.assert_allclose(motion.ahead(10, AHEAD)[0].p, THERE)

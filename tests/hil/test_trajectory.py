@@ -23,8 +23,8 @@ from hil.config.reference import (
 )
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.holding import hold
-from hil.trajectory.move import quintic_move
+from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import Trajectory
 from hil.trajectory.stopping import StoppingTrajectory
 
@@ -115,7 +115,7 @@ def sampled():
 def move():
     R0 = Rotation.from_rotvec([0.1, 0.2, -0.3]).as_matrix()
     R1 = Rotation.from_rotvec([-0.4, 0.5, 0.9]).as_matrix()
-    return quintic_move(np.array([0.0, 0.1, 1.0]), R0, np.array([0.2, -0.1, 1.1]), R1, 1.7)
+    return GeodesicMove(np.array([0.0, 0.1, 1.0]), R0, np.array([0.2, -0.1, 1.1]), R1, 1.7)
 
 
 KINDS = {
@@ -228,7 +228,7 @@ def test_hold_stays_at_home_unless_told_a_pose():
 
 def test_hold_keeps_a_measured_pose_to_the_bit():
     R = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()
-    sample = hold(np.array([0.1, 0.2, 0.3]), R).sample(4.0)
+    sample = HoldTrajectory(np.array([0.1, 0.2, 0.3]), R).sample(4.0)
     assert sample.p.tobytes() == np.array([0.1, 0.2, 0.3]).tobytes()
     assert sample.R.tobytes() == R.tobytes()
 

@@ -11,6 +11,7 @@ from hil.app.compare.measure import Outcome
 from hil.control import ControllerSettings
 from hil.record.metrics import Share
 
+ID = "inverse_dynamics"
 POOR = 10.0
 """An error that is so many times another's is of another kind."""
 BETTER = 3.0
@@ -49,6 +50,10 @@ class Finding(NamedTuple):
     figures: str
 
 
+Judge = Callable[[Evidence], Finding | None]
+"""None where what it takes was not measured."""
+
+
 class Claim(NamedTuple):
     """A sentence of the chapter and how it is judged."""
 
@@ -56,18 +61,17 @@ class Claim(NamedTuple):
     text: str
     needs: tuple[str, ...]
     """Laws that have to be among the compared ones."""
-    judge: Callable[[Evidence], Finding | None]
-    """None where what it takes was not measured."""
+    judge: Judge
     yardstick: str | None = None
     """The law whose error is the measure: where it faulted, there is none."""
 
 
-def _pd_poor(e: Evidence) -> Finding:
-    poor = e.error("pd") > POOR * e.error("inverse_dynamics")
-    return Finding(poor, f"peak: {e.says('pd')}, {e.says('inverse_dynamics')}")
+def _peaks(holds: Callable[[Callable[[str], float]], bool], *laws: str) -> Judge:
+    """Return the judge of a relation between the peak errors of laws; these errors are its figures."""
+    return lambda e: Finding(holds(e.error), f"peak: {', '.join(map(e.says, laws))}")
 
 
-def _less_at_rest(law: str) -> Callable[[Evidence], Finding | None]:
+def _less_at_rest(law: str) -> Judge:
     """Return the judge of whether a law has little of the error that PD has at rest."""
 
     def judge(e: Evidence) -> Finding | None:
@@ -79,15 +83,10 @@ def _less_at_rest(law: str) -> Callable[[Evidence], Finding | None]:
     return judge
 
 
-def _feedforward(e: Evidence) -> Finding:
-    good = e.error("feedforward_pd") * BETTER < e.error("pd")
-    return Finding(good, f"peak: {e.says('pd')}, {e.says('feedforward_pd')}")
-
-
 def _linear(e: Evidence) -> Finding | None:
-    s = e.settings.get("inverse_dynamics")
+    s = e.settings.get(ID)
     wn, zeta = getattr(s, "wn_rad_s", math.nan), getattr(s, "damping_ratio", math.nan)
-    measured = float(e.rows["inverse_dynamics"].figures.get("bandwidth_Hz", math.nan))
+    measured = float(e.rows[ID].figures.get("bandwidth_Hz", math.nan))
     if not isinstance(wn, float) or math.isnan(wn + measured):
         return None  # differs from leg to leg: no one bandwidth
     expected = second_order_bandwidth_Hz(wn, zeta)
@@ -109,56 +108,48 @@ def _H_small(e: Evidence) -> Finding:
 def _J_dot_small(e: Evidence) -> Finding:
     j = e.shares["J_dot"]
     text = (
-        f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; "
-        f"peak: {e.says('printed')}, {e.says('inverse_dynamics')}"
+        f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; peak: {e.says('printed')}, {e.says(ID)}"
     )
-    return Finding(e.error("printed") < CLOSE * e.error("inverse_dynamics"), text)
-
-
-def _constant(e: Evidence) -> Finding:
-    text = ", ".join(e.says(law) for law in ("constant", "constant_MG", "inverse_dynamics"))
-    return Finding(e.error("constant") < POOR * e.error("inverse_dynamics"), f"peak: {text}")
-
-
-def _partial(e: Evidence) -> Finding:
-    text = ", ".join(e.says(law) for law in ("partial_linearisation", "inverse_dynamics"))
-    return Finding(e.error("partial_linearisation") < POOR * e.error("inverse_dynamics"), f"peak: {text}")
+    return Finding(e.error("printed") < CLOSE * e.error(ID), text)
 
 
 CLAIMS: tuple[Claim, ...] = (
     Claim(
-        "6.1.1", "PD on leg lengths tracks poorly", ("pd", "inverse_dynamics"), _pd_poor, "inverse_dynamics"
+        "6.1.1",
+        "PD on leg lengths tracks poorly",
+        ("pd", ID),
+        _peaks(lambda error: error("pd") > POOR * error(ID), "pd", ID),
+        ID,
     ),
-    Claim("6.1.1", "PD leaves a static error", ("pd", "inverse_dynamics"), _less_at_rest("inverse_dynamics")),
+    Claim("6.1.1", "PD leaves a static error", ("pd", ID), _less_at_rest(ID)),
     Claim(
         "6.1.1",
         "gravity compensation takes PD's static error away",
         ("pd", "pd_gravity"),
         _less_at_rest("pd_gravity"),
     ),
-    Claim("6.1.2", "with a good model feed-forward makes PD track", ("pd", "feedforward_pd"), _feedforward),
-    Claim("6.1.3", "inverse dynamics leaves E'' + K_D E' + K_P E = 0", ("inverse_dynamics",), _linear),
     Claim(
-        "6.1.3",
-        "the law may be printed without (dJ/dt) twist",
-        ("printed", "inverse_dynamics"),
-        _J_dot_small,
-        "inverse_dynamics",
+        "6.1.2",
+        "with a good model feed-forward makes PD track",
+        ("pd", "feedforward_pd"),
+        _peaks(lambda error: error("feedforward_pd") * BETTER < error("pd"), "pd", "feedforward_pd"),
     ),
+    Claim("6.1.3", "inverse dynamics leaves E'' + K_D E' + K_P E = 0", (ID,), _linear),
+    Claim("6.1.3", "the law may be printed without (dJ/dt) twist", ("printed", ID), _J_dot_small, ID),
     Claim("6.1.3 B", "H takes less than 1 % of the force", (), _H_small),
     Claim(
         "6.1.3 B",
         "without H the linearisation is good enough",
-        ("partial_linearisation", "inverse_dynamics"),
-        _partial,
-        "inverse_dynamics",
+        ("partial_linearisation", ID),
+        _peaks(lambda error: error("partial_linearisation") < POOR * error(ID), "partial_linearisation", ID),
+        ID,
     ),
     Claim(
         "Lee 2003",
         "M, G and J of one pose are good enough",
-        ("constant", "constant_MG", "inverse_dynamics"),
-        _constant,
-        "inverse_dynamics",
+        ("constant", "constant_MG", ID),
+        _peaks(lambda error: error("constant") < POOR * error(ID), "constant", "constant_MG", ID),
+        ID,
     ),
 )
 

@@ -76,10 +76,6 @@ class Configuration(Section):
         """Base of relative paths."""
         return self._folder
 
-    def path(self, relative: str) -> Path:
-        """Return where a file named in this configuration is."""
-        return self._folder / relative
-
     def require(self, command: Command) -> None:
         """Refuse what cannot serve `command`.
 

@@ -24,16 +24,7 @@ from hil.config.estimation import EstimationSettings
 from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.platform import PlatformSettings
-from hil.config.reference import (
-    HoldReference,
-    LiveReference,
-    MultisineReference,
-    ReferenceSettings,
-    SampledReference,
-    SinusoidReference,
-    TimeOptimalReference,
-    WaypointReference,
-)
+from hil.config.reference import LiveReference, ReferenceSettings, SampledReference, Waypoint
 from hil.config.values import Pose
 from hil.control import ControllerSettings
 from hil.robot.geometry import GeometryError
@@ -236,19 +227,15 @@ def reference_poses(
     """Refuse poses of the reference that the legs cannot reach. What lies between is for `hil check`."""
     if platform.length_max_m - platform.length_min_m <= 2 * limits.stroke_margin_m:
         return
-    if isinstance(reference, HoldReference) and reference.pose is not None:
-        yield from _within(platform, limits, reference.pose, ("reference", "pose"))
-    if isinstance(reference, SinusoidReference | MultisineReference) and reference.centre is not None:
-        yield from _within(platform, limits, reference.centre, ("reference", "centre"))
-    if isinstance(reference, LiveReference) and reference.start is not None:
-        yield from _within(platform, limits, reference.start, ("reference", "start"))
-    if isinstance(reference, WaypointReference):
-        for k, point in enumerate(reference.points):
-            pose = Pose(position_m=point.position_m, rotation_vector_deg=point.rotation_vector_deg)
-            yield from _within(platform, limits, pose, ("reference", "points", k))
-    if isinstance(reference, TimeOptimalReference):
-        for k, pose in enumerate(reference.points):
-            yield from _within(platform, limits, pose, ("reference", "points", k))
+    poses: dict[Path, Pose | Waypoint | None] = {(key,): getattr(reference, key, None) for key in POSE_KEYS}
+    poses |= {("points", k): point for k, point in enumerate(getattr(reference, "points", ()))}
+    for path, pose in poses.items():
+        if pose is not None:
+            yield from _within(platform, limits, pose, ("reference", *path))
+
+
+POSE_KEYS = ("pose", "centre", "start")
+"""Keys of section `reference` that hold one pose."""
 
 
 def reference_path(
@@ -334,7 +321,9 @@ def bench_rest(plant: PlantSettings | None, platform: PlatformSettings, _: Folde
             yield ("plant", "model", "rest_length_m"), message
 
 
-def _within(platform: PlatformSettings, limits: LimitSettings, pose: Pose, path: Path) -> Iterator[Finding]:
+def _within(
+    platform: PlatformSettings, limits: LimitSettings, pose: Pose | Waypoint, path: Path
+) -> Iterator[Finding]:
     """Find the legs whose length at `pose` is outside the soft ends of the stroke."""
     try:
         robot = build_platform(platform)

@@ -17,6 +17,7 @@ from hil.config.platform import (
     Shape,
     SphereShape,
 )
+from hil.config.reference import Waypoint
 from hil.config.values import Pose, Vector3
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot import inertia, joints
@@ -56,7 +57,7 @@ def build_platform(settings: PlatformSettings) -> Platform:
     return Platform.from_dict(platform_dict(settings))
 
 
-def pose_arrays(pose: Pose) -> tuple[Array, Array]:
+def pose_arrays(pose: Pose | Waypoint) -> tuple[Array, Array]:
     """Return p (3,) m and R (3, 3) of a configured pose."""
     return np.array(pose.position_m, float), _rotation(pose.rotation_vector_deg)
 

@@ -157,15 +157,12 @@ def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schem
     if kind == "missing":
         allowed = describe(at(path, document.value, schema), schema)
         return "key", Problem(document.key_position(path), path, f"missing, allowed: {allowed}")
-    if kind == "union_tag_not_found":
-        holder = at(path, document.value, schema)
-        name = holder["discriminator"]["propertyName"]
-        allowed = ", ".join(holder["discriminator"]["mapping"])
-        return "key", Problem(document.key_position(path), (*path, name), f"missing, allowed: {allowed}")
-    if kind == "union_tag_invalid":
-        holder = at(path, document.value, schema)
-        path = (*path, holder["discriminator"]["propertyName"])
-        allowed = ", ".join(holder["discriminator"]["mapping"])
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        discriminator = at(path, document.value, schema)["discriminator"]
+        holder, path = path, (*path, discriminator["propertyName"])
+        allowed = ", ".join(discriminator["mapping"])
+        if kind == "union_tag_not_found":
+            return "key", Problem(document.key_position(holder), path, f"missing, allowed: {allowed}")
         given = _show(item["input"].get(path[-1]))
         message = f"unknown value, allowed: {allowed}, given: {given}"
         return "value", Problem(document.value_position(path), path, message)
@@ -216,7 +213,6 @@ def split_unit(key: str) -> tuple[str, str]:
 
 
 def _entries(path: Path, document: Document) -> str:
-    """Say how many entries the list at `path` has."""
     data: Value = document.value
     for item in path:
         data = data[item]  # type: ignore[index]

@@ -43,7 +43,6 @@ def write(folder: Path) -> Path:
 
 
 def _sections(section: type[Section]) -> Iterator[type[Section]]:
-    """Return all sections that are derived from one."""
     for derived in section.__subclasses__():
         yield derived
         yield from _sections(derived)

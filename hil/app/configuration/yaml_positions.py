@@ -82,7 +82,7 @@ def parse(text: str) -> Document:
         try:
             root = loader.get_single_node()
         finally:
-            loader.dispose()
+            loader.dispose()  # breaks PyYAML's reference cycles
     except yaml.MarkedYAMLError as error:
         return Document(None, {}, {}, (_syntax_problem(error),))
     except yaml.reader.ReaderError as error:
@@ -125,10 +125,6 @@ class _Loader(
                 None, None, f"alias *{event.anchor} is not supported: write the value out", event.start_mark
             )
         return super().compose_node(parent, index)
-
-    def dispose(self) -> None:
-        """Break PyYAML's reference cycles (pure Python parser)."""
-        yaml.parser.Parser.dispose(self)
 
 
 class _Walk:

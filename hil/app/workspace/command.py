@@ -27,7 +27,7 @@ def map_workspace(
     payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     leg_diameter_m: float | None = None,
     picture: Path | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Map the workspace of a configuration, draw it, and return the summary.
 
@@ -37,7 +37,7 @@ def map_workspace(
     begun = time.perf_counter()
     path = picture_path(c.recording.folder, f"{c.name}-workspace", picture)
     surveyor = build_surveyor(c, payload_kg, payload_at, leg_diameter_m)
-    w = explore(surveyor, resolution, position, lambda what, share: _tell(progress, f"{what}, {share:.0%}"))
+    w = explore(surveyor, resolution, position, lambda what, share: progress(f"{what}, {share:.0%}"))
     result: dict[str, Any] = {
         "success": True,
         "kind": "workspace",
@@ -45,7 +45,7 @@ def map_workspace(
         "resolution": resolution,
         **figures(w),
     }
-    _tell(progress, "drawing")
+    progress("drawing")
     draw(w, path, f"{c.name}: workspace within stroke, joint angle and force limits")
     return {**result, "picture": str(path), "wall_s": time.perf_counter() - begun}
 
@@ -212,8 +212,3 @@ def _radians(angle: float | None) -> float | None:
 
 def _degrees(angle: float | None) -> float | None:
     return None if angle is None else float(np.rad2deg(angle))
-
-
-def _tell(progress: Callable[[str], None] | None, what: str) -> None:
-    if progress is not None:
-        progress(what)

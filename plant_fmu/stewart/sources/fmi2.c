@@ -1,17 +1,15 @@
 /* FMI 2.0 face: every function of the standard, co-simulation. Value reference = place in Plant.v.
  */
-#include <string.h>
-
 #include "instance.h"
 
 #ifdef FMI2_FUNCTION_PREFIX
-#define JOIN2(a, b) a##b
-#define JOIN(a, b) JOIN2(a, b)
 #define FMI(name) JOIN(FMI2_FUNCTION_PREFIX, name)
 #else
 #define FMI(name) name
 #endif
-#define API EXPORT int
+
+/* The standard fixes the signatures: a parameter without use is no mistake. */
+#pragma GCC diagnostic ignored "-Wunused-parameter"
 
 typedef unsigned int Ref;
 typedef const char *String;
@@ -32,8 +30,7 @@ typedef struct {
 
 static void report(const Instance *instance, Status status, const char *message)
 {
-    Logger logger;
-    memcpy(&logger, &instance->logger, sizeof logger);
+    const Logger logger = (Logger)instance->logger;
     if (logger) logger(instance->environment, instance->name, status, "logStatusError", "%s", message);
 }
 
@@ -42,22 +39,14 @@ EXPORT String FMI(fmi2GetVersion)(void) { return "2.0"; }
 
 API FMI(fmi2SetDebugLogging)(void *c, int on, size_t n, const String categories[])
 {
-    Instance *instance = c;
-    if (!instance) return ERROR;
-    for (size_t i = 0; i < n; i++)
-        if (!instance_log_category(categories[i])) return instance_fail(instance, "unknown log category");
-    instance->logging = on;
-    return OK;
+    return instance_set_logging(c, on, n, categories);
 }
 
 EXPORT void *FMI(fmi2Instantiate)(String name, int type, String guid, String resources, const Callbacks *callbacks,
                                   int visible, int logging)
 {
-    void *logger = NULL;
-    (void)resources, (void)visible;
-    if (callbacks) memcpy(&logger, &callbacks->logger, sizeof logger);
-    Instance *instance =
-        instance_new(name, guid, logging, report, callbacks ? callbacks->environment : NULL, logger);
+    Instance *instance = instance_new(name, guid, logging, report, callbacks ? callbacks->environment : NULL,
+                                      callbacks ? (Function)callbacks->logger : NULL);
     if (instance && type != 1) {
         instance_unsupported(instance, "model exchange");
         instance_free(instance);
@@ -72,7 +61,6 @@ API FMI(fmi2SetupExperiment)(void *c, int tolerance_defined, double tolerance, d
                              double stop)
 {
     Instance *instance = c;
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
     if (!instance) return ERROR;
     if (instance->plant.mode != INSTANTIATED) return instance_fail(instance, "the experiment is set up already");
     if (!(start == start && start - start == 0.0)) return instance_fail(instance, "the start time is not finite");
@@ -142,27 +130,18 @@ API FMI(fmi2SetInteger)(void *c, const Ref vr[], size_t n, const int value[])
     return OK;
 }
 
-/* There are no Boolean and no String variables. */
-#define NO_VARIABLES(function, T)                                          \
-    API FMI(function)(void *c, const Ref vr[], size_t n, T value[])        \
-    {                                                                      \
-        (void)vr, (void)value;                                             \
-        return c && n == 0 ? OK : instance_unsupported(c, #function);      \
-    }
-NO_VARIABLES(fmi2GetBoolean, int)
-NO_VARIABLES(fmi2GetString, String)
-NO_VARIABLES(fmi2SetBoolean, const int)
-NO_VARIABLES(fmi2SetString, const String)
+/* There are no Boolean and no String variables, and no derivatives of inputs and outputs. */
+NO_VARIABLES(fmi2GetBoolean, void *c, const Ref vr[], size_t n, int value[])
+NO_VARIABLES(fmi2GetString, void *c, const Ref vr[], size_t n, String value[])
+NO_VARIABLES(fmi2SetBoolean, void *c, const Ref vr[], size_t n, const int value[])
+NO_VARIABLES(fmi2SetString, void *c, const Ref vr[], size_t n, const String value[])
+NO_VARIABLES(fmi2SetRealInputDerivatives, void *c, const Ref vr[], size_t n, const int order[], const double value[])
+NO_VARIABLES(fmi2GetRealOutputDerivatives, void *c, const Ref vr[], size_t n, const int order[], double value[])
 
 API FMI(fmi2GetFMUstate)(void *c, void **state) { return instance_save(c, state); }
 API FMI(fmi2SetFMUstate)(void *c, void *state) { return instance_restore(c, state); }
 API FMI(fmi2FreeFMUstate)(void *c, void **state) { return c ? instance_discard(state) : ERROR; }
-API FMI(fmi2SerializedFMUstateSize)(void *c, void *state, size_t *size)
-{
-    if (!c || !state || !size) return ERROR;
-    *size = instance_saved_size();
-    return OK;
-}
+API FMI(fmi2SerializedFMUstateSize)(void *c, void *state, size_t *size) { return instance_saved_size(c, state, size); }
 API FMI(fmi2SerializeFMUstate)(void *c, void *state, char bytes[], size_t size)
 {
     return instance_serialise(c, state, (unsigned char *)bytes, size);
@@ -171,94 +150,48 @@ API FMI(fmi2DeSerializeFMUstate)(void *c, const char bytes[], size_t size, void 
 {
     return instance_deserialise(c, (const unsigned char *)bytes, size, state);
 }
-API FMI(fmi2GetDirectionalDerivative)(void *c, const Ref unknown[], size_t n_unknown, const Ref known_[],
-                                      size_t n_known, const double dv_known[], double dv_unknown[])
-{
-    (void)unknown, (void)n_unknown, (void)known_, (void)n_known, (void)dv_known, (void)dv_unknown;
-    return instance_unsupported(c, "fmi2GetDirectionalDerivative");
-}
+UNSUPPORTED(fmi2GetDirectionalDerivative, void *c, const Ref unknown[], size_t n_unknown, const Ref known_[],
+            size_t n_known, const double dv_known[], double dv_unknown[])
 
-API FMI(fmi2SetRealInputDerivatives)(void *c, const Ref vr[], size_t n, const int order[], const double value[])
-{
-    (void)vr, (void)order, (void)value;
-    return c && n == 0 ? OK : instance_unsupported(c, "fmi2SetRealInputDerivatives");
-}
-API FMI(fmi2GetRealOutputDerivatives)(void *c, const Ref vr[], size_t n, const int order[], double value[])
-{
-    (void)vr, (void)order, (void)value;
-    return c && n == 0 ? OK : instance_unsupported(c, "fmi2GetRealOutputDerivatives");
-}
 API FMI(fmi2DoStep)(void *c, double time, double dt, int no_set_state_before)
 {
-    (void)no_set_state_before;
     return instance_step(c, time, dt);
 }
-API FMI(fmi2CancelStep)(void *c) { return instance_unsupported(c, "fmi2CancelStep"); }
+UNSUPPORTED(fmi2CancelStep, void *c)
 
 /* No step is ever pending; status and last time are known after every step all the same. */
 API FMI(fmi2GetStatus)(void *c, int kind, int *value)
 {
-    if (c && kind == 0) {
-        *value = OK;
-        return OK;
-    }
-    return instance_unsupported(c, "fmi2GetStatus");
+    if (!c || kind != 0) return instance_unsupported(c, "fmi2GetStatus");
+    *value = OK;
+    return OK;
 }
 API FMI(fmi2GetRealStatus)(void *c, int kind, double *value)
 {
     Instance *instance = c;
     char why[REASON_SIZE];
-    if (instance && kind == 2 && plant_refresh(&instance->plant, V_time, why) == 0) {
-        *value = instance->plant.v[V_time];
-        return OK;
-    }
-    return instance_unsupported(c, "fmi2GetRealStatus");
+    if (!instance || kind != 2 || plant_refresh(&instance->plant, V_time, why) != 0)
+        return instance_unsupported(c, "fmi2GetRealStatus");
+    *value = instance->plant.v[V_time];
+    return OK;
 }
-API FMI(fmi2GetIntegerStatus)(void *c, int kind, int *value)
-{
-    (void)kind, (void)value;
-    return instance_unsupported(c, "fmi2GetIntegerStatus");
-}
+UNSUPPORTED(fmi2GetIntegerStatus, void *c, int kind, int *value)
 API FMI(fmi2GetBooleanStatus)(void *c, int kind, int *value)
 {
-    if (c && kind == 3) {
-        *value = 0;
-        return OK;
-    }
-    return instance_unsupported(c, "fmi2GetBooleanStatus");
+    if (!c || kind != 3) return instance_unsupported(c, "fmi2GetBooleanStatus");
+    *value = 0;
+    return OK;
 }
-API FMI(fmi2GetStringStatus)(void *c, int kind, String *value)
-{
-    (void)kind, (void)value;
-    return instance_unsupported(c, "fmi2GetStringStatus");
-}
+UNSUPPORTED(fmi2GetStringStatus, void *c, int kind, String *value)
 
 /* Model exchange. */
-API FMI(fmi2EnterEventMode)(void *c) { return instance_unsupported(c, "fmi2EnterEventMode"); }
-API FMI(fmi2NewDiscreteStates)(void *c, EventInfo *info)
-{
-    (void)info;
-    return instance_unsupported(c, "fmi2NewDiscreteStates");
-}
-API FMI(fmi2EnterContinuousTimeMode)(void *c) { return instance_unsupported(c, "fmi2EnterContinuousTimeMode"); }
-API FMI(fmi2CompletedIntegratorStep)(void *c, int no_set_state_before, int *enter_event_mode, int *terminate)
-{
-    (void)no_set_state_before, (void)enter_event_mode, (void)terminate;
-    return instance_unsupported(c, "fmi2CompletedIntegratorStep");
-}
-API FMI(fmi2SetTime)(void *c, double time)
-{
-    (void)time;
-    return instance_unsupported(c, "fmi2SetTime");
-}
-#define NO_STATES(function, T)                                 \
-    API FMI(function)(void *c, T x[], size_t n)                \
-    {                                                          \
-        (void)x, (void)n;                                      \
-        return instance_unsupported(c, #function);             \
-    }
-NO_STATES(fmi2SetContinuousStates, const double)
-NO_STATES(fmi2GetDerivatives, double)
-NO_STATES(fmi2GetEventIndicators, double)
-NO_STATES(fmi2GetContinuousStates, double)
-NO_STATES(fmi2GetNominalsOfContinuousStates, double)
+UNSUPPORTED(fmi2EnterEventMode, void *c)
+UNSUPPORTED(fmi2NewDiscreteStates, void *c, EventInfo *info)
+UNSUPPORTED(fmi2EnterContinuousTimeMode, void *c)
+UNSUPPORTED(fmi2CompletedIntegratorStep, void *c, int no_set_state_before, int *enter_event_mode, int *terminate)
+UNSUPPORTED(fmi2SetTime, void *c, double time)
+UNSUPPORTED(fmi2SetContinuousStates, void *c, const double x[], size_t n)
+UNSUPPORTED(fmi2GetDerivatives, void *c, double x[], size_t n)
+UNSUPPORTED(fmi2GetEventIndicators, void *c, double x[], size_t n)
+UNSUPPORTED(fmi2GetContinuousStates, void *c, double x[], size_t n)
+UNSUPPORTED(fmi2GetNominalsOfContinuousStates, void *c, double x[], size_t n)

@@ -7,13 +7,13 @@
 #include "instance.h"
 
 #ifdef FMI3_FUNCTION_PREFIX
-#define JOIN2(a, b) a##b
-#define JOIN(a, b) JOIN2(a, b)
 #define FMI(name) JOIN(FMI3_FUNCTION_PREFIX, name)
 #else
 #define FMI(name) name
 #endif
-#define API EXPORT int
+
+/* The standard fixes the signatures: a parameter without use is no mistake. */
+#pragma GCC diagnostic ignored "-Wunused-parameter"
 
 typedef uint32_t Ref;
 typedef const char *String;
@@ -23,28 +23,15 @@ typedef void (*Callback)(void);
 
 static void report(const Instance *instance, Status status, const char *message)
 {
-    Logger logger;
-    memcpy(&logger, &instance->logger, sizeof logger);
+    const Logger logger = (Logger)instance->logger;
     if (logger) logger(instance->environment, status, "logStatusError", message);
-}
-
-static void *pointer_of(Logger logger)
-{
-    void *pointer;
-    memcpy(&pointer, &logger, sizeof pointer);
-    return pointer;
 }
 
 EXPORT String FMI(fmi3GetVersion)(void) { return "3.0"; }
 
 API FMI(fmi3SetDebugLogging)(void *c, bool on, size_t n, const String categories[])
 {
-    Instance *instance = c;
-    if (!instance) return ERROR;
-    for (size_t i = 0; i < n; i++)
-        if (!instance_log_category(categories[i])) return instance_fail(instance, "unknown log category");
-    instance->logging = on;
-    return OK;
+    return instance_set_logging(c, on, n, categories);
 }
 
 EXPORT void *FMI(fmi3InstantiateCoSimulation)(String name, String token, String resources, bool visible, bool logging,
@@ -52,9 +39,7 @@ EXPORT void *FMI(fmi3InstantiateCoSimulation)(String name, String token, String 
                                               size_t n_intermediate, void *environment, Logger logger,
                                               Callback intermediate_update)
 {
-    (void)resources, (void)visible, (void)event_mode, (void)early_return, (void)intermediate;
-    (void)intermediate_update;
-    Instance *instance = instance_new(name, token, logging, report, environment, pointer_of(logger));
+    Instance *instance = instance_new(name, token, logging, report, environment, (Function)logger);
     if (instance && n_intermediate > 0) {
         instance_unsupported(instance, "intermediate update");
         instance_free(instance);
@@ -66,7 +51,6 @@ EXPORT void *FMI(fmi3InstantiateCoSimulation)(String name, String token, String 
 EXPORT void *FMI(fmi3InstantiateModelExchange)(String name, String token, String resources, bool visible, bool logging,
                                                void *environment, Logger logger)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging;
     if (logger) logger(environment, ERROR, "logStatusError", "model exchange is not supported by this FMU");
     return NULL;
 }
@@ -75,7 +59,6 @@ EXPORT void *FMI(fmi3InstantiateScheduledExecution)(String name, String token, S
                                                     bool logging, void *environment, Logger logger, Callback update,
                                                     Callback lock, Callback unlock)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)update, (void)lock, (void)unlock;
     if (logger) logger(environment, ERROR, "logStatusError", "scheduled execution is not supported by this FMU");
     return NULL;
 }
@@ -85,11 +68,10 @@ EXPORT void FMI(fmi3FreeInstance)(void *c) { instance_free(c); }
 API FMI(fmi3EnterInitializationMode)(void *c, bool tolerance_defined, double tolerance, double start,
                                      bool stop_defined, double stop)
 {
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
     return instance_enter_initialisation(c, start);
 }
 API FMI(fmi3ExitInitializationMode)(void *c) { return instance_exit_initialisation(c); }
-API FMI(fmi3EnterEventMode)(void *c) { return instance_unsupported(c, "fmi3EnterEventMode"); }
+UNSUPPORTED(fmi3EnterEventMode, void *c)
 API FMI(fmi3Terminate)(void *c) { return instance_terminate(c); }
 API FMI(fmi3Reset)(void *c) { return instance_reset(c); }
 
@@ -162,97 +144,75 @@ API FMI(fmi3SetInt64)(void *c, const Ref vr[], size_t n, const int64_t values[],
     return OK;
 }
 
-/* Types without variables: an empty list is no error. */
-#define NO_VARIABLES(function, T)                                                         \
-    API FMI(function)(void *c, const Ref vr[], size_t n, T values[], size_t n_values)     \
-    {                                                                                     \
-        (void)vr, (void)values, (void)n_values;                                           \
-        return c && n == 0 ? OK : instance_unsupported(c, #function);                     \
-    }
-NO_VARIABLES(fmi3GetFloat32, float)
-NO_VARIABLES(fmi3GetInt8, int8_t)
-NO_VARIABLES(fmi3GetUInt8, uint8_t)
-NO_VARIABLES(fmi3GetInt16, int16_t)
-NO_VARIABLES(fmi3GetUInt16, uint16_t)
-NO_VARIABLES(fmi3GetInt32, int32_t)
-NO_VARIABLES(fmi3GetUInt32, uint32_t)
-NO_VARIABLES(fmi3GetUInt64, uint64_t)
-NO_VARIABLES(fmi3GetBoolean, bool)
-NO_VARIABLES(fmi3GetString, String)
-NO_VARIABLES(fmi3SetFloat32, const float)
-NO_VARIABLES(fmi3SetInt8, const int8_t)
-NO_VARIABLES(fmi3SetUInt8, const uint8_t)
-NO_VARIABLES(fmi3SetInt16, const int16_t)
-NO_VARIABLES(fmi3SetUInt16, const uint16_t)
-NO_VARIABLES(fmi3SetInt32, const int32_t)
-NO_VARIABLES(fmi3SetUInt32, const uint32_t)
-NO_VARIABLES(fmi3SetUInt64, const uint64_t)
-NO_VARIABLES(fmi3SetBoolean, const bool)
-NO_VARIABLES(fmi3SetString, const String)
+NO_VARIABLES(fmi3GetFloat32, void *c, const Ref vr[], size_t n, float values[], size_t n_values)
+NO_VARIABLES(fmi3GetInt8, void *c, const Ref vr[], size_t n, int8_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt8, void *c, const Ref vr[], size_t n, uint8_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetInt16, void *c, const Ref vr[], size_t n, int16_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt16, void *c, const Ref vr[], size_t n, uint16_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetInt32, void *c, const Ref vr[], size_t n, int32_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt32, void *c, const Ref vr[], size_t n, uint32_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetUInt64, void *c, const Ref vr[], size_t n, uint64_t values[], size_t n_values)
+NO_VARIABLES(fmi3GetBoolean, void *c, const Ref vr[], size_t n, bool values[], size_t n_values)
+NO_VARIABLES(fmi3GetString, void *c, const Ref vr[], size_t n, String values[], size_t n_values)
+NO_VARIABLES(fmi3SetFloat32, void *c, const Ref vr[], size_t n, const float values[], size_t n_values)
+NO_VARIABLES(fmi3SetInt8, void *c, const Ref vr[], size_t n, const int8_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt8, void *c, const Ref vr[], size_t n, const uint8_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetInt16, void *c, const Ref vr[], size_t n, const int16_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt16, void *c, const Ref vr[], size_t n, const uint16_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetInt32, void *c, const Ref vr[], size_t n, const int32_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt32, void *c, const Ref vr[], size_t n, const uint32_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetUInt64, void *c, const Ref vr[], size_t n, const uint64_t values[], size_t n_values)
+NO_VARIABLES(fmi3SetBoolean, void *c, const Ref vr[], size_t n, const bool values[], size_t n_values)
+NO_VARIABLES(fmi3SetString, void *c, const Ref vr[], size_t n, const String values[], size_t n_values)
 
 /* The rest of the standard that this FMU has no use for. */
-#define UNSUPPORTED(function, ...)                      \
-    API FMI(function)(void *c, __VA_ARGS__)             \
-    {                                                   \
-        return instance_unsupported(c, #function);      \
-    }
-#if defined(__GNUC__)
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wunused-parameter"
-#endif
-UNSUPPORTED(fmi3GetBinary, const Ref vr[], size_t n, size_t sizes[], Binary values[], size_t n_values)
-UNSUPPORTED(fmi3SetBinary, const Ref vr[], size_t n, const size_t sizes[], const Binary values[], size_t n_values)
-UNSUPPORTED(fmi3GetClock, const Ref vr[], size_t n, bool values[])
-UNSUPPORTED(fmi3SetClock, const Ref vr[], size_t n, const bool values[])
-UNSUPPORTED(fmi3GetNumberOfVariableDependencies, Ref vr, size_t *n)
-UNSUPPORTED(fmi3GetVariableDependencies, Ref dependent, size_t elements[], Ref independents[],
-            size_t independent_elements[], int kinds[], size_t n)
-UNSUPPORTED(fmi3GetDirectionalDerivative, const Ref unknowns[], size_t n_unknowns, const Ref knowns[], size_t n_knowns,
-            const double seed[], size_t n_seed, double sensitivity[], size_t n_sensitivity)
-UNSUPPORTED(fmi3GetAdjointDerivative, const Ref unknowns[], size_t n_unknowns, const Ref knowns[], size_t n_knowns,
-            const double seed[], size_t n_seed, double sensitivity[], size_t n_sensitivity)
-UNSUPPORTED(fmi3GetIntervalDecimal, const Ref vr[], size_t n, double intervals[], int qualifiers[])
-UNSUPPORTED(fmi3GetIntervalFraction, const Ref vr[], size_t n, uint64_t counters[], uint64_t resolutions[],
-            int qualifiers[])
-UNSUPPORTED(fmi3GetShiftDecimal, const Ref vr[], size_t n, double shifts[])
-UNSUPPORTED(fmi3GetShiftFraction, const Ref vr[], size_t n, uint64_t counters[], uint64_t resolutions[])
-UNSUPPORTED(fmi3SetIntervalDecimal, const Ref vr[], size_t n, const double intervals[])
-UNSUPPORTED(fmi3SetIntervalFraction, const Ref vr[], size_t n, const uint64_t counters[],
-            const uint64_t resolutions[])
-UNSUPPORTED(fmi3SetShiftDecimal, const Ref vr[], size_t n, const double shifts[])
-UNSUPPORTED(fmi3SetShiftFraction, const Ref vr[], size_t n, const uint64_t counters[], const uint64_t resolutions[])
-UNSUPPORTED(fmi3UpdateDiscreteStates, bool *need_update, bool *terminate, bool *nominals, bool *values, bool *next,
-            double *next_time)
-UNSUPPORTED(fmi3CompletedIntegratorStep, bool no_set_state_before, bool *enter_event_mode, bool *terminate)
-UNSUPPORTED(fmi3SetTime, double time)
-UNSUPPORTED(fmi3SetContinuousStates, const double x[], size_t n)
-UNSUPPORTED(fmi3GetContinuousStateDerivatives, double dx[], size_t n)
-UNSUPPORTED(fmi3GetEventIndicators, double z[], size_t n)
-UNSUPPORTED(fmi3GetContinuousStates, double x[], size_t n)
-UNSUPPORTED(fmi3GetNominalsOfContinuousStates, double nominals[], size_t n)
-UNSUPPORTED(fmi3GetNumberOfEventIndicators, size_t *n)
-UNSUPPORTED(fmi3GetNumberOfContinuousStates, size_t *n)
-UNSUPPORTED(fmi3GetOutputDerivatives, const Ref vr[], size_t n, const int32_t orders[], double values[],
+UNSUPPORTED(fmi3GetBinary, void *c, const Ref vr[], size_t n, size_t sizes[], Binary values[], size_t n_values)
+UNSUPPORTED(fmi3SetBinary, void *c, const Ref vr[], size_t n, const size_t sizes[], const Binary values[],
             size_t n_values)
-UNSUPPORTED(fmi3ActivateModelPartition, Ref clock, double time)
-#if defined(__GNUC__)
-#pragma GCC diagnostic pop
-#endif
-API FMI(fmi3EnterConfigurationMode)(void *c) { return instance_unsupported(c, "fmi3EnterConfigurationMode"); }
-API FMI(fmi3ExitConfigurationMode)(void *c) { return instance_unsupported(c, "fmi3ExitConfigurationMode"); }
-API FMI(fmi3EvaluateDiscreteStates)(void *c) { return instance_unsupported(c, "fmi3EvaluateDiscreteStates"); }
-API FMI(fmi3EnterContinuousTimeMode)(void *c) { return instance_unsupported(c, "fmi3EnterContinuousTimeMode"); }
-API FMI(fmi3EnterStepMode)(void *c) { return instance_unsupported(c, "fmi3EnterStepMode"); }
+UNSUPPORTED(fmi3GetClock, void *c, const Ref vr[], size_t n, bool values[])
+UNSUPPORTED(fmi3SetClock, void *c, const Ref vr[], size_t n, const bool values[])
+UNSUPPORTED(fmi3GetNumberOfVariableDependencies, void *c, Ref vr, size_t *n)
+UNSUPPORTED(fmi3GetVariableDependencies, void *c, Ref dependent, size_t elements[], Ref independents[],
+            size_t independent_elements[], int kinds[], size_t n)
+UNSUPPORTED(fmi3GetDirectionalDerivative, void *c, const Ref unknowns[], size_t n_unknowns, const Ref knowns[],
+            size_t n_knowns, const double seed[], size_t n_seed, double sensitivity[], size_t n_sensitivity)
+UNSUPPORTED(fmi3GetAdjointDerivative, void *c, const Ref unknowns[], size_t n_unknowns, const Ref knowns[],
+            size_t n_knowns, const double seed[], size_t n_seed, double sensitivity[], size_t n_sensitivity)
+UNSUPPORTED(fmi3GetIntervalDecimal, void *c, const Ref vr[], size_t n, double intervals[], int qualifiers[])
+UNSUPPORTED(fmi3GetIntervalFraction, void *c, const Ref vr[], size_t n, uint64_t counters[], uint64_t resolutions[],
+            int qualifiers[])
+UNSUPPORTED(fmi3GetShiftDecimal, void *c, const Ref vr[], size_t n, double shifts[])
+UNSUPPORTED(fmi3GetShiftFraction, void *c, const Ref vr[], size_t n, uint64_t counters[], uint64_t resolutions[])
+UNSUPPORTED(fmi3SetIntervalDecimal, void *c, const Ref vr[], size_t n, const double intervals[])
+UNSUPPORTED(fmi3SetIntervalFraction, void *c, const Ref vr[], size_t n, const uint64_t counters[],
+            const uint64_t resolutions[])
+UNSUPPORTED(fmi3SetShiftDecimal, void *c, const Ref vr[], size_t n, const double shifts[])
+UNSUPPORTED(fmi3SetShiftFraction, void *c, const Ref vr[], size_t n, const uint64_t counters[],
+            const uint64_t resolutions[])
+UNSUPPORTED(fmi3UpdateDiscreteStates, void *c, bool *need_update, bool *terminate, bool *nominals, bool *values,
+            bool *next, double *next_time)
+UNSUPPORTED(fmi3CompletedIntegratorStep, void *c, bool no_set_state_before, bool *enter_event_mode, bool *terminate)
+UNSUPPORTED(fmi3SetTime, void *c, double time)
+UNSUPPORTED(fmi3SetContinuousStates, void *c, const double x[], size_t n)
+UNSUPPORTED(fmi3GetContinuousStateDerivatives, void *c, double dx[], size_t n)
+UNSUPPORTED(fmi3GetEventIndicators, void *c, double z[], size_t n)
+UNSUPPORTED(fmi3GetContinuousStates, void *c, double x[], size_t n)
+UNSUPPORTED(fmi3GetNominalsOfContinuousStates, void *c, double nominals[], size_t n)
+UNSUPPORTED(fmi3GetNumberOfEventIndicators, void *c, size_t *n)
+UNSUPPORTED(fmi3GetNumberOfContinuousStates, void *c, size_t *n)
+UNSUPPORTED(fmi3GetOutputDerivatives, void *c, const Ref vr[], size_t n, const int32_t orders[], double values[],
+            size_t n_values)
+UNSUPPORTED(fmi3ActivateModelPartition, void *c, Ref clock, double time)
+UNSUPPORTED(fmi3EnterConfigurationMode, void *c)
+UNSUPPORTED(fmi3ExitConfigurationMode, void *c)
+UNSUPPORTED(fmi3EvaluateDiscreteStates, void *c)
+UNSUPPORTED(fmi3EnterContinuousTimeMode, void *c)
+UNSUPPORTED(fmi3EnterStepMode, void *c)
 
 API FMI(fmi3GetFMUState)(void *c, void **state) { return instance_save(c, state); }
 API FMI(fmi3SetFMUState)(void *c, void *state) { return instance_restore(c, state); }
 API FMI(fmi3FreeFMUState)(void *c, void **state) { return c ? instance_discard(state) : ERROR; }
-API FMI(fmi3SerializedFMUStateSize)(void *c, void *state, size_t *size)
-{
-    if (!c || !state || !size) return ERROR;
-    *size = instance_saved_size();
-    return OK;
-}
+API FMI(fmi3SerializedFMUStateSize)(void *c, void *state, size_t *size) { return instance_saved_size(c, state, size); }
 API FMI(fmi3SerializeFMUState)(void *c, void *state, uint8_t bytes[], size_t size)
 {
     return instance_serialise(c, state, bytes, size);
@@ -266,7 +226,6 @@ API FMI(fmi3DoStep)(void *c, double time, double dt, bool no_set_state_before, b
                     bool *early_return, double *last_time)
 {
     Instance *instance = c;
-    (void)no_set_state_before;
     const Status status = instance_step(instance, time, dt);
     *event_needed = *terminate = *early_return = false;
     if (instance) {

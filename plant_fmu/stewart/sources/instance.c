@@ -11,7 +11,7 @@ typedef struct {
 } Saved;
 
 Instance *instance_new(const char *name, const char *token, int logging, Report report, void *environment,
-                       void *logger)
+                       Function logger)
 {
     Instance *instance = calloc(1, sizeof *instance);
     if (!instance) return NULL;
@@ -30,7 +30,15 @@ Instance *instance_new(const char *name, const char *token, int logging, Report 
 
 void instance_free(Instance *instance) { free(instance); }
 
-int instance_log_category(const char *category) { return category && strcmp(category, "logStatusError") == 0; }
+Status instance_set_logging(Instance *instance, int on, size_t n, const char *const categories[])
+{
+    if (!instance) return ERROR;
+    for (size_t i = 0; i < n; i++)
+        if (!categories[i] || strcmp(categories[i], "logStatusError") != 0)
+            return instance_fail(instance, "unknown log category");
+    instance->logging = on;
+    return OK;
+}
 
 Status instance_fail(const Instance *instance, const char *message)
 {
@@ -122,7 +130,12 @@ Status instance_discard(void **state)
     return OK;
 }
 
-size_t instance_saved_size(void) { return sizeof(Saved); }
+Status instance_saved_size(const Instance *instance, const void *state, size_t *size)
+{
+    if (!instance || !state || !size) return ERROR;
+    *size = sizeof(Saved);
+    return OK;
+}
 
 Status instance_serialise(const Instance *instance, const void *state, unsigned char *bytes, size_t size)
 {

@@ -11,11 +11,21 @@
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
+#define API EXPORT int
+#define JOIN2(a, b) a##b
+#define JOIN(a, b) JOIN2(a, b)
+/* A function of the standard that this FMU has no use for; FMI(name) gives it the importer's prefix. */
+#define UNSUPPORTED(function, ...) \
+    API FMI(function)(__VA_ARGS__) { return instance_unsupported(c, #function); }
+/* The same for a type without variables: an empty list is no error. */
+#define NO_VARIABLES(function, ...) \
+    API FMI(function)(__VA_ARGS__) { return c && n == 0 ? OK : instance_unsupported(c, #function); }
 
 /* Numbers of both standards' status enumerations. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 
 typedef struct Instance Instance;
+typedef void (*Function)(void); /* of any type, cast back before it is called */
 typedef void (*Report)(const Instance *instance, Status status, const char *message);
 
 struct Instance {
@@ -24,15 +34,14 @@ struct Instance {
     char name[128];
     Report report;
     void *environment; /* given back to the importer's logger */
-    void *logger;
+    Function logger;
 };
 
 Instance *instance_new(const char *name, const char *token, int logging, Report report, void *environment,
-                       void *logger);
+                       Function logger);
 void instance_free(Instance *instance);
-int instance_log_category(const char *category);
+Status instance_set_logging(Instance *instance, int on, size_t n, const char *const categories[]);
 Status instance_fail(const Instance *instance, const char *message);
-/* A function of the standard that this FMU has no use for. */
 Status instance_unsupported(const Instance *instance, const char *function);
 
 Status instance_enter_initialisation(Instance *instance, double start_time);
@@ -45,7 +54,7 @@ Status instance_step(Instance *instance, double time, double dt);
 Status instance_save(const Instance *instance, void **state);
 Status instance_restore(Instance *instance, const void *state);
 Status instance_discard(void **state);
-size_t instance_saved_size(void);
+Status instance_saved_size(const Instance *instance, const void *state, size_t *size);
 Status instance_serialise(const Instance *instance, const void *state, unsigned char *bytes, size_t size);
 Status instance_deserialise(const Instance *instance, const unsigned char *bytes, size_t size, void **state);
 

@@ -222,7 +222,7 @@ static int internal_step(Plant *plant)
 {
     const double h = plant->v[V_internal_step], *command = plant->v + V_force;
     double middle[LEGS], end[LEGS], contact[LEGS], dtwist[6];
-    Motion k1, k2, k3, k4, y;
+    Motion k[4], y = plant->x;
     Equations e;
     if (plant->decay == 0.0) memcpy(plant->applied, command, sizeof plant->applied);
     for (int i = 0; i < LEGS; i++) {
@@ -230,23 +230,18 @@ static int internal_step(Plant *plant)
         middle[i] = command[i] + gap * plant->decay_half;
         end[i] = command[i] + gap * plant->decay;
     }
-    if (accelerate(plant, &plant->x, plant->applied, h, contact, dtwist, &e) != 0) return -1;
-    derivative(&plant->x, dtwist, &k1);
-    advance(&plant->x, &k1, 0.5 * h, &y);
-    if (accelerate(plant, &y, middle, 0.0, contact, dtwist, &e) != 0) return -1;
-    derivative(&y, dtwist, &k2);
-    advance(&plant->x, &k2, 0.5 * h, &y);
-    if (accelerate(plant, &y, middle, 0.0, contact, dtwist, &e) != 0) return -1;
-    derivative(&y, dtwist, &k3);
-    advance(&plant->x, &k3, h, &y);
-    if (accelerate(plant, &y, end, 0.0, contact, dtwist, &e) != 0) return -1;
-    derivative(&y, dtwist, &k4);
+    const double *force[4] = {plant->applied, middle, middle, end}, at[4] = {0.0, 0.5, 0.5, 1.0};
+    for (int s = 0; s < 4; s++) {
+        if (s > 0) advance(&plant->x, &k[s - 1], at[s] * h, &y);
+        if (accelerate(plant, &y, force[s], s == 0 ? h : 0.0, contact, dtwist, &e) != 0) return -1;
+        derivative(&y, dtwist, &k[s]);
+    }
 
     double *x = (double *)&plant->x, *q = plant->x.q;
-    const double *a = (double *)&k1, *b = (double *)&k2, *c = (double *)&k3, *d = (double *)&k4;
-    for (int k = 0; k < STATES; k++) x[k] += h / 6.0 * (a[k] + 2.0 * (b[k] + c[k]) + d[k]);
+    const double *a = (double *)&k[0], *b = (double *)&k[1], *c = (double *)&k[2], *d = (double *)&k[3];
+    for (int i = 0; i < STATES; i++) x[i] += h / 6.0 * (a[i] + 2.0 * (b[i] + c[i]) + d[i]);
     const double n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    for (int k = 0; k < 4; k++) q[k] *= n;
+    for (int i = 0; i < 4; i++) q[i] *= n;
     memcpy(plant->applied, end, sizeof end);
     plant->steps++;
     return 0;

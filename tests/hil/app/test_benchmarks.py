@@ -20,7 +20,7 @@ from hil.control.law import LawContext
 from hil.loop.parts import Parts
 from hil.loop.replay import replay
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from tests.drivers.legs_frames import command_frames
 from tests.records import asked, record_of
 from tools.benchmarks import cyclictest, realtime
@@ -176,7 +176,7 @@ def test_plain_inverse_dynamics_agrees_with_the_engines_and_the_kernel(case):
     tau = joint_inverse_dynamics(PlainRobot.of(platform), PlainPose(p, R, twist, J), ddq)
     wrench = np.array(case["state"]["wrench"])
     assert relative(tau - np.linalg.solve(J.T, wrench), np.array(e["leg_forces"])) < 1e-9
-    law = load("virtual").controller.build(LawContext(platform, "none", 1e-3, hold(p, R)))
+    law = load("virtual").controller.build(LawContext(platform, "none", 1e-3, HoldTrajectory(p, R)))
     columns = {"q": q, "dq": dq, "p": p, "R": R, "twist": twist, "J": J}
     here = record_of(**columns, q_d=q, dq_d=dq, ddq_d=ddq)  # dtwist is not the law's to know
     assert relative(asked(law, here), tau) < 1e-9

@@ -8,14 +8,14 @@ import numpy as np
 from hil.control.law import LawContext
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import arrived, asked
 
 BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
 HOME = np.array([0.1, -0.2, 1.1]), np.eye(3)
-CONTEXT = LawContext(PLATFORM, "none", 1e-3, hold(*HOME))
+CONTEXT = LawContext(PLATFORM, "none", 1e-3, HoldTrajectory(*HOME))
 NONE = np.zeros(6)
 
 

@@ -13,7 +13,7 @@ from hil.config.model import ModelSettings
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.law import LawContext
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import arrived, asked, referred
 
@@ -33,7 +33,7 @@ def law_of(platform, model=None, **options):
         model=model,
         **options,
     )
-    return settings.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    return settings.build(LawContext(platform, "none", 1e-3, HoldTrajectory(np.zeros(3), np.eye(3))))
 
 
 @pytest.mark.parametrize("model", [None, ModelSettings()], ids=["", "gravity"])

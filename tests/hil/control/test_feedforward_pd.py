@@ -14,7 +14,7 @@ from hil.config.reference import Waypoint, WaypointReference
 from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.law import LawContext
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
 from tests.records import altered, arrived, asked, referred
@@ -108,7 +108,7 @@ def test_a_trajectory_without_end_is_refused():
     with pytest.raises(
         ConfigurationError, match=r"controller\.evaluation: offline needs a reference that ends"
     ):
-        law_of("offline", trajectory=hold(HOME, np.eye(3)))
+        law_of("offline", trajectory=HoldTrajectory(HOME, np.eye(3)))
 
 
 def test_a_model_of_nine_tenths_feeds_nine_tenths_of_the_forces_forward():

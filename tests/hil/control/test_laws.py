@@ -32,7 +32,7 @@ from hil.loop.reference import fill_reference
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import arrived, asked
 
@@ -111,7 +111,7 @@ EXACT = (
     "state_space, pose",
 )
 """Laws whose effort without error is the inverse dynamics of an exact model."""
-CONTEXT = LawContext(PLATFORM, "none", 1e-3, hold(np.array([0.0, 0.0, 1.0]), np.eye(3)))
+CONTEXT = LawContext(PLATFORM, "none", 1e-3, HoldTrajectory(np.array([0.0, 0.0, 1.0]), np.eye(3)))
 NONE = np.zeros(6)
 laws = pytest.mark.parametrize("name", SETTINGS)
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from hil.control.law import LawContext
 from hil.control.partial_linearisation import PartialLinearisationSettings
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import asked, referred
 
@@ -28,7 +28,7 @@ def test_it_asks_for_the_engines_inertia_and_weight_and_leaves_H_and_load_out(ca
     p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
     dtwist = np.array(s["a"] + s["alpha"])
     J, M, G, q, dq = (np.array(e[key]) for key in ("jacobian", "M", "G", "lengths", "rates"))
-    law = SETTINGS.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    law = SETTINGS.build(LawContext(platform, "none", 1e-3, HoldTrajectory(np.zeros(3), np.eye(3))))
     E, dE = np.array([1e-3, 0, -2e-3, 0, 3e-3, 0]), np.array([0, 1e-2, 0, 0, -2e-2, 0])
     state = {"q": q - E, "dq": dq - dE, "p": p, "R": R, "twist": twist, "J": J, "wrench": s["wrench"]}
     tau = asked(law, referred(platform, PoseSample(p, R, twist, dtwist), **state))

@@ -13,7 +13,7 @@ from hil.config.values import Pose
 from hil.control.law import LawContext
 from hil.control.pd_gravity import PDGravitySettings
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import arrived, asked, referred
 
@@ -23,7 +23,7 @@ NONE = np.zeros(6)
 
 def law_of(platform, **model):
     settings = PDGravitySettings(law="pd_gravity", kp_N_m=2e6, kv_N_s_m=5e4, model=ModelSettings(**model))
-    return settings.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    return settings.build(LawContext(platform, "none", 1e-3, HoldTrajectory(np.zeros(3), np.eye(3))))
 
 
 @pytest.mark.parametrize("case", TRUTH["cases"][::3], ids=lambda c: c["id"])

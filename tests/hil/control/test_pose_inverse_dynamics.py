@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hil.control.law import LawContext
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings, demanded_dtwist, pose_errors
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import hold
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.records import altered, asked, referred
 
@@ -28,7 +28,7 @@ def law_of(platform):
     settings = PoseInverseDynamicsSettings(
         law="pose_inverse_dynamics", wn_rad_s=W_N.tolist(), damping_ratio=ZETA
     )
-    return settings.build(LawContext(platform, "none", 1e-3, hold(np.zeros(3), np.eye(3))))
+    return settings.build(LawContext(platform, "none", 1e-3, HoldTrajectory(np.zeros(3), np.eye(3))))
 
 
 def at(case):

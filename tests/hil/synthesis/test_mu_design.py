@@ -12,8 +12,7 @@ import yaml
 
 from drivers.errors import SynthesisError
 from hil.app.design.command import load_design, run_design
-from hil.config.design import DesignAxis
-from hil.config.design_uncertainty import UncertaintyRanges
+from hil.config.design import DesignAxis, UncertaintyRanges
 from hil.config.linear_controller import LinearController
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.mu import Block, upper_bound

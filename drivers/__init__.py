@@ -23,7 +23,9 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     return LegsProtocol(bus.layout, drives.node_ids)
 
 
-PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {"legs": _legs}
+PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
+    "legs": _legs,
+}
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.
 
 A row checks `bus.layout`, `drives.node_ids` and `drives.options`; its ConfigurationError begins with the key.

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from drivers.arrays import Array, Ints
 from drivers.signals import LEGS, Command, Reaction
-from drivers.tick import Record
+from drivers.tick_columns import Record
 
 EXTENDED = 1
 FD = 2

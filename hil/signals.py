@@ -1,4 +1,4 @@
-"""What goes into one tick and what comes out; what flows between is the record of `drivers.tick`."""
+"""What goes into one tick and what comes out; what flows between is the record of `drivers.tick_columns`."""
 
 from enum import IntEnum
 from typing import NamedTuple

@@ -6,7 +6,7 @@ from math import nan
 from typing import Any
 
 from drivers.arrays import Array
-from drivers.tick import Record, copy_of, new_record
+from drivers.tick_columns import Record, copy_of, new_record
 from hil.loop.reference import fill_reference
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian

@@ -12,7 +12,7 @@ from hil.record.row import names_of
 
 
 class Columns(SphinxDirective):
-    """Its argument names a tuple of `drivers.tick.Column`."""
+    """Its argument names a tuple of `drivers.tick_columns.Column`."""
 
     required_arguments = 1
 

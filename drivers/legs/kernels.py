@@ -24,7 +24,7 @@ from drivers.compiled.compiler import (
 from drivers.legs.crc import FINAL_XOR, RESIDUE, TABLE
 from drivers.protocol import ERROR, EXTENDED, HEAD, OTHER_BUSES, REMOTE
 from drivers.signals import INVALID, LEGS, NEVER, DriveFault, DriveState
-from drivers.tick import TICK, part
+from drivers.tick_columns import TICK, part
 
 FOREIGN = EXTENDED | REMOTE | ERROR | OTHER_BUSES
 """Flags of frames that cannot be ours."""

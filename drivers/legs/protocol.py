@@ -37,7 +37,7 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
-from drivers.tick import Record
+from drivers.tick_columns import Record
 
 MAX_NODE = 127
 SETUPS = 3

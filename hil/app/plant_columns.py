@@ -3,7 +3,7 @@
 from functools import partial
 
 from drivers.signals import DriveFault, DriveState
-from drivers.tick import MATRIX, PER_LEG, TWIST, WRENCH, XYZ, column
+from drivers.tick_columns import MATRIX, PER_LEG, TWIST, WRENCH, XYZ, column
 from hil.record.row import Table
 
 own = partial(column, "output")

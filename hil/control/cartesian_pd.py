@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.arrays import ZERO6, Array
 from drivers.compiled.compiler import OUT_VECTOR, VECTOR, direct, record
-from drivers.tick import TICK, Record
+from drivers.tick_columns import TICK, Record
 from hil.config.model import ModelSettings
 from hil.config.values import Positive, ThreePositive
 from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, Memoryless, gains, per_axis

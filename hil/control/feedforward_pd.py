@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import ZERO6, Array
 from drivers.errors import ConfigurationError
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.control.law import LawContext, Memoryless, ModelBasedSettings, per_leg
 from hil.control.pd import JointPD, LegGains
 from hil.robot.dynamics import Model

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick import TICK, Record
+from drivers.tick_columns import TICK, Record
 from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, LinearisingLaw, ModelBasedSettings
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import joint_idc_kernel

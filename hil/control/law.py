@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.section import Section
-from drivers.tick import Record, part
+from drivers.tick_columns import Record, part
 from hil.config.axis_model import AxisSpace
 from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController

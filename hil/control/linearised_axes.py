@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, kernel
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.config.axis_model import AxisSpace
 from hil.control.inverse_dynamics import linearising_tau
 from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from drivers.tick import Record, copy_of
+from drivers.tick_columns import Record, copy_of
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.control.inverse_dynamics import JointInverseDynamics
 from hil.control.law import ErrorGains, LawContext

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import direct, record
-from drivers.tick import TICK, Record
+from drivers.tick_columns import TICK, Record
 from hil.config.values import NonNegative, Positive, SixNonNegative, SixPositive
 from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, Memoryless, gains, per_leg
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from drivers.arrays import ZERO6
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.control.law import LawContext, Memoryless, ModelBasedSettings
 from hil.control.pd import DriveGains, JointPD
 from hil.robot.dynamics import Model

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import OUT_VECTOR, direct, record
-from drivers.tick import TICK, Record
+from drivers.tick_columns import TICK, Record
 from hil.config.values import Positive, SixPositive
 from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, gains, per_leg
 from hil.control.pd import DriveGains, JointPD

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, kernel, record
-from drivers.tick import TICK
+from drivers.tick_columns import TICK
 from hil.control.inverse_dynamics import GAINS
 from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, LinearisingLaw, ModelBasedSettings
 from hil.mathematics.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate

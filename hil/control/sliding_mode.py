@@ -32,7 +32,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick import TICK
+from drivers.tick_columns import TICK
 from hil.config.values import NonNegative, Positive
 from hil.control.law import (
     LAW_COLUMNS,

@@ -30,7 +30,7 @@ from pydantic import model_validator
 from drivers.arrays import ZERO6, Array
 from drivers.compiled.compiler import MATRIX, OUT_MATRIX, VECTOR, kernel
 from drivers.errors import ConfigurationError
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.config.linear_controller import LinearController
 from hil.control.law import DesiredLoop, LawContext, ModelBasedSettings
 from hil.control.linearised_axes import AXES, Axes

@@ -4,7 +4,7 @@ import numpy as np
 
 from drivers.arrays import ZERO6, Array
 from drivers.signals import LEGS
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.estimation.observer import WrenchObserver
 from hil.mathematics.rotations import turned
 

@@ -5,7 +5,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.sensors import Readings
 from drivers.signals import LEGS, Fault, Warn
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation.fusion import FusedEstimator, Health
 from hil.safety.encoders import contradicted, excused, uncertain

@@ -30,7 +30,7 @@ from drivers.arrays import Array
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.sensors import Readings, Sample
 from drivers.signals import LEGS, DriveState
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_kernels import observed_kernel, rerun_kernel

@@ -26,7 +26,7 @@ import numpy as np
 from drivers.arrays import ZERO6, Array
 from drivers.compiled.compiler import INTEGER, OUT_VECTOR, REAL, VECTOR, direct, record
 from drivers.signals import DriveState
-from drivers.tick import TICK, Record
+from drivers.tick_columns import TICK, Record
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import add_friction, fill_jacobian, model_force
 from hil.robot.force_path import ForcePath, decay

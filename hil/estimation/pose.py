@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct, record
-from drivers.tick import TICK, Record, part
+from drivers.tick_columns import TICK, Record, part
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import MAX_SUBSTEPS, check_rotation, check_vector

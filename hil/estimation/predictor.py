@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, record
-from drivers.tick import TICK, Record, part
+from drivers.tick_columns import TICK, Record, part
 from hil.mathematics.rotations import cayley_step
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model

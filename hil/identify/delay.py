@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 
 from drivers.arrays import ZERO6, Array, Flags
 from drivers.errors import IdentificationError
-from drivers.tick import new_record
+from drivers.tick_columns import new_record
 from hil.estimation.observer import fill_unexplained
 from hil.robot.dynamics import SLIDING_SPEED, Model
 from hil.robot.kinematics_kernels import jacobian_kernel

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Flags
-from drivers.tick import Record, new_record
+from drivers.tick_columns import Record, new_record
 from hil.config.axis_model import AxisSpace
 from hil.control.inverse_dynamics import linearising_tau
 from hil.robot.dynamics import Model

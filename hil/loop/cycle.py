@@ -4,7 +4,7 @@ No clock, no file, no random number, no log. All that changes a decision is in T
 replays to the bit.
 
 ``frames -> decode -> estimate -> reference -> law -> safety -> encode -> frames``, each stage filling its
-columns of the tick's record (`drivers.tick`).
+columns of the tick's record (`drivers.tick_columns`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from drivers.arrays import ZERO6, Array
 from drivers.protocol import Dialogue, Frame, run_of
 from drivers.sensors import Readings, SensorProtocol
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Fault, Mode, Stop, Warn
-from drivers.tick import INPUT_COLUMNS, TICK, Record, copy_of, new_record, row_of
+from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, copy_of, new_record, row_of
 from hil.estimation.pose import Estimator
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion

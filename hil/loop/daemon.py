@@ -18,8 +18,8 @@ from drivers.errors import HilError
 from drivers.protocol import Received
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines
-from hil.loop.course import Course, Ending
 from hil.loop.cycle import Cycle
+from hil.loop.run_end import Course, Ending
 from hil.loop.setpoints import SetPointSocket
 from hil.record import Recording
 from hil.signals import Operator, TickInput, explain

@@ -4,7 +4,7 @@ from typing import Any
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, VECTOR, direct, record
-from drivers.tick import TICK, Record, part
+from drivers.tick_columns import TICK, Record, part
 from hil.mathematics.vectors import add, at, cross, dot, rotate, row
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import leg, leg_motion

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.tick import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
+from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
 from hil.loop.cycle import Cycle
 from hil.record.log import Tick
 from hil.signals import Operator, TickInput

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
-from drivers.tick import Column
+from drivers.tick_columns import Column
 from hil.record.layout import FRAME_FLAGS, MAX_DATA, RECORD_HEADER, frame_layout, unpack_varint5
 from hil.record.mcap_read import MessageTable
 from hil.record.row import RowCodec

@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.signals import Fault, Mode, Warn
-from drivers.tick import COLUMNS
+from drivers.tick_columns import COLUMNS
 from hil.record.metrics import rotation_errors
 from hil.signals import explain
 

@@ -17,7 +17,7 @@ from mcap.records import Chunk
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
-from drivers.tick import Column
+from drivers.tick_columns import Column
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR, Decoder
 from hil.record.layout import MAX_DATA
 from hil.record.mcap_file import MAGIC

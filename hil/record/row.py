@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.tick import RECORDED, ROW, Column
+from drivers.tick_columns import RECORDED, ROW, Column
 from hil.record.layout import FIXED64, LENGTH, VARINT, Builder, varint
 from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_file, schema_of
 

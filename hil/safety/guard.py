@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from drivers.signals import LEGS, Fault, Stop, Warn
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.config.limits import LimitSettings
 from hil.safety.certificate import ASKED, LAST_V, NO_WATCH, PAST, Watch
 from hil.safety.effort import BLOCK

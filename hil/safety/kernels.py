@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import OUT_MATRIX, direct, helper, record
 from drivers.signals import Fault, Mode, Stop, Warn
-from drivers.tick import TICK, part
+from drivers.tick_columns import TICK, part
 from hil.control.error_axes import error_axes
 from hil.safety.bus import bus_down, bus_noisy, refusals
 from hil.safety.certificate import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.protocol import ALWAYS, DeviceMessage, DriveProtocol, Frame, Received, Sync, run_of
 from drivers.signals import LEGS, Command
-from drivers.tick import Record, new_record
+from drivers.tick_columns import Record, new_record
 
 
 def decode(

@@ -32,7 +32,7 @@ from drivers.protocol import (
     run_of,
 )
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
-from drivers.tick import Record, copy_of, new_record
+from drivers.tick_columns import Record, copy_of, new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.faults.fault import Fault
 from plant_fmu.drives.faults.frames import FrameLoss

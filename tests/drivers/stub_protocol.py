@@ -45,7 +45,7 @@ from drivers.signals import (
     DriveState,
     Reaction,
 )
-from drivers.tick import Record
+from drivers.tick_columns import Record
 
 STOP, POLL, PLACE, LOAD, SET, DONE, BEAT = range(7)
 """Kinds of frames, in the order of arbitration."""

@@ -31,7 +31,7 @@ ROW_FUNCTION = """def _stub(bus: BusSettings, drives: DriveSettings) -> DrivePro
 STEPS: dict[str, list[tuple[str, str | None, str]]] = {
     "column": [
         (
-            "drivers/tick.py",
+            "drivers/tick_columns.py",
             ')\n"""What the log holds',
             '    _("reference", "leg_error", float, "m", "q_d less q", *PER_LEG),\n',
         ),

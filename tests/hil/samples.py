@@ -3,7 +3,7 @@
 import numpy as np
 
 from drivers.protocol import BRS, ESI, EXTENDED, FD, Frame, Received
-from drivers.tick import ROW
+from drivers.tick_columns import ROW
 from hil.record.log import Tick
 from hil.signals import SetPoint
 

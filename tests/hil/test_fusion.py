@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.sensors import Readings, Sample
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation.fused_pose import PoseFusion
 from hil.estimation.fusion import LEFT_OUT_TICKS, SLIP_TICKS, FusedEstimator

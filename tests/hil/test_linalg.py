@@ -105,7 +105,7 @@ def test_motion_of_a_rotation_vector_by_differences(r, dr, ddr):
 BITS = """
 import hashlib, json, sys
 import numpy as np
-from drivers.tick import new_record
+from drivers.tick_columns import new_record
 from hil.robot.dynamics import Model
 from hil.estimation.pose import Estimator
 from hil.robot.geometry import Platform

@@ -7,7 +7,7 @@ import io
 import numpy as np
 
 from drivers.signals import Mode, Warn
-from drivers.tick import ROW
+from drivers.tick_columns import ROW
 from hil.record.live import LiveView
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from drivers.errors import LogError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.signals import DriveFault, DriveState, Fault, Mode
-from drivers.tick import PER_LEG, RECORDED, ROW, XYZ, Column
+from drivers.tick_columns import PER_LEG, RECORDED, ROW, XYZ, Column
 from hil.app.plant_columns import PLANT
 from hil.record import Recording, Scene
 from hil.record.log import Log

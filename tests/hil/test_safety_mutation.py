@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 import hil.safety
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.control.error_axes import error_axes
 
 PACKAGE = Path(hil.safety.__file__).parent

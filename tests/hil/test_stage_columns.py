@@ -19,7 +19,7 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received, Status, run_of
 from drivers.sensors import Readings, Sample
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
-from drivers.tick import COLUMNS, ROW, Record, copy_of, new_record, part
+from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.can.bus_time import BitTiming
 from drivers.signals import Fault, Mode, Warn
-from drivers.tick import ROW
+from drivers.tick_columns import ROW
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import load, loads

@@ -20,7 +20,7 @@ from drivers.signals import (
     DriveState,
     Reaction,
 )
-from drivers.tick import Record, new_record
+from drivers.tick_columns import Record, new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.faults.encoder import EncoderFreeze, EncoderLost, EncoderOffset
 from plant_fmu.drives.faults.fault import Fault

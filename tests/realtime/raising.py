@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.cli import main
 from hil.control.inverse_dynamics import JointInverseDynamics
 from hil.control.law import LinearisingLaw

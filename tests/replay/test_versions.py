@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import LogError
-from drivers.tick import RECORDED, ROW, Column
+from drivers.tick_columns import RECORDED, ROW, Column
 from hil.app.compose import attachments
 from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log

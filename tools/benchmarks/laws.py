@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS, DriveState
-from drivers.tick import Record, copy_of
+from drivers.tick_columns import Record, copy_of
 from hil.app.compare.laws import chosen
 from hil.app.compose import build_cycle, build_observer, build_predictor
 from hil.config.delay import DelayCompensation

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.tick import Record, copy_of, new_record
+from drivers.tick_columns import Record, copy_of, new_record
 from hil.app.compose import build_cycle
 from hil.control.inverse_dynamics import JointInverseDynamics
 from hil.estimation.pose import Estimator

@@ -8,7 +8,7 @@ import numpy as np
 from drivers.arrays import Ints
 from drivers.protocol import Frame
 from drivers.signals import Command, Mode
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.signals import TickInput, TickOutput

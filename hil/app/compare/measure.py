@@ -12,7 +12,7 @@ import numpy as np
 from drivers.arrays import Array, Rows
 from drivers.errors import HilError
 from drivers.signals import Fault, Mode
-from drivers.tick import ROW
+from drivers.tick_columns import ROW
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.compare import DisturbanceSettings, StepSettings
 from hil.app.configuration.configuration import Configuration
@@ -20,7 +20,7 @@ from hil.app.configuration.platform import pose_arrays
 from hil.app.sim.lockstep import build_lockstep
 from hil.config.values import AXES
 from hil.loop.clock import collector_paused
-from hil.loop.course import Course
+from hil.loop.run_end import Course
 from hil.mathematics.rotations import rotation_from_vector
 from hil.record.figures import errors, limited_ticks, pose_errors
 from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation

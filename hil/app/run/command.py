@@ -21,9 +21,9 @@ from hil.app.replay import replay_log
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import select_rate, stalled
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
-from hil.loop.course import NO_DRIVES, NO_DRIVES_S, Course, Ending
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.run_end import NO_DRIVES, NO_DRIVES_S, Course, Ending
 from hil.loop.setpoints import SetPointSocket
 from hil.record import LogSummary
 from hil.record.figures import figures, picture

@@ -2,7 +2,7 @@
 
 from drivers.errors import RunError
 from drivers.signals import DriveFault, Fault, Mode
-from drivers.tick import Record
+from drivers.tick_columns import Record
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import warn
 from hil.loop.clock import (
@@ -14,7 +14,7 @@ from hil.loop.clock import (
     holdable_rate,
     late_share,
 )
-from hil.loop.course import Ending
+from hil.loop.run_end import Ending
 
 RELAXED_WATCHDOG_S = 0.2
 """Watchdog of emulated drives where the loop has no real time. Real drives keep the configured one."""

@@ -17,8 +17,8 @@ from hil.app.replay import replay_log
 from hil.app.setpoint import require_live
 from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
 from hil.loop.clock import collector_paused
-from hil.loop.course import Ending
 from hil.loop.cycle import Cycle
+from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures
 from hil.record.log import Log

@@ -12,8 +12,8 @@ from drivers.can.arbitration import priority, transmit
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.protocol import ALWAYS, Frame, Received
 from hil.app.configuration.configuration import Configuration
-from hil.loop.course import Course, Ending
 from hil.loop.cycle import Cycle
+from hil.loop.run_end import Course, Ending
 from hil.signals import Operator, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 

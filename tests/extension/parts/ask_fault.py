@@ -6,7 +6,7 @@ from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import build_lockstep
-from hil.loop.course import Course
+from hil.loop.run_end import Course
 from plant_fmu.drives.faults import FAULTS
 from plant_fmu.drives.faults.plan import FaultPlan
 

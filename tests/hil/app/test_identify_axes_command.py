@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, IdentificationError, LogError
 from drivers.signals import Mode
-from drivers.tick import ROW
+from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.section_file import check_section_path, read_section, write_section
 from hil.app.identify.axes import excited_axes

@@ -8,7 +8,7 @@ from drivers.signals import DriveFault, Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.output import console
 from hil.app.run import rate_selection
-from hil.loop.course import Ending
+from hil.loop.run_end import Ending
 from tests.records import record_of
 
 

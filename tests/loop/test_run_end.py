@@ -9,12 +9,12 @@ import pytest
 
 from drivers.protocol import Received
 from drivers.signals import DriveState, Fault, Mode, Stop
-from drivers.tick import FIRST
+from drivers.tick_columns import FIRST
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
-from hil.loop.course import Course, Ending
 from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
 from plant_fmu.drives.faults.encoder import EncoderOffset
 from plant_fmu.drives.faults.frames import FrameLoss

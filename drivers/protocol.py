@@ -37,7 +37,7 @@ class Frame(NamedTuple):
 
     @property
     def bus(self) -> int:
-        """Index of the bus that carries it, 0..255."""
+        """Index of the bus that carries it, 0..127."""
         return self.flags // BUS
 
 
@@ -167,7 +167,7 @@ class DriveProtocol(Protocol):
 
     @property
     def set_up_frames(self) -> int:
-        """At most so many frames of a tick come from `set_up`: what the bus must have room for."""
+        """At most so many frames of a tick come from `set_up`."""
 
     @property
     def reset_ticks(self) -> int:

@@ -157,7 +157,7 @@ WORKING = (
         "shortfall",
         float,
         "N",
-        "what the last command was less than asked for: limits acted",
+        "force sent less the force asked for, of the last command: limits acted",
         *PER_LEG,
     ),
     _("effort", "tau_asked", float, "N", "the law's force with the ramps of entry and exit", *PER_LEG),

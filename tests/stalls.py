@@ -1,4 +1,8 @@
-"""How long this machine stood still: one sleeper a processor, which notes how late it wakes."""
+"""How long this machine stood still: one sleeper a processor, which notes how late it wakes.
+
+The sleepers are above every other process (SCHED_FIFO 99): what a test itself computes does not delay them.
+Where that is not allowed they say nothing.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,11 @@ from typing import Self
 
 _SLEEPER = """
 import os, select, sys, time
-if hasattr(os, "sched_setaffinity"):
+try:
     os.sched_setaffinity(0, {int(sys.argv[1])})
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))
+except (AttributeError, OSError):
+    sys.exit()
 longest, last = 0.0, time.monotonic()
 while not select.select([sys.stdin], [], [], 0.002)[0]:
     now = time.monotonic()

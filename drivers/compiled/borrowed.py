@@ -1,7 +1,7 @@
 """Arguments that a kernel of the loop borrows from its caller: arrays, and records of a known type.
 
 Numba's own array argument makes a memory object that could outlive the call, 30 ns each. A borrowed one is
-pointer, shape and strides, after a look at type, dtype, dimensions, order, alignment and permission to write;
+pointer, shape and strides, after a look at type, dtype, dimensions, order and permission to write;
 whether it is long enough, the caller answers for. A borrowed record is the pointer alone: its dtype says
 where each column is, and a kernel sees those that it names.
 """

@@ -24,20 +24,23 @@ class LoopDelay(NamedTuple):
 
 
 def loop_delay(c: Configuration) -> LoopDelay:
-    """Return the loop's delay: what the law states in `delay_compensation`, else a bound from the rest.
+    """Return the loop's delay: each key that the law states in `delay_compensation`, else a bound of it.
 
-    The bound: a command takes one period at most, none in layout `ideal`, and one more where the next tick's
-    poll carries it. The lag is that of our FMU, else of the emulated drives.
+    The bounds: a command takes one period at most, none in layout `ideal`, and one more where the next tick's
+    poll carries it. The lag is that of our FMU, else of the emulated drives. Layout `ideal` has no delay but
+    theirs, whatever the law states.
     """
     period = 1.0 / c.loop.rate_Hz
     ideal = c.bus.layout == "ideal"
     stated = c.controller.lookahead
-    if stated is not None and not ideal:
-        return LoopDelay(period, 1e-3 * stated.bus_ms, 1e-3 * stated.drive_lag_ms)
     bandwidth_Hz = 0.0
     if c.plant is not None:
         drives = c.plant.model if isinstance(c.plant.model, StewartPlant) else c.plant.drives
         bandwidth_Hz = drives.force_bandwidth_Hz
     lag = 1.0 / (2.0 * pi * bandwidth_Hz) if bandwidth_Hz > 0.0 else 0.0
     waits = PROTOCOLS[c.drives.protocol](c.bus, c.drives).command_delay_ticks
-    return LoopDelay(period, (waits + (not ideal)) * period, lag)
+    transport = (waits + (not ideal)) * period
+    if stated is not None and not ideal:
+        transport = 1e-3 * stated.bus_ms if "bus_ms" in stated.model_fields_set else transport
+        lag = 1e-3 * stated.drive_lag_ms if "drive_lag_ms" in stated.model_fields_set else lag
+    return LoopDelay(period, transport, lag)

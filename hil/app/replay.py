@@ -3,10 +3,12 @@
 import tempfile
 import time
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
+from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, with_attachments
 from hil.app.configuration.configuration import Configuration, loads
 from hil.loop.clock import collector_paused
@@ -19,19 +21,33 @@ from hil.record.schema import ENVIRONMENT
 def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
     """Return a log of `hil run` or `hil sim`, what it says of the run, and its configuration.
 
-    Raises LogError for a file that is no such log.
+    Raises LogError for a file that is no such log, and for one whose columns this version cannot read.
     """
     log, run = _open(path)
+    there = {c.name: (c.kind, c.shape) for c in log.columns}
+    other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
+    if other:
+        raise _other_version(log, f"its columns differ ({', '.join(other[:3])})", "read")
     return log, run, loads(log.configuration, f"{path}:config.yaml")
 
 
 def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     log = Log.open(path)
-    run = log.metadata.get("hil", {})
+    run: dict[str, Any] = dict(log.metadata.get("hil", {}))
     if run.get("kind") not in {"run", "sim"}:
         raise LogError(
             f"{path}: holds a log of kind {run.get('kind')!r}, allowed: one of `hil run` or `hil sim`"
         )
+    for key in ("rate_Hz", "watchdog_s"):
+        try:
+            run[key] = float(run[key])
+            ok = 0.0 < run[key] < inf
+        except (KeyError, ValueError):
+            ok = False
+        if not ok:
+            raise LogError(
+                f"{path}: metadata record 'hil' has {key}: {run.get(key)!r}, allowed: a number > 0"
+            )
     return log, run
 
 
@@ -47,20 +63,20 @@ def replay_log(
     log, run = _open(path)
     difference = other_columns(log.columns)
     if difference:
-        raise _other_version(log, f"its columns differ ({difference})")
+        raise _other_version(log, f"its columns differ ({difference})", "replay")
     configuration = loads(log.configuration, f"{path}:config.yaml")
     changed = [name for name, text in databases(configuration) if log.attachments.get(name) != text]
     if changed:
-        raise _other_version(log, f"it was made with another {changed[0]}")
+        raise _other_version(log, f"it was made with another {changed[0]}", "replay")
     with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
         configuration = with_attachments(configuration, log.attachments, Path(folder))
         plan = log.attachments.get(REFERENCE_PLAN)
-        cycle = build_cycle(configuration, float(run["rate_Hz"]), float(run["watchdog_s"]), plan)
+        cycle = build_cycle(configuration, run["rate_Hz"], run["watchdog_s"], plan)
     begun = time.perf_counter()
     with collector_paused():
         comparison = replay(log, cycle, progress)
     wall = time.perf_counter() - begun
-    result = summary(comparison, wall, comparison.ticks / float(run["rate_Hz"]))
+    result = summary(comparison, wall, comparison.ticks / run["rate_Hz"])
     there, here = log.metadata.get(ENVIRONMENT, {}).get("cpu"), environment()["cpu"]
     if there != here:
         result |= {"recorded_on": there, "replayed_on": here}
@@ -72,13 +88,13 @@ def replay_log(
     return comparison, result
 
 
-def _other_version(log: Log, difference: str) -> LogError:
+def _other_version(log: Log, difference: str, what: str) -> LogError:
     there, here = (
         f"{e.get('version', 'unknown')}" + (f" (git {e['git']})" if "git" in e else "")
         for e in (log.metadata.get(ENVIRONMENT, {}), environment())
     )
     return LogError(
-        f"{log.path}: {difference}: replay it with version {there}, which made it; this is {here}"
+        f"{log.path}: {difference}: {what} it with version {there}, which made it; this is {here}"
     )
 
 

@@ -12,6 +12,7 @@ from drivers.arrays import Rows
 from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
 from hil.loop.cycle import Cycle
 from hil.record.log import Tick
+from hil.record.row import names_of
 from hil.signals import Operator, TickInput
 
 TOLERANCE = 1e-9
@@ -72,11 +73,13 @@ _INPUT = struct.Struct(f"<{len(INPUT_COLUMNS)}q")
 
 def other_columns(columns: Sequence[Column]) -> str:
     """Return how the columns of a log differ from RECORDED; empty where a replay can compare them."""
-    log, own = ({c.name: (c.kind, c.shape, c.elements) for c in table} for table in (columns, RECORDED))
+    log, own = (
+        {c.name: (c.kind, c.shape, c.elements, names_of(c)) for c in table} for table in (columns, RECORDED)
+    )
     found = {
         "only the log has": [name for name in log if name not in own],
         "only this version has": [name for name in own if name not in log],
-        "of another type or with other elements:": [n for n in own if n in log and log[n] != own[n]],
+        "of another type or with other names:": [n for n in own if n in log and log[n] != own[n]],
     }
     parts = [
         f"{what} {', '.join(names[:3])}" + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -2,6 +2,7 @@
 
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Fault
 from hil.loop.cycle import Cycle
+from hil.loop.parts import Parts
 
 
 def fault_text(cycle: Cycle) -> str:
@@ -10,7 +11,7 @@ def fault_text(cycle: Cycle) -> str:
     names = ", ".join(str(fault.name) for fault in cycle.faults)
     legs: list[str] = []
     if cycle.faults & Fault.STALE:
-        legs += _silent(last["age"].tolist(), cycle.parts.rate_Hz)
+        legs += _silent(last["age"].tolist(), cycle.parts)
     if cycle.faults & Fault.ENCODER:
         slipped = cycle.parts.fusion.slipped if cycle.parts.fusion else ()
         legs += [f"the encoder of leg {leg} contradicts the pose of the others" for leg in slipped]
@@ -21,11 +22,12 @@ def fault_text(cycle: Cycle) -> str:
     return f"latched fault {names}" + (f" ({'; '.join(legs)})" if legs else "")
 
 
-def _silent(ages: list[int], rate_Hz: float) -> list[str]:
+def _silent(ages: list[int], parts: Parts) -> list[str]:
     """Say which legs have not been heard for how many ticks, and where to look if it is all of them."""
-    if min(ages) == 0:
-        return [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age > 0]
-    stall_ms = 1e3 * min(ages) / rate_Hz
+    limit = parts.safety.limits["stale_fault_ticks"]
+    if min(ages) < limit:
+        return [f"leg {leg} not heard for {age} ticks" for leg, age in enumerate(ages) if age >= limit]
+    stall_ms = 1e3 * min(ages) / parts.rate_Hz
     why = f"the drives, the bus or this machine stalled for {stall_ms:.0f} ms"
     mend = "if it was this machine, lower loop.rate_Hz and lengthen drives.watchdog_ms"
     return [f"no leg heard for {min(ages)} ticks: {why}; {mend}"]

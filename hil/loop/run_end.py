@@ -53,7 +53,8 @@ class Course:
     """Engages once the drives are ready, stops after `duration_s`, and ends the run.
 
     `reset` first clears faults that the drives have latched; without it they end the run.
-    Mutable state: which commands have been given, whether a stop was asked for, the last fault's text.
+    Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
+    over before the drives were ready; the last fault's text.
     """
 
     def __init__(self, cycle: Cycle, duration_s: float | None = None, *, reset: bool = False) -> None:
@@ -63,13 +64,14 @@ class Course:
         self._tail = max(5, round(TAIL_S * rate))
         self._stop_tick = inf if duration_s is None else round(duration_s * rate)
         self._reset = reset
-        self._engaged = self._requested = False
+        self._engaged = self._requested = self._late = False
         self._fault_tick, self._fault_text = -1, ""
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
         if tick >= self._stop_tick:
             self._stop_tick = inf
+            self._late = self.cycle.mode is Mode.WAITING
             operator = (Operator.STOP, *operator)
         if not self._engaged and self.cycle.mode is Mode.IDLE:
             self._engaged = True
@@ -93,6 +95,8 @@ class Course:
             case Mode.PARKED if tick - since >= self._tail or _all_off(cycle):
                 why = cycle.stop_requested
                 reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
+                if self._late:
+                    reason = waiting_text(cycle)
                 return Ending(
                     mode, cycle.faults, reason, tick,
                     requested=self._requested, missed=why is Stop.MISSED,

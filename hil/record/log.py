@@ -16,7 +16,7 @@ from mcap.records import Chunk
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
-from drivers.protocol import Frame, Received
+from drivers.protocol import BUS, Frame, Received
 from drivers.tick_columns import Column
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR, Decoder
 from hil.record.layout import MAX_DATA
@@ -97,19 +97,18 @@ class Log:
             raise LogError(
                 f"{path}: an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"
             )
-        log.topic = identity["topic"]
         try:
             log.columns = (
                 columns_of(identity["columns"])
                 if "columns" in identity
                 else columns_of_0_1_0(identity["dtype"])
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise LogError(f"{path}: its table of columns cannot be read: {error!r}") from error
-        log.dtype = Table(log.topic, log.columns).dtype
-        log.epoch_ns = int(identity["epoch_ns"])
-        log.lockstep = identity["mode"] == "lockstep"
-        log._decoder.expect(log.topic, log.columns, identity["can_channel"], log.epoch_ns)
+            log.topic, log.epoch_ns = identity["topic"], int(identity["epoch_ns"])
+            log.lockstep = identity["mode"] == "lockstep"
+            log.dtype = Table(log.topic, log.columns).dtype
+            log._decoder.expect(log.topic, log.columns, identity["can_channel"], log.epoch_ns)
+        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+            raise LogError(f"{path}: metadata record {IDENTITY!r} cannot be read: {error!r}") from error
         return log
 
     columns: tuple[Column, ...]
@@ -129,14 +128,17 @@ class Log:
         Raises
         ------
         LogError
-            The log has none.
+            The log has none, or one that is no text.
 
         """
         if CONFIGURATION not in self.attachments:
             raise LogError(
                 f"{self.path}: no attachment {CONFIGURATION}: the configuration of the run is not known"
             )
-        return self.attachments[CONFIGURATION].decode()
+        try:
+            return self.attachments[CONFIGURATION].decode()
+        except UnicodeDecodeError as error:
+            raise LogError(f"{self.path}: attachment {CONFIGURATION} is no text: {error}") from error
 
     @property
     def summary(self) -> LogStatistics:
@@ -295,7 +297,8 @@ def _assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
     data = np.ascontiguousarray(items["data"]).tobytes()
     starts = range(0, len(data), width)
     contents = [data[a : a + n] for a, n in zip(starts, items["length"].tolist(), strict=True)]
-    frames = list(map(Frame, items["id"].tolist(), contents, items["flags"].tolist()))
+    flags = items["flags"] + items["bus"].astype(np.int64) * BUS
+    frames = list(map(Frame, items["id"].tolist(), contents, flags.tolist()))
     received = list(map(Received, items["t_ns"].tolist(), frames))
     key = items["tick"] * 4 + items["direction"]
     wanted = rows["tick"] * 4

@@ -186,7 +186,7 @@ class Recording:
                 length = len(data)
                 if length > MAX_DATA:
                     raise _too_long(can_id, length)
-                pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, flags, length, data)
+                pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, length, flags, data)
                 item += 1
             if sent or operator or setpoints:
                 now = int(row["t_ns"])
@@ -194,14 +194,14 @@ class Recording:
                     length = len(data)
                     if length > MAX_DATA:
                         raise _too_long(can_id, length)
-                    pack_item(buffer, item % capacity * size, now, can_id, SENT, flags, length, data)
+                    pack_item(buffer, item % capacity * size, now, can_id, SENT, length, flags, data)
                     item += 1
                 for command in operator:
                     pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
                     item += 1
                 for setpoint in setpoints:
                     data = SETPOINT.pack(*setpoint)
-                    pack_item(buffer, item % capacity * size, now, _SETPOINT, OPERATOR, 0, len(data), data)
+                    pack_item(buffer, item % capacity * size, now, _SETPOINT, OPERATOR, len(data), 0, data)
                     item += 1
             self._items = item
         ring.ends[slot] = self._items
@@ -218,7 +218,7 @@ class Recording:
         ring = self._ring
         for left, piece in zip(range(len(pieces) - 1, -1, -1), pieces, strict=True):
             offset = self._items % ring.item_capacity * ITEM.itemsize
-            pack_item(ring.item_bytes, offset, t_ns, left, EVENT, LEVELS[level], len(piece), piece)
+            pack_item(ring.item_bytes, offset, t_ns, left, EVENT, len(piece), LEVELS[level], piece)
             self._items += 1
         fence()
         self._counters[EVENTS] = self._items

@@ -26,14 +26,14 @@ ITEM = np.dtype(
         ("t_ns", "<i8"),
         ("id", "<u4"),
         ("kind", "u1"),
-        ("flags", "u1"),
         ("length", "u1"),
+        ("flags", "u1"),
         ("bus", "u1"),
         ("data", "u1", (64,)),
     ]
 )
-pack_item = struct.Struct("<qIBBBx64s").pack_into
-"""pack_item(buffer, offset, t_ns, id, kind, flags, length, data)."""
+pack_item = struct.Struct("<qIBBH64s").pack_into
+"""pack_item(buffer, offset, t_ns, id, kind, length, flags, data); the high byte of the flags is the bus."""
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
 """Kinds of item. Operator: id is the command, data a set-point (SETPOINT). Event: id is how many pieces
 follow, flags the level."""

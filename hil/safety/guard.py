@@ -9,7 +9,7 @@ from drivers.signals import LEGS, Fault, Stop, Warn
 from drivers.tick_columns import Record
 from hil.config.limits import LimitSettings
 from hil.safety.certificate import ASKED, LAST_V, NO_WATCH, PAST, Watch
-from hil.safety.effort import BLOCK
+from hil.safety.force_limits import BLOCK
 from hil.safety.kernels import LIMITS, MEMORY, judge_tick
 from hil.safety.recorder import recorder_stop
 
@@ -54,14 +54,15 @@ class Safety:
         self._watched = np.zeros((rows + (ASKED + watch.ticks if rows else 0), LEGS))
         self._watched[:rows] = watch.constants
         self._watch_memory = self._watched[rows:]
-        self._limits = np.zeros((), LIMITS)
+        self.limits = np.zeros((), LIMITS)
+        """A record of `hil.safety.kernels.LIMITS`."""
         for name in LimitSettings.model_fields:
             if name in (LIMITS.names or ()):
-                self._limits[name] = getattr(limits, name)
-        self._limits["length_min_m"], self._limits["length_max_m"] = length_min, length_max
-        self._limits["force_N"] = min(limits.force_N, drive_force_limit)
-        self._limits["period_ns"] = round(1e9 / rate_Hz)
-        self._limits["stop_on_recorder_loss"] = recorder_stop(losing=True, on_loss=on_recorder_loss)
+                self.limits[name] = getattr(limits, name)
+        self.limits["length_min_m"], self.limits["length_max_m"] = length_min, length_max
+        self.limits["force_N"] = min(limits.force_N, drive_force_limit)
+        self.limits["period_ns"] = round(1e9 / rate_Hz)
+        self.limits["stop_on_recorder_loss"] = recorder_stop(losing=True, on_loss=on_recorder_loss)
         self._memory = np.zeros((), MEMORY)
         self._history = np.zeros((max(1, round(WINDOW_S * rate_Hz)), LEGS))
         self._lows = np.zeros((math.ceil(len(self._history) / BLOCK), LEGS))
@@ -81,7 +82,7 @@ class Safety:
         Mutates the state named in the class.
         """
         faults, warnings, stop = judge_tick(
-            tick, self._limits, self._memory, self._history, self._lows, self._highs, self._watched
+            tick, self.limits, self._memory, self._history, self._lows, self._highs, self._watched
         )
         return Verdict(
             Warn(warnings) if warnings else Warn.NONE,

@@ -29,9 +29,9 @@ from hil.safety.certificate import (
     unsettle,
     watch,
 )
-from hil.safety.effort import limit_force, limit_step, limit_window, remember, window_extremes
 from hil.safety.finite import all_finite
 from hil.safety.following import lagging
+from hil.safety.force_limits import limit_force, limit_step, limit_window, remember, window_extremes
 from hil.safety.kinematics import hopped, ill_conditioned, inconsistent
 from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
@@ -148,8 +148,8 @@ def limit_effort(
     """Fill tau with what the limits leave of tau_asked; return fault bits and warning bits.
 
     history (n, 6) N is a ring of the forces sent, its newest row `memory.newest`, lows and highs as in
-    `hil.safety.effort`; the forces held during skipped periods and the new ones are written into it. Asked
-    for anything that is not finite, the answer is LAW and no force.
+    `hil.safety.force_limits`; the forces held during skipped periods and the new ones are written into it.
+    Asked for anything that is not finite, the answer is LAW and no force.
     """
     faults = warnings = 0
     tau = tick.tau

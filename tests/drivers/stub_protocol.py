@@ -303,4 +303,6 @@ def stub(bus: BusSettings, drives: DriveSettings) -> StubProtocol:
     """Return the codec of a configuration: the stub's row."""
     if bus.layout == "ideal":
         raise ConfigurationError("bus.layout: allowed with the stub: classic, fd, given: ideal")
+    if drives.options:
+        raise ConfigurationError(f"drives.options: the stub has none, given: {', '.join(drives.options)}")
     return StubProtocol(drives.node_ids)

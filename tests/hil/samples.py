@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from drivers.protocol import BRS, ESI, EXTENDED, FD, Frame, Received
+from drivers.protocol import BRS, BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record.log import Tick
 from hil.signals import SetPoint
 
-FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED)
+FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED, BUS, 127 * BUS | FD)
 CAN_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 PERIOD_NS = 1_000_000
 

@@ -83,7 +83,7 @@ def test_protobuf_reads_every_column_and_frame_as_it_was_given(tmp_path):
         assert stamp.seconds * 10**9 + stamp.nanos == message.log_time == EPOCH_2000 + t_ns
         assert message.publish_time == EPOCH_2000 + tick.row["t_ns"]
         assert (parsed.id, parsed.data, parsed.direction) == (frame.id, frame.data, direction)
-        assert (parsed.tick, parsed.channel, parsed.bus) == (tick.row["tick"], "vcan7", 0)
+        assert (parsed.tick, parsed.channel, parsed.bus) == (tick.row["tick"], "vcan7", frame.flags >> 8)
         assert parsed.dlc == codes[len(frame.data)]
         bits = {
             "is_rtr": REMOTE,

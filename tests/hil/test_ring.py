@@ -21,7 +21,7 @@ class Writer:
 
     def item(self, kind, value):
         offset = self.items % self.ring.item_capacity * ITEM.itemsize
-        pack_item(self.ring.item_bytes, offset, value, value, kind, 0, 1, b"\x01")
+        pack_item(self.ring.item_bytes, offset, value, value, kind, 1, 0, b"\x01")
         self.items += 1
 
     def row(self, items, publish=True):

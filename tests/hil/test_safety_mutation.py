@@ -32,14 +32,14 @@ FAMILIES = [
     "stroke",
     "following",
     "timing",
-    "effort",
+    "force_limits",
     "certificate",
 ]
 TOGETHER = ["kernels", "guard"]
 
 EQUIVALENT = {
-    "effort 16: 16 one more": "blocks of any size have the same extremes",
-    "effort 16: 16 less": "blocks of any size have the same extremes",
+    "force_limits 16: 16 one more": "blocks of any size have the same extremes",
+    "force_limits 16: 16 less": "blocks of any size have the same extremes",
     "kernels 6: 6 one more": "six elements are filled and read of an array of seven, too",
     "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",
 }

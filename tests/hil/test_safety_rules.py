@@ -12,9 +12,9 @@ from drivers.signals import NEVER, DriveState
 from hil.safety import (
     bus,
     certificate,
-    effort,
     finite,
     following,
+    force_limits,
     history,
     kinematics,
     legs,
@@ -261,56 +261,56 @@ def test_timing_adds_skipped_periods_until_a_tick_skips_none():
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_effort_is_clipped_to_the_force_limit(leg, sign):
+def test_force_limits_is_clipped_to_the_force_limit(leg, sign):
     tau = six(sign * 10.0, leg, 3.0)
-    assert not effort.limit_force(tau, 10.0)
+    assert not force_limits.limit_force(tau, 10.0)
     np.testing.assert_array_equal(tau, six(sign * 10.0, leg, 3.0))
     tau = six(sign * 10.5, leg, 3.0)
-    assert effort.limit_force(tau, 10.0)
+    assert force_limits.limit_force(tau, 10.0)
     np.testing.assert_array_equal(tau, six(sign * 10.0, leg, 3.0))
 
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_effort_moves_at_most_a_step_from_the_last_one(leg, sign):
+def test_force_limits_moves_at_most_a_step_from_the_last_one(leg, sign):
     last = six(7.0)
     tau = last + six(sign * 2.0, leg)
-    assert not effort.limit_step(tau, last, 2.0)
+    assert not force_limits.limit_step(tau, last, 2.0)
     np.testing.assert_array_equal(tau, last + six(sign * 2.0, leg))
     tau = last + six(sign * 2.5, leg)
-    assert effort.limit_step(tau, last, 2.0)
+    assert force_limits.limit_step(tau, last, 2.0)
     np.testing.assert_array_equal(tau, last + six(sign * 2.0, leg))
     np.testing.assert_array_equal(last, six(7.0))
 
 
-def test_effort_window_has_the_extremes_of_all_its_rows():
-    for rows in (1, 5, effort.BLOCK, effort.BLOCK + 1, 3 * effort.BLOCK - 2):
-        blocks = math.ceil(rows / effort.BLOCK)
+def test_force_limits_window_has_the_extremes_of_all_its_rows():
+    for rows in (1, 5, force_limits.BLOCK, force_limits.BLOCK + 1, 3 * force_limits.BLOCK - 2):
+        blocks = math.ceil(rows / force_limits.BLOCK)
         history, lows, highs = np.zeros((rows, 6)), np.zeros((blocks, 6)), np.zeros((blocks, 6))
         random = np.random.default_rng(rows)
         for tick in range(2 * rows):
-            effort.remember(random.normal(size=6), tick % rows, history, lows, highs)
-            low, high = effort.window_extremes(lows, highs)
+            force_limits.remember(random.normal(size=6), tick % rows, history, lows, highs)
+            low, high = force_limits.window_extremes(lows, highs)
             np.testing.assert_array_equal(low, history.min(axis=0))
             np.testing.assert_array_equal(high, history.max(axis=0))
 
 
 @ON_ONE_LEG
-def test_effort_window_forgets_a_force_with_its_row(leg):
+def test_force_limits_window_forgets_a_force_with_its_row(leg):
     history, lows, highs = np.zeros((40, 6)), np.zeros((3, 6)), np.zeros((3, 6))
     for tick in range(120):
-        effort.remember(six(7.0 if tick == 50 else 0.0, leg), tick % 40, history, lows, highs)
-        low, high = effort.window_extremes(lows, highs)
+        force_limits.remember(six(7.0 if tick == 50 else 0.0, leg), tick % 40, history, lows, highs)
+        low, high = force_limits.window_extremes(lows, highs)
         np.testing.assert_array_equal(low, six(0.0))
         np.testing.assert_array_equal(high, six(7.0 if 50 <= tick < 90 else 0.0, leg))
 
 
 @ON_ONE_LEG
-def test_effort_stays_within_the_window_of_all_recent_forces(leg):
+def test_force_limits_stays_within_the_window_of_all_recent_forces(leg):
     low, high = six(-1.0), six(4.0)
     for asked, sent in ((7.0, 7.0), (7.5, 7.0), (-4.0, -4.0), (-4.5, -4.0)):
         tau = six(asked, leg, 2.0)
-        assert effort.limit_window(tau, low, high, 8.0) == (asked != sent)
+        assert force_limits.limit_window(tau, low, high, 8.0) == (asked != sent)
         np.testing.assert_array_equal(tau, six(sent, leg, 2.0))
 
 

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.can.bus_time import BitTiming
 from drivers.config import TrackerSettings
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received, Status, run_of
 from drivers.sensors import Readings, Sample
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
-from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.configuration import load
+from hil.app.compose import build_cycle, build_nodes, build_sensors
+from hil.app.configuration.configuration import load, loads
 from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
@@ -222,18 +223,35 @@ FILLED = (
     *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
 )
 """What some stage fills in every tick of a run, whatever stood there; the certificate's stay as they begin."""
-REMEMBERED = ("tick", *part("measurement"), "p", "R", "tau")
+REMEMBERED = ("tick", *part("measurement"), "p", "R", "twist", "tau")
 """What of a tick the next one may look at."""
 
 
-def rows_of_a_run(after_each=lambda _cycle: None, ticks=1500):
-    configuration = load("virtual")
+def everything():
+    """Return `virtual` with all stages that it can have: fused pose, observer, predictor."""
+    text = load("virtual").text
+    for old, new in (
+        ("\nloop:\n", "\nsensors:\n  tracker: {rate_Hz: 200}\n  imu: {rate_Hz: 500}\n\nloop:\n"),
+        (
+            "  damping_ratio: 1\n",
+            "  damping_ratio: 1\n  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8}\n",
+        ),
+        ("max_load_percent: 70", "max_load_percent: 90"),
+    ):
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    wrench = "{source: observer, bus_ms: 0.5, drive_lag_ms: 0.8}"
+    return loads(f"{text}\nestimation: {{pose: fused, wrench: {wrench}}}\n", "everything.yaml")
+
+
+def rows_of_a_run(configuration, after_each=lambda _cycle: None, ticks=1500):
     rate = configuration.loop.rate_Hz
     cycle = build_cycle(configuration, rate, 0.01)
     cycle.tick = new_record()
     nodes, plant = build_nodes(configuration)
     try:
-        lockstep = Lockstep(cycle, nodes, None, configuration.loop.window_s(rate))
+        timing = BitTiming.of(configuration.bus) if build_sensors(configuration) else None
+        lockstep = Lockstep(cycle, nodes, timing, configuration.loop.window_s(rate))
         rows = []
         for _ in range(ticks):
             operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()
@@ -245,8 +263,12 @@ def rows_of_a_run(after_each=lambda _cycle: None, ticks=1500):
     return rows
 
 
-def test_a_run_does_not_depend_on_what_stood_in_a_new_record_or_in_the_last_one(monkeypatch):
-    expected = rows_of_a_run()
+@pytest.mark.parametrize("make_configuration", [lambda: load("virtual"), everything])
+def test_a_run_does_not_depend_on_what_stood_in_a_new_record_or_in_the_last_one(
+    monkeypatch, make_configuration
+):
+    configuration = make_configuration()
+    expected = rows_of_a_run(configuration)
 
     def spoilt_record():
         return poisoned(new_record(), *(name for name in COLUMNS if name not in FILLED or name in LYAPUNOV))
@@ -257,5 +279,5 @@ def test_a_run_does_not_depend_on_what_stood_in_a_new_record_or_in_the_last_one(
                 cycle.tick[name] = np.nan if COLUMNS[name].type is float else ODD
 
     monkeypatch.setattr(loop, "new_record", spoilt_record)
-    for row, other in zip(expected, rows_of_a_run(spoil), strict=True):
+    for row, other in zip(expected, rows_of_a_run(configuration, spoil), strict=True):
         assert not [name for name in ROW.names or () if bits(row, name) != bits(other, name)]

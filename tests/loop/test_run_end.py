@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.protocol import Received
-from drivers.signals import DriveState, Fault, Mode, Stop
+from drivers.signals import NEVER, DriveState, Fault, Mode, Stop
 from drivers.tick_columns import FIRST
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
@@ -35,7 +35,12 @@ def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
         stop_requested=stop,
         tick=record_of(**(HEARD | measured)),
         dialogue=None,
-        parts=SimpleNamespace(rate_Hz=RATE_Hz, fusion=None, protocol=SET_UP),
+        parts=SimpleNamespace(
+            rate_Hz=RATE_Hz,
+            fusion=None,
+            protocol=SET_UP,
+            safety=SimpleNamespace(limits={"stale_fault_ticks": 5}),
+        ),
     )
 
 
@@ -131,6 +136,37 @@ def test_ends_a_quarter_of_a_second_after_a_fault_with_what_was_known_in_its_tic
     assert course.ending(64) is None
     text = "latched fault STALE (leg 2 not heard for 5 ticks)"
     assert course.ending(65) == Ending(Mode.FAULT, Fault.STALE, text, 65, 40)
+
+
+@pytest.mark.parametrize(
+    ("ages", "said"),
+    [
+        ([3, 3, 5, 1, 3, 1], "(leg 2 not heard for 5 ticks)"),
+        ([0, 7, 5, 0, 0, 0], "(leg 1 not heard for 7 ticks; leg 2 not heard for 5 ticks)"),
+        (
+            [5, 6, 5, 5, 5, 5],
+            "(no leg heard for 5 ticks: the drives, the bus or this machine stalled for 50 ms;",
+        ),
+    ],
+)
+def test_a_stale_fault_names_the_legs_that_reached_its_limit(ages, said):
+    now = cycle(Mode.FAULT, mode_tick=1, faults=Fault.STALE, age=np.array(ages))
+    ending = first_end(Course(now), 100)
+    assert ending is not None
+    assert said in ending.reason
+
+
+@pytest.mark.parametrize("asked", [(), (Operator.STOP,)])
+def test_a_run_that_was_over_before_its_drives_were_ready_is_no_success_but_on_request(asked):
+    now = cycle(Mode.WAITING, age=NEVER)
+    course = Course(now, duration_s=None if asked else 1.0)
+    for tick in range(101):
+        course.commands(tick, asked if tick == 100 else ())
+    now.mode, now.mode_tick = Mode.PARKED, 101
+    ending = first_end(course, 200)
+    assert ending is not None
+    assert ending.success == bool(asked)
+    assert ("drive 0 never answered" in ending.reason) == (not asked)
 
 
 def test_a_second_fault_after_a_reset_has_a_tail_and_a_text_of_its_own():

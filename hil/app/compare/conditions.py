@@ -9,17 +9,24 @@ from plant_fmu.config import StewartPlant
 PATHS = ("ideal", "encoders", "bus", "drives")
 """What is added from one path to the next; the last is the configuration itself."""
 
+IDEAL = {"protocol": "legs", "node_ids": [1, 2, 3, 4, 5, 6], "options": {}}
+"""Of section `drives`, where there is no bus."""
+
 
 def paths(c: Configuration) -> dict[str, Configuration]:
     """Return the ideal configuration and what it becomes: encoder quanta, then bus time, then drive lag.
 
     ideal: lengths and rates are exact numbers of the tick, no bus time, the force acts at once. What changes
     nothing is left out: a configuration without bus time has no bus to add. Where law or wrench observer
-    know of a delay, they know that it is gone; the hold of half a period stays, on every path.
+    know of a delay, they know that it is gone; the hold of half a period stays, on every path. Without a bus
+    it is protocol `legs` that carries the numbers: another may have no layout that takes no time.
     """
     without_lag = _no_lag(c)
     without_bus = _knowing(without_lag, bus_ms=0.0).model_copy(
-        update={"bus": c.bus.model_copy(update={"layout": "ideal"})}
+        update={
+            "bus": c.bus.model_copy(update={"layout": "ideal"}),
+            "drives": c.drives.model_copy(update=IDEAL),
+        }
     )
     assert without_bus.plant is not None
     exact = without_bus.plant.drives.model_copy(update={"encoder_resolution_m": 0.0})

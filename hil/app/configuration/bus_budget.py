@@ -3,8 +3,10 @@
 from drivers import PROTOCOLS
 from drivers.can.bus_time import BitTiming, BusBudget, check
 from drivers.config import BusSettings, DriveSettings, SensorSettings
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
+from drivers.signals import Reaction
 
 
 def bus_budget(
@@ -16,7 +18,12 @@ def bus_budget(
     the protocol does not have, and for sensors where layout or protocol have no room for them.
     """
     nodes = SensorProtocol(bus, sensors)
-    frames = PROTOCOLS[drives.protocol](bus, drives).cyclic_frames()
+    protocol = PROTOCOLS[drives.protocol](bus, drives)
+    try:
+        protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, Reaction[drives.reaction.upper()], rate_Hz))
+    except ProtocolError as error:
+        raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
+    frames = protocol.cyclic_frames()
     if nodes.kinds and all(frame.id != nodes.sync_id for frame in frames):
         raise ConfigurationError(
             f"drives.protocol: {drives.protocol} sends no SYNC that sensors can stamp their samples against"

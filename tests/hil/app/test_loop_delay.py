@@ -57,6 +57,15 @@ def test_delays_that_the_law_states_count_in_both_before_those_of_the_plant():
     assert checked_ms(c) == pytest.approx(0.4 + 0.5 + 0.7)
 
 
+@pytest.mark.parametrize(
+    ("stated", "expected_ms"),
+    [({"hold_ms": 0.5}, (1.0, 3.183)), ({"bus_ms": 0.4}, (0.4, 3.183)), ({"drive_lag_ms": 0.7}, (1.0, 0.7))],
+)
+def test_what_the_law_does_not_state_stays_a_bound(stated, expected_ms):
+    delay = loop_delay(configuration(OTHERS_FMU, 50.0, delay_compensation=DelayCompensation(**stated)))
+    assert (1e3 * delay.transport_s, 1e3 * delay.lag_s) == pytest.approx(expected_ms, abs=1e-3)
+
+
 def test_on_the_ideal_bus_only_hold_and_lag_are_left():
     ideal = load("ideal")
     assert loop_delay(ideal).transport_s == 0.0

@@ -28,7 +28,7 @@ def command(
 
     Waits for six drives, builds up the holding force against the closed brakes, opens them, moves to the
     start of the reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a
-    second Ctrl-C is an emergency stop. Ends with a summary, a picture and the replay verdict of its log.
+    second Ctrl-C is an emergency stop. Ends with a summary, a picture and the result of replaying its log.
 
     \b
     Examples:

@@ -40,7 +40,7 @@ class Figure:
     note: str = ""
 
     @property
-    def verdicts(self) -> dict[str, bool]:
+    def outcomes(self) -> dict[str, bool]:
         """Whether the mark is met, by each value that counts; empty without a mark or without values."""
         mark = self.mark
         if mark is None:
@@ -50,19 +50,19 @@ class Figure:
     @property
     def met(self) -> bool | None:
         """Whether every value that counts meets the mark; None without a mark or without values."""
-        verdicts = self.verdicts
-        return all(verdicts.values()) if verdicts else None
+        outcomes = self.outcomes
+        return all(outcomes.values()) if outcomes else None
 
-    def verdict(self) -> str:
+    def outcome(self) -> str:
         """Return `met`, `not met`, or which values meet the mark; `not measured` where there are none."""
-        verdicts = self.verdicts
+        outcomes = self.outcomes
         if self.mark is None:
             return ""
-        if not verdicts:
+        if not outcomes:
             return "not measured"
-        if len(set(verdicts.values())) == 1:
+        if len(set(outcomes.values())) == 1:
             return "met" if self.met else "not met"
-        return ", ".join(f"{name} {'met' if good else 'not met'}" for name, good in verdicts.items())
+        return ", ".join(f"{name} {'met' if good else 'not met'}" for name, good in outcomes.items())
 
     def text(self) -> str:
         """Return the values with their unit."""
@@ -97,7 +97,7 @@ def lines(name: str, figures: list[Figure]) -> list[str]:
     second = max((len(f.text()) for f in figures), default=0)
     result = [name]
     for f in figures:
-        mark = "" if f.mark is None else f"mark {f.mark} {f.unit}".rstrip() + f": {f.verdict()}"
+        mark = "" if f.mark is None else f"mark {f.mark} {f.unit}".rstrip() + f": {f.outcome()}"
         tail = "; ".join(filter(None, (mark, f.note)))
         result.append(f"  {f.name:<{first}}  {f.text():<{second}}  {tail}".rstrip())
     return result

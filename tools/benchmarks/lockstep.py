@@ -36,14 +36,14 @@ def replaying(benchmark: Benchmark) -> list[Figure]:
     """Run the log of that through the same code."""
     log = Path(benchmark.simulated["log"])
     benchmark.say(f"hil replay {log.name}")
-    verdict, summary = replay_log(log)
+    comparison, summary = replay_log(log)
     return [
         Figure(
             "speed of hil replay",
             {"": summary["times_real_time"]},
             "times real time",
             Mark(10.0, at_most=False),
-            note=f"{verdict.ticks} ticks, {verdict.different_ticks} differences",
+            note=f"{comparison.ticks} ticks, {comparison.different_ticks} differences",
         )
     ]
 

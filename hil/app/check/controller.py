@@ -36,7 +36,7 @@ def _stability(report: Report, c: Configuration) -> None:
     found = judge(c, quick=True)
     report.sections["controller"].append(f"stability {found.line}")
     report.figures["stability"] = {
-        "verdict": found.status,
+        "status": found.status,
         "claim": found.claim,
         "conditions": found.conditions,
     }

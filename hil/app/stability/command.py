@@ -67,7 +67,7 @@ def assess(
         "configuration": c.source,
         "law": c.controller.law,
         "stated": {"force_N": force_N, "torque_N_m": torque_N_m, "model_error": model_error},
-        "verdict": found.status,
+        "status": found.status,
         "claim": found.claim,
         "conditions": found.conditions,
         "lines": found.lines,
@@ -78,7 +78,7 @@ def assess(
 def shown(summary: dict[str, Any]) -> list[str]:
     """Return the summary as text."""
     stated = summary["stated"]
-    lines = [f"law {summary['law']}", f"verdict        {summary['verdict']}: {summary['claim']}"]
+    lines = [f"law {summary['law']}", f"status         {summary['status']}: {summary['claim']}"]
     lines += [f"  if           {condition}" for condition in summary["conditions"]]
     if any(stated.values()):
         lines.append(

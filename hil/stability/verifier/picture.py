@@ -1,6 +1,6 @@
 """A system of two states as a picture: V as a surface, its level sets, the sign of dV/dt, trajectories.
 
-What is drawn is floating point and proves nothing; the title is the verdict, which is proven.
+What is drawn is floating point and proves nothing; the title is the finding, which is proven.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,7 +32,7 @@ def draw(
 ) -> Path:
     """Draw V, its level sets and trajectories of dx/dt = f(x) within a box.
 
-    `parameters` are their values. With a report the verdict, the level and a counterexample are drawn too.
+    `parameters` are their values. With a report the findings, the level and a counterexample are drawn too.
 
     Raises ModelError where there are not two states, or a parameter has no value or a state no ends; OSError
     where the file cannot be written.
@@ -69,16 +69,16 @@ def draw(
         plane.plot(*track, color="tab:blue", linewidth=0.8)
         plane.plot(*track[:, :1], marker="o", color="tab:blue", markersize=3)
     if report is not None:
-        _verdict(plane, report, states, (X, Y, heights))
+        _findings(plane, report, states, (X, Y, heights))
         e = report.equilibrium
-        figure.suptitle(f"{e.verdict.value}; certificate: {report.certificate.verdict.value}")
+        figure.suptitle(f"{e.status.value}; certificate: {report.certificate.status.value}")
     plane.set(xlabel=str(states[0]), ylabel=str(states[1]), xlim=sides[0], ylim=sides[1])
     plane.set_title("level sets of V, trajectories; red: dV/dt > 0", fontsize=9)
     figure.savefig(path, dpi=100)
     return path
 
 
-def _verdict(plane: Any, report: Report, states: tuple[sp.Symbol, ...], grid: tuple[Array, ...]) -> None:
+def _findings(plane: Any, report: Report, states: tuple[sp.Symbol, ...], grid: tuple[Array, ...]) -> None:
     level, at = report.equilibrium.level, report.certificate.at
     if level is not None and grid[2].min() < float(level) < grid[2].max():
         plane.contour(*grid, levels=[float(level)], colors="black", linewidths=2)

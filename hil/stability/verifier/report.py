@@ -54,7 +54,7 @@ class Equilibrium(Enum):
 class CertificateFinding:
     """The finding on V, in the user's symbols and coordinates."""
 
-    verdict: Certificate
+    status: Certificate
     V_dot: sp.Expr | None = None
     """After cancellation."""
     decrease: Decrease | None = None
@@ -69,15 +69,15 @@ class CertificateFinding:
     def truth(self) -> Truth:
         """Tell what is known of the claim that V is valid."""
         refuted = {Certificate.NOT_POSITIVE_DEFINITE, Certificate.GROWS}
-        proven = self.verdict is Certificate.VALID
-        return Truth.PROVEN if proven else Truth.REFUTED if self.verdict in refuted else Truth.UNDECIDED
+        proven = self.status is Certificate.VALID
+        return Truth.PROVEN if proven else Truth.REFUTED if self.status in refuted else Truth.UNDECIDED
 
 
 @dataclass(frozen=True)
 class EquilibriumFinding:
     """The finding on the equilibrium, in the user's symbols and coordinates."""
 
-    verdict: Equilibrium
+    status: Equilibrium
     by: str
     """The theorem, and what it took."""
     asymptotic: Truth
@@ -103,14 +103,14 @@ class Report:
 
     def __str__(self) -> str:
         c, e = self.certificate, self.equilibrium
-        lines = [f"certificate: {c.verdict.value}{_where(c.at)}"]
+        lines = [f"certificate: {c.status.value}{_where(c.at)}"]
         if c.V_dot is not None:
             lines.append(f"  dV/dt = {c.V_dot}")
         if c.value is not None:
-            lines.append(f"  there {'dV/dt' if c.verdict is Certificate.GROWS else 'V'} = {c.value}")
+            lines.append(f"  there {'dV/dt' if c.status is Certificate.GROWS else 'V'} = {c.value}")
         lines += [f"  {text}" for text in (c.decrease.value if c.decrease else "", c.reason) if text]
-        lines.append(f"equilibrium: {e.verdict.value}" + (f", {e.by}" if e.by else ""))
-        if e.asymptotic is Truth.REFUTED and e.verdict is not Equilibrium.UNSTABLE:
+        lines.append(f"equilibrium: {e.status.value}" + (f", {e.by}" if e.by else ""))
+        if e.asymptotic is Truth.REFUTED and e.status is not Equilibrium.UNSTABLE:
             lines.append("  asymptotic stability: refuted")
         if e.box is not None:
             sides = ", ".join(f"{x} in [{low}, {high}]" for x, (low, high) in e.box.items())

@@ -64,7 +64,7 @@ def verify(
     spectrum = _spectrum(near)
     claim = None if V is None else system.read(V)
     proof, certificate = _certificate(claim, signs)
-    if certificate.verdict is Certificate.UNDECIDED and any(_decimal(e) for e in (*f.values(), V)):
+    if certificate.status is Certificate.UNDECIDED and any(_decimal(e) for e in (*f.values(), V)):
         certificate = replace(certificate, reason=f"{certificate.reason}; {ROUNDED}")
     equilibrium = _equilibrium(claim, signs, near, proof, spectrum)
     return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)

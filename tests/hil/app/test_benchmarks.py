@@ -107,7 +107,7 @@ def test_a_spread_is_median_p99_and_maximum_in_the_unit_asked_for():
 def test_a_verdict_says_what_the_values_are_beside_the_mark(values, mark, met, verdict):
     figure = Figure("x", values, "us", mark)
     assert figure.met is met
-    assert figure.verdict() == verdict
+    assert figure.outcome() == verdict
 
 
 def test_a_part_prints_every_figure_with_its_mark_in_columns():

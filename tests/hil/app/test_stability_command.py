@@ -177,7 +177,7 @@ def test_friction_that_the_law_does_not_know_counts_as_a_disturbance():
 def test_the_check_has_a_line_for_it():
     report = inspect(load("virtual"))
     assert "stability proven: errors die out as exp(-16.7 t)" in report.sections["controller"]
-    assert report.figures["stability"]["verdict"] == "proven"
+    assert report.figures["stability"]["status"] == "proven"
     bad = inspect(bench("  law: inverse_dynamics\n  wn_rad_s: 500\n"))
     assert any("eigenvalue of magnitude" in w for w in bad.warnings)
 
@@ -189,7 +189,7 @@ def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
     assert result.exit_code == 0, result.output
     text = " ".join(result.output.split())
     for words in (
-        "verdict conditional",
+        "status conditional",
         "mm of leg length",
         "margins phase 71 deg",
         "dV/dt <= -10 (V - d^2)",

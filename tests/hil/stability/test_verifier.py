@@ -22,10 +22,10 @@ TURN = {theta: (-sp.pi, sp.pi), omega: (-3, 3)}
 def test_spring_and_damper_is_asymptotically_stable_for_all_positive_parameters():
     spring = {x: v, v: -(b * v * sp.Abs(v) + k0 * x + k1 * x**3) / m}
     report = verify(spring, m * v**2 / 2 + k0 * x**2 / 2 + k1 * x**4 / 4)
-    assert report.certificate.verdict is Certificate.VALID
+    assert report.certificate.status is Certificate.VALID
     assert report.certificate.decrease is Decrease.WEAK  # the scan has < 0
     assert sp.simplify(report.certificate.V_dot.subs(v, -3) + 27 * b) == 0  # -b |v|^3
-    assert report.equilibrium.verdict is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
     assert "LaSalle" in report.equilibrium.by
     assert report.linearisation is Eigenvalues.UNKNOWN  # two on the imaginary axis
 
@@ -34,56 +34,56 @@ def test_spring_and_damper_is_asymptotically_stable_for_all_positive_parameters(
 def test_the_first_order_examples_are_globally_asymptotically_stable(rate):
     report = verify({x: rate}, x**2)
     assert report.certificate.decrease is Decrease.STRICT
-    assert report.equilibrium.verdict is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
 
 
 def test_the_damped_pendulum_is_asymptotically_stable_below_the_upright_energy():
     report = verify({theta: omega, omega: -omega - sp.sin(theta)}, PENDULUM, box=TURN)
-    assert report.certificate.verdict is Certificate.VALID
+    assert report.certificate.status is Certificate.VALID
     assert sp.expand(report.certificate.V_dot + omega**2) == 0
-    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
     assert report.equilibrium.level == 2
 
 
 def test_the_damped_pendulum_is_not_globally_stable_and_its_energy_no_global_certificate():
     report = verify({theta: omega, omega: -omega - sp.sin(theta)}, PENDULUM)
-    assert report.certificate.verdict is Certificate.NOT_POSITIVE_DEFINITE
+    assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
     assert abs(report.certificate.at[theta]) == 2 * sp.pi
-    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
     assert 0 < report.equilibrium.level <= 2
 
 
 def test_the_undamped_pendulum_is_stable_and_not_asymptotically():
     report = verify({theta: omega, omega: -sp.sin(theta)}, PENDULUM, box=TURN)
     assert report.certificate.decrease is Decrease.CONSERVED
-    assert report.equilibrium.verdict is Equilibrium.STABLE
+    assert report.equilibrium.status is Equilibrium.STABLE
     assert report.equilibrium.asymptotic is Truth.REFUTED
     assert "asymptotic stability: refuted" in str(report)
 
 
 def test_negative_damping_is_unstable_by_an_eigenvalue():
     report = verify({x: v, v: v - x}, x**2 + v**2)
-    assert report.equilibrium.verdict is Equilibrium.UNSTABLE
+    assert report.equilibrium.status is Equilibrium.UNSTABLE
     assert "eigenvalue" in report.equilibrium.by
-    assert report.certificate.verdict is Certificate.GROWS
+    assert report.certificate.status is Certificate.GROWS
     assert report.certificate.value == 2 * report.certificate.at[v] ** 2 > 0
 
 
 def test_a_bad_V_says_nothing_of_the_system():
     report = verify({x: -x, y: -y}, x**2 - y**2)
-    assert report.certificate.verdict is Certificate.NOT_POSITIVE_DEFINITE
+    assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
     at = report.certificate.at
     assert at[x] ** 2 - at[y] ** 2 == report.certificate.value <= 0
-    assert report.equilibrium.verdict is Equilibrium.NO_CONCLUSION
+    assert report.equilibrium.status is Equilibrium.NO_CONCLUSION
     assert report.linearisation is Eigenvalues.LEFT
 
 
 def test_it_is_undecided_where_the_budget_ends():
     report = verify({x: sp.sin(x) ** 2 - x}, x**2, budget=Budget(3))
-    assert report.certificate.verdict is Certificate.UNDECIDED
+    assert report.certificate.status is Certificate.UNDECIDED
     assert report.certificate.truth is Truth.UNDECIDED
     assert "budget" in report.certificate.reason
-    assert report.equilibrium.verdict is Equilibrium.NO_CONCLUSION
+    assert report.equilibrium.status is Equilibrium.NO_CONCLUSION
     assert report.boxes == 3
 
 
@@ -121,16 +121,16 @@ UNSTABLE: dict[str, tuple[Any, ...]] = {
 def test_a_textbook_system_is_stable(name):
     f, V, box, verdict = STABLE[name]
     report = verify(f, V, box=box)
-    assert report.certificate.verdict is Certificate.VALID
-    assert report.equilibrium.verdict is verdict
+    assert report.certificate.status is Certificate.VALID
+    assert report.equilibrium.status is verdict
 
 
 @pytest.mark.parametrize("name", UNSTABLE)
 def test_a_textbook_system_is_unstable(name):
     f, V, box, theorem = UNSTABLE[name]
     report = verify(f, V, box=box)
-    assert report.certificate.verdict is not Certificate.VALID
-    assert report.equilibrium.verdict is Equilibrium.UNSTABLE
+    assert report.certificate.status is not Certificate.VALID
+    assert report.equilibrium.status is Equilibrium.UNSTABLE
     assert theorem in report.equilibrium.by
     assert report.equilibrium.asymptotic is Truth.REFUTED
 
@@ -139,22 +139,22 @@ def test_an_equilibrium_elsewhere_is_moved_to_the_origin():
     upright = {theta: omega, omega: -omega - sp.sin(theta)}
     moved = PENDULUM.subs(theta, theta - 2 * sp.pi)
     report = verify(upright, moved, at={theta: 2 * sp.pi}, box={theta: (5, 7), omega: (-1, 1)})
-    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
     assert report.equilibrium.box[theta] == (5, 7)
-    assert verify(upright, at={theta: sp.pi}).equilibrium.verdict is Equilibrium.UNSTABLE
+    assert verify(upright, at={theta: sp.pi}).equilibrium.status is Equilibrium.UNSTABLE
 
 
 def test_parameters_may_have_ranges():
     k = sp.Symbol("k")
-    assert verify({x: -k * x}, x**2, parameters={k: (R(1, 2), 2)}).certificate.verdict is Certificate.VALID
+    assert verify({x: -k * x}, x**2, parameters={k: (R(1, 2), 2)}).certificate.status is Certificate.VALID
     report = verify({x: -k * x}, x**2, parameters={k: (-1, 2)})
-    assert report.certificate.verdict is Certificate.GROWS
+    assert report.certificate.status is Certificate.GROWS
     assert report.certificate.at[k] < 0
 
 
 def test_without_V_the_linearisation_speaks():
-    assert verify({x: v, v: -x - v}).equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
-    assert verify({x: v, v: -x}).equilibrium.verdict is Equilibrium.NO_CONCLUSION
+    assert verify({x: v, v: -x - v}).equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert verify({x: v, v: -x}).equilibrium.status is Equilibrium.NO_CONCLUSION
     third = {x: y, y: z, z: -k0 * x - y - z}  # Routh: stable where k0 < 1
     assert verify(third).linearisation is Eigenvalues.UNKNOWN
     for side, verdict in (((R(1, 10), R(9, 10)), Eigenvalues.LEFT), ((R(11, 10), 3), Eigenvalues.RIGHT)):
@@ -208,7 +208,7 @@ def test_a_state_is_any_real_number():
     with pytest.raises(ModelError, match="assumption"):
         verify({s: -sp.sqrt(s**2)}, s**2)
     r, k = sp.Symbol("r", real=True), sp.Symbol("k", positive=True)
-    assert verify({r: -k * r}, r**2, parameters={k: (1, 2)}).certificate.verdict is Certificate.VALID
+    assert verify({r: -k * r}, r**2, parameters={k: (1, 2)}).certificate.status is Certificate.VALID
 
 
 def test_the_report_says_for_which_parameters():
@@ -223,7 +223,7 @@ def test_rounded_quotients_are_named_where_they_keep_terms_from_cancelling():
         return verify({x: v, v: -(k * x + d * v) / mass}, mass * v**2 / 2 + k * x**2 / 2).certificate
 
     assert "sympy.Rational" in spring(3.1, 0.3, 0.7).reason
-    assert spring(*map(R, ("3.1", "0.3", "0.7"))).verdict is Certificate.VALID
+    assert spring(*map(R, ("3.1", "0.3", "0.7"))).status is Certificate.VALID
 
 
 def test_importing_the_package_loads_no_algebra():

@@ -86,7 +86,7 @@ SYSTEMS = [
 @pytest.mark.parametrize(("f", "V", "truth", "good"), SYSTEMS, ids=lambda a: str(a).replace(" ", "")[:60])
 def test_no_falsehood_is_proven(f, V, truth, good):
     report = verify(f, V, budget=Budget(3000))
-    assert report.equilibrium.verdict in ALLOWED[truth]
+    assert report.equilibrium.status in ALLOWED[truth]
     assert (report.equilibrium.asymptotic is not Truth.PROVEN) or truth in {LOCAL, GLOBAL}
     assert (report.equilibrium.asymptotic is not Truth.REFUTED) or truth in {UNSTABLE, STABLE}
     assert report.certificate.truth is not (Truth.REFUTED if good else Truth.PROVEN)
@@ -100,7 +100,7 @@ def _check_counterexample(f, V, certificate):
     at = {real[s]: value for s, value in certificate.at.items()}
     V = V.xreplace(real)
     V_dot = sum(sp.diff(V, real[s]) * e.xreplace(real) for s, e in f.items())
-    if certificate.verdict is Certificate.GROWS:
+    if certificate.status is Certificate.GROWS:
         assert V_dot.subs(at).evalf(60) > 0
     else:
         assert V.subs(at).evalf(60) <= 0 or V.subs(dict.fromkeys(real.values(), 0)) != 0
@@ -121,18 +121,18 @@ def test_a_zero_that_algebra_does_not_see_is_no_counterexample(zero):  # Machin'
 def test_a_counterexample_lies_in_the_box():
     f, V = {x: v, v: -v - sin(x)}, 1 - cos(x) + v**2 / 2  # zero at 2 pi too
     report = verify(f, V, box={x: (-3, 3)})
-    assert report.certificate.verdict is Certificate.VALID
-    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE  # and not globally: x has ends
+    assert report.certificate.status is Certificate.VALID
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE  # and not globally: x has ends
     for end, verdict in ((1, Certificate.NOT_POSITIVE_DEFINITE), (R(999, 1000), Certificate.VALID)):
         edge = verify({x: sp.S.Zero}, x**2 * (1 - x), box={x: (-1, end)})
-        assert edge.certificate.verdict is verdict
+        assert edge.certificate.status is verdict
 
 
 def test_a_pole_of_f_that_cancels_in_the_derivative_of_V_is_seen():
     f = {x: -x + y / (x - R(1, 2)), y: -y - x / (x - R(1, 2))}
     report = verify(f, x**2 + y**2, box={x: (-1, 1), y: (-1, 1)})
-    assert report.certificate.verdict is Certificate.UNDECIDED
-    assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE  # on a box without the pole
+    assert report.certificate.status is Certificate.UNDECIDED
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE  # on a box without the pole
     assert report.equilibrium.box[x][1] < R(1, 2)
 
 
@@ -140,9 +140,9 @@ def test_a_dip_between_all_samples_is_not_overlooked():
     dip = R(141421, 10**5)
     V = x**2 * ((x - dip) ** 2 - R(1, 10**10))  # negative on a stretch of 2e-5
     report = verify({x: -x}, V, box={x: (-2, 2)})
-    assert report.certificate.verdict is not Certificate.VALID
+    assert report.certificate.status is not Certificate.VALID
     raised = x**2 * ((x - dip) ** 2 + R(1, 10**4))
-    assert verify({x: sp.S.Zero}, raised, box={x: (-2, 2)}).certificate.verdict is Certificate.VALID
+    assert verify({x: sp.S.Zero}, raised, box={x: (-2, 2)}).certificate.status is Certificate.VALID
 
 
 TERMS = [
@@ -180,7 +180,7 @@ def test_a_proven_V_holds_at_random_points_and_two_V_never_contradict(dx, dy, ca
         report = verify(f, V, box=box, budget=Budget(1500))
         said.append(report.equilibrium)
         _check_counterexample(f, sp.sympify(V), report.certificate)
-        if report.certificate.verdict is Certificate.VALID:
+        if report.certificate.status is Certificate.VALID:
             _holds_at_random_points(f, V)
     _do_not_contradict(said)
 
@@ -206,7 +206,7 @@ def _do_not_contradict(said):
         Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE,
     }
     for one, other in itertools.permutations(said, 2):
-        assert not (one.verdict is Equilibrium.UNSTABLE and other.verdict in stable)
+        assert not (one.status is Equilibrium.UNSTABLE and other.status in stable)
         assert not (one.asymptotic is Truth.PROVEN and other.asymptotic is Truth.REFUTED)
 
 
@@ -221,7 +221,7 @@ def test_eigenvalues_of_random_matrices_lie_where_lapack_finds_them(entries):
     report = verify({s: sp.sympify(e) for s, e in f.items()})
     right = max(np.linalg.eigvals(A).real)
     if right > 1e-4:
-        assert report.equilibrium.verdict is Equilibrium.UNSTABLE
+        assert report.equilibrium.status is Equilibrium.UNSTABLE
     elif right < -1e-4:
-        assert report.equilibrium.verdict is Equilibrium.ASYMPTOTICALLY_STABLE
+        assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
     assert not math.isnan(right)

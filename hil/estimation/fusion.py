@@ -33,7 +33,7 @@ from drivers.signals import LEGS, DriveState
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as k
-from hil.estimation.fusion_kernels import observed_kernel, rerun_kernel
+from hil.estimation.fusion_kernels import fill_estimate, rerun_kernel
 from hil.estimation.fusion_predict import accelerate_kernel
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
@@ -241,14 +241,10 @@ class FusedEstimator:
     def _close(self, tick: Record, tracked: int | None) -> Health:
         now = self._newest
         x, u, P = self._states[now], self._intervals[now], self._covariances[now]
-        tick["fk_residual"], tick["condition"] = observed_kernel(
-            self._a, self._b, self._radius, x, u, tick["q"], tick["dq"], tick["J"]
-        )
-        tick["p"], tick["R"], tick["twist"] = x[0:3], x[3:12].reshape(3, 3), x[12:18]
-        tick["innovation_q"] = innovation = u[k.INNOVATION : k.INNOVATION + 6]
+        fill_estimate(self._a, self._b, self._radius, x, u, P, tick)
         used = [share != 0.0 for share in u[k.USED : k.USED + 6].tolist()]
         ages = tick["age"].tolist()
-        for leg, off in enumerate(innovation.tolist()):
+        for leg, off in enumerate(tick["innovation_q"].tolist()):
             left_out = ages[leg] == 0 and not used[leg]
             self._left_out[leg] = self._left_out[leg] + 1 if left_out else 0
             self._against[leg] = self._against[leg] + 1 if left_out and abs(off) > self._slip else 0
@@ -268,8 +264,7 @@ class FusedEstimator:
         missed = any(
             number - heard > patience for heard, patience in zip(self._heard, self._patience, strict=True)
         )
-        tick["pose_std"] = std = np.sqrt(np.maximum(P.diagonal()[:6], 0.0))
-        sx, sy, sz = std[:3].tolist()
+        sx, sy, sz, *_ = tick["pose_std"].tolist()
         tick["legs_used"], tick["legs_lost"], tick["legs_slipped"] = map(_bits, (used, lost, self.slipped))
         return Health(
             lost,

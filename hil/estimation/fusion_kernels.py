@@ -9,10 +9,23 @@ State x (24,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 an
 frame.
 """
 
+from typing import Any
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, OUT_MATRIX, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from drivers.compiled.compiler import (
+    INTEGER,
+    MATRIX,
+    OUT_MATRIX,
+    REAL,
+    VECTOR,
+    direct,
+    helper,
+    kernel,
+    record,
+)
+from drivers.tick_columns import TICK, part
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_predict import predict
 from hil.estimation.fusion_update import beyond, correct, leg_rows, take, update_gyro, update_tracker
@@ -87,18 +100,19 @@ def rerun_kernel(
         interval(a, b, c, intervals[now], x0, P0, states[now], covariances[now], work)
 
 
-@kernel(MATRIX, MATRIX, REAL, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_MATRIX)
-def observed_kernel(
-    a: Array, b: Array, radius: float, x: Array, u: Array, q: Array, dq: Array, J: Array
-) -> tuple[float, float]:
-    """Fill lengths q, rates dq and J of a state x; return the residual of the used legs and J's condition.
+@direct(MATRIX, MATRIX, REAL, VECTOR, VECTOR, MATRIX, record(TICK, *part("estimate", "fusion")))
+def fill_estimate(a: Array, b: Array, radius: float, x: Array, u: Array, P: Array, tick: Any) -> None:
+    """Fill the estimate of a tick, innovation and uncertainty from state x, interval u and covariance P.
 
-    residual: largest |measured - q| in m, nan where x is not finite; condition as in
+    fk_residual: largest |measured - q| of the used legs in m, nan where x is not finite; condition as in
     hil.mathematics.linear_algebra with radius.
     """
-    p = x[0:3]
+    q, dq, J = tick.q, tick.dq, tick.J
+    tick.p[:] = x[0:3]
     R = x[3:12].reshape(3, 3)
-    lengths_and_jacobian(a, b, p, R, q, J)
+    tick.R[:, :] = R
+    tick.twist[:] = x[k.TWIST : k.TWIST + 6]
+    lengths_and_jacobian(a, b, x[0:3], R, q, J)
     residual = 0.0
     for i in range(6):
         total = 0.0
@@ -108,10 +122,11 @@ def observed_kernel(
         error = abs(u[k.LENGTH + i] - q[i])
         if u[k.USED + i] != 0.0 and not error <= residual:
             residual = error
+        tick.innovation_q[i] = u[k.INNOVATION + i]
+        tick.pose_std[i] = np.sqrt(np.maximum(P[i, i], 0.0))
     work = np.empty((25, 6))
     LU = work[0:6]
     order = np.empty(6, np.int64)
-    condition = np.inf
+    tick.fk_residual, tick.condition = residual, np.inf
     if lu_factor(J, LU, order):
-        condition = condition_from_lu(J, radius, LU, order, work[6:25])
-    return residual, condition
+        tick.condition = condition_from_lu(J, radius, LU, order, work[6:25])

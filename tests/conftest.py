@@ -27,7 +27,7 @@ from tests.stalls import StallWatch
 STALL_S = {False: 0.004, True: 0.05}
 """A stall that a real-time test need not outlast, by its patience."""
 ATTEMPTS = 6
-"""A host was seen on which an idle sleeper comes late at each 25th wake-up, and three were too few."""
+"""Tries of a real-time test, each after the first only beside a stall that was measured."""
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it; the suite has a process a processor
 

@@ -27,7 +27,7 @@ from drivers.compiled.compiler import (
 )
 from drivers.tick_columns import TICK, part
 from hil.estimation import fusion_layout as k
-from hil.estimation.fusion_predict import predict
+from hil.estimation.fusion_predict import predict, rotation_of
 from hil.estimation.fusion_update import beyond, correct, leg_rows, take, update_gyro, update_tracker
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor
 from hil.mathematics.vectors import row
@@ -102,14 +102,16 @@ def rerun_kernel(
 
 @direct(MATRIX, MATRIX, REAL, VECTOR, VECTOR, MATRIX, record(TICK, *part("estimate", "fusion")))
 def fill_estimate(a: Array, b: Array, radius: float, x: Array, u: Array, P: Array, tick: Any) -> None:
-    """Fill the estimate of a tick, innovation and uncertainty from state x, interval u and covariance P.
+    """Fill q, dq, p, R, twist, J, fk_residual, condition, innovation_q and pose_std of a tick.
 
-    fk_residual: largest |measured - q| of the used legs in m, nan where x is not finite; condition as in
-    hil.mathematics.linear_algebra with radius.
+    a, b (6, 3) m joints, base frame and platform frame; radius m; x (STATE,), u (INTERVAL,) and P (n, n), the
+    newest of their rings. Units, shapes and frames of the columns: `drivers.tick_columns`. fk_residual is the
+    largest |measured - q| of the used legs, nan where x is not finite; pose_std the root of P's first six
+    variances; condition as in hil.mathematics.linear_algebra with radius, inf where J is singular.
     """
     q, dq, J = tick.q, tick.dq, tick.J
     tick.p[:] = x[0:3]
-    R = x[3:12].reshape(3, 3)
+    R = rotation_of(x)
     tick.R[:, :] = R
     tick.twist[:] = x[k.TWIST : k.TWIST + 6]
     lengths_and_jacobian(a, b, x[0:3], R, q, J)

@@ -174,7 +174,9 @@ def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
     assert listener.last_sync_ns - int(plant_rows["t_ns"][-1]) <= 250_000_000
 
 
-def test_a_killed_plant_faults_the_daemon_within_10_ms(tmp_path: Path, start: Start, listen: Listen) -> None:
+def test_a_killed_plant_faults_the_daemon_within_five_periods(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
     file = configuration(tmp_path, {"stale_fault_ticks: 60": "stale_fault_ticks: 5"})
     run = impatient(start, listen, file)
     family = run.find_family()

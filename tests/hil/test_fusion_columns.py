@@ -1,0 +1,55 @@
+"""What the fused estimate writes into a tick, column by column, against NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hil.estimation import fusion_layout as k
+from hil.estimation.fusion_kernels import fill_estimate
+from tests.hil.test_fusion import PLATFORM, A, B, legs
+from tests.records import record_of
+
+UNUSED = 4
+"""A leg whose length the estimate did not use."""
+
+
+@pytest.mark.parametrize("off", range(6))
+def test_each_element_of_the_estimate_stands_in_its_place(off):
+    p, R = np.array([0.05, -0.1, 1.1]), Rotation.from_rotvec([0.1, -0.05, 0.2])
+    twist = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])
+    x, u = np.zeros(k.STATE), np.zeros(k.INTERVAL)
+    x[0:3], x[3:12], x[12:18] = p, R.as_matrix().ravel(), twist
+    q, dq = legs(p, R, twist)
+    error = 1e-4 * (np.arange(6) + 1.0)
+    error[off] = -2e-3
+    u[k.LENGTH : k.LENGTH + 6] = q + error
+    u[k.USED : k.USED + 6] = 1.0
+    u[k.USED + UNUSED] = 0.0
+    u[k.INNOVATION : k.INNOVATION + 6] = np.arange(6) - 2.5
+    variances = np.array([4.0, 9.0, 16.0, 25.0, -1.0, 36.0, 49.0, 64.0, 81.0, 100.0, 121.0, 144.0])
+    tick = record_of()
+
+    fill_estimate(A, B, PLATFORM.radius, x, u, np.diag(variances), tick)
+
+    assert tick["p"].tolist() == p.tolist()
+    assert tick["R"].tolist() == R.as_matrix().tolist()
+    assert tick["twist"].tolist() == twist.tolist()
+    assert tick["q"] == pytest.approx(q, abs=1e-14)
+    assert tick["dq"] == pytest.approx(dq, abs=1e-14)
+    assert tick["J"] @ twist == pytest.approx(dq, abs=1e-14)
+    assert tick["innovation_q"].tolist() == [-2.5, -1.5, -0.5, 0.5, 1.5, 2.5]
+    assert tick["pose_std"].tolist() == [2.0, 3.0, 4.0, 5.0, 0.0, 6.0]
+    assert tick["fk_residual"] == pytest.approx(np.abs(np.delete(error, UNUSED)).max(), abs=1e-14)
+    assert 1.0 < tick["condition"] < 50.0
+
+
+def test_a_state_that_is_no_number_has_no_residual():
+    x, u = np.zeros(k.STATE), np.zeros(k.INTERVAL)
+    x[0:3], x[3:12] = np.nan, np.eye(3).ravel()
+    u[k.USED : k.USED + 6] = 1.0
+    tick = record_of()
+    fill_estimate(A, B, PLATFORM.radius, x, u, np.eye(12), tick)
+    assert np.isnan(tick["fk_residual"])
+    assert not tick["condition"] < np.inf

@@ -166,6 +166,8 @@ class Stop(IntEnum):
     """Too many periods missed in a row."""
     RECORDER = 2
     """The recorder is dead or loses ticks, and the run may not go on without it."""
+    STRETCHED = 3
+    """The time of the virtual bench stood still for too much of the run."""
 
 
 class Command(NamedTuple):

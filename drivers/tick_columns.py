@@ -80,6 +80,7 @@ RECORDED = (
     _("input", "t_ns", int, "ns", "scheduled time on the monotonic clock"),
     _("input", "lateness_ns", int, "ns", "how late the loop woke up"),
     _("input", "skipped", int, "", "whole periods skipped just before"),
+    _("input", "stretched_ns", int, "ns", "virtual bench: how long time stood still since the last tick"),
     _("input", "sends_failed", int, "", "frames that the bus did not take since the last tick's command"),
     _("input", "bus_errors", int, "", "error frames since the last tick"),
     _("input", "bus_off", int, "", "1 while the bus is off"),

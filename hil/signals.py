@@ -59,6 +59,8 @@ class TickInput(NamedTuple):
     """How late the loop woke up."""
     skipped: int = 0
     """Whole periods skipped just before this tick."""
+    stretched_ns: int = 0
+    """How long the time of a virtual bench stood still since the last tick."""
     frames: tuple[Received, ...] = ()
     """Received since the last step, in the order consumed."""
     sends_failed: int = 0

@@ -5,7 +5,6 @@ Frames go out and come in as they are; what they mean is the protocol's.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from typing import NamedTuple, Protocol, Self
@@ -61,11 +60,14 @@ class Link(Source, Protocol):
 class Bus:
     """An open bus.
 
+    `clock` is that of its frames' times and of all deadlines.
+
     Mutable state: the link, the error count since the last `events`, and since when it refuses frames.
     """
 
     def __init__(self, link: Link, role: RoleLock | None = None) -> None:
         self._link = link
+        self.clock = link.clock
         self._role = role
         self._errors = 0
         self._overflow_seen = 0
@@ -102,7 +104,7 @@ class Bus:
             self._refused_since = 0
             self._dead = False
         else:
-            now = time.monotonic_ns()
+            now = self.clock.now()
             self._refused_since = self._refused_since or now
             self._dead = now - self._refused_since >= DEAD_AFTER_NS
         return len(frames) - taken
@@ -124,7 +126,7 @@ class Bus:
         while True:
             raw = collect(self._link, deadline_ns)
             received = self._sift(raw)
-            if received or not raw or time.monotonic_ns() >= deadline_ns:
+            if received or not raw or self.clock.now() >= deadline_ns:
                 return received
 
     def _sift(self, received: list[Received]) -> list[Received]:

@@ -13,6 +13,7 @@ from typing import Any
 import can
 
 from drivers.can.localcan.interface import from_message, to_message
+from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.protocol import Frame, Received
@@ -22,6 +23,7 @@ class PythonCan:
     """One bus of python-can. Mutable state: the bus, whether its last call failed."""
 
     overflow = 0
+    clock = MONOTONIC
 
     def __init__(self, bus: can.BusABC) -> None:
         self.off = False

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 
+from drivers.clock import MONOTONIC
 from drivers.errors import BusError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 
@@ -37,6 +38,8 @@ class SocketCan:
     the kernel or the controller.
     Raises BusError when the kernel has no CAN, or the channel does not exist, is down or cannot carry CAN FD.
     """
+
+    clock = MONOTONIC
 
     def __init__(self, channel: str, *, fd: bool) -> None:
         self.overflow = 0

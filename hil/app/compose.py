@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers import PROTOCOLS
 from drivers.arrays import Array
+from drivers.clock import MONOTONIC, Clock
 from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
@@ -271,7 +272,14 @@ def build_scene(configuration: Configuration) -> Scene:
 
 
 def record(
-    c: Configuration, cycle: Cycle, path: Path, kind: str, *, live: bool = False, lockstep: bool = False
+    c: Configuration,
+    cycle: Cycle,
+    path: Path,
+    kind: str,
+    *,
+    live: bool = False,
+    lockstep: bool = False,
+    clock: Clock = MONOTONIC,
 ) -> Recording:
     """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line."""
     return Recording.start(
@@ -285,6 +293,7 @@ def record(
         ring_ticks=c.recording.ring_ticks,
         live=live,
         reference_s=cycle.parts.trajectory.duration_s,
+        clock=clock,
     )
 
 

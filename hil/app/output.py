@@ -136,7 +136,7 @@ UNITS = {
     "_percent": "%",
 }
 """End of a key -> unit of its value, the longest first."""
-_SILENT = frozenset({"success", "kind", "last_ticks", "stalled"})
+_SILENT = frozenset({"success", "kind", "last_ticks"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 

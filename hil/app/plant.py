@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from drivers.can.bus import Bus
+from drivers.can.localcan.bench_clock import BenchClock
+from drivers.clock import Clock
 from drivers.errors import HilError, PlantError, RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveState
@@ -76,6 +78,8 @@ def run_plant(
     assert c.plant is not None
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
+        if supervisor is not None and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
+            bus.clock.hold()
         nodes, physics = build_nodes(c)
         stack.callback(physics.close)
         recording = None
@@ -90,6 +94,7 @@ def run_plant(
                     scene=build_scene(c),
                     can_channel=c.bus.channel,
                     ring_ticks=c.recording.ring_ticks,
+                    clock=bus.clock,
                 )
             )
         stop = _Stop()
@@ -97,10 +102,12 @@ def run_plant(
         with real_time(max(1, c.loop.priority - 10), None) as granted:
             ready()
             try:
-                with _failures_logged(recording):
+                with _failures_logged(recording, bus.clock):
                     last, trouble = _serve(nodes, bus, recording, stop, duration_s, supervisor), ""
             except PlantError as error:
                 last, trouble = nodes.snapshot(), str(error)
+            finally:
+                bus.clock.leave()
         summary = _summary(last, trouble, stop.reason, granted)
         if recording is not None:
             closed = recording.close({k: v for k, v in summary.items() if k != "success"})
@@ -150,7 +157,7 @@ class _Stop:
 
 
 @contextlib.contextmanager
-def _failures_logged(recording: Recording | None) -> Iterator[None]:
+def _failures_logged(recording: Recording | None, clock: Clock) -> Iterator[None]:
     """Write what fails into the log before it goes up.
 
     A defect of this program becomes a PlantError, too: silence is what stops the controller.
@@ -159,11 +166,11 @@ def _failures_logged(recording: Recording | None) -> Iterator[None]:
         yield
     except HilError as error:
         if recording is not None:
-            recording.event(time.monotonic_ns(), "error", str(error))
+            recording.event(clock.now(), "error", str(error))
         raise
     except Exception as error:
         if recording is not None:
-            recording.event(time.monotonic_ns(), "error", tracebacks.format_exc())
+            recording.event(clock.now(), "error", tracebacks.format_exc())
         raise PlantError(
             f"the plant failed, {type(error).__name__}: {error}; its log has the details"
         ) from error
@@ -177,7 +184,7 @@ def _serve(
     duration_s: float | None,
     supervisor: int | None,
 ) -> Snapshot:
-    now = time.monotonic_ns()
+    now = bus.clock.now()
     bus.drain_now()
     nodes.start(now)
     end = None if duration_s is None else now + round(duration_s * 1e9)
@@ -189,7 +196,7 @@ def _serve(
     moved_ns = 0
     while not stop.reason:
         received = bus.wait(now + IDLE_NS)
-        now = time.monotonic_ns()
+        now = bus.clock.now()
         outgoing = latest([frame for _, frame in nodes.step(now, received)])
         if outgoing:
             bus.send(outgoing)

@@ -41,8 +41,8 @@ def command(
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
     with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png.
 
-    Where this machine stalls longer than the limits allow, --plant runs once more at a rate that survives
-    the stall, and says so. The files of the stalled run are kept as ...-stalled.
+    While this machine is too busy for one side of an all virtual bench, the bench's time stands still
+    (loop.on_stall: stretch); the summary says how often. With `fault` it goes on, as on hardware.
 
     \b
     Exit code:
@@ -52,10 +52,8 @@ def command(
     """
     loaded = load(configuration, "run")
     from hil.app.run.command import run_daemon
-    from hil.app.run.retry import run_with_plant
 
-    run = run_with_plant if with_plant else run_daemon
-    summary = run(loaded, log=log, duration_s=duration, reset=reset)
+    summary = run_daemon(loaded, log=log, duration_s=duration, reset=reset, with_plant=with_plant)
     if "last_ticks" in summary:
         from hil.app.output import last_ticks_table
 

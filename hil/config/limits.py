@@ -37,6 +37,9 @@ class LimitSettings(Section):
     stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
     missed_stop_ticks: Annotated[int, Field(ge=1)] = 5
     """Periods missed in a row that ask for a controlled stop."""
+    stretch_percent: Annotated[float, Field(ge=0, le=100)] = 5.0
+    """Share of the run for which the time of a virtual bench may stand still in stretches of 4 ms and more,
+    beside half a second: more asks for a controlled stop. See `loop.on_stall`."""
 
     @model_validator(mode="after")
     def _warn_before_fault(self) -> Self:

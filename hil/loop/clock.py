@@ -6,10 +6,11 @@ import gc
 import os
 import resource
 import struct
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from drivers.clock import MONOTONIC, Clock
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
@@ -28,27 +29,27 @@ class Wake(NamedTuple):
 class Deadlines:
     """Absolute deadlines t0 + k T that keep phase: periods that are over are skipped, never caught up.
 
-    Mutable state: the last tick. Times are CLOCK_MONOTONIC in ns.
+    Mutable state: the last tick. Times are those of `clock`, ns.
     """
 
-    def __init__(self, rate_Hz: float, spin_us: float, start_ns: int | None = None) -> None:
+    def __init__(
+        self, rate_Hz: float, spin_us: float, start_ns: int | None = None, clock: Clock = MONOTONIC
+    ) -> None:
+        self.clock = clock
         self.period_ns = round(1e9 / rate_Hz)
         self.spin_ns = round(spin_us * 1e3)
-        self.start_ns = time.monotonic_ns() + 2 * self.period_ns if start_ns is None else start_ns
+        self.start_ns = clock.now() + 2 * self.period_ns if start_ns is None else start_ns
         self.tick = -1
 
     def wait(self) -> Wake:
         """Sleep, then spin, until the next deadline that is still ahead."""
         tick = self.tick + 1
-        now = time.monotonic_ns()
+        now = self.clock.now()
         skipped = max(0, (now - self.start_ns) // self.period_ns - tick)
         tick += skipped
         due = self.start_ns + tick * self.period_ns
-        rest = due - now - self.spin_ns
-        if rest > 0:
-            time.sleep(rest * 1e-9)
-        while (now := time.monotonic_ns()) < due:
-            pass
+        self.clock.sleep_until(due, self.spin_ns)
+        now = self.clock.now()
         self.tick = tick
         return Wake(tick, due, now - due, skipped)
 

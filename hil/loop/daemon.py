@@ -124,21 +124,25 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> None:
 
 
 def _run(course: Course, shell: Shell) -> Ending:
-    cycle, (bus, deadlines, recording, panel, _, setpoints) = course.cycle, shell
+    cycle, (bus, deadlines, recording, panel, window_ns, setpoints) = course.cycle, shell
     sends_failed = compute_ns = 0
+    clock, stood_ns = bus.clock, bus.clock.stretched()
     panel.running()
     while True:
         tick, t_ns, lateness_ns, skipped = deadlines.wait()
+        stood_before_ns, stood_ns = stood_ns, clock.stretched()
         frames = bus.drain_now()
         opening = cycle.begin(tick)
         sends_failed += bus.send(opening)
-        frames += _answers(cycle, bus, tick, t_ns + lateness_ns, t_ns + shell.feedback_window_ns)
+        frames += _answers(cycle, bus, tick, t_ns + lateness_ns, t_ns + window_ns)
+        clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
         inp = TickInput(
             tick=tick,
             t_ns=t_ns,
             lateness_ns=lateness_ns,
             skipped=skipped,
+            stretched_ns=stood_ns - stood_before_ns,
             frames=tuple(frames),
             sends_failed=sends_failed,
             bus_errors=errors.errors,

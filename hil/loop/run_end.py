@@ -20,6 +20,9 @@ TAIL_S = 0.25
 NO_DRIVES = "no drives"
 _STOPS = {
     Stop.MISSED: "the loop missed limits.missed_stop_ticks periods in a row",
+    Stop.STRETCHED: "this machine was too busy for the virtual bench, whose time stood still, for 4 ms and "
+    "more at once, for more than limits.stretch_percent of the run: take load off it, lower loop.rate_Hz, or "
+    "use `hil sim`",
     Stop.RECORDER: "the recorder was lost or lost ticks (recording.on_recorder_loss is `stop`)",
 }
 
@@ -36,8 +39,6 @@ class Ending:
     fault_tick: int = -1
     requested: bool = False
     """The operator, or the duration, asked for the stop."""
-    missed: bool = False
-    """Safety asked for the stop because of missed periods."""
     raised: bool = False
     """The loop itself failed."""
     unexpected: str = ""
@@ -97,10 +98,7 @@ class Course:
                 reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
                 if self._late:
                     reason = waiting_text(cycle)
-                return Ending(
-                    mode, cycle.faults, reason, tick,
-                    requested=self._requested, missed=why is Stop.MISSED,
-                )  # fmt: skip
+                return Ending(mode, cycle.faults, reason, tick, requested=self._requested)
             case Mode.FAULT:
                 if self._fault_tick != since:
                     self._fault_tick, self._fault_text = since, fault_text(cycle)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.clock import MONOTONIC, Clock
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, set_up, spawn, write_all
@@ -113,6 +114,7 @@ class Recording:
         ring_ticks: int = 8192,
         live: bool = False,
         reference_s: float | None = None,
+        clock: Clock = MONOTONIC,
     ) -> Self:
         """Start a recorder process and open the log `path`, which is never overwritten.
 
@@ -121,7 +123,8 @@ class Recording:
         `hil`, as JSON where it is not text. `table` has scalar columns `tick` and `t_ns`; `can_channel` is
         the name of the bus in the frames. In `lockstep` time is simulated: wait where the ring of
         `ring_ticks` is full, a fixed epoch, reproducible messages. `live` draws a status line on standard
-        error (rows of TICKS only), with the progress of a reference of `reference_s`.
+        error (rows of TICKS only), with the progress of a reference of `reference_s`. `clock` is that of the
+        rows' and frames' times.
 
         Raises LogError where the log exists, cannot be written, or the recorder does not start; ValueError
         where the table cannot be recorded.
@@ -143,7 +146,7 @@ class Recording:
                 **_texts(metadata or {}),
                 "topic": table.topic,
                 "columns": describe(table.columns),
-                "epoch_ns": str(created_ns if lockstep else created_ns - time.monotonic_ns()),
+                "epoch_ns": str(created_ns if lockstep else created_ns - clock.now()),
                 "can_channel": can_channel,
                 "mode": "lockstep" if lockstep else "realtime",
             },

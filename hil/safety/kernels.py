@@ -36,7 +36,15 @@ from hil.safety.kinematics import hopped, ill_conditioned, inconsistent
 from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
-from hil.safety.timing import is_degraded, is_late, late_history, missed_run, too_many_missed
+from hil.safety.timing import (
+    HARMFUL_STRETCH_NS,
+    is_degraded,
+    is_late,
+    late_history,
+    missed_run,
+    too_many_missed,
+    too_stretched,
+)
 
 _IDLE, _LOADING, _UNLOADING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.UNLOADING)
 _RELEASING, _STOPPING = int(Mode.RELEASING), int(Mode.STOPPING)
@@ -47,6 +55,7 @@ _BUS, _CERTIFICATE, _WARN_CERTIFICATE = int(Fault.BUS), int(Fault.CERTIFICATE), 
 _WARN_STALE, _WARN_LATE, _WARN_DEGRADED = int(Warn.STALE), int(Warn.LATE), int(Warn.DEGRADED)
 _WARN_REJECTED, _WARN_RECORDER, _WARN_BUS = int(Warn.REJECTED), int(Warn.RECORDER), int(Warn.BUS)
 _NO_STOP, _STOP_MISSED, _STOP_RECORDER = int(Stop.NONE), int(Stop.MISSED), int(Stop.RECORDER)
+_STOP_STRETCHED = int(Stop.STRETCHED)
 _FORCE_LIMIT, _FORCE_STEP, _FORCE_WINDOW = int(Warn.FORCE_LIMIT), int(Warn.FORCE_STEP), int(Warn.FORCE_WINDOW)
 
 
@@ -67,6 +76,7 @@ LIMITS = np.dtype(
         ("force_step_N", "<f8"),
         ("force_window_N", "<f8"),
         ("missed_stop_ticks", "<i8"),
+        ("stretch_percent", "<f8"),
         ("period_ns", "<i8"),
         ("stop_on_recorder_loss", "<i8"),
     ]
@@ -79,6 +89,7 @@ MEMORY = np.dtype(
         ("refused", "<i8"),  # ticks with refused frames, as bits
         ("dropped", "<i8"),  # the recorder's losses so far
         ("running", "<i8"),  # 1: all drives have been in RUN since the brakes opened
+        ("stretched_ns", "<i8"),  # how long the bench's time stood still, in harmful stretches
         ("newest", "<i8"),  # row of the force window
     ]
 )
@@ -214,6 +225,8 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
     memory.late = late_history(memory.late, late, tick.skipped)
     memory.missed = missed_run(memory.missed, tick.skipped)
     memory.refused = refusals(memory.refused, tick.sends_failed)
+    if tick.stretched_ns >= HARMFUL_STRETCH_NS:
+        memory.stretched_ns += tick.stretched_ns
     if late:
         warnings |= _WARN_LATE
     if is_degraded(memory.late):
@@ -258,6 +271,8 @@ def judge_tick(
     if watched.size:
         settle(watched[CONSTANTS:], more != 0)
     stop = _STOP_MISSED if too_many_missed(memory.missed, limits.missed_stop_ticks) else _NO_STOP
+    if too_stretched(memory.stretched_ns, tick.tick * limits.period_ns, limits.stretch_percent):
+        stop = _STOP_STRETCHED
     if losing and limits.stop_on_recorder_loss != 0:
         stop = _STOP_RECORDER
     return faults | law, warnings | more, stop

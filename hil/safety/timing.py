@@ -6,6 +6,10 @@ Integer arithmetic on what the tick says about itself.
 from drivers.compiled.compiler import helper
 from hil.safety.history import HISTORY, ones
 
+HARMFUL_STRETCH_NS = 4_000_000
+"""Real drives would have ended a run whose controller or bus was gone for so long."""
+STRETCH_FREE_NS = 500_000_000
+"""So much may always be harmful stretches, beside the share of the run that is allowed."""
 DEGRADED_AT = 8
 """Late ones among them that make a degraded loop."""
 
@@ -43,3 +47,9 @@ def missed_run(run: int, skipped: int) -> int:
 def too_many_missed(run: int, limit: int) -> bool:
     """Tell whether `limit` periods or more were missed in a row: a controlled stop is asked for."""
     return run >= limit
+
+
+@helper
+def too_stretched(stretched_ns: int, elapsed_ns: int, percent: float) -> bool:
+    """Tell whether harmful stretches take more than their share of a virtual bench's run."""
+    return stretched_ns > STRETCH_FREE_NS + 0.01 * percent * elapsed_ns

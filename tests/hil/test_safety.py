@@ -225,6 +225,27 @@ def test_guard_waits_for_as_many_missed_periods_as_configured():
     assert [bench.tick(skipped=n).stop for n in (6, 0, 5, 2)] == [0, 0, 0, Stop.MISSED]
 
 
+def test_guard_stops_a_bench_whose_time_stood_still_for_more_than_its_share():
+    stood = 10_000_000
+    for tick, allowed in ((0, 50), (4000, 550)):  # half a second, and 5 % of 4000 periods of 25 ms
+        bench = Bench()
+        verdicts = [bench.tick(tick=tick, stretched_ns=stood).stop for _ in range(allowed + 1)]
+        assert verdicts == [Stop.NONE] * allowed + [Stop.STRETCHED]
+        bench.safety.reset()
+        assert not bench.tick(tick=tick, stretched_ns=stood).stop
+    bench = Bench()
+    for mode in OFF:
+        assert not bench.tick(mode, tick=0, stretched_ns=10 * 500_000_000).stop
+    assert bench.tick(tick=0).stop is Stop.STRETCHED
+
+
+def test_short_stretches_do_not_count_however_many():
+    bench = Bench()
+    assert not any(bench.tick(stretched_ns=3_999_999).stop for _ in range(1000))
+    stops = [bench.tick(tick=0, stretched_ns=4_000_000).stop for _ in range(126)]
+    assert stops == [Stop.NONE] * 125 + [Stop.STRETCHED]
+
+
 def test_guard_warns_of_a_noisy_bus():
     bench = Bench()
     for cause in ("bus_errors", "bus_overflow", "sends_failed"):

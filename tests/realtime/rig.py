@@ -41,7 +41,7 @@ SHORT = """\
 PATIENT = {
     "rate_Hz: 1000": "rate_Hz: 500",
     "watchdog_ms: 10 ": "watchdog_ms: 150 ",
-    "stale_fault_ticks: 5": "stale_fault_ticks: 60\n  missed_stop_ticks: 60",
+    "stale_fault_ticks: 5": "stretch_percent: 100\n  stale_fault_ticks: 60\n  missed_stop_ticks: 60",
 }
 FIFO = fifo_allowed(80)
 
@@ -52,7 +52,8 @@ def configuration(
     """Write configs/virtual.yaml with a channel and a log folder of the test's own, and `changes` of its text.
 
     patient: a stall of a tenth of a second, as a loaded or a virtual machine has them, faults nothing: half
-    the rate, longer watchdog, higher limits of stale ticks and missed periods. Without it the timing is the shipped one.
+    the rate, longer watchdog, higher limits of stale ticks and missed periods. Without it the timing is the
+    shipped one. Bench time may stand still for as long as this machine makes it.
     """
     text = (ROOT / "configs" / "virtual.yaml").read_text()
     if short:
@@ -65,6 +66,7 @@ def configuration(
         "periods: 10": "periods: 1" if short else "periods: 3",
         "brake_release_s: 0.1": "brake_release_s: 0.05",
         "force_ramp_s: 0.3": "force_ramp_s: 0.2",
+        "stale_fault_ticks: 5": "stretch_percent: 100\n  stale_fault_ticks: 5",
         **(PATIENT if patient else {}),
     }
     for old, new in (*edits.items(), *(changes or {}).items()):
@@ -195,7 +197,7 @@ class Listener:
 
     def look(self) -> None:
         """Take what has come, wait for it 20 ms at most."""
-        for received in self._bus.wait(time.monotonic_ns() + 20_000_000):
+        for received in self._bus.wait(self._bus.clock.now() + 20_000_000):
             match parse(self._protocol, received.frame):
                 case Sync(counter=counter):
                     self._counter, self.last_sync_ns = counter, received.t_ns
@@ -204,6 +206,10 @@ class Listener:
                 case _:
                     heard = decode(self._protocol, (received,), self._counter)
                     self._rate = np.where(heard["age"] < NEVER, heard["rate"], self._rate)
+
+    def now(self) -> int:
+        """Return bench time."""
+        return self._bus.clock.now()
 
     @property
     def speed(self) -> float:

@@ -15,9 +15,10 @@ PATIENCE_S = 0.2
 
 
 def make_patient(values: dict[str, Any], rate_Hz: float) -> None:
-    """Lengthen watchdog and limits on lost time of a configuration's values, in place."""
+    """Lengthen watchdog and limits on lost time in place, and let time never stand still."""
     ticks = round(PATIENCE_S * rate_Hz)
     values["drives"]["watchdog_ms"] = 1e3 * PATIENCE_S
+    values["loop"]["on_stall"] = "fault"
     values["limits"] |= {"stale_fault_ticks": ticks, "missed_stop_ticks": ticks}
 
 

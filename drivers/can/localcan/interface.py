@@ -10,8 +10,8 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from drivers.can.bus_time import BitTiming
 from drivers.can.collect import collect
+from drivers.can.localcan.layout import VERSION
 from drivers.can.localcan.participant import DEFAULT_TIMING, OWN, Participant
-from drivers.can.localcan.wire import VERSION
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import HilError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
@@ -20,7 +20,7 @@ _FOREVER_NS = 1 << 62
 
 
 def to_message(received: Received, epoch_ns: int, channel: str) -> can.Message:
-    """Return python-can's Message; `epoch_ns` is Unix time minus CLOCK_MONOTONIC."""
+    """Return python-can's Message; `epoch_ns` is Unix time minus the channel's."""
     t_ns, (id_, data, flags) = received
     return can.Message(
         timestamp=(t_ns + epoch_ns) * 1e-9,
@@ -57,8 +57,8 @@ class LocalCanBus(can.BusABC):
     for all; left out, they are taken as they are (1M/5M, CAN FD where nobody has stated any).
     receive_own_messages: deliver what is sent here, too, with is_rx False.
 
-    Message.timestamp is Unix time of the frame's end. Filters are applied in software. Mutable state: the
-    participant and the messages received but not taken.
+    Message.timestamp is Unix time of the frame's end, less what bench time has stood still since joining.
+    Filters are applied in software. Mutable state: the participant and the messages received but not taken.
     Raises can.CanInitializationError when the timing disagrees or the runtime folder cannot be used.
     """
 
@@ -89,14 +89,14 @@ class LocalCanBus(can.BusABC):
         self.channel_info = f"localcan {channel}"
         self._channel = str(channel)
         self._inbox: deque[Received] = deque()
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._epoch_ns = time.time_ns() - self._node.clock.now()
         self._can_protocol = can.CanProtocol.CAN_FD if self._node.fd else can.CanProtocol.CAN_20
         super().__init__(channel, can_filters, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         inbox = self._inbox
         if not inbox:
-            deadline = _FOREVER_NS if timeout is None else time.monotonic_ns() + int(timeout * 1e9)
+            deadline = _FOREVER_NS if timeout is None else self._node.clock.now() + int(timeout * 1e9)
             inbox.extend(collect(self._node, deadline))
         message = to_message(inbox.popleft(), self._epoch_ns, self._channel) if inbox else None
         # select() on fileno() has to return as long as there is something to take

@@ -1,14 +1,29 @@
-"""One participant on a localcan channel, in Frames and nanoseconds of CLOCK_MONOTONIC."""
+"""One participant on a localcan channel, in Frames and nanoseconds of the channel's clock."""
 
 import os
-import time
+import threading
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 
+import numpy as np
+
 from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_time_ns
+from drivers.can.localcan import log
+from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.doorbell import Doorbell
-from drivers.can.localcan.wire import QUEUE, RECORD, RING, VERSION, Slot, Wire
+from drivers.can.localcan.layout import (
+    OUTBOX,
+    QUEUE,
+    RECORD,
+    SLOT_RUNG,
+    SLOTS,
+    VERSION,
+    WITHDRAW,
+    WORD,
+    slot_at,
+)
+from drivers.can.localcan.wire import Slot, Wire
 from drivers.can.runtime_folder import forget_in_child, runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.protocol import ERROR, EXTENDED, FD, Frame, Received
@@ -18,14 +33,18 @@ OWN = 1 << 6
 DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
 TX_LIMIT = 64
 """Frames that one participant can have waiting for the bus."""
+QUEUE_LIMIT = 4096
+"""Frames waiting for the bus at most, all participants together."""
 KNOWN = 1024
 """Kinds of frames (identifier, flags, length) whose check is remembered: cyclic ones come each tick."""
+BATCH = 512
+"""Frames taken from the wire at once."""
 _LENGTHS = frozenset(FD_LENGTHS)
 _AGAIN_NS = 20_000_000
 _SLICE_S = 0.1
+_LOOK_S = 1e-3
+"""Between two looks while time stands still."""
 _FOREVER = 1 << 62
-_NOTHING = (b"", b"", 0)
-"""Nothing ahead: the record on the wire, the records queued, when the bus falls free."""
 
 
 class Participant:
@@ -35,10 +54,13 @@ class Participant:
     `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
     `tx_limit`: frames that may wait for the bus before `send` takes no more.
 
-    Mutable state: the shared wire; the read position, what lay ahead of it at the last look, and how many
-    frames slow reading has lost; the kinds of frames that have passed the check, with priority and duration.
+    Mutable state: the shared wire; what this reader knows of its log; frames received by a look that was
+    not for them; the kinds of frames that have passed the check, with priority and duration.
     Raises BusError when the timing disagrees or the folder cannot be used.
     """
+
+    off = False
+    """This bus cannot go off."""
 
     def __init__(
         self,
@@ -50,14 +72,16 @@ class Participant:
         spin_us: float = 50.0,
         tx_limit: int = TX_LIMIT,
     ) -> None:
-        self._missed = 0
         self._own = own
         self._spin_ns = int(spin_us * 1000)
-        self._tx_limit = tx_limit
-        self._ahead = _NOTHING
+        self._tx_limit = min(tx_limit, OUTBOX // 2)
         self._fixed: BitTiming | None = None
         self._known: dict[tuple[int, int, int], tuple[int, int]] = {}
-        self._dead: set[int] = set()
+        self._inbox: list[Received] = []
+        self._torn = 0
+        """Frames that were overwritten while they were read."""
+        self._thread = threading.RLock()
+        """Users of python-can send and receive in several threads."""
         self.channel = channel
         self._closed = True
         self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{VERSION}")
@@ -70,13 +94,14 @@ class Participant:
             self._wire.close()
             raise
         self._wire.unlock()
+        log.join(self._wire.words, self._state, self._waiting)
         self._closed = False
         forget_in_child(self)
 
     # joining and leaving
     def _remove(self, serial: int) -> None:
-        self._wire.unregister(serial)
-        self._bell.remove(serial)
+        if log.vacate(self._wire.words, serial):
+            self._bell.remove(serial)
 
     def _join(self, timing: BitTiming | None, fd: bool | None) -> None:
         wire = self._wire
@@ -91,13 +116,13 @@ class Participant:
         if not others:
             wire.clear()
         self._agree(timing, fd, others)
-        self._cursor = wire.advance(time.monotonic_ns())[0]
-        self.serial = wire.register(os.getpid())
-        try:
-            self._bell.bind(self.serial)
-        except BusError:
-            wire.unregister(self.serial)
-            raise
+        self.serial = wire.reserve()
+        self._state, self._waiting, self._flying = log.new_state(self.serial)
+        self._ended = np.zeros((BATCH, log.ENDS + 1), np.int64)
+        self._serials = np.zeros(SLOTS, np.int64)
+        self._bell.bind(self.serial)
+        wire.register(self.serial, os.getpid())
+        self.clock = BenchClock(wire.words, self.serial, self._bell)
 
     def _agree(self, timing: BitTiming | None, fd: bool | None, others: list[Slot]) -> None:
         wire = self._wire
@@ -128,13 +153,13 @@ class Participant:
         if self._closed:
             return
         self._closed = True
-        self._wire.lock()
+        self.clock.leave()
+        alone = self._wire.lock()
         try:
             self._remove(self.serial)
-            if not any(slot.serial and self._bell.ring(slot.serial) for slot in self._wire.slots()):
+            if alone and not any(s.serial and self._bell.ring(s.serial) for s in self._wire.slots()):
                 self._wire.path.unlink(missing_ok=True)
         finally:
-            self._wire.unlock()
             self._bell.close()
             self._wire.close()
 
@@ -156,35 +181,28 @@ class Participant:
         """
         timing = self.timing
         packed = [self._check(frame, timing) for frame in frames]
-        wire = self._wire
-        wire.lock()
-        try:
-            now = time.monotonic_ns()
-            _, queued, _ = wire.advance(now)
-            if self._fixed is None:
-                if wire.timing is None:
-                    wire.fix(timing, fd=True)
-                self._fixed = wire.timing
-            taken = min(len(packed), self._tx_limit - wire.queued_by(self.serial), QUEUE - queued)
-            if taken <= 0:
-                return 0
-            wire.enqueue(
-                self.serial,
-                [
-                    RECORD.pack(now, key, duration, self.serial, id_, flags, len(data), data)
-                    for key, duration, id_, flags, data in packed[:taken]
-                ],
-            )
-            for serial in self._dead:
-                self._remove(serial)
-            self._dead.clear()
+        wire, state, serial = self._wire, self._state, self.serial
+        if self._fixed is None:
+            if wire.timing is None:
+                wire.fix(timing, fd=True)
+            self._fixed = wire.timing
+        with self._thread:
+            self._look()
+            room = min(self._tx_limit - int(state[log.OWN_WAITING]), QUEUE_LIMIT - int(state[log.WAITING]))
+            taken = max(0, min(len(packed), room))
+            number = wire.count(serial)
+            for key, duration, id_, flags, data in packed[:taken]:
+                wire.put(serial, number, 0, key, duration, serial, id_, flags, len(data), data)
+                wire.counted(serial, number + 1)
+                self._append(QUEUE, number)
+                number += 1
+        if taken:
+            self.clock.sends()
             # an unanswered ring is repeated: the one who should have rung may have been killed
-            listeners = wire.to_ring(self.serial, now, _AGAIN_NS)
-        finally:
-            wire.unlock()
-        for serial in listeners:
-            if not self._bell.ring(serial):
-                self._dead.add(serial)
+            listeners = log.to_ring(wire.words, state, self.clock.now(), _AGAIN_NS, self._serials)
+            for other in self._serials[:listeners].tolist():
+                if not self._bell.ring(other):
+                    self._remove(other)
         return taken
 
     def _check(self, frame: Frame, timing: BitTiming) -> tuple[int, int, int, int, bytes]:
@@ -211,53 +229,45 @@ class Participant:
 
     def flush_tx(self) -> int:
         """Drop this node's frames that have not started; return how many."""
-        self._wire.lock()
-        try:
-            self._wire.advance(time.monotonic_ns())
-            return self._wire.withdraw(self.serial)
-        finally:
-            self._wire.unlock()
+        with self._thread:
+            self._look()
+            before = int(self._state[log.WITHDRAWN])
+            self._append(WITHDRAW, self.serial // SLOTS)
+            self._look()
+            return int(self._state[log.WITHDRAWN]) - before
+
+    def _append(self, kind: int, number: int) -> None:
+        words, clock, gettime, at = self.clock.arguments
+        log.append(words, clock, self._state, gettime, at, kind, number)
 
     # receiving
-    off = False
-    """This bus cannot go off."""
-
     @property
     def overflow(self) -> int:
-        """Frames lost so far: to slow reading, or queued when a participant died that held the wire."""
-        return self._missed + self._wire.lost
+        """Frames lost so far to slow reading."""
+        return int(self._state[log.LOST]) + self._torn
 
     def receive(self) -> list[Received]:
         """Return what has ended since the last call, in the order of the wire. Does not block."""
-        wire, now = self._wire, time.monotonic_ns()
-        wire.lock()
-        try:
-            head, queued, free = wire.advance(now)
-            if head - self._cursor > RING:
-                self._missed += head - RING - self._cursor
-                self._cursor = head - RING
-            raw = wire.sent(self._cursor, head)
-            waiting = wire.waiting(queued)
-        finally:
-            wire.unlock()
-        flying = b""
-        # every frame in the ring has started: at most the last one has not ended
-        if raw and free > now:
-            flying = raw[-RECORD.size :]
-            raw = raw[: -RECORD.size]
-            head -= 1
-        self._cursor = head
-        self._ahead = flying, waiting, free
-        if not raw:
-            return []
-        me = self.serial
-        received = []
-        for end, _, _, sender, id_, flags, length, data in RECORD.iter_unpack(raw):
-            if sender != me:
-                received.append(Received(end, Frame(id_, data[:length], flags)))
-            elif self._own:
-                received.append(Received(end, Frame(id_, data[:length], flags | OWN)))
+        with self._thread:
+            self._look()
+            received, self._inbox = self._inbox, []
         return received
+
+    def _look(self) -> None:
+        """Take what has ended into the inbox."""
+        words, memory, now = self._wire.words, self._wire.memory, self.clock.now()
+        full = True
+        while full:
+            ended = log.look(words, self._state, self._waiting, self._flying, self._ended, now)
+            full = ended == BATCH
+            for place, counted, end in self._ended[:ended].tolist():
+                _, _, _, _, _, sender, id_, flags, length, data = RECORD.unpack_from(memory, WORD * place)
+                if words[place] != counted:
+                    self._torn += 1
+                elif sender != self.serial:
+                    self._inbox.append(Received(end, Frame(id_, data[:length], flags)))
+                elif self._own:
+                    self._inbox.append(Received(end, Frame(id_, data[:length], flags | OWN)))
 
     # waiting
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
@@ -265,29 +275,37 @@ class Participant:
 
         Sleeps until somebody sends where that cannot be foreseen, and at most until the deadline.
         """
-        end = self._foresee(missing)
+        clock, end = self.clock, self._foresee(missing)
         if end is not None:
-            self._sleep_until(min(end, deadline_ns))
-        elif self.arm(idle=False):
-            left = (deadline_ns - time.monotonic_ns()) * 1e-9
-            if left > 0:
+            clock.sleep_until(min(end, deadline_ns), self._spin_ns)
+            return
+        # first promised, then asked for a ring: who rings may bring the promise forward
+        clock.waiting(deadline_ns)
+        if self.arm(idle=False):
+            left_ns = deadline_ns - clock.now()
+            if left_ns > 0:
                 # in slices: a ring can be lost when the one who rings is killed
-                self._bell.wait(min(left, _SLICE_S))
+                self._bell.wait(_LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
+        # awake: a ring would change nothing but bring the promise forward
+        self._wire.words[slot_at(self.serial) + SLOT_RUNG] = clock.now()
+        clock.working()
 
     def _foresee(self, missing: AbstractSet[int]) -> int | None:
         """Return when all missing identifiers will have ended, as far as the last look can tell.
 
         A frame queued later can only push this instant back, unless it is itself awaited.
         """
-        flying, waiting, free = self._ahead
-        flight = [(free, r[3], r[4], r[5]) for r in RECORD.iter_unpack(flying)]
-        if waiting:
-            records = list(RECORD.iter_unpack(waiting))
-            order = [(r[0], r[1], i, r[2]) for i, r in enumerate(records)]
-            sent, _ = arbitrate(order, free, _FOREVER)
-            flight += [(end, records[i][3], records[i][4], records[i][5]) for i, end in sent]
+        state, memory = self._state, self._wire.memory
+        with self._thread:
+            flight = self._flying[: state[log.FLYING]].tolist()
+            rows = self._waiting[: state[log.WAITING]].tolist()
+        if rows:
+            order = [(row[log.SINCE], row[log.KEY], i, row[log.TAKES]) for i, row in enumerate(rows)]
+            sent, _ = arbitrate(order, int(state[log.FREE]), _FOREVER)
+            flight += [(rows[i][log.PLACE], 0, end) for i, end in sent]
         left = set(missing)
-        for end, sender, id_, flags in flight:
+        for place, _, end in flight:
+            _, _, _, _, _, sender, id_, flags, _, _ = RECORD.unpack_from(memory, WORD * place)
             if sender == self.serial and not self._own:
                 continue
             if not flags & ERROR:
@@ -296,37 +314,21 @@ class Participant:
                 return int(end)
         return None
 
-    def _sleep_until(self, t_ns: int) -> None:
-        left = t_ns - time.monotonic_ns() - self._spin_ns
-        if left > 0:
-            time.sleep(left * 1e-9)
-        end = min(t_ns, time.monotonic_ns() + self._spin_ns)
-        while time.monotonic_ns() < end:
-            pass
-
     def arm(self, *, idle: bool = True) -> bool:
         """Empty the doorbell and ask for the next ring, unless something has come since the last look.
 
         idle: and unless any frame is under way. Then the doorbell is left ringing, so that select() on
         `fileno` returns at once. Returns whether the doorbell waits for the next ring.
         """
-        wire = self._wire
-        wire.lock()
-        try:
-            now = time.monotonic_ns()
-            head, queued, free = wire.advance(now)
-            flying = 1 if free > now and head > self._cursor else 0
-            underway = (flying + queued) * RECORD.size
-            news = head - flying > self._cursor or underway != len(self._ahead[0]) + len(self._ahead[1])
-            if news or (idle and underway):
-                if idle:
-                    self._bell.ring(self.serial)
-                return False
-            self._bell.silence()
-            wire.set_rung(self.serial, 0)
+        words, state = self._wire.words, self._state
+        self._bell.silence()
+        # first asked for, then looked: what is sent in between rings
+        log.ask_for_ring(words, state)
+        if not self._inbox and not log.news(words, state, idle):
             return True
-        finally:
-            wire.unlock()
+        if idle:
+            self._bell.ring(self.serial)
+        return False
 
     def ring(self) -> None:
         """Make `fileno` readable: frames were received that the reader has not taken yet."""

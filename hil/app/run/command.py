@@ -1,7 +1,6 @@
 """`hil run`: the daemon on the controller PC, in real time, against drives or the plant that it starts."""
 
 import contextlib
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ from hil.app.configuration.controller_file import law_figures
 from hil.app.output import console, log_path, warn
 from hil.app.replay import replay_log
 from hil.app.run.plant_process import SupervisedPlant
-from hil.app.run.rate_selection import select_rate, stalled
+from hil.app.run.rate_selection import select_rate
+from hil.app.run.stretching import begin, bench_clock, stretches
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import OperatorPanel, Shell, run
@@ -45,12 +45,9 @@ def run_daemon(
     with_plant: bool = False,
     draw: bool = True,
     reset: bool = False,
-    slow: str = "",
 ) -> dict[str, Any]:
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
-    `slow` says why the loop is to run at the rate that this machine holds without real time. The key
-    `stalled` says that the machine stalled and a slower loop would have survived it.
     Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
@@ -61,32 +58,41 @@ def run_daemon(
         stack.enter_context(_startable())
         stack.enter_context(panel.attached())
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
-        rate, watchdog_s = select_rate(c, with_plant=with_plant, lack=slow)
+        clock = bench_clock(c, bus) if with_plant else None
+        rate, watchdog_s = select_rate(c, with_plant=with_plant, stretching=clock is not None)
         cycle = build_cycle(c, rate, watchdog_s)
         path = log_path(c.recording.folder, c.name, log)
         plant = None
         if with_plant:
             plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap")))
-        recording = stack.enter_context(record(c, cycle, path, "run", live=console.is_terminal))
+        recording = stack.enter_context(
+            record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
+        )
         live = cycle.parts.steering is not None
         setpoints = stack.enter_context(SetPointSocket(c.bus.interface, c.bus.channel)) if live else None
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
-            deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
             window_ns = round(c.loop.window_s(rate) * 1e9)
+            if clock is not None:
+                begin(clock, c, cycle, window_ns)
+            deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
             shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints)
-            ending = run(Course(cycle, duration_s, reset=reset), shell)
+            try:
+                ending = run(Course(cycle, duration_s, reset=reset), shell)
+                interrupted = clock is not None and clock.interrupted
+            finally:
+                bus.clock.leave()
         trouble = _trouble(ending, c, "" if plant is None else plant.trouble(), with_plant=with_plant)
         if trouble:
-            recording.event(time.monotonic_ns(), "error", ending.unexpected or trouble)
+            recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
         end = {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
         closed = recording.close(end)
         if plant is not None:
             plant_summary = plant.finish()
-    result = _summary(c, cycle, ending, trouble, granted, closed)
-    sound = plant_summary is not None and plant_summary["success"] and not panel.interrupts and not slow
-    result["stalled"] = sound and stalled(c, cycle.tick, ending, rate, watchdog_s)
+    result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
+    if interrupted:
+        warn("hil: a foreign participant has sent on this channel: bench time did not stand still any more")
     if "recorder" in result:
         warn(f"hil: {result['recorder']}")
     if plant_summary is not None:
@@ -124,7 +130,14 @@ def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) 
 
 
 def _summary(
-    c: Configuration, cycle: Cycle, ending: Ending, trouble: str, granted: RealTime, closed: LogSummary
+    c: Configuration,
+    cycle: Cycle,
+    ending: Ending,
+    trouble: str,
+    granted: RealTime,
+    closed: LogSummary,
+    *,
+    stretching: bool,
 ) -> dict[str, Any]:
     rate = cycle.parts.rate_Hz
     budget = bus_budget(c.bus, c.drives, c.sensors, rate)
@@ -151,6 +164,8 @@ def _summary(
     except LogError as error:
         return result | {"recorder": f"{result['recorder']}; {error}", "dropped_ticks": dropped}
     result |= figures(rows)
+    if stretching:
+        result["bench_time"] = stretches(rows)
     result["dropped_ticks"] = dropped
     _, result["replay"] = replay_log(closed.path)
     lossy = closed.dropped > 0 and not result["replay"]["different_ticks"]

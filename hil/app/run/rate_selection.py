@@ -1,32 +1,31 @@
-"""At which rate the loop runs on this machine, and whether a run ended because this machine stalled."""
+"""At which rate the loop runs on this machine."""
 
 from drivers.errors import RunError
-from drivers.signals import DriveFault, Fault, Mode
-from drivers.tick_columns import Record
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import warn
 from hil.loop.clock import (
     LATE_PERIODS,
     LATE_SHARE,
     STALL_S,
-    SLOWEST_Hz,
     fifo_allowed,
     holdable_rate,
     late_share,
 )
-from hil.loop.run_end import Ending
 
 RELAXED_WATCHDOG_S = 0.2
 """Watchdog of emulated drives where the loop has no real time. Real drives keep the configured one."""
 
 
-def select_rate(c: Configuration, *, with_plant: bool, lack: str = "") -> tuple[float, float]:
+def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False) -> tuple[float, float]:
     """Return rate (Hz) and drive watchdog (s): the configured ones, or those this machine can hold.
 
-    `lack` says why there is no real time, where that is known. Raises RunError: the loop may not be slowed.
+    A bench whose time stands still while this machine is busy (`stretching`) needs no lower ones.
+    Raises RunError: the loop may not be slowed.
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
-    lack = lack or _lack(c, with_plant=with_plant)
+    if stretching and c.loop.without_realtime == "slow":
+        return rate, watchdog_s
+    lack = _lack(c, with_plant=with_plant)
     if not lack:
         return rate, watchdog_s
     if c.loop.without_realtime == "refuse":
@@ -79,26 +78,3 @@ def patience(c: Configuration) -> int:
 def _patience_s(c: Configuration) -> float:
     """Return the longest stall (s) that does not end a run at the configured rate."""
     return min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
-
-
-def stalled(c: Configuration, last: Record, ending: Ending, rate: float, watchdog_s: float) -> bool:
-    """Tell whether the machine stalled and a slower loop would have survived it.
-
-    The signs of a stall: silent legs, drives whose watchdog ran out (the reference may have gone on without
-    them), or missed periods, and nothing else. `last` is the last tick, `rate` (Hz) and `watchdog_s` are
-    those of the run. Only on localcan, where every participant is a process of this machine.
-    """
-    if c.bus.interface != "localcan" or c.loop.without_realtime == "refuse" or ending.raised:
-        return False
-    if rate < c.loop.rate_Hz:
-        return False
-    slower_survives = rate >= 2.0 * SLOWEST_Hz and patience(c) / rate < STALL_S
-    if ending.mode is not Mode.FAULT:
-        return ending.missed and slower_survives
-    signs = Fault.STALE
-    reported = set(last["drive_fault"].tolist()) - {DriveFault.NONE}
-    if reported == {DriveFault.WATCHDOG} and (slower_survives or watchdog_s < STALL_S):
-        signs |= Fault.DRIVE | Fault.FOLLOWING
-    elif reported or not slower_survives:
-        return False
-    return bool(ending.faults) and not ending.faults & ~signs

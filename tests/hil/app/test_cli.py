@@ -105,7 +105,7 @@ def test_the_list_of_commands_imports_none_of_them():
 def test_a_run_and_a_simulation_start_without_scipys_algebra():
     """Numba asks for it as it loads kernels; with it each start is up to a tenth longer."""
     code = (
-        "import sys, hil.app.sim.command, hil.app.run.retry; "
+        "import sys, hil.app.sim.command, hil.app.run.command; "
         "print([m for m in sys.modules if m.startswith(('scipy.linalg', 'numpy.f2py'))])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -1,15 +1,13 @@
-"""What `hil run` says of its rate where it may not have SCHED_FIFO or that is not kept, and what it calls a stall."""
+"""What `hil run` says of its rate where it may not have SCHED_FIFO or that is not kept."""
 
 from math import nan
 
 import pytest
 
-from drivers.signals import DriveFault, Fault, Mode
+from drivers.errors import RunError
 from hil.app.configuration.configuration import load
 from hil.app.output import console
 from hil.app.run import rate_selection
-from hil.loop.run_end import Ending
-from tests.records import record_of
 
 
 @pytest.fixture
@@ -83,69 +81,18 @@ def test_real_drives_and_limits_that_outlast_a_stall_leave_the_rate_as_it_is(fif
     assert said == []
 
 
-CLEAR, WATCHDOG, OVERFORCE = DriveFault.NONE, DriveFault.WATCHDOG, DriveFault.OVERFORCE
+def test_a_bench_whose_time_stands_still_needs_no_lower_rate(fifo):
+    said = fifo(0.5)
+    assert rate_selection.select_rate(load("virtual"), with_plant=True, stretching=True) == (1000.0, 0.01)
+    assert said == []
 
 
-def stalled(mode, faults, drive=CLEAR, *, name="virtual", rate=1000.0, changes=None, **ending):
-    c = load(name)
-    for section, values in (changes or {}).items():
-        c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})
-    tick = record_of(drive_fault=[0] * 5 + [drive])
-    watchdog_s = c.drives.watchdog_ms * 1e-3
-    return rate_selection.stalled(c, tick, Ending(mode, faults, "", 5000, **ending), rate, watchdog_s)
-
-
-@pytest.mark.parametrize(
-    ("faults", "drive", "expected"),
-    [
-        (Fault.STALE, CLEAR, True),
-        (Fault.STALE | Fault.DRIVE, WATCHDOG, True),
-        (Fault.DRIVE, WATCHDOG, True),
-        (Fault.DRIVE | Fault.FOLLOWING, WATCHDOG, True),
-        (Fault.DRIVE, CLEAR, False),
-        (Fault.FOLLOWING, CLEAR, False),
-        (Fault.STALE | Fault.FOLLOWING, CLEAR, False),
-        (Fault.STALE, OVERFORCE, False),
-        (Fault.DRIVE, OVERFORCE, False),
-        (Fault.STALE | Fault.ESTOP, CLEAR, False),
-        (Fault.NONE, CLEAR, False),
-    ],
-)
-def test_silence_a_watchdog_and_what_it_leaves_behind_are_faults_of_a_stall(faults, drive, expected):
-    assert stalled(Mode.FAULT, faults, drive) is expected
-
-
-def test_missed_periods_are_a_stall_and_another_stop_is_none():
-    assert stalled(Mode.PARKED, Fault.NONE, missed=True)
-    assert not stalled(Mode.PARKED, Fault.NONE)
-
-
-def test_a_loop_that_failed_itself_is_no_stall_whatever_else_was_latched():
-    assert not stalled(Mode.FAULT, Fault.STALE, raised=True)
-
-
-def test_a_loop_that_is_slow_or_patient_already_is_not_slowed_once_more():
-    assert not stalled(Mode.FAULT, Fault.STALE, rate=125.0)
-    assert not stalled(Mode.FAULT, Fault.STALE, name="vcan50", rate=50.0)
-    assert not stalled(Mode.FAULT, Fault.STALE, rate=150.0, changes={"loop": {"rate_Hz": 150.0}})
-
-
-def test_where_the_limits_are_patient_only_a_watchdog_can_be_lengthened():
-    patient = {"stale_fault_ticks": 60, "missed_stop_ticks": 60}
-    assert not stalled(Mode.FAULT, Fault.STALE, changes={"limits": patient})
-    assert not stalled(Mode.PARKED, Fault.NONE, changes={"limits": patient}, missed=True)
-    assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient})
-    long = {"watchdog_ms": 60.0}
-    assert not stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"limits": patient, "drives": long})
-    assert stalled(Mode.FAULT, Fault.DRIVE, WATCHDOG, changes={"drives": long}), "the limits come first"
-
-
-def test_what_hangs_on_a_bus_beyond_this_machine_is_not_engaged_twice():
-    assert not stalled(Mode.FAULT, Fault.STALE, changes={"bus": {"interface": "socketcan"}})
-
-
-def test_a_loop_may_not_be_slowed_that_refuses_to_be():
-    assert not stalled(Mode.FAULT, Fault.STALE, changes={"loop": {"without_realtime": "refuse"}})
+def test_who_refuses_to_go_without_real_time_does_so_on_such_a_bench_too(fifo):
+    fifo(0.5)
+    c = load("virtual")
+    c = c.model_copy(update={"loop": c.loop.model_copy(update={"without_realtime": "refuse"})})
+    with pytest.raises(RunError, match="does not keep SCHED_FIFO"):
+        rate_selection.select_rate(c, with_plant=True, stretching=True)
 
 
 def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):

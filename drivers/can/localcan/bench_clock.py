@@ -1,0 +1,233 @@
+"""The clock of a virtual bench: CLOCK_MONOTONIC, but time stands still while the machine holds somebody up.
+
+A participant that holds time says by when it will have looked again, its due. Bench time is CLOCK_MONOTONIC
+less an offset, and never beyond the earliest due. Who comes back late advances the offset by what time
+stood, before it sets its next due. A participant that does not come back is dismissed: at once where its
+process is gone, else after DISMISS_NS.
+
+Each reading is raised to the latest that anybody has had, so that time runs backwards for nobody.
+"""
+
+import ctypes
+import time
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Ints
+from drivers.can.localcan.doorbell import Doorbell
+from drivers.can.localcan.layout import (
+    CLOCK_AT,
+    LATEST_AT,
+    OFFSET_AT,
+    SLOT,
+    SLOT_DUE,
+    SLOT_SERIAL,
+    SLOTS,
+    SLOTS_AT,
+    USED_AT,
+    WAKE_AT,
+    WORK_AT,
+)
+from drivers.clock import Clock
+from drivers.compiled.atomics import load, raise_to, replace, store
+from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, direct, foreign, helper
+
+_libc: Any = ctypes.CDLL(None)
+_GETTIME = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
+PLAIN, HELD, FOREIGN = range(3)
+"""What stands at CLOCK_AT: time never stands still; it may; it did, until somebody sent who does not hold."""
+DISMISS_NS = 250_000_000
+"""Time does not stand longer than this, as far as somebody runs to see it, for one who does not come back."""
+_ASK_NS = 2_000_000
+"""Time has to stand so long before somebody looks whether the process it stands for is gone."""
+NAP_S = 2e-4
+"""Between two looks while time stands still."""
+_NEVER = 1 << 62
+_AT, NOW, _BEHIND, _FREE, _OVERDUE, _CLOCK_ID, _SECONDS, _NANOSECONDS = range(8)
+"""Of a clock's `state`: the word of its own due; bench time; by how much it stands back; CLOCK_MONOTONIC;
+slot of the participant with the earliest due, -1: none; CLOCK_MONOTONIC's number; where clock_gettime puts
+seconds and nanoseconds."""
+
+
+@helper
+def _earliest(words: Ints) -> tuple[int, int]:
+    """Return the earliest due and whose slot has it; -1 where nobody holds time."""
+    cap, slot = _NEVER, -1
+    for each in range(load(words, USED_AT)):
+        at = SLOTS_AT + each * SLOT
+        due = load(words, at + SLOT_DUE)
+        if 0 < due < cap and load(words, at + SLOT_SERIAL) != 0:
+            cap, slot = due, each
+    return cap, slot
+
+
+@helper
+def read_clock(words: Ints, state: Ints, gettime: int, at: int) -> None:
+    """Read bench time into `state`; gettime and at: the addresses of clock_gettime and of its result."""
+    while True:
+        # who sets a later due has advanced the offset before: first the due, then the offset; and a due that
+        # was brought forward counts if it was there when the clock was read
+        cap, slot = _earliest(words)
+        offset = load(words, OFFSET_AT)
+        foreign(gettime, (state[_CLOCK_ID], at))
+        later_cap, later_slot = _earliest(words)
+        if load(words, OFFSET_AT) == offset:
+            break
+    if later_cap < cap:
+        cap, slot = later_cap, later_slot
+    held = load(words, CLOCK_AT) == HELD
+    state[_FREE] = load(state, _SECONDS) * 1_000_000_000 + load(state, _NANOSECONDS)
+    free = state[_FREE] - offset
+    now = min(free, cap) if held else free
+    state[NOW] = max(now, raise_to(words, LATEST_AT, now))
+    state[_BEHIND] = max(0, free - state[NOW])
+    state[_OVERDUE] = slot if held else -1
+
+
+@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
+def read(words: Ints, state: Ints, gettime: int, at: int) -> int:
+    """Read the clock into `state`; return bench time, ns."""
+    read_clock(words, state, gettime, at)
+    return int(state[NOW])
+
+
+@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, INTEGER)
+def promise(words: Ints, state: Ints, gettime: int, at: int, due_ns: int) -> None:
+    """Set the own due; 0 or less: so long from now. Where time stood for this participant, it goes on."""
+    read_clock(words, state, gettime, at)
+    standing = load(words, state[_AT])
+    if 0 < standing <= state[NOW]:
+        raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
+    if due_ns <= 0:
+        due_ns = state[NOW] - due_ns
+    store(words, state[_AT], max(due_ns, state[NOW]) if load(words, CLOCK_AT) == HELD else 0)
+
+
+@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
+def dismiss(words: Ints, state: Ints, gettime: int, at: int) -> None:
+    """Let time go on without the participant of the earliest due, if that is past."""
+    read_clock(words, state, gettime, at)
+    if state[_OVERDUE] < 0:
+        return
+    place = SLOTS_AT + state[_OVERDUE] * SLOT + SLOT_DUE
+    due = load(words, place)
+    if 0 < due <= state[NOW]:
+        raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
+        replace(words, place, due, 0)
+
+
+@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
+def interrupt(words: Ints, state: Ints, gettime: int, at: int) -> None:
+    """Let time stand still no more, and go on from where it is."""
+    read_clock(words, state, gettime, at)
+    raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
+    store(words, CLOCK_AT, FOREIGN)
+
+
+class BenchClock(Clock):
+    """The clock of one participant on a localcan wire.
+
+    Mutable state: the shared words; the last reading; whether this participant holds time, and for how long
+    it has waited for another one that holds time back.
+    """
+
+    def __init__(self, words: Ints, serial: int, bell: Doorbell) -> None:
+        self._words = words
+        self._serial = serial
+        self._bell = bell
+        self._state = state = np.zeros(8, np.int64)
+        state[_AT] = SLOTS_AT + serial % SLOTS * SLOT + SLOT_DUE
+        state[_CLOCK_ID] = time.CLOCK_MONOTONIC
+        self.arguments = words, state, _GETTIME, state.ctypes.data + 8 * _SECONDS
+        self._waiting_for = (0, 0)
+        self._waited_ns = self._asked_ns = self._looked_ns = 0
+        self.holds = False
+
+    def now(self) -> int:
+        """Return bench time."""
+        return int(read(*self.arguments))
+
+    # holding time
+    def begin(self, wake_ns: int, work_ns: int) -> None:
+        """Let time stand still on this wire from now on, for all who hold it.
+
+        Each has `wake_ns` to wake up after its time, and `work_ns` from then to its next wait.
+        """
+        words = self._words
+        words[WAKE_AT], words[WORK_AT] = max(1, wake_ns), max(1, work_ns)
+        words[CLOCK_AT] = HELD
+
+    def hold(self) -> None:
+        """Hold time as soon as it may stand still on this wire."""
+        self.holds = True
+
+    def working(self, allowed_ns: int = 0) -> None:
+        """Say that this participant will wait again within so long, or 0: within what work may take."""
+        if self.holds:
+            promise(*self.arguments, -(allowed_ns or int(self._words[WORK_AT])))
+
+    def waiting(self, until_ns: int) -> None:
+        """Say that this participant sleeps until then."""
+        if self.holds:
+            promise(*self.arguments, until_ns + int(self._words[WAKE_AT]))
+
+    def sends(self) -> None:
+        """Take note that this participant sends: time does not stand still for a stranger."""
+        if self.holds:
+            self.working()
+        elif self._words[CLOCK_AT] == HELD:
+            interrupt(*self.arguments)
+
+    def leave(self) -> None:
+        """Hold time no longer."""
+        if self.holds:
+            promise(*self.arguments, 0)
+            self._words[self._state[_AT]] = 0
+            self.holds = False
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a participant that does not hold time has sent, so that it cannot stand still any more."""
+        return bool(self._words[CLOCK_AT] == FOREIGN)
+
+    def stretched(self) -> int:
+        """Return by how many ns bench time has stood still in all."""
+        return int(self._words[OFFSET_AT])
+
+    # waiting
+    def stands(self) -> bool:
+        """Tell whether time stands still; look after whom it stands for."""
+        now = self.now()
+        if not self._state[_BEHIND]:
+            return False
+        other = int(self._state[_OVERDUE])
+        real_ns = int(self._state[_FREE])
+        if (other, now) != self._waiting_for:
+            self._waiting_for, self._waited_ns, self._asked_ns = (other, now), 0, 0
+        else:
+            # while nobody runs, nobody is late
+            self._waited_ns += min(real_ns - self._looked_ns, _ASK_NS)
+        self._looked_ns = real_ns
+        if self._waited_ns > DISMISS_NS:
+            dismiss(*self.arguments)
+        elif self._waited_ns - self._asked_ns > _ASK_NS:
+            self._asked_ns = self._waited_ns
+            serial = int(self._words[SLOTS_AT + other * SLOT + SLOT_SERIAL])
+            if serial != self._serial and not self._bell.ring(serial):
+                dismiss(*self.arguments)
+        return True
+
+    def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
+        """Return at bench time t_ns or later; sleep, never spin, while time stands still."""
+        self.waiting(t_ns)
+        while (now := self.now()) < t_ns:
+            rest = t_ns - now - spin_ns
+            if self.stands():
+                if self._state[_OVERDUE] == self._serial % SLOTS:  # a ring has brought the promise forward
+                    self.waiting(t_ns)
+                else:
+                    time.sleep(NAP_S)
+            elif rest > 0:
+                time.sleep(rest * 1e-9)
+        self.working()

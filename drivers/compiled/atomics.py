@@ -1,0 +1,70 @@
+"""Atomic access, inside kernels, to words of memory that several processes share.
+
+Each is sequentially consistent: no processor and no compiler moves what stands before or after it across.
+"""
+
+from typing import Any
+
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+_ORDER = "seq_cst"
+_WORD = 8
+
+
+def _place(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    """Return the address of words[index]."""
+    words = signature.args[0]
+    array = context.make_array(words)(context, builder, values[0])
+    return cgutils.get_item_pointer(context, builder, words, array, [values[1]])  # type: ignore[no-untyped-call]
+
+
+def _load(_context: Any, words: Any, _index: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.load_atomic(_place(context, builder, signature, values), _ORDER, _WORD)
+
+    return types.int64(words, types.int64), generate
+
+
+def _store(_context: Any, words: Any, _index: Any, _value: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        builder.store_atomic(values[2], _place(context, builder, signature, values), _ORDER, _WORD)
+        return context.get_dummy_value()
+
+    return types.void(words, types.int64, types.int64), generate
+
+
+def _replace(_context: Any, words: Any, _index: Any, _expected: Any, _new: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        place = _place(context, builder, signature, values)
+        result = builder.cmpxchg(place, values[2], values[3], _ORDER, _ORDER)
+        return builder.extract_value(result, 1)
+
+    return types.boolean(words, types.int64, types.int64, types.int64), generate
+
+
+def _change(operation: str) -> Any:
+    def change(_context: Any, words: Any, _index: Any, _value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            return builder.atomic_rmw(
+                operation, _place(context, builder, signature, values), values[2], _ORDER
+            )
+
+        return types.int64(words, types.int64, types.int64), generate
+
+    return change
+
+
+load: Any = intrinsic(_load)
+"""load(words, index): the word."""
+store: Any = intrinsic(_store)
+"""store(words, index, value)."""
+replace: Any = intrinsic(_replace)
+"""replace(words, index, expected, new): put `new` if the word is `expected`; tell whether it was."""
+exchange: Any = intrinsic(_change("xchg"))
+"""exchange(words, index, value): put the value and return what was there."""
+raise_to: Any = intrinsic(_change("max"))
+"""raise_to(words, index, value): put the larger of word and value; return what was there."""
+lower_to: Any = intrinsic(_change("min"))
+"""lower_to(words, index, value): put the smaller of word and value; return what was there."""

@@ -1,0 +1,52 @@
+"""A virtual bench whose time stands still while this machine holds one side up."""
+
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.can.bus import Bus
+from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.can.localcan.bench_clock import BenchClock
+from hil.app.configuration.configuration import Configuration
+from hil.loop.cycle import Cycle
+from hil.safety.timing import HARMFUL_STRETCH_NS
+
+COUNTED_NS = 1_000_000
+"""Shorter stretches are not counted: each wake-up of a busy machine is one."""
+_LEAST_NS = 100_000
+
+
+def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
+    """Return the clock that may stand still; None where time must not: hardware, or `on_stall: fault`."""
+    clock = bus.clock
+    return clock if c.loop.on_stall == "stretch" and isinstance(clock, BenchClock) else None
+
+
+def begin(clock: BenchClock, c: Configuration, cycle: Cycle, window_ns: int) -> None:
+    """Let time stand still from now on, and hold it.
+
+    Of what the frames of SYNC and feedback leave of the feedback window, a part each is for the controller to
+    wake up in, for the drives to do so, and two for these to answer; the rest is kept.
+    """
+    protocol, timing = cycle.parts.protocol, BitTiming.of(c.bus)
+    asked = protocol.begin(cycle.dialogue, 0)
+    answers = [frame for frame in protocol.cyclic_frames() if frame.id in protocol.feedback_ids]
+    bus_ns = sum(frame_time_ns(len(f.data), f.flags, timing) for f in (*asked, *answers))
+    spare_ns = max(window_ns - bus_ns, _LEAST_NS)
+    clock.begin(wake_ns=spare_ns // 6, work_ns=spare_ns // 3)
+    clock.hold()
+
+
+def stretches(rows: Rows) -> dict[str, Any]:
+    """Return what is reported of a run whose time could stand still; `rows` has dtype ROW."""
+    stood_ns = rows["stretched_ns"]
+    counted_ns = stood_ns[stood_ns >= COUNTED_NS]
+    harmful = int(np.count_nonzero(counted_ns >= HARMFUL_STRETCH_NS))
+    note = f"with real drives this machine would have ended the run: {harmful} of them are 4 ms or more"
+    return {
+        "stretches": len(counted_ns),
+        "stood_still_ms": round(1e-6 * float(stood_ns.sum()), 1),
+        "longest_ms": round(1e-6 * float(stood_ns.max(initial=0)), 1),
+        "note": note if harmful else None,
+    }

@@ -1,0 +1,240 @@
+"""The clock of a virtual bench: when its time stands still, for whom, and for how long."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from drivers.can.collect import collect
+from drivers.can.localcan.bench_clock import DISMISS_NS
+from drivers.protocol import Frame
+
+pytestmark = [pytest.mark.usefixtures("runtime"), pytest.mark.realtime]
+WAKE_NS, WORK_NS = 1_000_000, 2_000_000
+OTHER = """
+import os, signal, sys, time
+from drivers.can.localcan.participant import Participant
+node = Participant("t")
+clock = node.clock
+clock.hold()
+print("ready", flush=True)
+sys.stdin.readline()
+"""
+
+
+@pytest.fixture
+def other():
+    """Start another process that holds time, on its line of standard input runs `code`, and is on the bus."""
+    started = []
+
+    def begin(code):
+        child = subprocess.Popen(
+            [sys.executable, "-c", OTHER + code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        started.append(child)
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        return child
+
+    yield begin
+    for child in started:
+        child.kill()
+        child.wait(10)
+        for pipe in (child.stdin, child.stdout):
+            assert pipe is not None
+            pipe.close()
+
+
+@pytest.fixture
+def held(join):
+    """Return the clock of a participant on whose wire time may stand still, and who holds it."""
+    node = join()
+    node.clock.begin(WAKE_NS, WORK_NS)
+    node.clock.hold()
+    return node.clock
+
+
+def test_without_a_beginning_it_is_the_monotonic_clock(join):
+    clock = join().clock
+    clock.hold()
+    clock.working()
+    time.sleep(0.02)
+    before = time.monotonic_ns()
+    assert before <= clock.now() <= time.monotonic_ns()
+    assert clock.stretched() == 0
+
+
+def test_time_stands_at_the_due_of_who_does_not_come_back_and_goes_on_from_there(held, join):
+    viewer = join().clock
+    held.working()
+    due = held.now() + WORK_NS
+    time.sleep(0.03)
+    stood = viewer.now()
+    assert due - 1_000_000 <= stood <= due
+    time.sleep(0.01)
+    assert viewer.now() == stood
+
+    held.working()
+    resumed = viewer.now()
+    assert stood <= resumed < stood + WORK_NS
+    assert 0.025e9 < held.stretched() < 1e9
+
+
+def test_who_comes_back_in_time_stretches_nothing(held):
+    for _ in range(20):
+        held.sleep_until(held.now() + 1_000_000)
+    longest = held.stretched()
+    held.waiting(held.now() + 200_000_000)
+    time.sleep(0.005)
+    held.working()
+    assert held.stretched() == longest
+
+
+def test_time_stands_for_the_earliest_of_several(held, join):
+    second = join().clock
+    second.hold()
+    second.waiting(held.now() + 10_000_000)
+    held.waiting(held.now() + 500_000_000)
+    time.sleep(0.03)
+    stood = held.now()
+    time.sleep(0.01)
+    assert held.now() == stood
+    held.working()  # it is not the one that time stands for
+    assert held.now() == stood
+    second.working()
+    assert held.now() >= stood
+    assert held.stretched() > 0.02e9
+
+
+def test_a_sleeper_does_not_come_back_before_its_bench_time(held, other, join):
+    child = other(f"clock.working(); time.sleep(0.05); clock.waiting(clock.now() + {10**9}); time.sleep(5)")
+    child.stdin.write("\n")
+    child.stdin.flush()
+    time.sleep(0.02)
+    assert held.now() == held.now()
+    begun, until = time.monotonic(), held.now() + 5_000_000
+    held.sleep_until(until)
+    assert held.now() >= until
+    assert time.monotonic() - begun > 0.02, "time stood still for the other one"
+
+
+def test_the_time_of_a_killed_process_goes_on_at_once(held, other):
+    child = other("clock.working(); print('on', flush=True); time.sleep(30)")
+    child.stdin.write("\n")
+    child.stdin.flush()
+    assert child.stdout.readline() == "on\n"
+    os.kill(child.pid, signal.SIGKILL)
+    begun, until = time.monotonic(), held.now() + 20_000_000
+    held.sleep_until(until)
+    assert time.monotonic() - begun < 0.2
+
+
+def test_a_stopped_process_is_dismissed_and_may_come_back(held, other):
+    child = other(
+        "clock.working(); os.kill(os.getpid(), signal.SIGSTOP); clock.working(); print('on', flush=True);"
+        "time.sleep(30)"
+    )
+    child.stdin.write("\n")
+    child.stdin.flush()
+    time.sleep(0.05)
+    begun, until = time.monotonic(), held.now() + 20_000_000
+    held.sleep_until(until)
+    took = time.monotonic() - begun
+    assert 0.5e-9 * DISMISS_NS < took < 2.0
+    os.kill(child.pid, signal.SIGCONT)
+    assert child.stdout.readline() == "on\n"
+    held.working()
+    time.sleep(0.02)
+    stood = held.now()
+    time.sleep(0.02)
+    assert held.now() == stood, "it holds time again"
+
+
+def test_a_stranger_who_sends_ends_it_and_one_who_only_listens_does_not(held, join):
+    stranger = join()
+    stranger.receive()
+    assert not held.interrupted
+    held.working()
+    time.sleep(0.02)
+    stood = held.now()
+    stranger.send([Frame(1, b"")])
+    assert held.interrupted
+    assert held.now() > stood
+    first = held.now()
+    time.sleep(0.01)
+    assert held.now() >= first + 9_000_000
+
+
+def test_who_leaves_holds_time_no_longer(held, join):
+    viewer = join()
+    held.working()
+    time.sleep(0.02)
+    held.leave()
+    first = viewer.clock.now()
+    time.sleep(0.01)
+    assert viewer.clock.now() >= first + 9_000_000
+    assert viewer.clock.now() < first + 500_000_000, "and goes on from where it stood"
+
+
+def test_a_frame_ends_in_bench_time(held, join):
+    sender, reader = join(), join()
+    sender.clock.hold()
+    held.working()
+    time.sleep(0.02)
+    sender.send([Frame(0x10, bytes(8))])
+    stood = held.now()
+    time.sleep(0.01)
+    assert reader.receive() == [], "time stands, and the frame on the wire with it"
+    sender.clock.leave()
+    held.leave()
+    (received,) = collect(reader, reader.clock.now() + 50_000_000)
+    assert received.t_ns == stood + 135_000, "135 bit at 1 Mbit/s"
+
+
+def test_time_runs_backwards_for_nobody(held, other):
+    """Two processes that hold time raise, lower and break their promises; a third one looks on."""
+    code = """
+import random
+random.seed({})
+while True:
+    for _ in range(50):
+        random.choice([clock.working, lambda: clock.waiting(clock.now() + random.randrange(10**6))])()
+        before = clock.now()
+        assert clock.now() >= before
+    time.sleep(random.random() * 3e-3)
+"""
+    children = [other(code.format(seed)) for seed in (1, 2)]
+    for child in children:
+        child.stdin.write("\n")
+        child.stdin.flush()
+    held.leave()
+    latest, end = 0, time.monotonic() + 2.0
+    first = held.now()
+    while time.monotonic() < end:
+        now = held.now()
+        assert now >= latest
+        latest = now
+    assert held.now() - first > 0.2e9
+    assert all(child.poll() is None for child in children)
+
+
+def test_a_ring_does_not_lock_out_who_sleeps_until_a_time_of_its_own(held, join):
+    sleeper, sender = join(), join()
+    sleeper.clock.hold()
+    sender.clock.hold()
+    for node in (sleeper, sender):
+        node.clock.waiting(held.now() + 10**10)
+    held.leave()
+    sleeper.arm()
+    rung = threading.Timer(0.02, lambda: sender.send([Frame(1, b"")]) and sender.clock.waiting(1 << 61))
+    rung.start()
+    begun = time.monotonic()
+    sleeper.clock.sleep_until(sleeper.clock.now() + 60_000_000)
+    rung.join()
+    assert 0.05 < time.monotonic() - begun < 0.2

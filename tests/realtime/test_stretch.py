@@ -1,0 +1,134 @@
+"""A virtual bench on a machine that holds one side up: time stands still, and the run stays whole."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.can.localcan.participant import Participant
+from drivers.protocol import Frame
+from drivers.signals import Fault, Mode
+from hil.record.log import Log
+from tests.realtime.rig import CHANNEL, Listener, Process, configuration
+
+pytestmark = pytest.mark.realtime
+STOPS_S = (0.008, 0.020, 0.060)
+FAST_m_s = 0.4
+
+Start = Callable[..., Process]
+Listen = Callable[[Path], Listener]
+
+
+def moving(start: Start, listen: Listen, file: Path) -> Process:
+    """Return a run in mid-motion."""
+    run = start("run", str(file), "--plant")
+    listen(file).wait_for_motion(run, FAST_m_s)
+    return run
+
+
+def whole(run: Process) -> dict[str, Any]:
+    """Return the summary of a run that has ended well at the configured rate."""
+    assert run.wait() == 0, run.errors
+    summary = run.summary
+    assert (summary["ending"], summary["rate_Hz"]) == ("parked", 1000)
+    assert summary["skipped_ticks"] == 0
+    assert summary["tracking"]["peak_leg_error_mm"] <= 0.5
+    assert summary["replay"]["exact"]
+    return summary
+
+
+@pytest.mark.parametrize("side", ["daemon", "plant"])
+def test_a_side_that_is_stopped_for_a_while_is_waited_for(
+    tmp_path: Path, start: Start, listen: Listen, side: str
+) -> None:
+    run = moving(start, listen, configuration(tmp_path, patient=False))
+    pid = run.find_family()[side]
+    for stop_s in STOPS_S:
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(stop_s)
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.1)
+
+    bench_time = whole(run)["bench_time"]
+    assert bench_time["longest_ms"] >= 45
+    assert bench_time["stretches"] >= 3
+    assert bench_time["stood_still_ms"] >= 0.7e3 * sum(STOPS_S)
+    assert "with real drives this machine would have ended the run" in bench_time["note"]
+
+
+def test_with_on_stall_fault_time_goes_on_and_the_limits_act(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
+    changes = {"on_stall: stretch": "on_stall: fault"}
+    file = configuration(tmp_path, {**changes, "rate_Hz: 1000": "rate_Hz: 500"}, patient=False)
+    run = start("run", str(file), "--plant", entry="tests.realtime.steady")
+    listen(file).wait_for_motion(run, FAST_m_s)
+    os.kill(run.find_family()["plant"], signal.SIGSTOP)
+    time.sleep(0.08)
+    os.kill(run.family["plant"], signal.SIGCONT)
+
+    assert run.wait() == 1
+    assert "STALE" in run.summary["faults"]
+    assert "bench_time" not in run.summary
+
+
+def test_a_plant_that_stays_away_is_a_fault_after_all(tmp_path: Path, start: Start, listen: Listen) -> None:
+    run = moving(start, listen, configuration(tmp_path, patient=False))
+    plant = run.find_family()["plant"]
+    os.kill(plant, signal.SIGSTOP)
+    time.sleep(1.0)
+    os.kill(plant, signal.SIGCONT)
+
+    assert run.wait() == 1
+    rows = Log.open(run.summary["log"]).rows()
+    fault = rows[np.argmax(rows["mode"] == Mode.FAULT)]
+    assert fault["faults"] & Fault.STALE
+    assert 200e6 < rows["stretched_ns"].max() < 500e6, "it was waited for, but not for ever"
+
+
+def test_a_bench_that_stands_still_for_too_long_in_all_is_parked_with_its_own_message(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
+    changes = {"stretch_percent: 100": "stretch_percent: 0"}
+    run = moving(start, listen, configuration(tmp_path, changes, patient=False))
+    for _ in range(4):
+        os.kill(run.pid, signal.SIGSTOP)
+        time.sleep(0.15)
+        os.kill(run.pid, signal.SIGCONT)
+        time.sleep(0.02)
+
+    assert run.wait() == 1
+    summary = run.summary
+    assert summary["ending"] == "parked"
+    assert "too busy for the virtual bench" in summary["trouble"]
+    assert "limits.stretch_percent" in summary["trouble"]
+    assert summary["replay"]["exact"]
+
+
+def test_a_stranger_who_sends_is_told_of_and_ends_the_standing_still(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
+    run = moving(start, listen, configuration(tmp_path))
+    stranger = Participant(CHANNEL)
+    stranger.send([Frame(0x7F0, b"hello")])
+    stranger.close()
+
+    assert run.wait() == 0, run.errors
+    assert "a foreign participant has sent" in run.errors
+
+
+def test_stopped_and_deaf_listeners_disturb_nobody(tmp_path: Path, start: Start, listen: Listen) -> None:
+    file = configuration(tmp_path, short=True, patient=False)
+    deaf = [Participant(CHANNEL, None) for _ in range(20)]
+    try:
+        whole(moving(start, listen, file))
+    finally:
+        for each in deaf:
+            each.close()

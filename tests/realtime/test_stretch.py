@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.can.bus_time import BitTiming
 from drivers.can.localcan.participant import Participant
 from drivers.protocol import Frame
 from drivers.signals import Fault, Mode
@@ -132,3 +135,24 @@ def test_stopped_and_deaf_listeners_disturb_nobody(tmp_path: Path, start: Start,
     finally:
         for each in deaf:
             each.close()
+
+
+def test_pythons_own_logger_may_read_along_and_be_stopped(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
+    file = configuration(tmp_path, short=True, patient=False)
+    first = Participant(CHANNEL, BitTiming(1_000_000, 5_000_000), fd=True)
+    heard = tmp_path / "heard.log"
+    command = [sys.executable, "-m", "can.logger", "-i", "localcan", "-c", CHANNEL, "-f", str(heard)]
+    logger = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        run = moving(start, listen, file)
+        os.kill(logger.pid, signal.SIGSTOP)
+        time.sleep(0.3)
+        os.kill(logger.pid, signal.SIGCONT)
+        whole(run)
+        assert heard.stat().st_size > 10_000
+    finally:
+        logger.kill()
+        logger.wait(10)
+        first.close()

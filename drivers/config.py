@@ -44,6 +44,9 @@ class DriveSettings(Section):
     """A drive that hears no command for this long reacts by itself. At least 3 periods."""
     reaction: Literal["brake", "damp", "hold", "zero"] = "brake"
     """What a drive does by itself when its watchdog expires in motion. An emergency stop always brakes."""
+    brake_after_ms: Annotated[float, Field(gt=0)] = 1000.0
+    """A drive that damps or holds by itself shuts its brake this long after its fault. No frame of `legs`
+    carries it: a real drive has it in its own set-up."""
     heartbeat_ms: Annotated[float, Field(gt=0)] = 100.0
     """Period of each drive's status message."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0

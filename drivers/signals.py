@@ -77,7 +77,8 @@ class Mode(IntEnum):
     IDLE = 1
     """Drives present and off, brakes engaged."""
     LOADING = 2
-    """Drives ready, brakes engaged, holding force builds up."""
+    """Drives ready, brakes engaged. Brake test: they carry the platform without force, and the legs must not
+    move; then the holding force builds up."""
     RELEASING = 3
     """Brakes opening at the holding force."""
     APPROACH = 4
@@ -88,11 +89,14 @@ class Mode(IntEnum):
     PARKING = 7
     """At rest; brakes engage, the force stays until all six drives report them shut."""
     UNLOADING = 8
-    """The force fades out on the shut brakes."""
+    """Brake test: the force fades out on the shut brakes, and the legs must stand still."""
     PARKED = 9
     """Done: drives off, brakes engaged."""
     FAULT = 10
     """Latched: drives commanded off."""
+    HELD = 11
+    """Latched, with the force on: not all brakes are proven shut. They are engaged, and the law holds the
+    platform, until the operator releases it."""
 
 
 class Refusal(IntFlag):
@@ -132,6 +136,8 @@ class Fault(IntFlag):
     """The fused pose is less certain than it has to be."""
     CERTIFICATE = 16384
     """The error grew as the law's Lyapunov function forbids."""
+    BRAKE = 32768
+    """A leg moved on its closed brake; column `legs_moved` says which."""
 
 
 class Warn(IntFlag):

@@ -129,6 +129,7 @@ RECORDED = (
     _("fusion", "innovation_tracker", float, "m, rad", "tracker's pose, measured less predicted", *POSE),
     _("fusion", "pose_std", float, "m, rad", "standard deviation of the fused pose, base frame", *POSE),
     _("estimate", "wrench_sensor", float, "N, N m", "what the wrench sensor last said, base frame", *WRENCH),
+    _("verdict", "legs_moved", LegBits, "", "legs that moved on their closed brakes"),
     _("verdict", "lyapunov", float, "(m/s^2)^2", "V of the law's error dynamics over all axes"),
     _("verdict", "lyapunov_rate", float, "(m/s^2)^2/s", "change of V since the last tick"),
     _("verdict", "lyapunov_bound", float, "(m/s^2)^2", "the largest V that the law's certificate allows"),

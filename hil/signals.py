@@ -17,6 +17,8 @@ class Operator(IntEnum):
     ESTOP = 4
     SETPOINT = 5
     """Go to a pose: in a log only; TickInput has the poses as `setpoints`."""
+    RELEASE = 6
+    """Let go of a platform whose brakes are not proven shut."""
 
 
 class SetPoint(NamedTuple):

@@ -18,6 +18,10 @@ class DriveEmulation(Section):
     """Stiffness of the `hold` reaction; its damping is `damping_N_s_m`."""
     force_bandwidth_Hz: Annotated[float, Field(ge=0)] = 0.0
     """First-order force lag for plants without one of their own; 0 is none."""
+    brake_open_ms: Annotated[float, Field(ge=0, le=10_000)] = 0.0
+    """From the command to a brake that is free; 0: at once."""
+    brake_close_ms: Annotated[float, Field(ge=0, le=10_000)] = 0.0
+    """From the command to a brake that holds; until then the drive keeps its last force. 0: at once."""
 
 
 class StewartPlant(Section):

@@ -13,6 +13,11 @@ from hil.cli.shared import configuration_argument, duration_option, finish, load
     "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
 )
 @click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
+@click.option(
+    "--release",
+    is_flag=True,
+    help="Tell a running `hil run CONFIG` to let go of a platform that it holds because a brake failed.",
+)
 @duration_option
 @log_option
 @reporting
@@ -20,6 +25,7 @@ def command(
     configuration: str,
     with_plant: bool,
     reset: bool,
+    release: bool,
     duration: float | None,
     log: Path | None,
     json_file: Path | None,
@@ -30,6 +36,9 @@ def command(
     start of the reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a
     second Ctrl-C is an emergency stop. Ends with a summary, a picture and the result of replaying its log.
 
+    Before the brakes open, and after they have closed, they carry the platform without force and no leg may
+    move. Where one does, the force comes back, and the run holds the platform until --release.
+
     \b
     Examples:
       hil run --plant                       all virtual; needs nothing but this machine
@@ -37,6 +46,7 @@ def command(
       hil run socketcan                     real drives on can0
       hil run socketcan --reset             the same, clearing faults that the drives have latched
       hil run my.yaml --log today.mcap --json today.json
+      hil run my.yaml --release             let go of a held platform, from another terminal
 
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
     with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png.
@@ -50,6 +60,11 @@ def command(
       1  a latched fault, no drives, or stopped by safety; the log is closed and tells
       2  not begun: configuration, bus, plant or log file; the message says what
     """
+    if release:
+        from hil.app.configuration.configuration import load as read
+        from hil.app.run.command import release_held
+
+        finish("release", release_held(read(configuration)), json_file)
     loaded = load(configuration, "run")
     from hil.app.run.command import run_daemon
 

@@ -29,6 +29,9 @@ class LimitSettings(Section):
     """Leg error that faults at rest."""
     following_error_s: NonNegative = 0.0
     """Added per m/s of reference leg rate."""
+    standstill_m: Positive = 5e-4
+    """A leg that moves farther on its closed brake is a fault. More than brakes give way under load, and more
+    than encoders are uncertain by."""
     consistency_m: Positive = 1e-4
     """Residual of forward kinematics that faults."""
     condition: Positive = 50.0

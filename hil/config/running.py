@@ -12,15 +12,23 @@ class EngageSettings(Section):
     """From rest to the first reference sample, without a bump."""
 
     force_ramp_s: NonNegative = 0.3
-    """The static holding force builds up against the closed brakes; 0 starts with the law at once."""
+    """Time in which the static holding force builds up against the closed brakes, or fades out; the brake
+    test at the start takes as long. 0 starts with the law at once, without brake tests."""
     brake_release_s: NonNegative = 0.1
     """Time given to the brakes to open."""
+    brake_close_s: NonNegative | None = None
+    """Time given to the brakes to close; default: as `brake_release_s`."""
     approach_speed_m_s: Positive = 0.2
     """Mean leg speed of the quintic move from the measured pose to the reference's start."""
     stop_s: Positive = 0.5
     """Time in which a controlled stop comes to rest along the path."""
     blend_s: NonNegative = 0.5
     """Time over which the holding-force offset fades into the law."""
+
+    @property
+    def closing_s(self) -> float:
+        """Time given to the brakes to close, s."""
+        return self.brake_release_s if self.brake_close_s is None else self.brake_close_s
 
 
 class RecordingSettings(Section):

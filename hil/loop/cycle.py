@@ -14,21 +14,22 @@ import zlib
 from math import inf, nan
 from typing import Any
 
-import numpy as np
-
 from drivers.arrays import ZERO6, Array
 from drivers.protocol import Dialogue, Frame, run_of
 from drivers.sensors import Readings, SensorProtocol
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, copy_of, new_record, row_of
 from hil.estimation.pose import Estimator
+from hil.loop import modes
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.parts import Parts
-from hil.loop.reference import fill_reference
+from hil.loop.ramps import holding_share, smoothstep, tau_at_rest
+from hil.loop.reference import farthest_leg_m, fill_reference
 from hil.loop.steering import NO_SETPOINTS
 from hil.robot.dynamics import Model
 from hil.safety.guard import Verdict
+from hil.safety.standstill import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
@@ -46,15 +47,14 @@ REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
 SEARCH_S = 0.02
 """From one look for the first pose to the next."""
-REST_m_s = 0.02
-"""A motion has ended only when no measured leg is faster: brakes do not close on a moving platform."""
 
 
 class Cycle:
     """Six encoders in, six forces out, once per tick.
 
     Mutable state, all of it: the drive protocol's dialogue, the last tick's record, the sensors' last
-    readings, the estimator's pose, the filter, mode and the tick of its entry, latched faults, the motion,
+    readings, the estimator's pose, the filter, mode and the tick of its entry, latched faults, whether the
+    brakes are proven shut, the motion,
     the forces that the bumpless entry and the exit fade, what limits last took off, and what law, predictor,
     observer, external wrench, steering and safety keep. `reset` restores the initial one.
     """
@@ -65,7 +65,7 @@ class Cycle:
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
         self.statics = Model(parts.platform, leg_spin=parts.leg_spin)
         engage = parts.engage
-        self.durations = Durations(load=engage.force_ramp_s, release=engage.brake_release_s)
+        self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         followers = (parts.predictor, parts.wrench.observer)
         self._followers = [each for each in followers if each is not None]
@@ -86,6 +86,8 @@ class Cycle:
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R)
         self.mode = Mode.WAITING
         self.mode_tick = 0
+        self.proven = True
+        """A brake test has passed since the brakes were last open, or they have not been open."""
         self.faults = Fault.NONE
         self.stop_requested = Stop.NONE
         self.reset_tick: int | None = None
@@ -221,7 +223,7 @@ class Cycle:
         elapsed = (number - self.mode_tick) * self.period_s
         if overdue(self.mode, elapsed, self.durations):
             self.faults |= Fault.DRIVE
-            self._enter(Mode.FAULT, tick)
+            self._enter(Mode.HELD if self.mode is Mode.PARKING else Mode.FAULT, tick)
             return
         if self.mode in ENDING and motion.overdue(number, REST_PATIENCE_S):
             self.faults |= Fault.FOLLOWING
@@ -249,23 +251,24 @@ class Cycle:
         previous = self.mode
         match mode:
             case Mode.LOADING:
-                p, R = tick["p"], tick["R"]
-                self.holding = self.statics.inverse_dynamics(p, R, ZERO6, ZERO6, tick["wrench"])
-                self.motion.rest(p, R, number)
+                self.holding = self._statics(tick)
+                self.motion.rest(tick["p"], tick["R"], number)
             case Mode.RELEASING:
                 self.motion.rest(tick["p"], tick["R"], number)
-                self.entry_tick = None
+                self.entry_tick, self.proven = None, False
                 self.offset = self.holding - self._tau_at_rest(tick)
             case Mode.APPROACH:
                 if parts.steering is not None:
                     parts.steering.trajectory.reset()
                 here, start = self.motion.sample(number), parts.trajectory.sample(0.0)
-                duration = self._approach_s(here, start)
+                engage, farthest = parts.engage, farthest_leg_m(parts.platform, here, start)
+                duration = max(farthest / engage.approach_speed_m_s, engage.blend_s, self.period_s)
                 move = GeodesicMove(here.p, here.R, start.p, start.R, duration)
                 self.motion.start(move, number, then=parts.trajectory)
                 self.entry_tick = number
             case Mode.TRACKING:
                 if previous is Mode.LOADING:
+                    self.proven = False
                     parts.law.reset()
                     self.offset = ZERO6
                     if parts.steering is not None:
@@ -279,28 +282,29 @@ class Cycle:
                 self.motion.rest(rest.p, rest.R, number)
             case Mode.UNLOADING:
                 self.holding = self.last_tau
+            case Mode.PARKED if previous is Mode.UNLOADING:
+                self.proven = self.proven or self.durations.load > 0.0
+            case Mode.HELD:
+                if previous is Mode.PARKING:
+                    self.holding = self.last_tau
+                elif previous not in {Mode.LOADING, Mode.UNLOADING}:
+                    self.holding = self._statics(tick)
+                    self.motion.rest(tick["p"], tick["R"], number)
+                self.entry_tick = None
+                self.offset = self.holding - self._tau_at_rest(tick, on_it=True)
         self.mode, self.mode_tick = mode, number
 
-    def _tau_at_rest(self, tick: Record) -> Array:
-        """Return what the law asks for at rest here, without load, as `_law_input` gives it at entry.
+    def _statics(self, tick: Record) -> Array:
+        """Return the forces that hold weight and external wrench at the measured pose."""
+        return self.statics.inverse_dynamics(tick["p"], tick["R"], ZERO6, ZERO6, tick["wrench"])
 
-        The law begins with this very tick, and the entry offset fits.
+    def _tau_at_rest(self, tick: Record, *, on_it: bool = False) -> Array:
+        """Return what the law asks for at rest, without load; see `hil.loop.ramps.tau_at_rest`.
+
+        As `_law_input` gives it at entry: the law begins with this very tick, and the entry offset fits.
         """
-        law, at_rest = self.parts.law, copy_of(tick)
-        at_rest["wrench"] = 0.0
-        fill_reference(self.parts.platform, self.motion.sample(int(tick["tick"])), at_rest)
-        law.reset()
-        law.effort(at_rest)
-        law.reset()
-        return at_rest["tau_law"]
-
-    def _approach_s(self, here: PoseSample, start: PoseSample) -> float:
-        platform, engage = self.parts.platform, self.parts.engage
-        a, b = new_record(), new_record()
-        fill_reference(platform, here, a)
-        fill_reference(platform, start, b)
-        distance = np.abs(b["q_d"] - a["q_d"]).max()
-        return max(float(distance) / engage.approach_speed_m_s, engage.blend_s, self.period_s)
+        sample = self.motion.sample(int(tick["tick"]))
+        return tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
 
     # -- reference, law ------------------------------------------------------------------------------
 
@@ -334,6 +338,9 @@ class Cycle:
     def _effort(self, tick: Record) -> None:
         """Fill the law's own force, and what is asked for with the ramps of entry and exit."""
         number = int(tick["tick"])
+        if self.mode is Mode.HELD and self.faults & modes.NOT_MEASURED:
+            tick["tau_asked"] = self.holding
+            return
         seen = self._law_input(tick)
         if self.mode in CONTROLLED:
             if self.shortfall is not ZERO6:
@@ -347,8 +354,8 @@ class Cycle:
             return
         load = self.durations.load
         if load > 0 and self.mode in {Mode.LOADING, Mode.UNLOADING}:
-            share = smoothstep((number - self.mode_tick) * self.period_s / load)
-            tick["tau_asked"] = self.holding * (share if self.mode is Mode.LOADING else 1.0 - share)
+            elapsed = (number - self.mode_tick) * self.period_s
+            tick["tau_asked"] = self.holding * holding_share(self.mode, elapsed, load)
 
     def _entry_share(self, tick: int) -> float:
         """Return how much of the entry offset is left, 1 .. 0."""
@@ -365,8 +372,9 @@ class Cycle:
             faults |= Fault.ESTOP
         if faults:
             self.faults |= faults
-            if self.mode is not Mode.FAULT:
-                self.mode, self.mode_tick = Mode.FAULT, inp.tick
+            mode = modes.after_fault(self.mode, faults, located=self.located)
+            if mode is not self.mode:
+                self._enter(mode, self.tick)
         if verdict.stop is not Stop.NONE and self.stop_requested is Stop.NONE:
             self.stop_requested = verdict.stop
 
@@ -388,9 +396,3 @@ class Cycle:
             return ()
         self.dialogue, frames = self.parts.protocol.set_up(self.dialogue, tick)
         return frames
-
-
-def smoothstep(x: float) -> float:
-    """Return 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
-    x = min(max(x, 0.0), 1.0)
-    return x * x * x * (10.0 + x * (6.0 * x - 15.0))

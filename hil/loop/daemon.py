@@ -19,11 +19,13 @@ from drivers.protocol import Received
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines
 from hil.loop.cycle import Cycle
+from hil.loop.release import ReleaseSocket
 from hil.loop.run_end import Course, Ending
 from hil.loop.setpoints import SetPointSocket
 from hil.record import Recording
 from hil.signals import Operator, TickInput, explain
 
+_AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
 """Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
 
@@ -42,7 +44,8 @@ def signals_to(handler: Callable[[int, FrameType | None], None]) -> Iterator[Non
 class OperatorPanel:
     """The operator's signals, which wait for the next tick.
 
-    SIGINT, SIGTERM and SIGHUP ask for a controlled stop, a second one for an emergency stop.
+    SIGINT, SIGTERM and SIGHUP ask for a controlled stop, a second one for an emergency stop. While the drives
+    hold a platform whose brakes are not proven shut, none of them drops it.
     Mutable state: how many signals came and how many were handed out.
     """
 
@@ -51,12 +54,12 @@ class OperatorPanel:
         self._answered = 0
         self._running = False
 
-    def take(self) -> tuple[Operator, ...]:
-        """Return the commands that have come since the last call."""
+    def take(self, *, held: bool = False) -> tuple[Operator, ...]:
+        """Return the commands that have come since the last call; held: only force holds the platform."""
         commands: tuple[Operator, ...] = ()
         while self._answered < self.interrupts:  # counted, not listed: a signal may strike between any two
             self._answered += 1
-            commands += (Operator.STOP if self._answered == 1 else Operator.ESTOP,)
+            commands += (Operator.STOP if self._answered == 1 or held else Operator.ESTOP,)
         return commands
 
     def interrupt(self, signum: int, frame: FrameType | None) -> None:
@@ -85,6 +88,10 @@ class Shell(NamedTuple):
     feedback_window_ns: int
     setpoints: SetPointSocket | None = None
     """Where those of a live reference come in."""
+    release: ReleaseSocket | None = None
+    """Where the operator's word to let go of a held platform comes in."""
+    say: Callable[[str], None] = lambda _: None
+    """Tells the operator why the run goes on after a fault."""
 
 
 def run(course: Course, shell: Shell) -> Ending:
@@ -124,8 +131,9 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> None:
 
 
 def _run(course: Course, shell: Shell) -> Ending:
-    cycle, (bus, deadlines, recording, panel, window_ns, setpoints) = course.cycle, shell
+    cycle, (bus, deadlines, recording, panel, window_ns, setpoints, _, _) = course.cycle, shell
     sends_failed = compute_ns = 0
+    said = ""
     clock, stood_ns = bus.clock, bus.clock.stretched()
     panel.running()
     while True:
@@ -150,7 +158,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             bus_overflow=errors.overflow,
             recorder_alive=recording.alive,
             recorder_dropped=recording.dropped,
-            operator=course.commands(tick, panel.take()),
+            operator=course.commands(tick, _asked(shell, cycle.mode)),
             compute_ns=compute_ns,
             setpoints=() if setpoints is None else setpoints.take(),
         )
@@ -164,6 +172,19 @@ def _run(course: Course, shell: Shell) -> Ending:
         ending = course.ending(tick)
         if ending is not None:
             return ending
+        if cycle.mode in _AFTER_FAULT and course.stays_for != said:
+            said = course.stays_for
+            shell.say(said)
+            recording.event(t_ns, "error", said)
+
+
+def _asked(shell: Shell, mode: Mode) -> tuple[Operator, ...]:
+    """Return what the operator has asked for since the last tick."""
+    held = mode is Mode.HELD
+    operator = shell.panel.take(held=held)
+    if held and shell.release is not None and shell.release.take():
+        operator += (Operator.RELEASE,)
+    return operator
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:

@@ -9,26 +9,43 @@ entered.
                                                   +---> STOPPING <---+   ^
                                                             +------------+
     any -> FAULT (latched) -> WAITING on RESET
+    brakes engaged, not proven shut -> HELD (latched, force on) -> FAULT on RELEASE
 
 Brakes open and close only on the drives' own word: a drive that does not report the state it was asked
-for keeps LOADING, RELEASING and PARKING, with the force on, until they are `overdue`.
-Without a force ramp LOADING goes straight to TRACKING: the law acts at the instant the brakes open.
+for keeps LOADING, RELEASING and PARKING, with the force on, until they are `overdue`. That word is not
+believed: LOADING begins, and UNLOADING ends, with all six brakes carrying the platform while the legs must
+stand still. A leg that moves, and a fault before the brakes are proven, lead to HELD.
+Without a force ramp LOADING goes straight to TRACKING: the law acts at the instant the brakes open. There is
+no brake test then.
 """
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from drivers.signals import DriveMode, DriveState, Mode
+from drivers.signals import DriveMode, DriveState, Fault, Mode
 from hil.signals import Operator
 
 MOVING = frozenset({Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
 """Modes in which the brakes are open."""
-CONTROLLED = MOVING | {Mode.PARKING}
+CONTROLLED = MOVING | {Mode.PARKING, Mode.HELD}
 """Modes in which the law acts: it does not let go before the brakes are shut."""
+BRAKED = frozenset({Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED})
+"""Modes in which the brakes carry the platform, or begin to: the legs must stand still."""
+UNPROVEN = frozenset({Mode.PARKING, Mode.UNLOADING, Mode.HELD})
+"""Modes with the force on and the brakes engaged, but not proven shut."""
+FORCE_LOST = Fault.ESTOP | Fault.DRIVE | Fault.BUS
+"""Faults after which there is no force that could stay on."""
+NOT_MEASURED = (
+    Fault.STALE | Fault.KINEMATICS | Fault.ASSEMBLY | Fault.CONDITION | Fault.NOT_FINITE | Fault.LAW
+    | Fault.ENCODER | Fault.UNCERTAIN | Fault.FOLLOWING
+)  # fmt: skip
+"""Faults after which the law holds nothing: the last holding force stays as it is."""
 ENDING = frozenset({Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
 """Modes that end when the motion has ended and the legs are at rest."""
 STEERED = frozenset({Mode.TRACKING, Mode.STOPPING})
 """Modes in which a live reference moves."""
+PROOF_S = 0.1
+"""So long the legs must stand still without any force before the brakes are proven shut."""
 DRIVE_PATIENCE_S = 1.0
 """A drive that has not reached the state it was asked for so long after it could have, is faulty."""
 
@@ -57,27 +74,46 @@ class Durations(NamedTuple):
     """Times of the entry and the exit, s."""
 
     load: float
+    """In which the holding force builds up, or fades out; 0: without ramp and brake test."""
     release: float
+    """Given to the brakes to open."""
+    close: float
+    """Given to the brakes to close."""
+
+    def least(self, mode: Mode) -> float:
+        """Return how long a mode takes at least."""
+        match mode:
+            case Mode.LOADING:
+                return 2.0 * self.load  # the brake test, then the ramp
+            case Mode.RELEASING:
+                return self.release
+            case Mode.PARKING:
+                return self.close
+            case Mode.UNLOADING:
+                return self.load + PROOF_S if self.load > 0.0 else 0.0
+            case _:
+                return 0.0
 
 
-def _finished(facts: Facts, _durations: Durations) -> bool:
+def _finished(facts: Facts, _least: float) -> bool:
     return facts.finished
 
 
-_NEXT: tuple[tuple[Mode, Callable[[Facts, Durations], bool]], ...] = (
+_NEXT: tuple[tuple[Mode, Callable[[Facts, float], bool]], ...] = (
     (Mode.IDLE, lambda facts, _: facts.ready and facts.all_in(DriveState.OFF)),
     (Mode.LOADING, lambda facts, _: Operator.ENGAGE in facts.operator),
-    (Mode.RELEASING, lambda facts, least: facts.elapsed >= least.load and facts.all_in(DriveState.READY)),
-    (Mode.APPROACH, lambda facts, least: facts.elapsed >= least.release and facts.all_in(DriveState.RUN)),
+    (Mode.RELEASING, lambda facts, least: facts.elapsed >= least and facts.all_in(DriveState.READY)),
+    (Mode.APPROACH, lambda facts, least: facts.elapsed >= least and facts.all_in(DriveState.RUN)),
     (Mode.TRACKING, _finished),
     (Mode.PARKING, _finished),
     (Mode.PARKING, _finished),
-    (Mode.UNLOADING, lambda facts, least: facts.elapsed >= least.release and facts.all_in(DriveState.READY)),
-    (Mode.PARKED, lambda facts, least: facts.elapsed >= least.load),
+    (Mode.UNLOADING, lambda facts, least: facts.elapsed >= least and facts.all_in(DriveState.READY)),
+    (Mode.PARKED, lambda facts, least: facts.elapsed >= least),
     (Mode.PARKED, lambda _facts, _: False),
     (Mode.WAITING, lambda facts, _: Operator.RESET in facts.operator),
+    (Mode.FAULT, lambda facts, _: Operator.RELEASE in facts.operator),
 )
-"""By mode: where it leads without a stop, and when."""
+"""By mode: where it leads without a stop, and when: from the facts, and how long it takes at least, s."""
 _STOPPED = {
     Mode.WAITING: Mode.PARKED,
     Mode.IDLE: Mode.PARKED,
@@ -88,29 +124,40 @@ _STOPPED = {
 }
 """Where a stop leads; the other modes are already on their way to rest."""
 
-_LOAD, _RELEASE = range(2)
-_WAITS_FOR = {Mode.LOADING: _LOAD, Mode.RELEASING: _RELEASE, Mode.PARKING: _RELEASE}
-"""Modes that wait for the drives: which of the Durations they take at least."""
+_WAITING = frozenset({Mode.LOADING, Mode.RELEASING, Mode.PARKING})
+"""Modes that wait for the drives."""
 _DRIVES = {
     **dict.fromkeys(MOVING, DriveMode.RUN),
-    **dict.fromkeys((Mode.LOADING, Mode.PARKING, Mode.UNLOADING), DriveMode.READY),
+    **dict.fromkeys((Mode.LOADING, Mode.PARKING, Mode.UNLOADING, Mode.HELD), DriveMode.READY),
 }
 """What the drives are asked for; OFF in the other modes."""
 
 
 def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
-    """Return the mode of this tick. Faults are latched elsewhere: here FAULT only leaves by RESET."""
+    """Return the mode of this tick. Faults are for `after_fault`: here FAULT only leaves by RESET."""
     if (facts.stop or Operator.STOP in facts.operator) and mode in _STOPPED:
         return _STOPPED[mode]
     following, due = _NEXT[mode]
-    if not due(facts, durations):
+    if not due(facts, durations.least(mode)):
         return mode
     return Mode.TRACKING if mode is Mode.LOADING and durations.load <= 0 else following
 
 
 def overdue(mode: Mode, elapsed: float, durations: Durations) -> bool:
     """Tell whether a mode that waits for the drives has waited too long; elapsed in s since its entry."""
-    return mode in _WAITS_FOR and elapsed > durations[_WAITS_FOR[mode]] + DRIVE_PATIENCE_S
+    return mode in _WAITING and elapsed > durations.least(mode) + DRIVE_PATIENCE_S
+
+
+def after_fault(mode: Mode, faults: Fault, *, located: bool) -> Mode:
+    """Return where faults that strike in a mode lead; located: the pose has been found.
+
+    The force stays on, or comes back, where a brake that is engaged may not hold: as long as there is one.
+    """
+    if mode is Mode.FAULT or faults & FORCE_LOST:
+        return Mode.FAULT
+    if mode in UNPROVEN or (mode in BRAKED and located and faults & Fault.BRAKE):
+        return Mode.HELD
+    return Mode.FAULT
 
 
 def drive_mode(mode: Mode) -> DriveMode:

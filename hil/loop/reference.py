@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import numpy as np
+
 from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, VECTOR, direct, record
-from drivers.tick_columns import TICK, Record, part
+from drivers.tick_columns import TICK, Record, new_record, part
 from hil.mathematics.vectors import add, at, cross, dot, rotate, row
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import leg, leg_motion
@@ -35,3 +37,11 @@ def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, t
         tick.q_d[i] = l
         tick.dq_d[i] = dl
         tick.ddq_d[i] = dot(ds, u) + dot(s, du)
+
+
+def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:
+    """Return by how much the lengths of the legs differ at most between two samples, m."""
+    one, other = new_record(), new_record()
+    fill_reference(platform, a, one)
+    fill_reference(platform, b, other)
+    return float(np.abs(other["q_d"] - one["q_d"]).max())

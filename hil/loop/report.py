@@ -3,6 +3,7 @@
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Fault
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
+from hil.safety.standstill import REST_m_s
 
 
 def fault_text(cycle: Cycle) -> str:
@@ -12,6 +13,8 @@ def fault_text(cycle: Cycle) -> str:
     legs: list[str] = []
     if cycle.faults & Fault.STALE:
         legs += _silent(last["age"].tolist(), cycle.parts)
+    if cycle.faults & Fault.BRAKE:
+        legs += _moved(cycle)
     if cycle.faults & Fault.ENCODER:
         slipped = cycle.parts.fusion.slipped if cycle.parts.fusion else ()
         legs += [f"the encoder of leg {leg} contradicts the pose of the others" for leg in slipped]
@@ -20,6 +23,28 @@ def fault_text(cycle: Cycle) -> str:
             if state in (DriveState.FAULT, DriveState.BOOT):
                 legs.append(f"drive {leg} in {DriveState(state).name}{_because(fault)}")
     return f"latched fault {names}" + (f" ({'; '.join(legs)})" if legs else "")
+
+
+def _moved(cycle: Cycle) -> list[str]:
+    """Say which legs have moved on their closed brakes, and by how much."""
+    safety = cycle.parts.safety
+    limit, moved = safety.limits["standstill_m"], safety.moved_m(cycle.tick)
+    return [
+        f"leg {leg} moved {1e3 * m:.2f} mm on its closed brake, limits.standstill_m is {1e3 * limit:g} mm"
+        for leg, m in enumerate(moved.tolist())
+        if m > limit
+    ]
+
+
+def moving_text(cycle: Cycle) -> str:
+    """Say which legs are not at rest."""
+    rates, ages = cycle.tick["rate"].tolist(), cycle.tick["age"].tolist()
+    legs = [
+        f"leg {leg} at {rate:+.3f} m/s"
+        for leg, (rate, age) in enumerate(zip(rates, ages, strict=True))
+        if age == 0 and abs(rate) >= REST_m_s
+    ]
+    return "; ".join(legs)
 
 
 def _silent(ages: list[int], parts: Parts) -> list[str]:

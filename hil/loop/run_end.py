@@ -8,7 +8,7 @@ from math import inf
 
 from drivers.signals import NEVER, DriveState, Fault, Mode, Stop
 from hil.loop.cycle import Cycle
-from hil.loop.report import fault_text, waiting_text
+from hil.loop.report import fault_text, moving_text, waiting_text
 from hil.signals import Operator
 
 NO_DRIVES_S = 2.0
@@ -16,7 +16,16 @@ NO_DRIVES_S = 2.0
 NOT_READY_S = 10.0
 """A run whose drives do not all become ready within this ends: real drives may take a while to boot."""
 TAIL_S = 0.25
-"""After a fault, or parked, the drives are commanded off for this long at most before the run ends."""
+"""Parked, or at rest after a fault, the drives are commanded off for this long before the run ends."""
+HELD_S = 1.0
+"""A simulation that holds the platform with force ends when it has stood still for so long."""
+MOVING_S = 10.0
+"""A simulation whose platform does not come to rest after a fault ends after this."""
+_HELD = (
+    "not all brakes are proven shut. The drives hold the platform with force, and the run goes on until it "
+    "is released: support the platform, then give the command again with --release. Ctrl-C drops nothing"
+)
+_MOVING = "the platform still moves, and the run goes on until it rests; Ctrl-C twice ends it"
 NO_DRIVES = "no drives"
 _STOPS = {
     Stop.MISSED: "the loop missed limits.missed_stop_ticks periods in a row",
@@ -41,6 +50,8 @@ class Ending:
     """The operator, or the duration, asked for the stop."""
     raised: bool = False
     """The loop itself failed."""
+    released: bool = False
+    """The operator has let go of a platform whose brakes were not proven shut."""
     unexpected: str = ""
     """Traceback of a defect of this program, for the log."""
 
@@ -53,20 +64,29 @@ class Ending:
 class Course:
     """Engages once the drives are ready, stops after `duration_s`, and ends the run.
 
-    `reset` first clears faults that the drives have latched; without it they end the run.
+    `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a platform
+    that is held with force is held until the operator releases it, and one that moves after a fault is stayed
+    with until it rests, or the operator asks for an emergency stop in FAULT. Otherwise both are simulated,
+    and end in time.
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
-    over before the drives were ready; the last fault's text.
+    over before the drives were ready; the last fault's text; when a leg last moved.
     """
 
-    def __init__(self, cycle: Cycle, duration_s: float | None = None, *, reset: bool = False) -> None:
+    def __init__(
+        self, cycle: Cycle, duration_s: float | None = None, *, reset: bool = False, stays: bool = False
+    ) -> None:
         self.cycle = cycle
+        self.stays = stays
         rate = cycle.parts.rate_Hz
+        self._held, self._moving = round(HELD_S * rate), round(MOVING_S * rate)
+        self._moved_tick = 0
+        self._leaves = self._released = False
         self._no_drives, self._not_ready = round(NO_DRIVES_S * rate), round(NOT_READY_S * rate)
         self._tail = max(5, round(TAIL_S * rate))
         self._stop_tick = inf if duration_s is None else round(duration_s * rate)
         self._reset = reset
         self._engaged = self._requested = self._late = False
-        self._fault_tick, self._fault_text = -1, ""
+        self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
@@ -82,28 +102,29 @@ class Course:
             operator = (Operator.RESET, *operator)
         if operator and (Operator.STOP in operator or Operator.ESTOP in operator):
             self._requested = True
+            self._leaves = self._leaves or (self.cycle.mode is Mode.FAULT and Operator.ESTOP in operator)
+        if Operator.RELEASE in operator and self.cycle.mode is Mode.HELD:
+            self._released = True
         return operator
 
     def ending(self, tick: int) -> Ending | None:
         """Return how the run ends with the tick that has just been stepped; None if it goes on.
 
-        It ends parked, once all drives report OFF or TAIL_S later; TAIL_S after a fault; where no drive was
-        heard for NO_DRIVES_S; and from then on where a drive has latched a fault, or at NOT_READY_S.
+        It ends parked, once the brakes are proven and all drives report OFF, or TAIL_S later; after a fault,
+        when the legs have been at rest for TAIL_S; where no drive was heard for NO_DRIVES_S; and from then on
+        where a drive has latched a fault, or at NOT_READY_S. See `stays` for what else ends, or does not.
         """
         cycle = self.cycle
         mode, since = cycle.mode, cycle.mode_tick
         match mode:
-            case Mode.PARKED if tick - since >= self._tail or _all_off(cycle):
+            case Mode.PARKED if tick - since >= self._tail or (cycle.proven and _all_off(cycle)):
                 why = cycle.stop_requested
                 reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
                 if self._late:
                     reason = waiting_text(cycle)
                 return Ending(mode, cycle.faults, reason, tick, requested=self._requested)
-            case Mode.FAULT:
-                if self._fault_tick != since:
-                    self._fault_tick, self._fault_text = since, fault_text(cycle)
-                if tick - since >= self._tail:
-                    return Ending(mode, cycle.faults, self._fault_text, tick, since)
+            case Mode.FAULT | Mode.HELD:
+                return self._after_fault(tick)
             case Mode.WAITING if tick - since >= self._no_drives:
                 last = cycle.tick
                 if last["age"].min() >= NEVER:
@@ -113,6 +134,45 @@ class Course:
             case _:
                 pass
         return None
+
+    def _after_fault(self, tick: int) -> Ending | None:
+        """Return how a run with a latched fault ends with this tick; None while it goes on."""
+        cycle = self.cycle
+        mode, since = cycle.mode, cycle.mode_tick
+        if self._fault_tick != since:
+            self._moved_tick = since
+            if self._faults != cycle.faults or not self._released:
+                self._fault_text = fault_text(cycle)
+            self._fault_tick, self._faults = since, cycle.faults
+        elif self._faults != cycle.faults:  # a leg moves on a brake that had shut, say
+            self._faults, self._fault_text = cycle.faults, fault_text(cycle)
+        moving = moving_text(cycle)
+        if moving:
+            self._moved_tick = tick
+        rested, text = tick - self._moved_tick, self._fault_text
+        if mode is Mode.HELD:
+            text += ": not all brakes are proven shut, and the holding force stayed on"
+            ends = not self.stays and (rested >= self._held or tick - since >= self._moving)
+        else:
+            left = self._leaves if self.stays else tick - since >= self._moving
+            if moving and left:
+                text += f"; still moving: {moving}"
+            ends = rested >= self._tail or left
+        if not ends:
+            return None
+        return Ending(mode, cycle.faults, text, tick, since, released=self._released)
+
+    @property
+    def stays_for(self) -> str:
+        """Why the run does not end although a fault has struck; empty where it ends soon."""
+        cycle = self.cycle
+        if not self.stays:
+            return ""
+        if cycle.mode is Mode.HELD:
+            return f"{self._fault_text}: {_HELD}"
+        if cycle.mode is Mode.FAULT and int(cycle.tick["tick"]) - cycle.mode_tick >= self._tail:
+            return f"{self._fault_text}: {_MOVING}"
+        return ""
 
 
 def _all_off(cycle: Cycle) -> bool:

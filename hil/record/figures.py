@@ -18,7 +18,8 @@ def figures(rows: Rows) -> dict[str, Any]:
     `rows` has dtype ROW, one element per tick.
     """
     tracking = rows["mode"] == Mode.TRACKING
-    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING)
+    held = rows["mode"] == Mode.HELD
+    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING) | held
     result: dict[str, Any] = {
         "ticks": len(rows),
         "duration_s": float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0,

@@ -12,6 +12,7 @@ bus         bus off; sends failing tick after tick                  BUS
 kinematics  residual, assembly hop, condition of J                  KINEMATICS, ASSEMBLY, CONDITION
 stroke      hard ends, square-root speed cap, speed                 STROKE, SPEED
 following   leg error against a limit that grows with speed         FOLLOWING
+standstill  legs that move on closed brakes                         BRAKE
 timing      late and missed ticks                                   warnings, controlled stop
 recorder    recorder dead or losing ticks                           warning, controlled stop
 certificate growth of V beyond what a stated disturbance allows     CERTIFICATE, or a warning

@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.signals import LEGS, Fault, Stop, Warn
 from drivers.tick_columns import Record
 from hil.config.limits import LimitSettings
@@ -15,6 +16,8 @@ from hil.safety.recorder import recorder_stop
 
 WINDOW_S = 0.25
 """Length of the force window."""
+SETTLE_S = 0.2
+"""Legs at rest for so long after a fault have to stand still from then on."""
 
 
 class Verdict(NamedTuple):
@@ -29,13 +32,14 @@ class Verdict(NamedTuple):
 class Safety:
     """The rules of `hil.safety` with the limits of one robot.
 
-    Faults and stops are asked for only while the drives are powered (LOADING to UNLOADING), warnings always.
-    In the other modes the drives are off: no force, and the force limits start anew from zero.
+    Faults and stops are asked for only while the drives are powered (LOADING to UNLOADING, HELD), but for
+    legs that move on closed brakes; warnings always. In the other modes the drives are off: no force, and
+    the force limits start anew from zero.
 
     Mutable state: the forces sent within the last 250 ms, the last of them being the last tau; which of the
     last 32 ticks were late; periods missed in a row; which of the last 32 ticks had refused frames; the
-    recorder's losses so far; whether all drives have been in RUN since the brakes opened; what the watch of
-    the certificate remembers.
+    recorder's losses so far; whether all drives have been in RUN since the brakes opened; where the legs have
+    to stand; what the watch of the certificate remembers.
     `reset` forgets all of it.
     """
 
@@ -62,6 +66,7 @@ class Safety:
         self.limits["length_min_m"], self.limits["length_max_m"] = length_min, length_max
         self.limits["force_N"] = min(limits.force_N, drive_force_limit)
         self.limits["period_ns"] = round(1e9 / rate_Hz)
+        self.limits["settle_ticks"] = round(SETTLE_S * rate_Hz)
         self.limits["stop_on_recorder_loss"] = recorder_stop(losing=True, on_loss=on_recorder_loss)
         self._memory = np.zeros((), MEMORY)
         self._history = np.zeros((max(1, round(WINDOW_S * rate_Hz)), LEGS))
@@ -76,8 +81,12 @@ class Safety:
         self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
         self._memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
+    def moved_m(self, tick: Record) -> Array:
+        """Return how far each leg is from where it had to stand the last time, (6,) m."""
+        return np.abs(tick["length"] - self._memory["still"])
+
     def judge(self, tick: Record) -> Verdict:
-        """Fill tau and the Lyapunov columns of a tick, once; return what warns, faults or asks for a stop.
+        """Fill the verdict columns of a tick, once; return what warns, faults or asks for a stop.
 
         Mutates the state named in the class.
         """

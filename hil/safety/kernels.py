@@ -35,6 +35,7 @@ from hil.safety.force_limits import limit_force, limit_step, limit_window, remem
 from hil.safety.kinematics import hopped, ill_conditioned, inconsistent
 from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
+from hil.safety.standstill import REST_m_s, at_rest, forget_place, moved_legs
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
 from hil.safety.timing import (
     HARMFUL_STRETCH_NS,
@@ -47,11 +48,13 @@ from hil.safety.timing import (
 )
 
 _IDLE, _LOADING, _UNLOADING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.UNLOADING)
-_RELEASING, _STOPPING = int(Mode.RELEASING), int(Mode.STOPPING)
+_RELEASING, _STOPPING, _PARKING = int(Mode.RELEASING), int(Mode.STOPPING), int(Mode.PARKING)
+_PARKED, _FAULT, _HELD = int(Mode.PARKED), int(Mode.FAULT), int(Mode.HELD)
 _STALE, _DRIVE, _NOT_FINITE = int(Fault.STALE), int(Fault.DRIVE), int(Fault.NOT_FINITE)
 _KINEMATICS, _ASSEMBLY, _CONDITION = int(Fault.KINEMATICS), int(Fault.ASSEMBLY), int(Fault.CONDITION)
 _LAW, _STROKE, _SPEED, _FOLLOWING = int(Fault.LAW), int(Fault.STROKE), int(Fault.SPEED), int(Fault.FOLLOWING)
 _BUS, _CERTIFICATE, _WARN_CERTIFICATE = int(Fault.BUS), int(Fault.CERTIFICATE), int(Warn.CERTIFICATE)
+_BRAKE = int(Fault.BRAKE)
 _WARN_STALE, _WARN_LATE, _WARN_DEGRADED = int(Warn.STALE), int(Warn.LATE), int(Warn.DEGRADED)
 _WARN_REJECTED, _WARN_RECORDER, _WARN_BUS = int(Warn.REJECTED), int(Warn.RECORDER), int(Warn.BUS)
 _NO_STOP, _STOP_MISSED, _STOP_RECORDER = int(Stop.NONE), int(Stop.MISSED), int(Stop.RECORDER)
@@ -72,6 +75,8 @@ LIMITS = np.dtype(
         ("speed_m_s", "<f8"),
         ("following_error_m", "<f8"),
         ("following_error_s", "<f8"),
+        ("standstill_m", "<f8"),
+        ("settle_ticks", "<i8"),
         ("force_N", "<f8"),
         ("force_step_N", "<f8"),
         ("force_window_N", "<f8"),
@@ -91,6 +96,9 @@ MEMORY = np.dtype(
         ("running", "<i8"),  # 1: all drives have been in RUN since the brakes opened
         ("stretched_ns", "<i8"),  # how long the bench's time stood still, in harmful stretches
         ("newest", "<i8"),  # row of the force window
+        ("standing", "<i8"),  # 1: the legs have to stand where they are
+        ("resting", "<i8"),  # ticks in a row at rest after a fault
+        ("still", "<f8", (6,)),  # m, where the legs have to stand; nan before they are heard
     ]
 )
 """What the rules remember."""
@@ -110,16 +118,41 @@ def _finite(tick: Any) -> bool:
 
 
 @helper
+def powered(mode: int) -> bool:
+    """Tell whether the drives are powered: from LOADING to UNLOADING, and in HELD."""
+    return _LOADING <= mode <= _UNLOADING or mode == _HELD
+
+
+@helper
+def judge_standstill(tick: Any, limits: Any, memory: Any) -> int:
+    """Fill the legs that moved where they have to stand; return fault bits.
+
+    They stand from the moment at which the brakes are closed to that at which they open, and after a fault
+    from the moment at which they have been at rest for a while.
+    """
+    mode = tick.mode
+    closed = mode in (_IDLE, _LOADING, _UNLOADING, _PARKED)
+    slow = mode == _FAULT and at_rest(tick.rate, tick.age, REST_m_s)
+    memory.resting = memory.resting + 1 if slow else 0
+    stands = closed or memory.resting > limits.settle_ticks
+    if stands and memory.standing == 0:
+        forget_place(memory.still)
+    memory.standing = int(stands)
+    tick.legs_moved = moved_legs(tick.length, tick.age, memory.still, limits.standstill_m) if stands else 0
+    return _BRAKE if tick.legs_moved != 0 else 0
+
+
+@helper
 def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
     """Return fault bits and warning bits of legs, drives, estimate and reference.
 
-    The reference is followed from RELEASING to STOPPING. Faults from LOADING to UNLOADING only.
+    The reference is followed from RELEASING to PARKING. Faults only while the drives are powered.
     """
     faults = warnings = 0
     mode = tick.mode
     if mode > _IDLE and stale(tick.counted_age, limits.stale_warn_ticks):
         warnings |= _WARN_STALE
-    if mode < _LOADING or mode > _UNLOADING:
+    if not powered(mode):
         memory.running = 0
         return faults, warnings
     moving = _RELEASING <= mode <= _STOPPING
@@ -147,7 +180,8 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
         faults |= _STROKE
     if overspeed(tick.dq, limits.speed_m_s):
         faults |= _SPEED
-    if moving and lagging(tick.q, tick.q_d, tick.dq_d, limits.following_error_m, limits.following_error_s):
+    follows = _RELEASING <= mode <= _PARKING
+    if follows and lagging(tick.q, tick.q_d, tick.dq_d, limits.following_error_m, limits.following_error_s):
         faults |= _FOLLOWING
     return faults, warnings
 
@@ -254,11 +288,12 @@ def judge_tick(
     memory.dropped = tick.recorder_dropped
     warnings = judge_loop(tick, memory, late, losing) | tick.fusion_warnings
     faults, more = judge_state(tick, limits, memory)
+    faults |= judge_standstill(tick, limits, memory)
     warnings |= more
     broken, more = judge_certificate(tick, memory.running, late, watched)
     faults |= broken
     warnings |= more
-    if tick.mode < _LOADING or tick.mode > _UNLOADING:
+    if not powered(tick.mode):
         history[:] = 0.0
         lows[:] = 0.0
         highs[:] = 0.0

@@ -29,8 +29,8 @@ class Drives:
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
         """Power up; `step_s` is the plant's internal step, over which the force lag is exact."""
-        self._integers = integers = np.zeros((kernels.LOST + 1, LEGS), np.int64)
-        self._reals = reals = np.zeros((kernels.BRAKES + 1, LEGS))
+        self._integers = integers = np.zeros((kernels.MOVED + 1, LEGS), np.int64)
+        self._reals = reals = np.zeros((kernels.SHUT + 1, LEGS))
         self.state = integers[kernels.STATE]
         self.fault = integers[kernels.REASON]
         self.configured = integers[kernels.CONFIGURED]
@@ -38,6 +38,7 @@ class Drives:
         self.deadline_ns = integers[kernels.DEADLINE]
         self.reaction = integers[kernels.REACTION]
         self.acting = integers[kernels.ACTING]
+        self.moved_ns = integers[kernels.MOVED]
         self.command = reals[kernels.COMMAND]
         self.held_m = reals[kernels.HELD]
         self.force = reals[kernels.FORCE]
@@ -51,6 +52,8 @@ class Drives:
         self.reaction[:] = Reaction[settings.reaction.upper()]
         self.acting[:] = BRAKE
         integers[kernels.STUCK] = WORKS
+        self.moved_ns[:] = NEVER_NS
+        reals[kernels.SHUT] = 1.0
         reals[kernels.FROZEN] = nan
         reals[kernels.GAIN] = 1.0
         # First-order lag over one step: its end value and its mean.
@@ -63,6 +66,8 @@ class Drives:
             float(self.lags),
             exp(-x),
             (1.0 - exp(-x)) / x if x > 0.0 else 1.0,
+            1e6 * emulation.brake_open_ms,
+            1e6 * emulation.brake_close_ms,
         ])  # fmt: skip
         self.enter = partial(kernels.enter, integers, reals)
         self.obey = partial(kernels.obey, integers, reals, common)

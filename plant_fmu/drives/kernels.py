@@ -28,16 +28,18 @@ NEVER_NS = 1 << 62
 WORKS = -1
 """A brake that is not stuck."""
 
-STATE, REASON, CONFIGURED, COUNTER, WATCHDOG, DEADLINE, REACTION, ACTING, STUCK, LOST = range(10)
+STATE, REASON, CONFIGURED, COUNTER, WATCHDOG, DEADLINE, REACTION, ACTING, STUCK, LOST, MOVED = range(11)
 """Rows of `integers`: DriveState, DriveFault, 1 if set up, counter of the last command, ns, ns, Reaction of a
-fault in RUN, Reaction of the latched fault, where a stuck brake stays, INVALID for a lost encoder."""
-COMMAND, HELD, LAGGED, FROZEN, OFFSET, GAIN, FORCE, BRAKES = range(8)
+fault in RUN, Reaction of the latched fault, where a stuck brake stays, INVALID for a lost encoder, ns when a
+brake that moves has moved."""
+COMMAND, HELD, LAGGED, FROZEN, OFFSET, GAIN, FORCE, BRAKES, KEPT, SHUT = range(10)
 """Rows of `reals`: N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the
 lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; gain of the wiring; what
-the plant gets: N, and 1 for an engaged brake."""
-LIMIT, DAMPING, STIFFNESS, LAGS, LAG_END, LAG_MEAN = range(6)
+the plant gets: N, and 1 for an engaged brake; N, the drive's last force; 1 for a brake that has closed, 0 for
+one that has opened, as its drive counts."""
+LIMIT, DAMPING, STIFFNESS, LAGS, LAG_END, LAG_MEAN, OPENING, CLOSING = range(8)
 """Places of `stage`, what the drives have in common: rated force N, gains of the reactions N s/m and N/m, 1
-if the force lags; end value and mean of that lag over one step of the plant."""
+if the force lags; end value and mean of that lag over one step of the plant; ns that a brake takes."""
 
 TRANSITIONS: dict[DriveMode, dict[int, int]] = {
     DriveMode.OFF: {READY: OFF, RUN: OFF},
@@ -75,12 +77,32 @@ def _encoder(integers: Ints, reals: Array, length: Array, rate: Array, leg: int)
 
 
 @helper
-def _actuate(integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool) -> bool:
+def _move_brake(integers: Ints, reals: Array, stage: Array, leg: int, opens: bool, t_ns: int) -> None:
+    """Begin or end the opening or closing of a brake; one that is called back has not moved."""
+    wanted = 0.0 if opens else 1.0
+    if reals[SHUT, leg] == wanted:
+        integers[MOVED, leg] = NEVER_NS
+        return
+    if integers[MOVED, leg] == NEVER_NS:
+        integers[MOVED, leg] = t_ns + np.int64(stage[OPENING] if opens else stage[CLOSING])
+    if integers[MOVED, leg] <= t_ns:
+        reals[SHUT, leg] = wanted
+        integers[MOVED, leg] = NEVER_NS
+
+
+@helper
+def _actuate(
+    integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool, t_ns: int
+) -> bool:
     controls = False
     for leg in range(LEGS):
         f = reals[COMMAND, leg]
-        acting = integers[ACTING, leg] if integers[STATE, leg] == FAULT else BRAKE
-        brake = 0.0 if integers[STATE, leg] == RUN or acting != BRAKE else 1.0
+        state = integers[STATE, leg]
+        acting = integers[ACTING, leg] if state == FAULT else BRAKE
+        opens = state == RUN or acting != BRAKE
+        _move_brake(integers, reals, stage, leg, opens, t_ns)
+        if not opens and state != READY and reals[SHUT, leg] == 0.0:
+            f = reals[KEPT, leg]
         if acting in (DAMP, HOLD):
             controls = True
             l, dl = _encoder(integers, reals, length, rate, leg)
@@ -89,6 +111,7 @@ def _actuate(integers: Ints, reals: Array, stage: Array, length: Array, rate: Ar
                 f -= stage[STIFFNESS] * (l - reals[HELD, leg])
         if not -stage[LIMIT] <= f <= stage[LIMIT]:
             f = stage[LIMIT] if f > 0.0 else -stage[LIMIT]
+        reals[KEPT, leg] = f
         if lag:
             gap = reals[LAGGED, leg] - f
             reals[LAGGED, leg] = f + gap * stage[LAG_END]
@@ -96,7 +119,8 @@ def _actuate(integers: Ints, reals: Array, stage: Array, length: Array, rate: Ar
         elif stage[LAGS] > 0.0:
             f = reals[LAGGED, leg]
         reals[FORCE, leg] = f * reals[GAIN, leg]
-        reals[BRAKES, leg] = brake if integers[STUCK, leg] == WORKS else float(integers[STUCK, leg])
+        stuck = integers[STUCK, leg]
+        reals[BRAKES, leg] = reals[SHUT, leg] if stuck == WORKS else float(stuck)
     return controls
 
 
@@ -116,7 +140,8 @@ def obey(
     """Give the drives `legs` a command of so many N each at `t_ns`, the plant being there, and actuate.
 
     Returns whether the counter was new to one of them; if so, whether a drive follows its encoder by itself,
-    see `actuate`; the legs that entered a state (bit i: leg i); and the earliest deadline of all watchdogs.
+    see `actuate`; the legs that entered a state (bit i: leg i); and the earliest instant at which a watchdog
+    ends or a brake has moved.
     """
     fresh, entered = False, 0
     for k in range(legs.shape[0]):
@@ -136,8 +161,8 @@ def obey(
         if state in (READY, RUN):
             reals[COMMAND, leg] = command[k]
             integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
-    controls = fresh and _actuate(integers, reals, stage, length, rate, False)
-    return fresh, controls, entered, integers[DEADLINE].min()
+    controls = fresh and _actuate(integers, reals, stage, length, rate, False, t_ns)
+    return fresh, controls, entered, min(integers[DEADLINE].min(), integers[MOVED].min())
 
 
 @direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
@@ -163,10 +188,13 @@ def read_encoders(
         l[leg] = np.rint(at / quantum_m) * quantum_m if quantum_m > 0.0 else at
 
 
-@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, BOOLEAN)
-def actuate(integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool) -> bool:
-    """Set FORCE and BRAKES from the drives' states; with `lag` over the next grid step.
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, BOOLEAN, INTEGER)
+def actuate(
+    integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool, t_ns: int
+) -> bool:
+    """Set FORCE and BRAKES from the drives' states at `t_ns`; with `lag` over the next grid step.
 
-    length m and rate m/s are the plant's. Returns whether a drive follows its encoder by itself.
+    length m and rate m/s are the plant's. A drive that shuts its brake keeps its last force until that has
+    closed. Returns whether a drive follows its encoder by itself.
     """
-    return bool(_actuate(integers, reals, stage, length, rate, lag))
+    return bool(_actuate(integers, reals, stage, length, rate, lag, t_ns))

@@ -35,7 +35,7 @@ from drivers.signals import LEGS, DriveFault
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.faults.plan import FaultPlan
-from plant_fmu.drives.kernels import BOOT, BRAKE, FAULT, NEVER_NS, OFF, READY, RUN
+from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
 from plant_fmu.plant import Plant, Truth
 
 _TIME = itemgetter(0)
@@ -86,7 +86,9 @@ class Nodes:
     A drive boots with its brake engaged, CONFIG takes it to OFF, then `TRANSITIONS` hold. RUN is
     reached through READY only. CONFIG counts in BOOT, OFF and FAULT. The watchdog runs in READY and
     RUN, from the last valid command with a new counter. A fault latches until RESET; its reaction
-    is the configured one if it strikes in RUN, otherwise the brake, so that no fault opens a brake.
+    is the configured one if it strikes in RUN, otherwise the brake, so that no fault opens a brake. Damping
+    and holding end in the brake. A brake takes its time to open and to close, and a drive keeps its last
+    force until its own has closed.
 
     Mutable state: the plant, six drives, the protocol's memory at their end, the time, the generator of
     frame faults. Owner of all of it; `start` resets it.
@@ -108,6 +110,7 @@ class Nodes:
         self._h_s = plant.internal_step_s
         self._h_ns = plant.internal_step_s * 1e9
         self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
+        self._brake_after_ns = round(drives.brake_after_ms * 1e6)
         self.start(0)
 
     def start(self, t0_ns: int) -> None:
@@ -121,7 +124,7 @@ class Nodes:
         self._beats = 0
         self._next_beat_ns = t0_ns
         self._calm_ns = t0_ns
-        """No watchdog, edge or heartbeat is due before this instant."""
+        """No watchdog, brake, edge or heartbeat is due before this instant."""
         self._edges = [(t0_ns + round(edge_s * 1e9), edge_s) for edge_s in self._faults.edges_s()]
         self._present = self._faults.present(0.0)
         self._generator = np.random.default_rng(self._faults.seed)
@@ -130,7 +133,7 @@ class Nodes:
         self.syncs = 0
         """SYNC frames or polls heard since the start."""
         self._commands = self._repeated = self._rejected = 0
-        self._disturb()
+        self._disturb(t0_ns)
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
         """Live until `t_ns`, hearing `received`, and return (instant queued, frame) in time order.
@@ -180,12 +183,13 @@ class Nodes:
         return self._t0_ns + round(self._k * self._h_ns)
 
     def _pass_time(self, t: int, out: list[tuple[int, Frame]]) -> None:
-        """Let watchdogs (before t), plan edges and heartbeats (up to t) happen, in order."""
+        """Let watchdogs (before t), brakes, plan edges and heartbeats (up to t) happen, in order."""
         while t >= self._calm_ns:
             deadlines = self._drives.deadline_ns.tolist()
             watchdog = min(deadlines)
             edge, edge_s = self._edges[0] if self._edges else (NEVER_NS, 0.0)
-            other = min(edge, self._next_beat_ns)
+            moved = int(self._drives.moved_ns.min())
+            other = min(edge, self._next_beat_ns, moved)
             if watchdog < t and watchdog <= other:
                 self._now_ns = max(self._now_ns, watchdog)
                 for leg in range(LEGS):
@@ -193,11 +197,14 @@ class Nodes:
                         self._fail(leg, DriveFault.WATCHDOG, watchdog, out)
             elif other > t:
                 self._calm_ns = min(max(watchdog, t + 1), other)
+            elif moved == other:
+                self._advance(moved)
+                self._actuate(moved)
             elif edge <= self._next_beat_ns:
                 del self._edges[0]
                 self._advance(edge)
                 self._present = self._faults.present(edge_s)
-                self._disturb()
+                self._disturb(edge)
             else:
                 self._send_status(self._beats % LEGS, self._next_beat_ns, out)
                 self._beats += 1
@@ -211,7 +218,7 @@ class Nodes:
             return
         if self._drives.lags or self._controls:
             for _ in range(n):
-                self._actuate(lag=self._drives.lags)
+                self._actuate(self._grid_ns(), lag=self._drives.lags)
                 self._move(1)
         else:
             self._move(n)
@@ -232,13 +239,13 @@ class Nodes:
 
     # drives
 
-    def _disturb(self) -> None:
+    def _disturb(self, t: int) -> None:
         self._drives.disturb(self._present, self._length, self._rate)
-        self._actuate()
+        self._actuate(t)
 
-    def _actuate(self, *, lag: bool = False) -> None:
+    def _actuate(self, t: int, *, lag: bool = False) -> None:
         """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
-        self._controls = self._drives.actuate(self._length, self._rate, lag)
+        self._controls = self._drives.actuate(self._length, self._rate, lag, t)
 
     def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
         """Latch a fault; the first one stays, but an emergency stop brakes whatever was latched."""
@@ -249,10 +256,14 @@ class Nodes:
             drives.acting[leg] = BRAKE if brakes else drives.reaction[leg]
             drives.held_m[leg] = drives.encoders(self._length, self._rate)[0][leg]
             drives.enter(leg, FAULT, fault)
+            if drives.acting[leg] in (DAMP, HOLD):
+                drives.deadline_ns[leg] = t + self._brake_after_ns
             self._send_status(leg, t, out)
         elif brakes:
             drives.acting[leg] = BRAKE
-        self._actuate()
+            drives.deadline_ns[leg] = NEVER_NS
+        self._actuate(t)
+        self._calm_ns = min(self._calm_ns, int(drives.deadline_ns.min()), int(drives.moved_ns.min()))
 
     # frames
 

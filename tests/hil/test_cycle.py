@@ -294,14 +294,17 @@ def test_the_force_stays_on_while_one_brake_does_not_shut_and_then_it_is_a_fault
     bench.until(Mode.APPROACH)
     stuck = bench.drives.state
     bench.step((Operator.STOP,))
-    while bench.cycle.mode is not Mode.FAULT:
+    while bench.cycle.mode is not Mode.HELD:
         if bench.cycle.mode is Mode.PARKING:
             bench.drives.state = [*stuck[:5], DriveState.RUN]
         bench.step()
-        if bench.cycle.mode is Mode.PARKING:
-            assert min(bench.drives.commands[-1].force) > 3000.0
+        assert min(bench.drives.commands[-1].force) > 3000.0
         assert bench.tick < 5000
     assert bench.cycle.faults == Fault.DRIVE
+    for _ in range(100):
+        bench.step()
+        assert min(bench.drives.commands[-1].force) > 3000.0
+        assert bench.drives.commands[-1].mode == DriveMode.READY
 
 
 @pytest.mark.parametrize(
@@ -316,7 +319,7 @@ def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stu
         assert bench.tick < 5000
     assert bench.cycle.mode is Mode.FAULT
     assert bench.cycle.faults & Fault.DRIVE
-    assert 1000 < bench.tick - entered < 1400
+    assert 1000 < bench.tick - entered < 1700
 
 
 def test_legs_that_do_not_come_to_rest_are_a_fault_and_not_a_stop_for_ever(bench):

@@ -20,8 +20,11 @@ POWERED = (
     Mode.STOPPING,
     Mode.PARKING,
     Mode.UNLOADING,
+    Mode.HELD,
 )
 MOVING = POWERED[1:5]
+FOLLOWING = POWERED[1:6]
+CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
 OFF = (Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT)
 RATE_HZ = 40.0
 """A window of ten ticks."""
@@ -35,6 +38,7 @@ LIMITS = LimitSettings(
     stroke_margin_m=1.0,
     following_error_m=0.25,
     following_error_s=0.5,
+    standstill_m=0.125,
     consistency_m=1e-4,
     condition=50.0,
     stale_warn_ticks=2,
@@ -69,6 +73,7 @@ class Bench:
         }  # fmt: skip
         tick = record_of(**{**healthy, **columns})
         verdict = self.safety.judge(tick)
+        self.record, self.moved_m = tick, self.safety.moved_m(tick)
         certificate = tuple(float(tick[f"lyapunov{name}"]) for name in ("", "_rate", "_bound", "_share"))
         return Judged(*verdict, tick["tau"], certificate, tick["tau_asked"])
 
@@ -161,10 +166,55 @@ def test_guard_two_reasons_are_two_faults():
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_watches_the_following_error_with_open_brakes(mode):
+def test_guard_watches_the_following_error_until_the_brakes_are_closed(mode):
     for q_d, dq_d in ((5.26, 0.0), (4.74, 0.0), (6.26, 2.0)):
         verdict = Bench().tick(mode, q_d=leg(q_d, 5.0), dq_d=leg(dq_d))
-        assert verdict.faults == (Fault.FOLLOWING if mode in MOVING else Fault.NONE)
+        assert verdict.faults == (Fault.FOLLOWING if mode in FOLLOWING else Fault.NONE)
+
+
+def moved_legs(bench, mode, **columns):
+    tick = bench.tick(mode, **columns)
+    return tick.faults, int(bench.record["legs_moved"])
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_watches_legs_on_closed_brakes_and_names_the_one_that_moves(mode):
+    bench = Bench()
+    assert moved_legs(bench, mode) == (Fault.NONE, 0)
+    assert moved_legs(bench, mode, length=leg(5.125, 5.0)) == (Fault.NONE, 0)
+    expected = (Fault.BRAKE, 0b001000) if mode in CLOSED else (Fault.NONE, 0)
+    assert moved_legs(bench, mode, length=leg(4.87, 5.0)) == expected
+    if mode in CLOSED:
+        np.testing.assert_allclose(bench.moved_m, leg(0.13), atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", CLOSED)
+def test_guard_lets_legs_stand_elsewhere_after_they_were_free(mode):
+    for between, kept in (
+        (Mode.LOADING, True),
+        (Mode.PARKED, True),
+        (Mode.RELEASING, False),
+        (Mode.HELD, False),
+    ):
+        bench = Bench()
+        bench.tick(mode)
+        bench.tick(between)
+        fault = Fault.BRAKE if kept else Fault.NONE
+        assert bench.tick(mode, length=5.2).faults == fault
+    bench.safety.reset()
+    assert bench.tick(mode, length=7.0).faults == Fault.NONE
+
+
+def test_guard_watches_legs_after_a_fault_once_they_have_been_at_rest_for_a_fifth_of_a_second():
+    bench = Bench()
+    for _ in range(8):  # 0.2 s
+        assert bench.tick(Mode.FAULT, length=5.0).faults == Fault.NONE
+    assert bench.tick(Mode.FAULT, length=6.0).faults == Fault.NONE, "from here they stand"
+    assert bench.tick(Mode.FAULT, length=6.2).faults == Fault.BRAKE
+    assert bench.tick(Mode.FAULT, length=6.2, rate=leg(0.021)).faults == Fault.NONE, "it moves: no longer"
+    for k in range(9):
+        assert bench.tick(Mode.FAULT, length=5.0 + k).faults == Fault.NONE
+    assert bench.tick(Mode.FAULT, length=6.0).faults == Fault.BRAKE
 
 
 @pytest.mark.parametrize("mode", Mode)

@@ -31,6 +31,7 @@ FAMILIES = [
     "kinematics",
     "stroke",
     "following",
+    "standstill",
     "timing",
     "force_limits",
     "certificate",

@@ -19,6 +19,7 @@ from hil.safety import (
     kinematics,
     legs,
     recorder,
+    standstill,
     stroke,
     timing,
 )
@@ -611,3 +612,46 @@ def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_not_ask_for(
     allowed = math.sqrt(0.99 * 600.0 + 0.01 * (8.0 + 15.0) ** 2)
     np.testing.assert_allclose(watch.memory[0, 3], min(G, allowed))
     np.testing.assert_allclose(watch.figures[2], min(G + 0.0245 * 23, allowed) ** 2 + 5 * (0.0245 * 8) ** 2)
+
+
+# -- standstill
+
+
+def test_standstill_of_a_leg_is_below_20_mm_per_second():
+    assert standstill.REST_m_s == 0.02
+
+
+@ON_ONE_LEG
+@pytest.mark.parametrize("sign", [1, -1])
+def test_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign):
+    heard, silent = np.zeros(6, np.int64), ints(1, leg, 0)
+    assert standstill.at_rest(six(sign * 0.49, leg), heard, 0.5)
+    assert not standstill.at_rest(six(sign * 0.5, leg), heard, 0.5)
+    assert standstill.at_rest(six(sign * 0.5, leg), silent, 0.5)
+    assert not standstill.at_rest(six(0.5, leg, 0.6), silent, 0.5), "the others are heard"
+
+
+@ON_ONE_LEG
+@pytest.mark.parametrize("sign", [1, -1])
+def test_standstill_names_the_leg_that_is_too_far_from_where_it_stood(leg, sign):
+    heard, still = np.zeros(6, np.int64), np.zeros(6)
+    standstill.forget_place(still)
+    assert np.isnan(still).all()
+    assert standstill.moved_legs(six(5.0), heard, still, 0.25) == 0
+    np.testing.assert_array_equal(still, six(5.0))
+    assert standstill.moved_legs(six(5.0 + sign * 0.25, leg, 5.0), heard, still, 0.25) == 0
+    assert standstill.moved_legs(six(5.0 + sign * 0.26, leg, 5.0), heard, still, 0.25) == 1 << leg
+    assert standstill.moved_legs(six(6.0), heard, still, 0.25) == 0b111111
+    np.testing.assert_array_equal(still, six(5.0))
+
+
+@ON_ONE_LEG
+def test_standstill_of_a_leg_that_is_not_heard_begins_when_it_is(leg):
+    still = six(np.nan)
+    silent = ints(1, leg, 0)
+    assert standstill.moved_legs(six(0.0, leg, 5.0), silent, still, 0.25) == 0
+    assert np.isnan(still).tolist() == [k == leg for k in range(6)]
+    others = 0b111111 & ~(1 << leg)
+    assert standstill.moved_legs(six(7.0), silent, still, 0.25) == others
+    assert standstill.moved_legs(six(7.0), np.zeros(6, np.int64), still, 9.0) == 0
+    assert still[leg] == 7.0

@@ -50,7 +50,7 @@ STATE = ("q", "dq", *POSE, "J")
 LAWS_READ = (*part("estimate", "reference"), "shortfall")
 SAFETY_READS = (
     *(name for name in part("input") if name not in {"tick", "t_ns", "compute_ns", "frames_crc32"}),
-    *("mode", "tau_asked", "rejected", "drive_state", "counted_age", "length", "rate", "drive_force"),
+    *("mode", "tau_asked", "rejected", "drive_state", "age", "counted_age", "length", "rate", "drive_force"),
     *(*STATE, "fk_residual", "hop", "condition", "unseen", "fusion_faults", "fusion_warnings"),
     *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
 )
@@ -185,7 +185,7 @@ def test_safety_fills_force_and_certificate_and_looks_neither_at_the_law_nor_at_
         return Safety(limits, 0.5, 9.0, 1e3, 1e5, watch=Watch(table, 1)).judge
 
     off = moving(mode=Mode.IDLE)
-    follow(make_stage, moving() + off[:2] + moving(), SAFETY_READS, ("tau", *LYAPUNOV))
+    follow(make_stage, moving() + off[:2] + moving(), SAFETY_READS, ("tau", "legs_moved", *LYAPUNOV))
 
 
 def test_the_predictor_moves_the_state_on_and_reads_nothing_else_but_the_load():

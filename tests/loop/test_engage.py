@@ -176,13 +176,13 @@ def until(lockstep, mode, limit=10_000):
 @pytest.mark.parametrize(
     ("mode", "ticks"),
     [
-        (Mode.LOADING, 300),
+        (Mode.LOADING, 600),
         (Mode.RELEASING, 100),
         (Mode.APPROACH, 500),
         (Mode.TRACKING, 1000),
         (Mode.STOPPING, 400),
         (Mode.PARKING, 100),
-        (Mode.UNLOADING, 300),
+        (Mode.UNLOADING, 400),
     ],
     ids=lambda x: getattr(x, "name", ""),
 )

@@ -33,6 +33,8 @@ ANY_LEG = "  fusion: {may_lose_legs: [0, 1, 2, 3, 4, 5]}\n"
 SOON = (
     ("force_ramp_s: 0.3", "force_ramp_s: 0.05"),
     ("brake_release_s: 0.1", "brake_release_s: 0.02"),
+    ("brake_open_ms: 50", "brake_open_ms: 20"),
+    ("brake_close_ms: 30", "brake_close_ms: 20"),
     ("blend_s: 0.5", "blend_s: 0.1"),
 )
 """The book's path begins at home: less waiting before it."""

@@ -102,9 +102,35 @@ def _drives(report: Report, c: Configuration) -> None:
     periods = c.drives.watchdog_ms / period_ms
     report.sections["drives"] = [
         f"nodes {', '.join(map(str, c.drives.node_ids))}; rated force {c.drives.force_limit_N:g} N",
-        f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {c.drives.reaction}",
+        f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {_reaction(c)}",
+        f"brakes get {1e3 * c.engage.brake_release_s:g} ms to open, {1e3 * c.engage.closing_s:g} ms to close",
+        _brake_test(c),
     ]
     report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.drives.reaction}
+
+
+def _reaction(c: Configuration) -> str:
+    ends = c.drives.reaction in {"damp", "hold"}
+    return f"{c.drives.reaction}, after {c.drives.brake_after_ms:g} ms brake" if ends else c.drives.reaction
+
+
+def _brake_test(c: Configuration) -> str:
+    ramp_s, allowed_mm = c.engage.force_ramp_s, 1e3 * c.limits.standstill_m
+    if ramp_s <= 0.0:
+        return "no brake tests, as engage.force_ramp_s is 0"
+    return f"brake tests take {ramp_s:g} s; a leg may move by {allowed_mm:g} mm"
+
+
+def _until_braked_m(c: Configuration, platform: Platform, model: Model, w: Walk) -> float:
+    """Return how far a leg may travel from silence at its top speed until its brake acts, m.
+
+    Within the watchdog's time and that of the brake it accelerates as on the path, or as without any force.
+    """
+    home, still = pose_arrays(c.platform.home), np.zeros(6)
+    falls = jacobian(platform, *home) @ model.forward_dynamics(*home, still, still)
+    a = max(float(np.abs(w.ddq).max()), float(np.abs(falls).max()))
+    T = 1e-3 * c.drives.watchdog_ms + c.engage.closing_s
+    return float(np.abs(w.dq).max()) * T + 0.5 * a * T * T
 
 
 def refuse_unreachable(c: Configuration) -> None:
@@ -139,7 +165,7 @@ def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> t
 def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
     w, whole = _walk_within_limits(c, platform, model)
     step, swing = _changes(w, 1 / c.loop.rate_Hz)
-    peak = float(np.abs(w.tau).max())
+    peak, braked_m = float(np.abs(w.tau).max()), _until_braked_m(c, platform, model, w)
     change = f"not seen: {len(w.t)} samples are fewer than ticks"
     if w.every_tick:
         change = (
@@ -155,8 +181,10 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         f"leg forces     {w.tau.min():.0f} to {w.tau.max():.0f} N (limit {c.limits.force_N:g})",
         f"force change   {change}",
         f"condition of J up to {w.condition.max():.2f} (limit {c.limits.condition:g})",
+        f"silence        a leg travels up to {1e3 * braked_m:.0f} mm until its brake acts",
     ]
     report.figures["reference"] = {
+        "until_braked_m": braked_m,
         "duration_s": whole,
         "length_min_m": float(w.q.min()),
         "length_max_m": float(w.q.max()),

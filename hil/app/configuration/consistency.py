@@ -25,6 +25,7 @@ from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reference import LiveReference, ReferenceSettings, SampledReference, Waypoint
+from hil.config.running import EngageSettings
 from hil.config.values import Pose
 from hil.control import ControllerSettings
 from hil.robot.geometry import GeometryError
@@ -279,6 +280,34 @@ def designed_controllers(
             yield (*path, "controller_file"), trouble
 
 
+def brake_times(plant: PlantSettings | None, engage: EngageSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse emulated brakes that take longer than the controller gives them."""
+    if plant is None:
+        return
+    for key, given_s, allowing in (
+        ("brake_open_ms", engage.brake_release_s, "engage.brake_release_s"),
+        ("brake_close_ms", engage.closing_s, "engage.brake_close_s, by default brake_release_s"),
+    ):
+        taken: float = getattr(plant.drives, key)
+        if taken > 1e3 * given_s * (1 + 1e-9):
+            message = (
+                f"longer than the controller waits for its brakes, allowed: at most {1e3 * given_s:g} "
+                f"({allowing}), given: {taken:g}"
+            )
+            yield ("plant", "drives", key), message
+
+
+def standstill(plant: PlantSettings | None, limits: LimitSettings, _: Folder) -> Iterator[Finding]:
+    """Refuse a tolerance of standstill that encoders at rest exceed."""
+    least = 0.0 if plant is None else 4 * plant.drives.encoder_resolution_m
+    if limits.standstill_m < least:
+        message = (
+            f"too near to the resolution of the encoders, allowed: at least {least:g} (4 x "
+            f"plant.drives.encoder_resolution_m), given: {limits.standstill_m:g}"
+        )
+        yield ("limits", "standstill_m"), message
+
+
 def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
     """Refuse a period that is no whole number of the plant's steps."""
     if plant is None:
@@ -343,7 +372,7 @@ RULES: tuple[Rule, ...] = (
     watchdog, rated_force, feedback_window, bit_rates, bus_load, node_numbers, sensor_rates,
     fusion_sources, measured_wrench, live_preview, geometry, stroke, reference_poses, reference_path,
     endless_reference, designed_controllers, certified_law, plant_steps, emulated_sensors, plant_lag,
-    fmu_file, bench_rest,
+    brake_times, standstill, fmu_file, bench_rest,
 )  # fmt: skip
 """A parameter has the name of its section; the last one is the folder."""
 

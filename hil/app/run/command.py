@@ -1,6 +1,7 @@
 """`hil run`: the daemon on the controller PC, in real time, against drives or the plant that it starts."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from hil.app.run.stretching import begin, bench_clock, stretches
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.release import ReleaseSocket, send_release
 from hil.loop.run_end import NO_DRIVES, NO_DRIVES_S, Course, Ending
 from hil.loop.setpoints import SetPointSocket
 from hil.record import LogSummary
@@ -70,6 +72,7 @@ def run_daemon(
         )
         live = cycle.parts.steering is not None
         setpoints = stack.enter_context(SetPointSocket(c.bus.interface, c.bus.channel)) if live else None
+        release = stack.enter_context(ReleaseSocket(c.bus.interface, c.bus.channel))
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
@@ -77,9 +80,9 @@ def run_daemon(
             if clock is not None:
                 begin(clock, c, cycle, window_ns)
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
-            shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints)
+            shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints, release, _say)
             try:
-                ending = run(Course(cycle, duration_s, reset=reset), shell)
+                ending = run(Course(cycle, duration_s, reset=reset, stays=True), shell)
                 interrupted = clock is not None and clock.interrupted
             finally:
                 bus.clock.leave()
@@ -104,6 +107,22 @@ def run_daemon(
     return result
 
 
+def release_held(configuration: Configuration) -> dict[str, Any]:
+    """Let the running controller of a configuration let go of the platform that it holds; return the summary.
+
+    Raises RunError where there is none, or it holds nothing.
+    """
+    bus = configuration.bus
+    send_release(bus.interface, bus.channel)
+    return {"success": True, "kind": "release", "configuration": configuration.source}
+
+
+def _say(text: str) -> None:
+    """Write to the operator's terminal at once, past buffers."""
+    with contextlib.suppress(OSError):
+        os.write(2, f"\nhil: {text}\n".encode())
+
+
 @contextlib.contextmanager
 def _startable() -> Iterator[None]:
     """Turn a signal that comes before the loop into one message."""
@@ -125,7 +144,8 @@ def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) 
             f"power, wiring, bit rate and drives.node_ids{start}"
         )
     elif ending.mode is Mode.FAULT:
-        text = f"{text} at tick {ending.fault_tick}: drives were told to switch off"
+        let_go = "the platform was released on request, and the " if ending.released else ""
+        text = f"{text} at tick {ending.fault_tick}: {let_go}drives were told to switch off"
     return "; ".join(filter(None, (text, plant)))
 
 

@@ -1,0 +1,181 @@
+"""A bounded model of a run whose brakes, drives and operator are adversaries: every interleaving of it.
+
+What decides is the program's own: `next_mode`, `overdue`, `after_fault`, `drive_mode` and the transitions of
+the emulated drives. The model adds what drives them: two drives that stand for six and may not obey or fail,
+brakes that may cease to hold at any time, safety that finds faults at any time and motion on closed brakes
+one step late, every operator command, and time as a mode's least duration or more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import pytest
+
+from drivers.signals import DriveMode, DriveState, Fault, Mode
+from hil.loop.modes import (
+    DRIVE_PATIENCE_S,
+    MOVING,
+    Durations,
+    Facts,
+    after_fault,
+    drive_mode,
+    next_mode,
+    overdue,
+)
+from hil.signals import Operator
+from plant_fmu.drives.kernels import TRANSITIONS
+
+DURATIONS = Durations(load=0.3, release=0.1, close=0.1)
+LATE = DRIVE_PATIENCE_S + 0.1
+DRIVES = 2
+COMMANDS = (None, Operator.ENGAGE, Operator.STOP, Operator.RESET, Operator.ESTOP, Operator.RELEASE)
+FOUND = (Fault.NONE, Fault.STALE, Fault.BUS)
+"""What safety may find while the drives are powered, whatever is true; DRIVE and BRAKE follow from the rest."""
+FORCED = frozenset({Mode.PARKING, Mode.HELD, *MOVING})
+"""Modes with the force on. In LOADING it comes, and in UNLOADING it goes: the brakes may carry anything."""
+ON_BRAKES = frozenset({Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED})
+
+
+class State(NamedTuple):
+    mode: Mode
+    faults: Fault
+    drives: tuple[DriveState, ...]
+    good: tuple[bool, ...]
+    """Brakes that hold when they are closed; one that does not stays so."""
+    was_bad: bool
+    """A leg has moved on a closed brake since the last step."""
+
+
+class Step(NamedTuple):
+    before: State
+    operator: Operator | None
+    found: Fault
+    after: State
+
+
+START = State(Mode.WAITING, Fault.NONE, (DriveState.OFF,) * DRIVES, (True,) * DRIVES, was_bad=False)
+
+
+def obeyed(drives: tuple[DriveState, ...], asked: DriveMode) -> Iterator[tuple[DriveState, ...]]:
+    """Yield what the drives may do: all obey, or one does not, or one fails."""
+    good = tuple(DriveState(TRANSITIONS[asked].get(s, s)) for s in drives)
+    yield good
+    for k in range(DRIVES):
+        yield (*good[:k], drives[k], *good[k + 1 :])
+        yield (*good[:k], DriveState.FAULT, *good[k + 1 :])
+
+
+def steps(before: State) -> Iterator[Step]:
+    """Yield every step from a state."""
+    brakes = {before.good, (False, *before.good[1:]), (False,) * DRIVES}
+    for operator in COMMANDS:
+        commands = () if operator is None else (operator,)
+        least = DURATIONS.least(before.mode)
+        for elapsed, finished in (
+            (0.0, False),
+            (least + 0.5, False),
+            (least + 0.5, True),
+            (least + LATE, True),
+        ):
+            mode, faults, found = before.mode, before.faults, Fault.NONE
+            if operator is Operator.RESET and mode in {Mode.FAULT, Mode.WAITING}:
+                faults = Fault.NONE
+            if overdue(mode, elapsed, DURATIONS):
+                mode, found = Mode.HELD if mode is Mode.PARKING else Mode.FAULT, Fault.DRIVE
+            else:
+                facts = Facts(commands, before.drives, True, elapsed, finished, stop=False)
+                mode = next_mode(mode, facts, DURATIONS)
+            for good in brakes:
+                for said in FOUND if drive_mode(mode) is not DriveMode.OFF else FOUND[:1]:
+                    yield from judged(
+                        before, operator, State(mode, faults, before.drives, good, False), found | said
+                    )
+
+
+def judged(before: State, operator: Operator | None, state: State, found: Fault) -> Iterator[Step]:
+    """Yield what safety makes of a step, and what the drives make of its command."""
+    faults = found & ~Fault.DRIVE  # one that is overdue has led to its mode already
+    if operator is Operator.ESTOP:
+        faults |= Fault.ESTOP
+    if before.was_bad and state.mode in ON_BRAKES:
+        faults |= Fault.BRAKE
+    if DriveState.FAULT in state.drives and drive_mode(state.mode) is not DriveMode.OFF:
+        faults |= Fault.DRIVE
+    mode = after_fault(state.mode, faults, located=True) if faults else state.mode
+    moves = mode in ON_BRAKES and not all(state.good)
+    for drives in obeyed(state.drives, drive_mode(mode)):
+        after = State(mode, state.faults | faults | found, drives, state.good, was_bad=moves)
+        yield Step(before, operator, faults | found, after)
+
+
+@pytest.fixture(scope="module")
+def every() -> list[Step]:
+    """Every step of every state that can be reached."""
+    seen, front, all_steps = {START}, [START], []
+    while front:
+        for step in set(steps(front.pop())):
+            all_steps.append(step)
+            if step.after not in seen:
+                seen.add(step.after)
+                front.append(step.after)
+    return all_steps
+
+
+def test_the_model_reaches_every_mode(every):
+    assert {step.after.mode for step in every} == set(Mode)
+    assert len({step.after for step in every}) > 500
+
+
+def test_the_force_goes_off_only_in_a_brake_test_or_for_a_stated_reason(every):
+    """An emergency stop, a drive or the bus that failed, the operator's release, a fault while the brakes are open."""
+    lost = Fault.ESTOP | Fault.DRIVE | Fault.BUS
+    for step in every:
+        if step.before.mode not in FORCED or step.after.mode in FORCED:
+            continue
+        tested = step.before.mode is Mode.PARKING and step.after.mode is Mode.UNLOADING
+        released = step.before.mode is Mode.HELD and step.operator is Operator.RELEASE
+        in_motion = step.before.mode in MOVING and step.found
+        assert tested or released or in_motion or step.found & lost, step
+
+
+def test_the_force_is_back_one_step_after_a_leg_has_moved_on_its_brake(every):
+    for step in every:
+        if step.before.was_bad:
+            lost = step.found & (Fault.ESTOP | Fault.DRIVE | Fault.BUS)
+            braked = step.after.mode in FORCED or step.after.mode is Mode.FAULT
+            assert braked, step
+            if step.after.mode is Mode.FAULT:
+                assert lost, step
+
+
+def test_no_brake_that_does_not_hold_is_parked_on_for_longer_than_a_step(every):
+    for step in every:
+        if step.before.mode is Mode.PARKED and step.after.mode is Mode.PARKED:
+            assert not step.before.was_bad
+
+
+def test_an_emergency_stop_acts_from_everywhere(every):
+    for step in every:
+        if step.operator is Operator.ESTOP:
+            assert step.after.mode is Mode.FAULT
+            assert step.after.faults & Fault.ESTOP
+
+
+def test_no_fault_is_lost_but_by_a_reset_without_force(every):
+    for step in every:
+        if step.before.faults & ~step.after.faults:
+            assert step.operator is Operator.RESET
+            assert step.before.mode in {Mode.FAULT, Mode.WAITING}
+        assert step.found in step.after.faults
+
+
+def test_no_brake_is_opened_without_the_operators_word(every):
+    """From IDLE only ENGAGE leads to LOADING, and no other mode leads to an open brake."""
+    for step in every:
+        if step.after.mode in MOVING and step.before.mode not in MOVING:
+            assert step.before.mode is Mode.LOADING
+        if step.after.mode is Mode.LOADING and step.before.mode is not Mode.LOADING:
+            assert step.before.mode is Mode.IDLE
+            assert step.operator is Operator.ENGAGE

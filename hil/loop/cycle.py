@@ -292,6 +292,7 @@ class Cycle:
                     self.motion.rest(tick["p"], tick["R"], number)
                 self.entry_tick = None
                 self.offset = self.holding - self._tau_at_rest(tick, on_it=True)
+                parts.safety.resume(self.holding)
         self.mode, self.mode_tick = mode, number
 
     def _statics(self, tick: Record) -> Array:

@@ -81,9 +81,15 @@ class Safety:
         self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
         self._memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
+    def resume(self, tau: Array) -> None:
+        """Let the force (6,) N come back at once: changes are limited as if it had been on all the time."""
+        for forces in (self._history, self._lows, self._highs):
+            forces[:] = tau
+
     def moved_m(self, tick: Record) -> Array:
         """Return how far each leg is from where it had to stand the last time, (6,) m."""
-        return np.abs(tick["length"] - self._memory["still"])
+        moved: Array = np.abs(tick["length"] - self._memory["still"])
+        return moved
 
     def judge(self, tick: Record) -> Verdict:
         """Fill the verdict columns of a tick, once; return what warns, faults or asks for a stop.

@@ -188,6 +188,21 @@ def test_guard_watches_legs_on_closed_brakes_and_names_the_one_that_moves(mode):
         np.testing.assert_allclose(bench.moved_m, leg(0.13), atol=1e-12)
 
 
+def test_guard_lets_a_force_come_back_at_once_and_limits_its_changes_from_there():
+    bench = Bench()
+    for _ in range(12):
+        bench.tick(Mode.UNLOADING, 0.0)
+    assert bench.tick(Mode.HELD, 90.0).tau[0] == 50.0, "a step"
+    held = np.array([90.0, -90.0, 0.0, 95.0, 40.0, -10.0])
+    bench.safety.resume(held)
+    verdict = bench.tick(Mode.HELD, held)
+    np.testing.assert_array_equal(verdict.tau, held)
+    assert verdict.warnings == Warn.NONE
+    np.testing.assert_array_equal(bench.tick(Mode.HELD, held - [81.0, 0, 0, 0, 0, 0]).tau[0], 40.0)
+    low = bench.tick(Mode.HELD, held - [85.0, 0, 0, 0, 0, 0])
+    assert low.tau[0] == 10.0, "the window of ten ticks begins at the force that came back"
+
+
 @pytest.mark.parametrize("mode", CLOSED)
 def test_guard_lets_legs_stand_elsewhere_after_they_were_free(mode):
     for between, kept in (

@@ -1,0 +1,117 @@
+"""A held platform and its operator: what Ctrl-C does not do, and what lets go."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.errors import RunError
+from drivers.signals import Mode
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import load
+from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.release import ReleaseSocket, send_release
+from hil.loop.run_end import Course
+from hil.signals import Operator
+from plant_fmu.drives.faults.leg import StuckBrake
+from plant_fmu.drives.faults.plan import FaultPlan
+from tests.loop.test_run_end import Wire
+
+
+@pytest.fixture
+def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return "localcan", "held"
+
+
+def asked(panel: OperatorPanel, signals: int, *, held: bool) -> tuple[Operator, ...]:
+    for _ in range(signals):
+        panel.interrupt(2, None)
+    return panel.take(held=held)
+
+
+def test_every_further_signal_is_an_emergency_stop_but_not_while_only_force_holds_the_platform():
+    panel = OperatorPanel()
+    panel.running()
+    assert asked(panel, 1, held=False) == (Operator.STOP,)
+    assert asked(panel, 2, held=True) == (Operator.STOP, Operator.STOP)
+    assert asked(panel, 1, held=False) == (Operator.ESTOP,)
+    fresh = OperatorPanel()
+    fresh.running()
+    assert asked(fresh, 2, held=False) == (Operator.STOP, Operator.ESTOP)
+
+
+def send(bus: tuple[str, str], answers: list[str]) -> threading.Thread:
+    def work() -> None:
+        try:
+            send_release(*bus)
+            answers.append("released")
+        except RunError as error:
+            answers.append(str(error))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    return thread
+
+
+def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
+    answers: list[str] = []
+    with ReleaseSocket(*bus) as listening:
+        sender = send(bus, answers)
+        sender.join()  # no answer within a second: nothing is held
+        assert not listening.take()
+        assert not listening.take()
+        sender = send(bus, answers)
+        while not listening.take():
+            assert sender.is_alive() or len(answers) == 2
+        sender.join()
+    assert "nothing was released" in answers[0]
+    assert answers[1] == "released"
+    assert not listening.path.exists()
+
+
+def test_where_no_controller_runs_there_is_nothing_to_release(bus):
+    with pytest.raises(RunError, match="no controller runs on bus localcan:held"):
+        send_release(*bus)
+
+
+def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
+    """Theory's layout, in the daemon itself; a brake that does not close when it parks."""
+    c = load("ideal")
+    cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
+    nodes, plant = build_nodes(c, FaultPlan([StuckBrake(leg=1, engaged=False, start_s=0.5)]))
+    wire: Any = Wire(nodes, round(1e9 / c.loop.rate_Hz))
+    panel, said, forces, held = OperatorPanel(), [], [], [0]
+
+    def tick(row, *_, **__):
+        if row["mode"] == Mode.HELD:
+            held[0] += 1
+            forces.append(abs(row["tau"]).max())
+            if held[0] in {100, 200, 300}:
+                panel.interrupt(2, None)
+
+    recording: Any = SimpleNamespace(alive=True, dropped=0, tick=tick, event=lambda *_: None)
+    release: Any = SimpleNamespace(take=lambda: held[0] >= 3000)
+    shell = Shell(wire, wire, recording, panel, 0, None, release, said.append)
+    course = Course(cycle, 1.2, stays=True)
+    leaving = iter(range(2000))
+
+    def ending(tick_number, judged=course.ending):
+        if cycle.mode is Mode.FAULT and next(leaving) == 1000:  # nothing brakes the leg: it swings for ever
+            panel.interrupts += 2
+        return judged(tick_number)
+
+    course.ending = ending  # type: ignore[method-assign]
+    ended = run(course, shell)
+    plant.close()
+    assert held[0] == 3000
+    assert min(forces[10:]) > 1000.0
+    assert "leg 1 moved" in said[0]
+    assert "--release" in said[0]
+    assert any("still moves" in text for text in said)
+    assert (ended.mode, ended.released, ended.success) == (Mode.FAULT, True, False)
+    assert "leg 1" in ended.reason

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
-from pathlib import Path
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,9 +24,10 @@ from tests.loop.test_run_end import Wire
 
 
 @pytest.fixture
-def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return "localcan", "held"
+def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, str]]:
+    with tempfile.TemporaryDirectory() as folder:  # a socket's path is short
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield "localcan", "held"
 
 
 def asked(panel: OperatorPanel, signals: int, *, held: bool) -> tuple[Operator, ...]:

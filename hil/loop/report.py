@@ -13,6 +13,8 @@ def fault_text(cycle: Cycle) -> str:
     legs: list[str] = []
     if cycle.faults & Fault.STALE:
         legs += _silent(last["age"].tolist(), cycle.parts)
+    if cycle.faults & Fault.FOLLOWING:
+        legs += _lagging(cycle)
     if cycle.faults & Fault.BRAKE:
         legs += _moved(cycle)
     if cycle.faults & Fault.ENCODER:
@@ -23,6 +25,14 @@ def fault_text(cycle: Cycle) -> str:
             if state in (DriveState.FAULT, DriveState.BOOT):
                 legs.append(f"drive {leg} in {DriveState(state).name}{_because(fault)}")
     return f"latched fault {names}" + (f" ({'; '.join(legs)})" if legs else "")
+
+
+def _lagging(cycle: Cycle) -> list[str]:
+    """Say which leg is farthest from its reference."""
+    last = cycle.tick
+    errors = [abs(q_d - q) for q_d, q in zip(last["q_d"].tolist(), last["q"].tolist(), strict=True)]
+    worst = max(errors)
+    return [f"leg {errors.index(worst)} is {1e3 * worst:.1f} mm from its reference"]
 
 
 def _moved(cycle: Cycle) -> list[str]:

@@ -127,7 +127,7 @@ def test_safety_and_the_log_keep_the_present_state_and_reference(runs):
 def stopped(tmp_path_factory):
     """The book's path without a hold before it, stopped on the way."""
     path = tmp_path_factory.mktemp("stopped") / "a.mcap"
-    summary = simulate(bench("virtual", BOOK, TRUE), log=path, duration_s=1.9)
+    summary = simulate(bench("virtual", BOOK, TRUE), log=path, duration_s=2.2)
     assert summary["success"], summary
     return Log.open(path).rows()
 

@@ -22,8 +22,8 @@ def virtual():
     return load("virtual")
 
 
-ONE_PASS_S = 3.0
-"""The book's path begins at 0.95 s and repeats itself after 2 s."""
+ONE_PASS_S = 3.3
+"""The book's path begins at 1.25 s and repeats itself after 2 s."""
 
 
 @pytest.fixture(scope="module")

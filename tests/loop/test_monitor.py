@@ -39,7 +39,7 @@ AHEAD = """controller:
   wn_rad_s: 90
   delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}
 """
-LOAD = WrenchStep(start_s=1.9, wrench=(-1.12e3, -6.46e3, 7.55e3, 0.0, 0.0, 0.0))
+LOAD = WrenchStep(start_s=2.2, wrench=(-1.12e3, -6.46e3, 7.55e3, 0.0, 0.0, 0.0))
 """10 kN where they move leg 1 most: J M^-1 wrench is 7.7 m/s^2."""
 
 
@@ -84,7 +84,7 @@ def alarms(rows):
 
 
 # (instant, legs): the legs that then carry 1 kN or more; a leg carries 1.03 to 16.0 kN
-FLIPS = [(0.75, (3,)), (0.95, (1,)), (1.2, (2,)), (1.45, (0,)), (1.95, (4, 5))]
+FLIPS = [(1.05, (3,)), (1.25, (1,)), (1.5, (2,)), (1.75, (0,)), (2.25, (4, 5))]
 
 
 @pytest.mark.parametrize(("start_s", "leg"), [(t, leg) for t, legs in FLIPS for leg in legs])
@@ -99,16 +99,16 @@ def test_a_flipped_gain_ends_the_run_within_20_ms_while_the_leg_carries_force(st
 
 @pytest.mark.parametrize("controller", [SLIDING, POSE], ids=["sliding mode", "pose"])
 def test_it_does_so_under_other_certified_laws(controller):
-    rows = run(bench("fault", controller=controller), [LegGain(leg=5, start_s=1.45)], 1.5)
+    rows = run(bench("fault", controller=controller), [LegGain(leg=5, start_s=1.75)], 1.8)
     assert rows["faults"][-1] == Fault.CERTIFICATE
-    assert 1e-9 * rows["t_ns"][-1] - 1.45 <= 0.020
+    assert 1e-9 * rows["t_ns"][-1] - 1.75 <= 0.020
 
 
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory):
     """From rest over path, stop and brakes to rest."""
     path = tmp_path_factory.mktemp("monitor") / "nominal.mcap"
-    summary = simulate(bench("fault", periods=1), log=path, duration_s=2.3, check_replay=True)
+    summary = simulate(bench("fault", periods=1), log=path, duration_s=2.6, check_replay=True)
     return summary, Log.open(path).rows()
 
 
@@ -142,7 +142,7 @@ def test_V_is_that_of_the_smallest_reachable_ellipsoid_and_its_rate_a_difference
 
 @pytest.mark.parametrize(("disturbance", "alarmed"), [(8.0, False), (6.0, True)])
 def test_an_untold_load_alarms_where_it_is_more_than_what_is_stated(disturbance, alarmed):
-    rows = run(bench("warn", disturbance, following_error_m=0.1), [LOAD], 2.15)
+    rows = run(bench("warn", disturbance, following_error_m=0.1), [LOAD], 2.45)
     assert bool(alarms(rows)) == alarmed
     assert not rows["faults"].any(), "it only warns"
     assert np.sqrt(rows["lyapunov"].max(where=np.isfinite(rows["lyapunov"]), initial=0.0)) > 8.0
@@ -150,12 +150,12 @@ def test_an_untold_load_alarms_where_it_is_more_than_what_is_stated(disturbance,
 
 def test_nor_does_it_alarm_a_law_that_looks_ahead():
     """It does not see the load coming: 7.7 m/s^2 on a leg act like 10.2."""
-    rows = run(bench("warn", controller=AHEAD), [LOAD], 2.1)
+    rows = run(bench("warn", controller=AHEAD), [LOAD], 2.4)
     assert alarms(rows) == 0
     assert rows["lyapunov_share"][-100:].max() > 0.9
 
 
-@pytest.mark.parametrize(("name", "until_s"), [("ideal", 1.3), ("lab", 1.6), ("vcan50", 3.0)])
+@pytest.mark.parametrize(("name", "until_s"), [("ideal", 1.3), ("lab", 2.1), ("vcan50", 3.5)])
 def test_other_shipped_configurations_do_not_alarm(name, until_s):
     rows = run(bench("warn", name=name), [], until_s)
     assert np.isfinite(rows["lyapunov_share"]).sum() > 0.3 * len(rows)
@@ -164,6 +164,6 @@ def test_other_shipped_configurations_do_not_alarm(name, until_s):
 
 def test_without_a_certificate_nothing_is_watched():
     pd = "controller:\n  law: pd\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n"
-    rows = run(bench("log", controller=pd), [], 0.7)
+    rows = run(bench("log", controller=pd), [], 1.0)
     assert (rows["mode"] == Mode.APPROACH).any()
     assert np.isnan(rows["lyapunov"]).all()

@@ -19,7 +19,7 @@ from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 ROOT = Path(__file__).resolve().parents[2]
-LOAD_S = 2.0
+LOAD_S = 2.3
 LOAD = WrenchStep(start_s=LOAD_S, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
 LAWS = {
     "plain": "  law: inverse_dynamics\n  wn_rad_s: 20\n",

@@ -22,7 +22,7 @@ from tests.loop import unrecorded
 
 HOLD = "reference: {type: hold, duration_s: 1.25}\n"
 LOAD = (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-START_S = 1.2
+START_S = 1.5
 """A quarter of a second after tracking begins: there is nothing to be seen before."""
 STEP = FaultPlan([WrenchStep(start_s=START_S, wrench=LOAD)])
 

@@ -22,7 +22,7 @@ from plant_fmu.drives.faults.load import WrenchStep
 from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
-LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
+LOAD = WrenchStep(start_s=2.3, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
 """Tracking begins at 0.95 s."""
 LAMBDA, W_N, EPSILON = 92.0, 60.0, 0.43
 DISTURBANCE, ERROR, ACCELERATION, REACHING = 13.0, 0.1, 12.0, 1.0

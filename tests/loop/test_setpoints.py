@@ -49,7 +49,7 @@ POSES = """t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     (folder / "poses.csv").write_text(POSES)
-    summary = simulate(configuration(), log=folder / "a.mcap", duration_s=6, setpoints=folder / "poses.csv")
+    summary = simulate(configuration(), log=folder / "a.mcap", duration_s=6.3, setpoints=folder / "poses.csv")
     return summary, Log.open(folder / "a.mcap")
 
 
@@ -134,7 +134,7 @@ def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
     summary = simulate(
         configuration(),
         log=tmp_path / "a.mcap",
-        duration_s=1.7,
+        duration_s=2.0,
         setpoints=tmp_path / "poses.csv",
         check_replay=False,
     )
@@ -151,7 +151,7 @@ def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
 
 
 def test_without_set_points_it_holds_at_its_start(tmp_path):
-    summary = simulate(configuration(), log=tmp_path / "a.mcap", duration_s=1.5, check_replay=False)
+    summary = simulate(configuration(), log=tmp_path / "a.mcap", duration_s=1.8, check_replay=False)
     assert summary["success"]
     rows = Log.open(tmp_path / "a.mcap").rows()
     tracking = rows[rows["mode"] == Mode.TRACKING]

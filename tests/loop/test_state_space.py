@@ -36,10 +36,10 @@ CONTROLLER = (DATA / "controller.yaml").read_text()
 
 @pytest.fixture(scope="module", params=["joint", "pose"])
 def recorded(request, tmp_path_factory):
-    """A run into the book's path, which begins at 0.95 s, and its summary."""
+    """A run into the book's path, which begins at 1.25 s, and its summary."""
     folder = tmp_path_factory.mktemp("state_space")
     text = CONTROLLER.replace("axes: joint", f"axes: {request.param}")
-    summary = simulate(bench(folder, text), log=folder / "run.mcap", duration_s=1.3, check_replay=False)
+    summary = simulate(bench(folder, text), log=folder / "run.mcap", duration_s=1.6, check_replay=False)
     assert summary["success"], summary
     return folder, summary
 

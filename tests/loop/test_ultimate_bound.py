@@ -20,7 +20,7 @@ from plant_fmu.drives.faults.load import WrenchStep
 from plant_fmu.drives.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
-LOAD = WrenchStep(start_s=2.0, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
+LOAD = WrenchStep(start_s=2.3, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
 FORCE_N = sqrt(3.0) * 10e3
 SCALES = (1.0, 0.9)
 

@@ -17,7 +17,7 @@ from hil.record.log import Log
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("replay") / "run.mcap"
-    summary = simulate(load("virtual"), log=path, duration_s=2.5)
+    summary = simulate(load("virtual"), log=path, duration_s=2.8)
     assert summary["success"]
     return path
 

@@ -87,7 +87,9 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
     cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, FaultPlan([StuckBrake(leg=1, engaged=False, start_s=0.5)]))
     wire: Any = Wire(nodes, round(1e9 / c.loop.rate_Hz))
-    panel, said, forces, held = OperatorPanel(), [], [], [0]
+    panel, held = OperatorPanel(), [0]
+    said: list[str] = []
+    forces: list[float] = []
 
     def tick(row, *_, **__):
         if row["mode"] == Mode.HELD:

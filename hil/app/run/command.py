@@ -32,7 +32,7 @@ from hil.record.figures import figures, picture
 from hil.record.log import Log
 
 FAULT_TICKS_SHOWN = 50
-_ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault"}
+_ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault", Mode.HELD: "held"}
 _TAIL_COLUMNS = (
     "tick", "lateness_ns", "skipped", "mode", "faults", "warnings", "age", "drive_state", "q", "dq", "q_d",
     "tau",

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import OUT_MATRIX, direct, helper, record
-from drivers.signals import Fault, Mode, Stop, Warn
+from drivers.signals import LEGS, Fault, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.control.error_axes import error_axes
 from hil.safety.bus import bus_down, bus_noisy, refusals
@@ -98,7 +98,7 @@ MEMORY = np.dtype(
         ("newest", "<i8"),  # row of the force window
         ("standing", "<i8"),  # 1: the legs have to stand where they are
         ("resting", "<i8"),  # ticks in a row at rest after a fault
-        ("still", "<f8", (6,)),  # m, where the legs have to stand; nan before they are heard
+        ("still", "<f8", (LEGS,)),  # m, where the legs have to stand; nan before they are heard
     ]
 )
 """What the rules remember."""

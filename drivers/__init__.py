@@ -20,7 +20,7 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
         raise ConfigurationError(
             f"drives.options: protocol legs has none, given: {', '.join(drives.options)}"
         )
-    return LegsProtocol(bus.layout, drives.node_ids)
+    return LegsProtocol(bus.layout, drives.node_ids, drives.force_limit_N)
 
 
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {

@@ -50,7 +50,8 @@ class DriveSettings(Section):
     heartbeat_ms: Annotated[float, Field(gt=0)] = 100.0
     """Period of each drive's status message."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0
-    """Rated force: the controller never asks for more and the drive clips there."""
+    """Rated force: the controller never asks for more and the drive clips there. Short force fields of `legs`
+    count in 1/16000 of it, and a drive of another rating is refused."""
 
     @field_validator("protocol")
     @classmethod

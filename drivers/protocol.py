@@ -95,7 +95,9 @@ class DeviceCommand(NamedTuple):
     force: Array
     """N, one per addressed leg."""
     counter: int
-    """Another one than in the leg's command before; else the command is a repetition and does not count."""
+    """Another one than in the leg's command before; else the command is a repetition and does not count.
+
+    Whether it is that of the present SYNC has been checked: an older one, or a future one, is Rejected."""
 
 
 class Configure(NamedTuple):
@@ -129,11 +131,13 @@ DeviceMessage = Sync | DeviceCommand | Configure | EmergencyStop | Answer | Reje
 
 
 class Status(NamedTuple):
-    """A drive's heartbeat."""
+    """A drive's heartbeat, which it sends at once when it is set up and when state or fault change."""
 
     leg: int
     state: int
     fault: int
+    set_up: Configure | None = None
+    """What holds in the drive; None before it has been set up."""
 
 
 Dialogue = Any
@@ -181,7 +185,7 @@ class DriveProtocol(Protocol):
         """Frames that start a tick: SYNC or polls; none for drives that send of their own accord."""
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
-        """Tell whether a frame is feedback of this tick, by its head; `decode` checks what it says.
+        """Tell whether a frame is feedback of this tick that can be trusted: the drain waits for others.
 
         since_ns: when the tick began, before the frames of `begin` were sent.
         """
@@ -191,8 +195,9 @@ class DriveProtocol(Protocol):
     ) -> Dialogue:
         """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
 
-        Fills every column of the part; foreign frames are ignored. A fault code that is not a DriveFault is
-        the drive's own.
+        Fills every column of the part. Frames that are nobody's are ignored; those of another controller and
+        a second answer of one node are named in `foreign` and `doubled`, a set-up that is not ours in
+        `altered`, as far as the protocol can tell. A fault code that is not a DriveFault is the drive's own.
         """
 
     def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
@@ -202,7 +207,7 @@ class DriveProtocol(Protocol):
         """Frames of the start-up dialogue of this tick. No drive in READY or RUN is disturbed."""
 
     def legs_set_up(self, dialogue: Dialogue) -> tuple[bool, ...]:
-        """Which of the six drives have been set up since `start`."""
+        """Which of the six drives have been set up since `start`, on their own word where they give it."""
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""

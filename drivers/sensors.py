@@ -78,6 +78,7 @@ class SensorProtocol:
         self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
         database = parsed(self.database[1])
         self.sync_id: int = database.get_message_by_name("SYNC").frame_id
+        self._sync_register = identifier_state(self.sync_id)
         self._codecs: dict[str, tuple[int, int, Codec]] = {}
         """Kind -> identifier, CRC register after it, codec."""
         for kind in self.rates_Hz:
@@ -154,10 +155,10 @@ class SensorProtocol:
         return Frame(identifier, data + bytes([crc8(data, register)]), codec.flags)
 
     def cycle_of(self, frame: Frame) -> int | None:
-        """Return the Cycle that a SYNC carries, at a sensor's end; None for any other frame."""
-        if frame.id != self.sync_id or frame.flags & FOREIGN or len(frame.data) != 1:
+        """Return the Cycle of a SYNC, at a sensor's end; None for any other frame and for a damaged one."""
+        if frame.id != self.sync_id or frame.flags & FOREIGN or len(frame.data) != 2:
             return None
-        return frame.data[0]
+        return frame.data[0] if intact(frame.data, self._sync_register) else None
 
     def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
         """Return one example of every frame that can fall into one tick at a loop of `rate_Hz`."""

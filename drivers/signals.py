@@ -138,6 +138,25 @@ class Fault(IntFlag):
     """The error grew as the law's Lyapunov function forbids."""
     BRAKE = 32768
     """A leg moved on its closed brake; column `legs_moved` says which."""
+    SECOND_CONTROLLER = 65536
+    """Somebody else sent a SYNC, a command or a CONFIG."""
+    DUPLICATE_NODE = 131072
+    """Two different answers to one SYNC came from one node number."""
+    REFUSED_FRAMES = 262144
+    """Too many ticks had frames of the drives that could not be trusted."""
+    SET_UP = 524288
+    """A drive reports another set-up than the one that was sent to it."""
+
+
+class Foreign(IntFlag):
+    """Which frames of a controller were heard: the own ones are not."""
+
+    NONE = 0
+    SYNC = 1
+    COMMAND = 2
+    CONFIG = 4
+    ESTOP = 8
+    """Any node may send it."""
 
 
 class Warn(IntFlag):

@@ -14,7 +14,18 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from drivers.signals import LEGS, NEVER, DriveFault, DriveMode, DriveState, Fault, Mode, Refusal, Warn
+from drivers.signals import (
+    LEGS,
+    NEVER,
+    DriveFault,
+    DriveMode,
+    DriveState,
+    Fault,
+    Foreign,
+    Mode,
+    Refusal,
+    Warn,
+)
 
 
 class LegBits(IntFlag):
@@ -94,6 +105,9 @@ RECORDED = (
     _("output", "faults", Fault, "", "latched faults"),
     _("output", "warnings", Warn, "", "what was limited or degraded in this tick"),
     _("measurement", "rejected", int, "", "frames of this tick that were refused"),
+    _("measurement", "foreign", Foreign, "", "frames of another controller in this tick"),
+    _("measurement", "doubled", LegBits, "", "nodes that answered one SYNC twice, and not the same"),
+    _("measurement", "altered", LegBits, "", "drives that report another set-up than the one sent"),
     _("output", "command_mode", DriveMode, "", "what the drives are asked for"),
     _("estimate", "fk_iterations", int, "", "Newton steps of forward kinematics"),
     _("output", "setpoints_taken", int, "", "set-points taken so far"),
@@ -139,6 +153,7 @@ RECORDED = (
 WORKING = (
     _("measurement", "length", float, "m", "leg length that the drive last reported", *PER_LEG),
     _("measurement", "rate", float, "m/s", "leg rate that the drive last reported", *PER_LEG),
+    _("input", "sensors_rejected", int, "", "of the frames that were refused, those of the sensors"),
     _("measurement", "blind", int, "", "1 where this tick's feedback calls its length of no use", *PER_LEG),
     Column("estimate", "J", float, "m, 1", "dq = J twist", tuple(map(str, range(LEGS**2))), (LEGS, LEGS)),
     _("estimate", "hop", float, "1", "from 1 on the pose may belong to another assembly than the last one"),

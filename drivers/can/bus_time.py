@@ -17,7 +17,8 @@ stuff bits, one before the stuff count and one after every fourth bit: 1 + floor
 1 + floor(25 / 4) = 7.
     n = 12: 34 bits + (5 + 96 + 25 + 4 + 17 + 6 = 153 bits);  at 1M/5M 34 + 30.6 = 64.6 us
     n = 32: 34 bits + (5 + 256 + 65 + 4 + 21 + 7 = 358 bits);  at 1M/5M 34 + 71.6 = 105.6 us
-    one 32-byte command + six 12-byte feedbacks = 105.6 + 6 x 64.6 = 493.2 us (2028 Hz)
+    one 32-byte command + six 12-byte feedbacks = 105.6 + 6 x 64.6 = 493.2 us (2028 Hz);
+    with a SYNC of 2 bytes, 44 + 16 + 3 + floor(49 / 4) = 75 bits, 568.2 us (1759 Hz)
 BRS and CRC delimiter straddle the two rates; both are counted at the slow one. Without the switch all are.
 
 Error frame: two superposed flags 12, delimiter 8, interframe 3 = 23 bits.

@@ -1,6 +1,6 @@
 """Device side of the cyclic frames, compiled: six feedbacks to bytes, a command to forces.
 
-Fields are little-endian; CRC as in `drivers.legs.crc`.
+Fields are little-endian; checks as in `drivers.legs.crc`.
 """
 
 from typing import Any
@@ -11,6 +11,10 @@ from drivers.arrays import Array, Bytes, Ints
 from drivers.compiled.compiler import DATA, INTEGER, INTEGERS, OUT_BYTES, OUT_VECTOR, VECTOR, kernel
 from drivers.legs.crc import FINAL_XOR, RESIDUE
 from drivers.legs.kernels import (
+    CHECK_AT,
+    CHECK_SIZE,
+    COUNTER_AT,
+    COUNTER_SIZE,
     FEEDBACK_SIZE,
     FIELD,
     FORCE_AT,
@@ -18,7 +22,11 @@ from drivers.legs.kernels import (
     FORCE_SIZE,
     LAST_AT,
     MODE_AT,
+    MODE_SIZE,
     QUANTITIES,
+    check_of,
+    integer,
+    natural,
     read,
     register_after,
     write,
@@ -32,29 +40,35 @@ _MODES = len(DriveMode)
 
 @kernel(DATA, INTEGER)
 def intact(data: Any, register: int) -> bool:
-    """Tell whether `data`, bytes, ends in its own check, starting from a register."""
+    """Tell whether `data`, bytes, ends in its own CRC-8, starting from a register."""
     return bool(register_after(data, 0, len(data), register) == RESIDUE)
 
 
 @kernel(DATA, INTEGER, INTEGERS, VECTOR, OUT_VECTOR)
 def decode_command(data: Any, register: int, form: Ints, scale: Array, force: Array) -> int:
-    """Fill `force`, N, from `data`, bytes of the right number; return mode << 4 | counter.
+    """Fill `force`, N, from `data`, bytes of the right number; return mode << 8 | counter.
 
-    register: CRC after the identifier; form and scale as for `drivers.legs.kernels.encode`. Returns BROKEN,
-    UNKNOWN_MODE or UNFIT, the first that holds, of a frame that cannot be trusted.
+    register: check after the identifier; form and scale as for `drivers.legs.kernels.encode`. Returns BROKEN,
+    UNKNOWN_MODE or UNFIT, the first that holds, of a frame that cannot be trusted. Bytes behind the check,
+    which it does not cover, are 0 or the frame is BROKEN.
     """
-    if register_after(data, 0, len(data), register) != RESIDUE:
+    place, size = form[CHECK_AT], form[CHECK_SIZE]
+    if check_of(data, 0, place, register, size) != integer(data, place, size):
         return BROKEN
-    last = int(data[form[MODE_AT]])
-    if last >> 4 >= _MODES:
+    for k in range(place + size, len(data)):
+        if data[k]:
+            return BROKEN
+    mode = natural(data, 0, form[MODE_AT], form[MODE_SIZE])
+    if mode >= _MODES:
         return UNKNOWN_MODE
     word = np.empty(1, np.int64)
     for k in range(force.shape[0]):
-        value = read(data, form[FORCE_AT] + k * form[FORCE_SIZE], form[FORCE_SIZE], form[FORCE_KIND], word)
+        bit = form[FORCE_AT] + k * form[FORCE_SIZE]
+        value = read(data, 0, bit, form[FORCE_SIZE], form[FORCE_KIND], word)
         if not scale[1] <= value <= scale[2]:
             return UNFIT
         force[k] = value if form[FORCE_KIND] else value * scale[0]
-    return last
+    return mode << 8 | natural(data, 0, form[COUNTER_AT], form[COUNTER_SIZE])
 
 
 @kernel(VECTOR, VECTOR, VECTOR, INTEGERS, INTEGER, INTEGERS, INTEGERS, VECTOR, OUT_BYTES)
@@ -90,7 +104,7 @@ def encode_feedbacks(
             value = min(max(value, scale[QUANTITIES + k]), scale[2 * QUANTITIES + k])
             if not form[field + 2]:
                 value = np.rint(value / scale[k])
-            write(value, data, start + form[field], form[field + 1], form[field + 2], word)
+            write(value, data, start, form[field], form[field + 1], form[field + 2], word)
         data[start + form[LAST_AT]] = state[leg] << 4 | counter
         end = start + size - 1
         data[end] = register_after(data, start, end, identifiers[LEGS + leg]) ^ FINAL_XOR

@@ -3,8 +3,8 @@
 In the loop the controller's end uses the tables, with `drivers.legs.kernels`, and the drives' end `struct`.
 No state, no clock.
 
-CRC: SAE J1850 CRC-8 over identifier (low byte, high byte), then all data bytes but the last;
-the last one is the CRC. Fields are little-endian.
+Checks: `drivers.legs.crc`, over identifier (low byte, high byte), then the data before the check. Fields are
+little-endian. `docs/guides/protocol.md` has the rules of both ends.
 """
 
 import struct
@@ -17,10 +17,11 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.codec import Codec, Place, compile_message, parsed, read_dbc
+from drivers.legs.codec import Place
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_command, encode_feedbacks, intact
 from drivers.legs.kernels import FOREIGN, QUANTITIES, encode, fold
+from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
 from drivers.protocol import (
     ALWAYS,
     Configure,
@@ -30,7 +31,6 @@ from drivers.protocol import (
     DriveSetup,
     EmergencyStop,
     Frame,
-    Memory,
     Received,
     Rejected,
     Status,
@@ -40,17 +40,13 @@ from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 
 MAX_NODE = 127
-SETUPS = 3
-"""How often a drive is sent its CONFIG: nothing acknowledges it."""
+TRIES = 10
+"""How often a drive that does not confirm its set-up is sent its CONFIG."""
 SETUP_S = 0.02
 """From one CONFIG of a drive to its next."""
+NO_SYNC = -1
+"""Memory of drives that have heard no SYNC yet."""
 _POWERED = (DriveState.READY, DriveState.RUN)
-_COMMANDS = {
-    "classic": ("COMMAND_CLASSIC_A", "COMMAND_CLASSIC_B"),
-    "fd": ("COMMAND_FD",),
-    "ideal": ("COMMAND_IDEAL",),
-}
-LAYOUTS = tuple(_COMMANDS)
 _BYTES = [bytes([value]) for value in range(256)]
 _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
@@ -60,6 +56,8 @@ _UNTRUSTED = {
     UNFIT: "force not finite or out of range",
 }
 _REACTIONS = len(Reaction)
+_STATE_AT, _FAULT_AT, _SET_UP_AT = range(3)
+"""Bytes of a status."""
 
 
 class LegsDialogue(NamedTuple):
@@ -67,34 +65,30 @@ class LegsDialogue(NamedTuple):
 
     configure: tuple[Frame, ...]
     """CONFIG of each drive."""
+    expected: bytes
+    """What the status of each drive that is set up says of its set-up, two bytes each."""
     interval: int
     """Ticks from one CONFIG of a drive to its next."""
     sent: tuple[int, ...]
     """How often each drive has been sent its CONFIG."""
-
-
-class _CommandFrame(NamedTuple):
-    """One command frame of the layout."""
-
-    codec: Codec
-    legs: tuple[int, ...]
-    state: int
-    """CRC register after the identifier."""
+    confirmed: int = 0
+    """Bit i: the last status of drive i has confirmed its set-up."""
 
 
 class LegsProtocol:
     """The own protocol in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
 
-    `node_ids` are the drives' node numbers, leg order, 1..127, all different. The drives' end remembers
-    nothing: its memory is None. Raises ConfigurationError on other node numbers or an unknown layout.
+    `node_ids` are the drives' node numbers, leg order, 1..127, all different; `rated_force_N` is the unit of
+    the forces where their fields are short. The drives' end remembers Cycle of the present SYNC. Raises
+    ConfigurationError on other node numbers, an unknown layout or a rated force that does not fit.
     """
 
     command_delay_ticks = 0
     set_up_frames = 1
     reset_ticks = 5
 
-    def __init__(self, layout: str, node_ids: Sequence[int]) -> None:
-        if layout not in _COMMANDS:
+    def __init__(self, layout: str, node_ids: Sequence[int], rated_force_N: float = 60_000.0) -> None:
+        if layout not in LAYOUTS:
             raise ConfigurationError(f"bus.layout: {layout!r} is unknown, allowed are {', '.join(LAYOUTS)}")
         nodes = tuple(node_ids)
         if len(nodes) != LEGS or len(set(nodes)) != LEGS:
@@ -107,60 +101,62 @@ class LegsProtocol:
                 )
         self.layout = layout
         self.node_ids = nodes
-        self.database = "legs.dbc", read_dbc("drivers.legs", "legs.dbc")
-        get = parsed(self.database[1]).get_message_by_name
-        self._estop = compile_message(get("ESTOP"), "Source")
-        self._sync = compile_message(get("SYNC"), "Cycle")
-        self._config = compile_message(get("CONFIG_1"), "Watchdog", "Reaction", "Leg", "CRC")
-        self._status = compile_message(get("STATUS_1"), "State", "Fault")
-        quantities = ("Length", "Rate") if layout == "classic" else ("Length", "Rate", "Force")
-        feedback = get(f"FEEDBACK_{layout.upper()}_1")
-        self._feedback = compile_message(feedback, *quantities, "Counter", "State", "Invalid", "CRC")
-        self._has_force = "Force" in quantities
+        self.rated_force_N = rated_force_N
+        messages = read_messages(layout, rated_force_N, LEGS)
+        self.database = "legs.dbc", messages.text
+        self._version = messages.version
+        self._estop, self._sync = messages.estop, messages.sync
+        self._config, self._status = messages.config, messages.status
+        self._feedback, self._commands = messages.feedback, messages.commands
+        self._has_force = "Force" in self._feedback.signals
         self._exact = self._feedback.exact
-        self._commands: list[_CommandFrame] = []
-        first = 0
-        for name in _COMMANDS[layout]:
-            legs = tuple(range(first, first + LEGS // len(_COMMANDS[layout])))
-            codec = compile_message(get(name), *(f"Force{leg + 1}" for leg in legs), "Counter", "Mode", "CRC")
-            self._commands.append(_CommandFrame(codec, legs, identifier_state(codec.id)))
-            first = legs[-1] + 1
-
         feedback_id = [self._feedback.id - 1 + node for node in nodes]
         self.feedback_ids = frozenset(feedback_id)
-        self._counter_at = self._feedback.place("Counter").start
+        self._counter_at = self._feedback.place("Counter").start // 8
         self._feedback_legs = list(enumerate(feedback_id))
         # Per leg: identifier, CRC register after it.
         self._feedback_key = [(identifier, identifier_state(identifier)) for identifier in feedback_id]
+        self._feedback_register = dict(self._feedback_key)
         self._status_id = [self._status.id - 1 + node for node in nodes]
         self._config_id = [self._config.id - 1 + node for node in nodes]
-        self._tabulate()
+        self._sync_register = identifier_state(self._sync.id)
+        self._syncs = [
+            Frame(self._sync.id, cycle + _BYTES[crc8(cycle, self._sync_register)], self._sync.flags)
+            for cycle in _BYTES
+        ]
+        self._tabulate(messages.command_ids)
         # Device side: identifier -> parser.
-        self._parsers: dict[int, Callable[[bytes], DeviceMessage]] = {
-            self._estop.id: lambda _: EmergencyStop(),
+        self._parsers: dict[int, Callable[[int, bytes], DeviceMessage]] = {
+            self._estop.id: lambda _present, _data: EmergencyStop(),
             self._sync.id: self._parse_sync,
-            **{command.codec.id: partial(self._parse_command, command) for command in self._commands},
+            **{command.layout.id: partial(self._parse_command, command) for command in self._commands},
             **{
                 identifier: partial(self._parse_config, leg, identifier_state(identifier))
                 for leg, identifier in enumerate(self._config_id)
             },
         }
 
-    def _tabulate(self) -> None:
+    def _tabulate(self, command_ids: Sequence[int]) -> None:
         """Make the tables of `drivers.legs.kernels` and `drivers.legs.device_kernels`."""
-        feedback, status, command = self._feedback, self._status, self._commands[0].codec
+        feedback, command = self._feedback, self._commands[0].layout
         ids, registers = zip(*self._feedback_key, strict=True)
-        self._identifiers = np.array([*ids, *registers, *self._status_id], np.int64)
-        at = [status.place("State").start, status.place("Fault").start, feedback.place("Counter").start]
+        others = [self._estop.id, self._sync.id, *self._config_id, *command_ids]
+        status = [*self._status_id, *map(identifier_state, self._status_id)]
+        self._identifiers = np.array([*ids, *registers, *status, *others], np.int64)
+        at = [_STATE_AT, _FAULT_AT, _SET_UP_AT, self._counter_at]
         places = [*feedback.places[: 3 if self._has_force else 2], Place(0, 0, is_float=False)]
         self._feedback_form = np.array(
-            [feedback.length, status.length, *at, self._exact, *chain(*places[:QUANTITIES])], np.int64
+            [feedback.length, self._status.length, *at, self._exact, *chain(*places[:QUANTITIES])], np.int64
         )
         self._feedback_range = np.array([*feedback.scale[:3], *feedback.low[:3], *feedback.high[:3]])
-        force = command.places[0]
-        frames = [(frame.codec.length, frame.state) for frame in self._commands]
-        self._command_form = np.array([*force, command.place("Counter").start, *chain(*frames)], np.int64)
-        steps = 1 << 8 * force.size - 1
+        force, counter, mode, check = (
+            command.place(name) for name in (command.signals[0], "Counter", "Mode", "CRC")
+        )
+        self._counter_mask = (1 << counter.size) - 1
+        frames = [(frame.layout.length, frame.register) for frame in self._commands]
+        fields = [*force, *counter[:2], *mode[:2], check.start // 8, check.size // 8]
+        self._command_form = np.array([*fields, *chain(*frames)], np.int64)
+        steps = 1 << force.size - 1
         ends = (command.low[0], command.high[0]) if self._exact else (-steps, steps - 1)
         self._command_range = np.array([command.scale[0], *ends], float)
         self._command_size = sum(size for size, _ in frames)
@@ -171,33 +167,48 @@ class LegsProtocol:
     def start(self, setup: DriveSetup) -> LegsDialogue:
         """Return the dialogue before the first CONFIG. Raises ProtocolError as `configure` does."""
         frames = self.configure(setup.watchdog_s, setup.reaction)
-        return LegsDialogue(frames, max(LEGS, round(SETUP_S * setup.rate_Hz)), (0,) * LEGS)
+        sums = [set_up_checksum(frame.id, frame.data[:-1], self.rated_force_N) for frame in frames]
+        expected = b"".join(each.to_bytes(2, "little") for each in sums)
+        return LegsDialogue(frames, expected, max(LEGS, round(SETUP_S * setup.rate_Hz)), (0,) * LEGS)
 
     def begin(self, _dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
         """Return the SYNC frame: the tick modulo 256."""
-        return (Frame(self._sync.id, _BYTES[tick & 0xFF], self._sync.flags),)
+        return (self._syncs[tick & 0xFF],)
 
     def set_up(self, dialogue: LegsDialogue, tick: Record) -> tuple[LegsDialogue, tuple[Frame, ...]]:
-        """Return the CONFIG of a drive that is heard and has none from us: one a tick, SETUPS times each."""
+        """Return the CONFIG of a drive that is heard and has none from us or does not confirm it, one a tick.
+
+        A drive that is out of boot gets it TRIES times at most.
+        """
         leg = int(tick["tick"]) % dialogue.interval
         if leg >= LEGS or tick["age"][leg] > 1:
             return dialogue, ()
         state, sent = tick["drive_state"][leg], dialogue.sent
-        if state != DriveState.BOOT and (sent[leg] >= SETUPS or state in _POWERED):
+        enough = sent[leg] >= (1 if dialogue.confirmed >> leg & 1 else TRIES)
+        if state != DriveState.BOOT and (enough or state in _POWERED):
             return dialogue, ()
         sent = (*sent[:leg], sent[leg] + 1, *sent[leg + 1 :])
         return dialogue._replace(sent=sent), (dialogue.configure[leg],)
 
     def legs_set_up(self, dialogue: LegsDialogue) -> tuple[bool, ...]:
-        """Tell which drives have been sent their CONFIG SETUPS times."""
-        return tuple([sent >= SETUPS for sent in dialogue.sent])
+        """Tell which drives have been sent their CONFIG and have confirmed it."""
+        return tuple([n > 0 and dialogue.confirmed >> leg & 1 == 1 for leg, n in enumerate(dialogue.sent)])
 
     def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
         """Return the six CONFIG frames. Raises ProtocolError if the watchdog is not 1 us .. 4294 s."""
+        frames = []
+        for leg, identifier in enumerate(self._config_id):
+            body = self._config_body(leg, watchdog_s, reaction)
+            check = crc8(body, identifier_state(identifier))
+            frames.append(Frame(identifier, body + _BYTES[check], self._config.flags))
+        return tuple(frames)
+
+    def _config_body(self, leg: int, watchdog_s: float, reaction: Reaction) -> bytes:
+        """Return a CONFIG without its CRC. Raises ProtocolError if the watchdog does not fit."""
         codec = self._config
         try:
             watchdog = round(watchdog_s / codec.scale[0])
-            bodies = [codec.pack(watchdog, int(reaction), leg + 1) for leg in range(LEGS)]
+            body = codec.pack(watchdog, int(reaction), leg + 1, self._version)
         except (struct.error, ValueError, OverflowError):
             watchdog = 0
         if watchdog < 1:
@@ -205,36 +216,32 @@ class LegsProtocol:
                 f"drive watchdog of {watchdog_s} s does not fit into CONFIG: "
                 "0.000001 to 4294.967295 s are allowed"
             )
-        frames = []
-        for identifier, body in zip(self._config_id, bodies, strict=True):
-            check = crc8(body, identifier_state(identifier))
-            frames.append(Frame(identifier, body + _BYTES[check], codec.flags))
-        return tuple(frames)
+        return body
 
     def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
         """Return one tick's command frames.
 
-        force (6,) N, > 0 extends; the counter is the tick modulo 16.
+        force (6,) N, > 0 extends; the counter is that of the tick's SYNC.
         Raises ProtocolError if a force is not finite or does not fit the layout's field.
         """
         data = np.empty(self._command_size, np.uint8)
-        last = command.mode << 4 | tick & 0xF
-        if not encode(command.force, last, self._command_form, self._command_range, data):
+        form, scale = self._command_form, self._command_range
+        if not encode(command.force, tick & 0xFF, command.mode, form, scale, data):
             raise self._unfit(command.force)
         sent = data.tobytes()
         start = 0
         frames = []
-        for codec, _, _ in self._commands:
-            end = start + codec.length
-            frames.append(_new(Frame, (codec.id, sent[start:end], codec.flags)))
+        for of, _, _ in self._commands:
+            end = start + of.length
+            frames.append(_new(Frame, (of.id, sent[start:end], of.flags)))
             start = end
         return dialogue, tuple(frames)
 
     def _unfit(self, force: Array) -> ProtocolError:
-        codec = self._commands[0].codec
+        of = self._commands[0].layout
         return ProtocolError(
-            f"force command {force.tolist()} N does not fit layout {self.layout}: {codec.low[0]:.12g} to "
-            f"{codec.high[0]:.12g} N are allowed; lower limits.force_N or choose another bus.layout"
+            f"force command {force.tolist()} N does not fit layout {self.layout}: {of.low[0]:.12g} to "
+            f"{of.high[0]:.12g} N are allowed; lower limits.force_N or choose another bus.layout"
         )
 
     def emergency_stop(self) -> tuple[Frame, ...]:
@@ -242,8 +249,8 @@ class LegsProtocol:
         return (Frame(self._estop.id, b"\0", self._estop.flags),)
 
     def decode(
-        self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
-    ) -> Dialogue:
+        self, dialogue: LegsDialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> LegsDialogue:
         """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
 
         Every leg first ages by the ticks since the last one, up to NEVER. A feedback whose
@@ -252,59 +259,72 @@ class LegsProtocol:
         if that is newer than what is held, else it is passed over; any other counter is refused. Refused as
         well, and counted in `rejected`: wrong length, CRC, state or fault, a value that is not finite.
         A feedback of this tick that calls its length invalid gives state and force alone: the leg ages, and
-        is `blind`. Foreign frames are ignored. Fault comes from the status, state from the feedback. Layout
-        classic carries no force: it stays as it was.
+        is `blind`. A second answer to the SYNC of what is held that says something else makes the node
+        `doubled`; the first one counts. SYNC, command, CONFIG and E-stop are `foreign`, whatever they carry:
+        nobody hears what he sends himself. Other frames are ignored. Fault and set-up come from the status,
+        state from the feedback. Layout classic carries no force: it stays as it was.
         """
         form, scale = self._feedback_form, self._feedback_range
-        fold(run, since_ns, self._identifiers, form, scale, last, tick)
-        return dialogue
+        expected, before = dialogue.expected, dialogue.confirmed
+        confirmed = fold(run, since_ns, self._identifiers, form, scale, expected, before, last, tick)
+        return dialogue if confirmed == before else dialogue._replace(confirmed=confirmed)
 
-    def fresh(self, received: Received, tick: int, _since_ns: int) -> bool:
-        """Tell whether a frame is a feedback to this tick's SYNC by its counter."""
-        identifier, data, flags = received.frame
+    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is an intact feedback to this tick's SYNC."""
+        t_ns, (identifier, data, flags) = received
         return (
             identifier in self.feedback_ids
             and not flags & FOREIGN
             and len(data) == self._feedback.length
             and (tick - data[self._counter_at]) & 0xF == 0
+            and t_ns >= since_ns
+            and intact(data, self._feedback_register[identifier])
         )
 
     # drives' end
 
-    def power_up(self) -> None:
-        """Return None: nothing is remembered."""
+    def power_up(self) -> int:
+        """Return NO_SYNC: no SYNC is present."""
+        return NO_SYNC
 
-    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
+    def parse(self, memory: int, frame: Frame) -> tuple[int, tuple[DeviceMessage, ...]]:
         """Decode at the drives' end; no message for a frame that is not for them.
 
-        An E-stop counts whatever its payload. Rejected: wrong length or CRC, unknown mode or
-        reaction, a force that is not finite.
+        An E-stop counts whatever its payload. Rejected: wrong length or check, unknown mode or reaction, a
+        force that is not finite, a command that is not for the present SYNC, a SYNC that repeats the present
+        one, a CONFIG of another version of the protocol.
         """
         parser = self._parsers.get(frame.id)
         if parser is None or frame.flags & FOREIGN:
             return memory, ()
-        return memory, (parser(frame.data),)
+        message = parser(memory, frame.data)
+        return message.counter if isinstance(message, Sync) else memory, (message,)
 
-    def _parse_sync(self, data: bytes) -> DeviceMessage:
-        if len(data) != self._sync.length:
-            return Rejected(f"SYNC of {len(data)} bytes")
-        return Sync(data[0])
+    def _parse_sync(self, present: int, data: bytes) -> DeviceMessage:
+        if len(data) != self._sync.length or not intact(data, self._sync_register):
+            return Rejected("length or CRC of SYNC")
+        return Rejected("repeated SYNC") if data[0] == present else Sync(data[0])
 
-    def _parse_command(self, command: _CommandFrame, data: bytes) -> DeviceMessage:
-        codec, legs, register = command
-        if len(data) != codec.length:
+    def _parse_command(self, command: CommandFrame, present: int, data: bytes) -> DeviceMessage:
+        of, legs, register = command
+        if len(data) != of.length:
             return Rejected(f"command of {len(data)} bytes")
         force = np.empty(len(legs))
         last = decode_command(data, register, self._command_form, self._command_range, force)
         if last < 0:
             return Rejected(_UNTRUSTED[last])
-        return _new(DeviceCommand, (legs, last >> 4, force, last & 0xF))
+        counter = last & 0xFF
+        if present == NO_SYNC or counter != present & self._counter_mask:
+            return Rejected(f"command {counter} while the present SYNC is {present}")
+        return _new(DeviceCommand, (legs, last >> 8, force, counter))
 
-    def _parse_config(self, leg: int, register: int, data: bytes) -> DeviceMessage:
+    def _parse_config(self, leg: int, register: int, _present: int, data: bytes) -> DeviceMessage:
         codec = self._config
         if len(data) != codec.length or not intact(data, register):
             return Rejected("length or CRC of CONFIG")
-        watchdog, reaction, slot = codec.unpack(data)
+        watchdog, reaction, slot, version = codec.unpack(data)
+        if version != self._version:
+            return Rejected(f"CONFIG of version {version} of the protocol, this drive has {self._version}")
         if watchdog < 1 or reaction >= _REACTIONS or slot != leg + 1:
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {slot}")
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
@@ -339,8 +359,14 @@ class LegsProtocol:
 
     def status(self, status: Status) -> tuple[Frame, ...]:
         """Encode one drive's heartbeat."""
-        leg, state, fault = status
-        return (Frame(self._status_id[leg], self._status.pack(state, fault), self._status.flags),)
+        leg, state, fault, holds = status
+        checksum = 0
+        if holds is not None:
+            body = self._config_body(leg, holds.watchdog_s, holds.reaction)
+            checksum = set_up_checksum(self._config_id[leg], body, self.rated_force_N)
+        identifier, data = self._status_id[leg], self._status.pack(state, fault, checksum)
+        check = crc8(data, identifier_state(identifier))
+        return (Frame(identifier, data + _BYTES[check], self._status.flags),)
 
     # bus time
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -286,7 +287,13 @@ def record(
         path,
         configuration=c.text,
         attachments=attachments(c),
-        metadata={"kind": kind, "rate_Hz": cycle.parts.rate_Hz, "watchdog_s": cycle.parts.setup.watchdog_s},
+        metadata={
+            "kind": kind,
+            "rate_Hz": cycle.parts.rate_Hz,
+            "watchdog_s": cycle.parts.setup.watchdog_s,
+            "protocol": c.drives.protocol,
+            "protocol_version": protocol_version(c),
+        },
         scene=build_scene(c),
         can_channel=c.bus.channel,
         lockstep=lockstep,
@@ -302,6 +309,18 @@ def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
     ours = (build_protocol(configuration), build_sensors(configuration))
     found = [each.database for each in ours if each is not None and each.database is not None]
     return [(name, text.encode()) for name, text in found]
+
+
+def protocol_version(configuration: Configuration) -> str:
+    """Return the version that the protocol's database gives itself; empty where it has none."""
+    database = build_protocol(configuration).database
+    return "" if database is None else version_of(database[1])
+
+
+def version_of(database: str) -> str:
+    """Return VERSION of the text of a DBC; empty where it has none."""
+    found = re.search(r'^VERSION "([^"]*)"', database, re.MULTILINE)
+    return "" if found is None else found[1]
 
 
 def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
-from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, with_attachments
+from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of, with_attachments
 from hil.app.configuration.configuration import Configuration, loads
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
@@ -65,9 +65,10 @@ def replay_log(
     if difference:
         raise _other_version(log, f"its columns differ ({difference})", "replay")
     configuration = loads(log.configuration, f"{path}:config.yaml")
-    changed = [name for name, text in databases(configuration) if log.attachments.get(name) != text]
+    changed = [(name, text) for name, text in databases(configuration) if log.attachments.get(name) != text]
     if changed:
-        raise _other_version(log, f"it was made with another {changed[0]}", "replay")
+        name, text = changed[0]
+        raise _other_version(log, f"{_versions(log, name, text)}it was made with another {name}", "replay")
     with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
         configuration = with_attachments(configuration, log.attachments, Path(folder))
         plan = log.attachments.get(REFERENCE_PLAN)
@@ -86,6 +87,13 @@ def replay_log(
             f"the log was not closed by its run ({log.summary.closed}): it may end before the run did"
         )
     return comparison, result
+
+
+def _versions(log: Log, name: str, own: bytes) -> str:
+    """Say which versions of a protocol two databases have, where they are two; else nothing."""
+    there = version_of(log.attachments.get(name, b"").decode("ascii", "replace"))
+    here = version_of(own.decode("ascii"))
+    return "" if there == here else f"its protocol has version {there or 'unknown'}, this one {here}; "
 
 
 def _other_version(log: Log, difference: str, what: str) -> LogError:

@@ -11,23 +11,23 @@ from __future__ import annotations
 
 import struct
 import zlib
-from math import inf, nan
+from math import inf
 from typing import Any
 
-from drivers.arrays import ZERO6, Array
+from drivers.arrays import ZERO6
 from drivers.protocol import Dialogue, Frame, run_of
 from drivers.sensors import Readings, SensorProtocol
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Fault, Mode, Stop, Warn
-from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, copy_of, new_record, row_of
+from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, new_record, row_of
 from hil.estimation.pose import Estimator
 from hil.loop import modes
+from hil.loop.effort import Effort
+from hil.loop.estop import confirmed
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.parts import Parts
-from hil.loop.ramps import holding_share, smoothstep, tau_at_rest
 from hil.loop.reference import farthest_leg_m, fill_reference
 from hil.loop.steering import NO_SETPOINTS
-from hil.robot.dynamics import Model
 from hil.safety.guard import Verdict
 from hil.safety.standstill import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
@@ -53,19 +53,18 @@ class Cycle:
     """Six encoders in, six forces out, once per tick.
 
     Mutable state, all of it: the drive protocol's dialogue, the last tick's record, the sensors' last
-    readings, the estimator's pose, the filter, mode and the tick of its entry, latched faults, whether the
-    brakes are proven shut, the motion,
-    the forces that the bumpless entry and the exit fade, what limits last took off, and what law, predictor,
-    observer, external wrench, steering and safety keep. `reset` restores the initial one.
+    readings, the estimator's pose, the filter, mode and the tick of its entry, latched faults, E-stop,
+    whether the brakes are proven shut, the motion, the effort's ramps, and what law, predictor, observer,
+    external wrench, steering and safety keep. `reset` restores the initial one.
     """
 
     def __init__(self, parts: Parts) -> None:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
-        self.statics = Model(parts.platform, leg_spin=parts.leg_spin)
         engage = parts.engage
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
+        self.effort = Effort(parts, self.durations)
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         followers = (parts.predictor, parts.wrench.observer)
         self._followers = [each for each in followers if each is not None]
@@ -88,19 +87,12 @@ class Cycle:
         self.mode_tick = 0
         self.proven = True
         """A brake test has passed since the brakes were last open, or they have not been open."""
-        self.faults = Fault.NONE
+        self.faults, self.estop = Fault.NONE, False
+        """An emergency stop is repeated until all drives confirm it."""
         self.stop_requested = Stop.NONE
         self.reset_tick: int | None = None
         """When the operator last asked to clear the drives' faults."""
-        self.holding = ZERO6
-        """(6,) N: what holds weight and external wrench where the brakes open, or the force as they close."""
-        self.offset = ZERO6
-        """(6,) N: holding force less the law's own at the moment of entry; fades out."""
-        self.entry_tick: int | None = None
-        """When the entry offset began to fade; None while it is whole."""
-        self.last_tau = ZERO6
-        self.shortfall = ZERO6
-        """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
+        self.effort.reset()
         for part in (parts.law, parts.wrench, parts.predictor, parts.safety, parts.steering):
             if part is not None:
                 part.reset()
@@ -148,11 +140,11 @@ class Cycle:
 
         command = self._command(tick)
         limited = warnings and self.mode in CONTROLLED  # no limit acts without a warning
-        self.shortfall = tick["tau"] - tick["tau_asked"] if limited else ZERO6
+        self.effort.shortfall = tick["tau"] - tick["tau_asked"] if limited else ZERO6
         for follower in self._followers:
             follower.sent(command.force)
         self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
-        if Operator.ESTOP in inp.operator:
+        if Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick)):
             frames = parts.protocol.emergency_stop() + frames
         frames += self._set_up(tick)
         setpoints = NO_SETPOINTS if steering is None else steering.counts
@@ -170,8 +162,8 @@ class Cycle:
         if readings.wrench:
             R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
             self.parts.wrench.hear(inp.tick, readings.wrench[-1].values, R)
-        if readings.rejected:
-            tick["rejected"] += readings.rejected
+        tick["sensors_rejected"] = readings.rejected
+        tick["rejected"] += readings.rejected
 
     def _estimate(self, tick: Record, last: Record, latched_ns: int) -> None:
         """Fill the estimate: pose from lengths; a leg without fresh data is carried on at its last rate.
@@ -214,7 +206,7 @@ class Cycle:
         if operator and Operator.RESET in operator and self.mode in {Mode.FAULT, Mode.WAITING}:
             self.reset_tick = number
             self.dialogue = self.parts.protocol.start(self.parts.setup)
-            self.faults = Fault.NONE
+            self.faults, self.estop = Fault.NONE, False
             self.stop_requested = Stop.NONE
             self.located = self.fusing = False
             self.parts.wrench.forget()
@@ -247,16 +239,16 @@ class Cycle:
         return heard and all(self.parts.protocol.legs_set_up(self.dialogue))
 
     def _enter(self, mode: Mode, tick: Record) -> None:
-        parts, number = self.parts, int(tick["tick"])
+        parts, effort, number = self.parts, self.effort, int(tick["tick"])
         previous = self.mode
         match mode:
             case Mode.LOADING:
-                self.holding = self._statics(tick)
+                effort.holding = effort.statics(tick)
                 self.motion.rest(tick["p"], tick["R"], number)
             case Mode.RELEASING:
                 self.motion.rest(tick["p"], tick["R"], number)
-                self.entry_tick, self.proven = None, False
-                self.offset = self.holding - self._tau_at_rest(tick)
+                self.proven = False
+                effort.hold(tick, effort.holding, self.motion.sample(number))
             case Mode.APPROACH:
                 if parts.steering is not None:
                     parts.steering.trajectory.reset()
@@ -265,15 +257,15 @@ class Cycle:
                 duration = max(farthest / engage.approach_speed_m_s, engage.blend_s, self.period_s)
                 move = GeodesicMove(here.p, here.R, start.p, start.R, duration)
                 self.motion.start(move, number, then=parts.trajectory)
-                self.entry_tick = number
+                effort.entry_tick = number
             case Mode.TRACKING:
                 if previous is Mode.LOADING:
                     self.proven = False
                     parts.law.reset()
-                    self.offset = ZERO6
+                    effort.offset = ZERO6
                     if parts.steering is not None:
                         parts.steering.trajectory.reset()
-                    self.entry_tick = number
+                    effort.entry_tick = number
                 self.motion.start(parts.trajectory, number)
             case Mode.STOPPING:
                 self.motion.stop(number, parts.engage.stop_s)
@@ -281,89 +273,28 @@ class Cycle:
                 rest = self.motion.sample(number)
                 self.motion.rest(rest.p, rest.R, number)
             case Mode.UNLOADING:
-                self.holding = self.last_tau
+                effort.holding = effort.last_tau
             case Mode.PARKED if previous is Mode.UNLOADING:
                 self.proven = self.proven or self.durations.load > 0.0
             case Mode.HELD:
-                if previous is Mode.PARKING:
-                    self.holding = self.last_tau
-                elif previous not in {Mode.LOADING, Mode.UNLOADING}:
-                    self.holding = self._statics(tick)
+                holding = effort.last_tau if previous is Mode.PARKING else effort.holding
+                if previous not in {Mode.PARKING, Mode.LOADING, Mode.UNLOADING}:
+                    holding = effort.statics(tick)
                     self.motion.rest(tick["p"], tick["R"], number)
-                self.entry_tick = None
-                self.offset = self.holding - self._tau_at_rest(tick, on_it=True)
-                parts.safety.resume(self.holding)
+                effort.hold(tick, holding, self.motion.sample(number), on_it=True)
+                parts.safety.resume(holding)
         self.mode, self.mode_tick = mode, number
 
-    def _statics(self, tick: Record) -> Array:
-        """Return the forces that hold weight and external wrench at the measured pose."""
-        return self.statics.inverse_dynamics(tick["p"], tick["R"], ZERO6, ZERO6, tick["wrench"])
-
-    def _tau_at_rest(self, tick: Record, *, on_it: bool = False) -> Array:
-        """Return what the law asks for at rest, without load; see `hil.loop.ramps.tau_at_rest`.
-
-        As `_law_input` gives it at entry: the law begins with this very tick, and the entry offset fits.
-        """
-        sample = self.motion.sample(int(tick["tick"]))
-        return tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
-
-    # -- reference, law ------------------------------------------------------------------------------
+    # -- reference, effort ---------------------------------------------------------------------------
 
     def _sample(self, tick: Record) -> PoseSample:
         if self.mode in CONTROLLED or self.mode is Mode.UNLOADING:
             return self.motion.sample(int(tick["tick"]))
         return PoseSample(tick["p"], tick["R"], ZERO6, ZERO6)
 
-    def _law_input(self, tick: Record) -> Record:
-        """Return the tick as the law sees it: now, or when its force will act.
-
-        Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone
-        makes up for what the law's own model does not hold.
-        """
-        predictor, wrench = self.parts.predictor, self.parts.wrench
-        if predictor is None and not wrench.has_source:
-            return tick
-        number, ahead = int(tick["tick"]), copy_of(tick)
-        if predictor is not None:
-            predictor.ahead(ahead, free=self._free())
-        if wrench.has_source:
-            ahead["wrench"] *= 1.0 - self._entry_share(number)
-        if predictor is not None and self.mode in CONTROLLED:
-            sample, t = self.motion.ahead(number, predictor.horizon_s)
-            if t is None:
-                t = self.motion.time(number) + predictor.horizon_s if self.mode is Mode.TRACKING else nan
-            fill_reference(self.parts.platform, sample, ahead)
-            ahead["t_d"] = t
-        return ahead
-
     def _effort(self, tick: Record) -> None:
-        """Fill the law's own force, and what is asked for with the ramps of entry and exit."""
-        number = int(tick["tick"])
-        if self.mode is Mode.HELD and self.faults & modes.NOT_MEASURED:
-            tick["tau_asked"] = self.holding
-            return
-        seen = self._law_input(tick)
-        if self.mode in CONTROLLED:
-            if self.shortfall is not ZERO6:
-                seen["shortfall"] = self.shortfall
-            self.parts.law.effort(seen)
-            own = seen["tau_law"]
-            if seen is not tick:
-                tick["tau_law"] = own
-            left = self._entry_share(number)
-            tick["tau_asked"] = own + self.offset * left if left > 0.0 else own
-            return
-        load = self.durations.load
-        if load > 0 and self.mode in {Mode.LOADING, Mode.UNLOADING}:
-            elapsed = (number - self.mode_tick) * self.period_s
-            tick["tau_asked"] = self.holding * holding_share(self.mode, elapsed, load)
-
-    def _entry_share(self, tick: int) -> float:
-        """Return how much of the entry offset is left, 1 .. 0."""
-        if self.entry_tick is None:
-            return 1.0
-        blend = self.parts.engage.blend_s
-        return 0.0 if blend == 0.0 else 1.0 - smoothstep((tick - self.entry_tick) * self.period_s / blend)
+        blind = bool(self.faults & modes.NOT_MEASURED)
+        self.effort.fill(tick, self.mode, self.mode_tick, self.motion, free=self._free(), blind=blind)
 
     # -- safety, command -----------------------------------------------------------------------------
 
@@ -371,6 +302,8 @@ class Cycle:
         faults = verdict.faults
         if Operator.ESTOP in inp.operator:
             faults |= Fault.ESTOP
+        if faults & Fault.ESTOP or (faults & Fault.SECOND_CONTROLLER and drive_mode(self.mode)):
+            self.estop = True  # OFF could lose against the commands of another controller
         if faults:
             self.faults |= faults
             mode = modes.after_fault(self.mode, faults, located=self.located)
@@ -388,7 +321,7 @@ class Cycle:
         if mode not in _POWERED_MODES:
             tick["tau"] = 0.0
         tick["command_mode"] = mode
-        self.last_tau = tick["tau"]
+        self.effort.last_tau = tick["tau"]
         return Command(mode, tick["tau"])
 
     def _set_up(self, tick: Record) -> tuple[Frame, ...]:

@@ -123,10 +123,12 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> None:
     dialogue, off = cycle.dialogue, Command(DriveMode.OFF, ZERO6)
     with suppress(HilError):
         bus.flush_tx()
-    for tick in range(deadlines.tick, deadlines.tick + SAFE_FRAMES):
+    for tick in range(deadlines.tick + 1, deadlines.tick + 1 + SAFE_FRAMES):
         with suppress(HilError):
+            polls = protocol.command_delay_ticks > 0
+            opening = () if polls else protocol.begin(dialogue, tick)  # drives obey the present SYNC alone
             dialogue, frames = protocol.command(dialogue, off, tick)
-            bus.send(protocol.begin(dialogue, tick + 1) if protocol.command_delay_ticks else frames)
+            bus.send(protocol.begin(dialogue, tick) if polls else opening + frames)
         time.sleep(deadlines.period_ns * 1e-9)
 
 
@@ -190,10 +192,14 @@ def _asked(shell: Shell, mode: Mode) -> tuple[Operator, ...]:
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:
     """Wait for the six feedbacks of a tick that began at `begun_ns`."""
     wanted, fresh = cycle.parts.protocol.feedback_ids, cycle.parts.protocol.fresh
-    answers = bus.drain(deadline_ns, wanted)
-    missing = wanted.difference([each.frame.id for each in answers if fresh(each, tick, begun_ns)])
-    if missing:  # a late answer to an older tick came in place of a fresh one
-        answers += bus.drain(deadline_ns, missing)
+    answers: list[Received] = []
+    missing = wanted
+    while missing:
+        heard = bus.drain(deadline_ns, missing)
+        if not heard:
+            break
+        answers += heard  # of a node, maybe an answer to an older tick, or one that is damaged or forged
+        missing = missing.difference([each.frame.id for each in heard if fresh(each, tick, begun_ns)])
     return answers
 
 

@@ -1,8 +1,10 @@
 """What a run reports of its cycle: latched faults and the legs that show them, drives that are not ready."""
 
-from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Fault
+from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Fault, Foreign
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
+from hil.safety.frames import OFTEN
+from hil.safety.history import HISTORY
 from hil.safety.standstill import REST_m_s
 
 
@@ -20,6 +22,7 @@ def fault_text(cycle: Cycle) -> str:
     if cycle.faults & Fault.ENCODER:
         slipped = cycle.parts.fusion.slipped if cycle.parts.fusion else ()
         legs += [f"the encoder of leg {leg} contradicts the pose of the others" for leg in slipped]
+    legs += _heard(cycle)
     if cycle.faults & Fault.DRIVE:
         for leg, (state, fault) in enumerate(zip(last["drive_state"], last["drive_fault"], strict=True)):
             if state in (DriveState.FAULT, DriveState.BOOT):
@@ -55,6 +58,28 @@ def moving_text(cycle: Cycle) -> str:
         if age == 0 and abs(rate) >= REST_m_s
     ]
     return "; ".join(legs)
+
+
+def _heard(cycle: Cycle) -> list[str]:
+    """Say what the frames of this tick show of the faults that the bus is the place of."""
+    last, faults = cycle.tick, cycle.faults
+    found: list[str] = []
+    if faults & Fault.SECOND_CONTROLLER:
+        kinds = ", ".join(str(kind.name) for kind in Foreign(int(last["foreign"])))
+        found.append(f"another controller is on the bus, heard: {kinds}; one bus has one controller")
+    if faults & Fault.DUPLICATE_NODE:
+        legs = _legs_of(int(last["doubled"]))
+        found.append(f"two different answers to one SYNC from the node of leg {legs}: one number a node")
+    if faults & Fault.SET_UP:
+        found.append(f"drive {_legs_of(int(last['altered']))} reports another set-up than the one sent to it")
+    if faults & Fault.REFUSED_FRAMES:
+        share = f"{OFTEN} of the last {HISTORY} ticks"
+        found.append(f"frames of the drives were refused in {share}: check wiring, termination, bit rates")
+    return found
+
+
+def _legs_of(bits: int) -> str:
+    return ", ".join(str(leg) for leg in range(LEGS) if bits >> leg & 1)
 
 
 def _silent(ages: list[int], parts: Parts) -> list[str]:

@@ -9,6 +9,8 @@ finite      every number is finite                                  NOT_FINITE, 
 encoders    lost or slipped encoder, uncertain fused pose           ENCODER, UNCERTAIN, warnings
 legs        stale leg; drive in fault, rebooted, or out of RUN      STALE, DRIVE
 bus         bus off; sends failing tick after tick                  BUS
+frames      another controller, a doubled node, another set-up,     SECOND_CONTROLLER, SET_UP, ESTOP,
+            a share of refused frames, an E-stop of another node    DUPLICATE_NODE, REFUSED_FRAMES
 kinematics  residual, assembly hop, condition of J                  KINEMATICS, ASSEMBLY, CONDITION
 stroke      hard ends, square-root speed cap, speed                 STROKE, SPEED
 following   leg error against a limit that grows with speed         FOLLOWING

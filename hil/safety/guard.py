@@ -33,13 +33,13 @@ class Safety:
     """The rules of `hil.safety` with the limits of one robot.
 
     Faults and stops are asked for only while the drives are powered (LOADING to UNLOADING, HELD), but for
-    legs that move on closed brakes; warnings always. In the other modes the drives are off: no force, and
-    the force limits start anew from zero.
+    legs that move on closed brakes, and for another controller on the bus, which faults before; warnings
+    always. In the other modes the drives are off: no force, and the force limits start anew from zero.
 
     Mutable state: the forces sent within the last 250 ms, the last of them being the last tau; which of the
-    last 32 ticks were late; periods missed in a row; which of the last 32 ticks had refused frames; the
-    recorder's losses so far; whether all drives have been in RUN since the brakes opened; where the legs have
-    to stand; what the watch of the certificate remembers.
+    last 32 ticks were late; periods missed in a row; in which of the last 32 ticks the bus refused frames and
+    in which frames of the drives were refused; the recorder's losses so far; whether all drives have been in
+    RUN since the brakes opened; where the legs have to stand; what the watch of the certificate remembers.
     `reset` forgets all of it.
     """
 

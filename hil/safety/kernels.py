@@ -32,6 +32,7 @@ from hil.safety.certificate import (
 from hil.safety.finite import all_finite
 from hil.safety.following import lagging
 from hil.safety.force_limits import limit_force, limit_step, limit_window, remember, window_extremes
+from hil.safety.frames import estop_heard, second_controller, unreliable
 from hil.safety.kinematics import hopped, ill_conditioned, inconsistent
 from hil.safety.legs import all_running, drive_lost, stale
 from hil.safety.recorder import recorder_losing
@@ -57,6 +58,8 @@ _BUS, _CERTIFICATE, _WARN_CERTIFICATE = int(Fault.BUS), int(Fault.CERTIFICATE), 
 _BRAKE = int(Fault.BRAKE)
 _WARN_STALE, _WARN_LATE, _WARN_DEGRADED = int(Warn.STALE), int(Warn.LATE), int(Warn.DEGRADED)
 _WARN_REJECTED, _WARN_RECORDER, _WARN_BUS = int(Warn.REJECTED), int(Warn.RECORDER), int(Warn.BUS)
+_SECOND_CONTROLLER, _DUPLICATE_NODE = int(Fault.SECOND_CONTROLLER), int(Fault.DUPLICATE_NODE)
+_REFUSED_FRAMES, _SET_UP, _ESTOP = int(Fault.REFUSED_FRAMES), int(Fault.SET_UP), int(Fault.ESTOP)
 _NO_STOP, _STOP_MISSED, _STOP_RECORDER = int(Stop.NONE), int(Stop.MISSED), int(Stop.RECORDER)
 _STOP_STRETCHED = int(Stop.STRETCHED)
 _FORCE_LIMIT, _FORCE_STEP, _FORCE_WINDOW = int(Warn.FORCE_LIMIT), int(Warn.FORCE_STEP), int(Warn.FORCE_WINDOW)
@@ -91,7 +94,8 @@ MEMORY = np.dtype(
     [
         ("late", "<i8"),  # the last ticks as bits, see `hil.safety.history`
         ("missed", "<i8"),  # periods missed in a row
-        ("refused", "<i8"),  # ticks with refused frames, as bits
+        ("refused", "<i8"),  # ticks with frames that the bus refused, as bits
+        ("untrusted", "<i8"),  # ticks with frames of the drives that were refused, as bits
         ("dropped", "<i8"),  # the recorder's losses so far
         ("running", "<i8"),  # 1: all drives have been in RUN since the brakes opened
         ("stretched_ns", "<i8"),  # how long the bench's time stood still, in harmful stretches
@@ -184,6 +188,30 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
     if follows and lagging(tick.q, tick.q_d, tick.dq_d, limits.following_error_m, limits.following_error_s):
         faults |= _FOLLOWING
     return faults, warnings
+
+
+@helper
+def judge_frames(tick: Any, memory: Any) -> int:
+    """Return fault bits of what was heard on the bus.
+
+    Another controller and an emergency stop of another node fault before the drives are powered, too; what
+    the drives say of themselves counts once they have been set up.
+    """
+    memory.untrusted = refusals(memory.untrusted, tick.rejected - tick.sensors_rejected)
+    if tick.mode > _UNLOADING:
+        return 0
+    faults = 0
+    if second_controller(tick.foreign):
+        faults |= _SECOND_CONTROLLER
+    if estop_heard(tick.foreign):
+        faults |= _ESTOP
+    if tick.mode >= _IDLE and tick.doubled != 0:
+        faults |= _DUPLICATE_NODE
+    if tick.mode >= _IDLE and tick.altered != 0:
+        faults |= _SET_UP
+    if tick.mode >= _LOADING and unreliable(memory.untrusted):
+        faults |= _REFUSED_FRAMES
+    return faults
 
 
 @helper
@@ -290,6 +318,7 @@ def judge_tick(
     faults, more = judge_state(tick, limits, memory)
     faults |= judge_standstill(tick, limits, memory)
     warnings |= more
+    faults |= judge_frames(tick, memory)
     broken, more = judge_certificate(tick, memory.running, late, watched)
     faults |= broken
     warnings |= more

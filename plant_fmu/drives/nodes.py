@@ -31,7 +31,7 @@ from drivers.protocol import (
     Status,
     Sync,
 )
-from drivers.signals import LEGS, DriveFault
+from drivers.signals import LEGS, DriveFault, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.faults.plan import FaultPlan
@@ -77,18 +77,19 @@ class Snapshot(NamedTuple):
     repeated: int
     """Valid command frames whose counter had been seen: they count for nothing."""
     rejected: int
-    """Frames that could not be trusted."""
+    """Frames that could not be trusted, or were for another SYNC than the present one."""
 
 
 class Nodes:
     """Six drives and the plant behind them.
 
     A drive boots with its brake engaged, CONFIG takes it to OFF, then `TRANSITIONS` hold. RUN is
-    reached through READY only. CONFIG counts in BOOT, OFF and FAULT. The watchdog runs in READY and
-    RUN, from the last valid command with a new counter. A fault latches until RESET; its reaction
-    is the configured one if it strikes in RUN, otherwise the brake, so that no fault opens a brake. Damping
-    and holding end in the brake. A brake takes its time to open and to close, and a drive keeps its last
-    force until its own has closed.
+    reached through READY only. CONFIG counts in BOOT, OFF and FAULT, and is answered by a status that says
+    what holds. The watchdog runs in READY and RUN, from the last valid command with a new counter. A fault
+    latches until RESET; its reaction is the configured one if it strikes in RUN, otherwise the brake, so that
+    no fault opens a brake. Damping and holding end in the brake. A brake takes its time to open and to close,
+    and a drive keeps its last force until its own has closed. An emergency stop brakes and is reported,
+    whatever was latched before.
 
     Mutable state: the plant, six drives, the protocol's memory at their end, the time, the generator of
     frame faults. Owner of all of it; `start` resets it.
@@ -248,7 +249,7 @@ class Nodes:
         self._controls = self._drives.actuate(self._length, self._rate, lag, t)
 
     def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
-        """Latch a fault; the first one stays, but an emergency stop brakes whatever was latched."""
+        """Latch a fault; the first one stays, but for an emergency stop."""
         drives = self._drives
         self._advance(t)
         brakes = fault is DriveFault.ESTOP or drives.state[leg] != RUN or self._present.lost[leg]
@@ -262,6 +263,9 @@ class Nodes:
         elif brakes:
             drives.acting[leg] = BRAKE
             drives.deadline_ns[leg] = NEVER_NS
+            if fault is DriveFault.ESTOP and drives.fault[leg] != fault:
+                drives.fault[leg] = fault
+                self._send_status(leg, t, out)
         self._actuate(t)
         self._calm_ns = min(self._calm_ns, int(drives.deadline_ns.min()), int(drives.moved_ns.min()))
 
@@ -333,11 +337,15 @@ class Nodes:
         drives.configured[leg] = True
         if drives.state[leg] == BOOT:
             drives.enter(leg, OFF, DriveFault.NONE)
-            self._send_status(leg, t, out)
+        self._send_status(leg, t, out)
 
     def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
-        state, fault = int(self._drives.state[leg]), int(self._drives.fault[leg])
-        self._send(leg, t, self._protocol.status(Status(leg, state, fault)), out)
+        drives = self._drives
+        state, fault = int(drives.state[leg]), int(drives.fault[leg])
+        holds = None
+        if drives.configured[leg]:
+            holds = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
+        self._send(leg, t, self._protocol.status(Status(leg, state, fault, holds)), out)
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:
         """Queue frames of one drive, as far as it is not silent and they are not lost."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from drivers.can.arbitration import arbitrate, priority, transmit
 from drivers.can.bus_time import FD_LENGTHS, BitTiming, budget, check, frame_bits, frame_time_ns
 from drivers.errors import BusError, ConfigurationError
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
@@ -35,6 +36,16 @@ def test_three_tick_layouts_take_the_time_of_the_design():
     assert fd.total_ns == 493_200
     assert fd.load_percent == pytest.approx(49.32)
     assert round(fd.highest_rate_Hz) == 2028
+
+
+def test_the_crc_of_sync_costs_ten_bits_a_tick():
+    """44 + 16 + 3 + floor(49 / 4) = 75 bits; with one byte 65."""
+    frames = [Frame(1, bytes(32), FD | BRS)] + [Frame(2, bytes(12), FD | BRS)] * 6
+    without, with_crc = (budget([Frame(0x80, bytes(n)), *frames], FD_1M_5M, 1000) for n in (1, 2))
+    assert (without.total_ns, with_crc.total_ns) == (558_200, 568_200)
+    assert (int(without.highest_rate_Hz), int(with_crc.highest_rate_Hz)) == (1791, 1759)
+    ours = LegsProtocol("fd", (1, 2, 3, 4, 5, 6)).cyclic_frames()
+    assert budget(ours, FD_1M_5M, 1000).total_ns == with_crc.total_ns
 
 
 def test_fd_without_rate_switch_takes_all_bits_at_the_slow_rate():

@@ -1,4 +1,4 @@
-"""SAE J1850 CRC-8 against its published check value and an independent bitwise division."""
+"""CRC-8 and CRC-16 against published check values, a bitwise division, and a count of what they find."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.legs.crc import crc8, identifier_state
+from drivers.legs.crc import crc8, crc16, identifier_state
 
 
 def bitwise_crc8(data: bytes) -> int:
@@ -58,3 +58,56 @@ def test_every_burst_of_up_to_eight_bits_changes_the_check(data, draw):
     damaged = int.from_bytes(data, "big") ^ (burst << at)
     damaged &= (1 << 8 * len(data)) - 1
     assert crc8(damaged.to_bytes(len(data), "big")) != crc8(data)
+
+
+def bitwise_crc16(data: bytes) -> int:
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte << 8
+        for _ in range(8):
+            register = (register << 1 ^ (0x5935 if register & 0x8000 else 0)) & 0xFFFF
+    return register
+
+
+def test_the_check_value_of_the_crc16_is_that_of_the_catalogue():
+    """CRC-16/M17 of the catalogue of parametrised CRC algorithms."""
+    assert crc16(b"123456789") == bitwise_crc16(b"123456789") == 0x772B
+
+
+@given(st.binary(max_size=64))
+def test_the_crc16_agrees_with_bitwise_division(data):
+    assert crc16(data) == bitwise_crc16(data)
+
+
+def hamming_distance(polynomial: int, width: int, bits: int) -> int:
+    """Count out how many wrong bits of a code word of so many it takes to pass, five at most.
+
+    A pattern passes if the remainders of its bits add up to nothing.
+    """
+    remainders, x = [], 1
+    for _ in range(bits):
+        remainders.append(x)
+        x <<= 1
+        if x >> width:
+            x ^= 1 << width | polynomial
+    one = set(remainders)
+    if len(one) < bits:
+        return 2
+    two = [a ^ b for k, a in enumerate(remainders) for b in remainders[:k]]
+    if one.intersection(two):
+        return 3
+    return 4 if len(set(two)) < len(two) else 5
+
+
+def test_the_check_of_the_fd_command_finds_any_four_wrong_bits():
+    code = 16 + 8 * 26 + 16  # identifier, forces with counter and mode, check
+    assert hamming_distance(0x5935, 16, code) == 5
+    assert hamming_distance(0x5935, 16, 241 + 16) == 5, "the length of Koopman's table"
+    assert hamming_distance(0x5935, 16, 242 + 16) < 5
+    assert hamming_distance(0x1021, 16, code) == 4, "CCITT's"
+    assert hamming_distance(0x1D, 8, 16 + 8 * 31 + 8) == 2, "the CRC-8 that it replaces"
+
+
+@pytest.mark.parametrize("size", [2, 5, 8, 12])
+def test_the_crc8_of_the_short_frames_finds_any_two_wrong_bits(size):
+    assert hamming_distance(0x1D, 8, 16 + 8 * size) == 3

@@ -17,7 +17,8 @@ import drivers
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, SensorSettings, TrackerSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.protocol import LAYOUTS, LegsProtocol
+from drivers.legs.messages import LAYOUTS
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import (
     BRS,
     ERROR,
@@ -53,7 +54,7 @@ def received(*frames: Frame) -> list[Received]:
 def feedback(
     layout: str, counter: int, *, leg: int = 0, length: float = 1.5, state: int = DriveState.RUN
 ) -> Frame:
-    return one_feedback(P[layout], leg, length, 0.25, 1000.0, state, counter)
+    return one_feedback(P[layout], leg, length, 0.25, 1500.0, state, counter)
 
 
 def damaged(frame: Frame, bit: int) -> Frame:
@@ -73,11 +74,23 @@ def bitwise_crc8(data: bytes) -> int:
     return register ^ 0xFF
 
 
+def bitwise_crc16(data: bytes) -> int:
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte << 8
+        for _ in range(8):
+            register = (register << 1 ^ (0x5935 if register & 0x8000 else 0)) & 0xFFFF
+    return register
+
+
 def resealed(frame: Frame, at: int, byte: int) -> Frame:
-    """Change one byte and put the right CRC behind it."""
-    data = bytearray(frame.data)
+    """Change one byte and put the right check behind it."""
+    data, lead = bytearray(frame.data), bytes([frame.id % 256, frame.id // 256])
     data[at] = byte
-    data[-1] = bitwise_crc8(bytes([frame.id % 256, frame.id // 256]) + bytes(data[:-1]))
+    if frame.id == 0x110:
+        data[26:28] = bitwise_crc16(lead + bytes(data[:26])).to_bytes(2, "little")
+    else:
+        data[-1] = bitwise_crc8(lead + bytes(data[:-1]))
     return frame._replace(data=bytes(data))
 
 
@@ -97,7 +110,8 @@ def test_dbc_loads_in_strict_cantools_without_a_warning(caplog, of, name, messag
 def test_the_sensors_stamp_against_the_sync_of_the_drives():
     ours, theirs = (database.get_message_by_name("SYNC") for database in DATABASES)
     assert (ours.frame_id, ours.length) == (theirs.frame_id, theirs.length)
-    assert ours.encode({"Cycle": 0xA7}) == theirs.encode({"Cycle": 0xA7})
+    values = {"Cycle": 0xA7, "CRC": 0xC3}
+    assert ours.encode(values) == theirs.encode(values)
 
 
 def test_arbitration_order_is_estop_sync_command_feedback_sensors_config_status():
@@ -117,11 +131,13 @@ def test_every_quantity_has_unit_and_range_and_every_enumeration_its_names():
     for message in ALL_MESSAGES:
         kind = sensors.get(message.name.split("_")[0])
         units = drives if kind is None else kind | {"Offset": "s"}
+        short = message.name.startswith(("COMMAND_CLASSIC", "FEEDBACK_FD"))
         for signal in message.signals:
             assert signal.minimum is not None, signal
             assert signal.maximum is not None, signal
             assert signal.minimum < signal.maximum, signal
-            assert signal.unit == units.get(signal.name.rstrip("123456")), signal
+            of_rated = short and signal.name.startswith("Force")
+            assert signal.unit == ("%" if of_rated else units.get(signal.name.rstrip("123456"))), signal
             assert bool(signal.choices) == (signal.name in choices)
 
 
@@ -185,9 +201,9 @@ def test_node_numbers_move_identifiers_and_keep_legs(layout):
 @pytest.mark.parametrize(
     ("layout", "lengths"),
     [
-        ("classic", [1, 8, 8, 8, 8, 8, 8, 8, 8]),
-        ("fd", [1, 32, 12, 12, 12, 12, 12, 12]),
-        ("ideal", [1, 64, 32, 32, 32, 32, 32, 32]),
+        ("classic", [2, 8, 8, 8, 8, 8, 8, 8, 8]),
+        ("fd", [2, 32, 12, 12, 12, 12, 12, 12]),
+        ("ideal", [2, 64, 32, 32, 32, 32, 32, 32]),
     ],
 )
 def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
@@ -205,7 +221,7 @@ def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
 
 @pytest.mark.parametrize(
     ("layout", "force"),
-    [("classic", 65_536.0), ("classic", -65_539.0), ("fd", 2.2e6), ("ideal", 2e9)]
+    [("classic", 61_438.2), ("classic", -61_442.0), ("fd", 2.2e6), ("ideal", 2e9)]
     + [(layout, bad) for layout in LAYOUTS for bad in (np.nan, np.inf, -np.inf)],
 )
 def test_a_force_that_does_not_fit_is_refused_with_the_range(layout, force):
@@ -225,7 +241,7 @@ def test_a_watchdog_that_does_not_fit_is_refused(watchdog_s):
     ("layout", "ends"),
     [
         ("classic", (214.7483647, 3.2767, 0.0)),
-        ("fd", (214.7483647, 214.7483647, 65_534.0)),
+        ("fd", (214.7483647, 214.7483647, 122_876.25)),
         ("ideal", (1e9, 1e9, 1e9)),
     ],
 )
@@ -291,9 +307,13 @@ def test_a_float_that_is_not_finite_or_absurd_is_refused(at, word):
     assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
-@pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\5\0", b"\1\6"])
-def test_a_senseless_status_is_refused(data):
-    measurement = decode(P["fd"], received(Frame(0x701, data)), 5)
+@pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\1\0\0\0", b"\5\0\0\0", b"\1\6\0\0"])
+@pytest.mark.parametrize("sealed", [True, False])
+def test_a_senseless_status_is_refused(data, sealed):
+    if data == b"\1\0\0\0" and sealed:
+        return  # the one that makes sense
+    crc = bitwise_crc8(b"\x01\x07" + data) if sealed else 0x5A
+    measurement = decode(P["fd"], received(Frame(0x701, data + bytes([crc]))), 5)
     assert measurement["rejected"] == 1
     assert measurement["drive_fault"].tolist() == [0] * 6
 
@@ -415,7 +435,7 @@ def test_a_length_that_its_drive_calls_invalid_does_not_count_but_state_and_forc
     )
     assert (after["drive_state"][0], after["rejected"]) == (DriveState.READY, 0)
     assert after["blind"].tolist() == [True, False, False, False, False, False]
-    assert after["drive_force"][0] == before["drive_force"][0] == (0.0 if layout == "classic" else 1000.0)
+    assert after["drive_force"][0] == before["drive_force"][0] == (0.0 if layout == "classic" else 1500.0)
     assert not decode(P[layout], (), 7, after)["blind"].any(), "it is this tick's word"
 
 
@@ -445,10 +465,12 @@ def test_any_single_flipped_bit_of_a_command_is_refused_by_the_drives(layout):
 
 @all_layouts
 def test_an_unknown_mode_is_refused_by_the_drives(layout):
-    at = {"classic": 6, "fd": 24, "ideal": 48}[layout]
+    at, unknown, known = {"classic": (5, 0x80, 0x60), "fd": (25, 4, 3), "ideal": (48, 0x45, 0x35)}[layout]
     for frame in command_frames(P[layout], Command(DriveMode.RUN, np.zeros(6)), 5):
-        assert isinstance(parse(P[layout], resealed(frame, at, 0x45)), Rejected)
-        assert isinstance(parse(P[layout], resealed(frame, at, 0x35)), DeviceCommand)
+        refused = parse(P[layout], resealed(frame, at, unknown))
+        assert isinstance(refused, Rejected)
+        assert refused.reason == "unknown mode"
+        assert isinstance(parse(P[layout], resealed(frame, at, known)), DeviceCommand)
 
 
 def test_a_command_that_is_not_finite_is_refused_by_the_drives():
@@ -456,7 +478,7 @@ def test_a_command_that_is_not_finite_is_refused_by_the_drives():
     assert isinstance(parse(P["ideal"], resealed(resealed(frame, 15, 0x7F), 14, 0xF0)), Rejected)
 
 
-@pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0)])
+@pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0), (6, 1), (6, 3)])
 def test_a_senseless_configuration_is_refused_by_the_drives(at, byte):
     frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: byte 0 alone holds the watchdog
     assert isinstance(parse(P["fd"], resealed(frame, at, byte)), Rejected)
@@ -478,10 +500,12 @@ def test_drives_ignore_what_is_not_for_them():
 
 RESOLUTION = {
     "classic": (1e-7, 1e-4, None),
-    "fd": (1e-7, 1e-7, 2.0),
+    "fd": (1e-7, 1e-7, 3.75),
     "ideal": (0.0, 0.0, 0.0),
 }
-FORCE_RESOLUTION = {"classic": 2.0, "fd": 1e-3, "ideal": 0.0}
+FORCE_RESOLUTION = {"classic": 3.75, "fd": 1e-3, "ideal": 0.0}
+IN_NEWTONS: Any = cantools.database.load_string(P["fd"].database[1], "dbc")
+COUNTS = {"classic": 255, "fd": 255, "ideal": 15}
 
 
 @all_layouts
@@ -504,7 +528,7 @@ def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, sta
         if resolution is not None:
             assert abs(value - back) <= resolution / 2 * (1 + 1e-6)
 
-    message = DATABASE.get_message_by_name(f"FEEDBACK_{layout.upper()}_{leg + 1}")
+    message = IN_NEWTONS.get_message_by_name(f"FEEDBACK_{layout.upper()}_{leg + 1}")
     values = message.decode(frame.data, decode_choices=False)
     assert (values["Length"], values["Rate"]) == got[:2]
     assert (values["State"], values["Counter"]) == (state, tick & 15)
@@ -528,13 +552,13 @@ def test_command_round_trip_and_cantools_agree(layout, force, mode, tick):
     for frame in frames:
         parsed = parse(P[layout], frame)
         assert isinstance(parsed, DeviceCommand)
-        assert (parsed.mode, parsed.counter) == (mode, tick & 15)
+        assert (parsed.mode, parsed.counter) == (mode, tick & COUNTS[layout])
         back.update(zip(parsed.legs, parsed.force, strict=True))
-        message = DATABASE.get_message_by_frame_id(frame.id)
+        message = IN_NEWTONS.get_message_by_frame_id(frame.id)
         values = message.decode(frame.data, decode_choices=False)
         assert [values[f"Force{leg + 1}"] for leg in parsed.legs] == list(parsed.force)
         exact = {f"Force{leg + 1}": force[leg] for leg in parsed.legs}
-        exact |= {"Counter": tick & 15, "Mode": int(mode), "CRC": values["CRC"]}
+        exact |= {"Counter": tick & COUNTS[layout], "Mode": int(mode), "CRC": values["CRC"]}
         assert message.encode(exact) == frame.data
     assert sorted(back) == [0, 1, 2, 3, 4, 5]
     for leg in range(6):

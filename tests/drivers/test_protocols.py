@@ -31,7 +31,7 @@ STUB_NODES = "protocol: stub\n  node_ids: [4096, 513, 770, 1027, 1284, 65535]"
 
 
 class TestLegsClassic(ProtocolContract):
-    RESOLUTION = (1e-7, 1e-4, None, 2.0)
+    RESOLUTION = (1e-7, 1e-4, None, 3.75)
 
     @pytest.fixture
     def protocol(self):
@@ -39,7 +39,7 @@ class TestLegsClassic(ProtocolContract):
 
 
 class TestLegsFd(ProtocolContract):
-    RESOLUTION = (1e-7, 1e-7, 2.0, 1e-3)
+    RESOLUTION = (1e-7, 1e-7, 3.75, 1e-3)
 
     @pytest.fixture
     def protocol(self):

@@ -146,9 +146,10 @@ def test_a_tick_holds_as_many_frames_as_can_fall_into_it():
 
 
 def test_a_sensor_reads_the_cycle_of_a_sync():
-    assert P.cycle_of(Frame(0x080, b"\xa7")) == 0xA7
-    assert P.cycle_of(Frame(0x080, b"")) is None
-    assert P.cycle_of(Frame(0x110, b"\xa7")) is None
+    assert P.cycle_of(Frame(0x080, b"\xa7\xc3")) == 0xA7
+    assert P.cycle_of(Frame(0x080, b"\xa7\xc2")) is None
+    assert P.cycle_of(Frame(0x080, b"\xa7")) is None
+    assert P.cycle_of(Frame(0x110, b"\xa7\xc3")) is None
 
 
 def test_a_sample_is_a_value():

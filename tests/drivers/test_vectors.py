@@ -30,19 +30,23 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
 
-DATABASE: Any = cantools.database.Database()
-for name in ("legs/legs.dbc", "sensors.dbc"):
-    DATABASE.add_dbc_file(Path(drivers.__file__).parent / name)
 NODES = (1, 2, 3, 4, 5, 6)
-P = {layout: LegsProtocol(layout, NODES) for layout in ("classic", "fd", "ideal")}
+RATED_N = 32_000.0
+"""One step of the short force fields, 1/16000 of the rated force, is 2 N."""
+P = {layout: LegsProtocol(layout, NODES, RATED_N) for layout in ("classic", "fd", "ideal")}
+GENERAL: Any = cantools.database.load_file(Path(drivers.__file__).parent / "legs/legs.dbc")
+DATABASE: Any = cantools.database.Database()
+DATABASE.add_dbc_string(P["fd"].database[1])
+DATABASE.add_dbc_file(Path(drivers.__file__).parent / "sensors.dbc")
 S = SensorProtocol(
     BusSettings(),
     SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings()),
 )
-CLASSIC_FORCE = np.array([1000.0, -2000.0, 60_000.0, 2.0, -2.0, -60_000.0])
+CLASSIC_FORCE = np.array([1000.0, -2000.0, 30_000.0, 2.0, -2.0, -30_000.0])
 FD_FORCE = np.array([1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256])
 IDEAL_FORCE = np.array([1.0, -2.0, 0.5, 60_000.0, 0.0, -0.75])
-TICK = 423  # 0x1A7: SYNC carries 0xA7, the four-bit counter is 7
+TICK = 423  # 0x1A7: SYNC and commands carry 0xA7, the four-bit counter is 7
+HOLDS = Configure(5, 0.0125, Reaction.HOLD)
 
 
 class Vector(NamedTuple):
@@ -56,42 +60,52 @@ class Vector(NamedTuple):
 
 VECTORS = [
     Vector("ESTOP", P["fd"].emergency_stop()[0], 0x001, 0, "00", {"Source": 0}),
-    Vector("SYNC", P["fd"].begin(None, TICK)[0], 0x080, 0, "A7", {"Cycle": 167}),
+    Vector("SYNC", P["fd"].begin(None, TICK)[0], 0x080, 0, "A7 C3", {"Cycle": 167, "CRC": 0xC3}),
     Vector(
         "CONFIG_3",
         P["fd"].configure(0.0125, Reaction.HOLD)[2],
         0x603,
         0,
-        # 12500 us = 0x30D4; hold = 2; third leg; a zero byte
-        "D4 30 00 00  02  03  00  48",
-        {"Watchdog": 0.0125, "Reaction": 2, "Leg": 3, "CRC": 0x48},
+        # 12500 us = 0x30D4; hold = 2; third leg; version 2
+        "D4 30 00 00  02  03  02  72",
+        {"Watchdog": 0.0125, "Reaction": 2, "Leg": 3, "Version": 2, "CRC": 0x72},
+    ),
+    Vector(
+        "STATUS_6",
+        P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP, HOLDS))[0],
+        0x706,
+        0,
+        # the CRC-16 of 06 06, D4 30 00 00 02 06 02 and 32000000 mN = 0x01E84800 is 0x3AF9
+        "04 02  F9 3A  55",
+        {"State": 4, "Fault": 2, "SetUp": 0x3AF9, "CRC": 0x55},
     ),
     Vector(
         "STATUS_6",
         P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP))[0],
         0x706,
         0,
-        "04 02",
-        {"State": 4, "Fault": 2},
+        "04 02  00 00  39",
+        {"State": 4, "Fault": 2, "SetUp": 0, "CRC": 0x39},
     ),
     Vector(
         "COMMAND_CLASSIC_A",
         command_frames(P["classic"], Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[0],
         0x100,
         0,
-        # 1000/2 = 500 = 0x01F4; -2000/2 = -1000 = 0x10000 - 0x03E8 = 0xFC18; 60000/2 = 30000 = 0x7530;
-        # mode 2 above counter 7
-        "F4 01  18 FC  30 75  27  96",
-        {"Force1": 1000, "Force2": -2000, "Force3": 60_000, "Counter": 7, "Mode": 2, "CRC": 0x96},
+        # 1000/2 = 500 = 0x01F4; -2000/2 = -1000 = 0x8000 - 0x03E8 = 0x7C18; 30000/2 = 15000 = 0x3A98; 15 bits each:
+        # 0x01F4 + 0x7C18 << 15 + 0x3A98 << 30 + mode 2 << 45 = 0x4EA63E0C01F4; counter 0xA7
+        "F4 01  0C 3E  A6 4E  A7  FF",
+        {"Force1": 1000, "Force2": -2000, "Force3": 30_000, "Mode": 2, "Counter": 0xA7, "CRC": 0xFF},
     ),
     Vector(
         "COMMAND_CLASSIC_B",
         command_frames(P["classic"], Command(DriveMode.RUN, CLASSIC_FORCE), TICK)[1],
         0x101,
         0,
-        # 2/2 = 1; -2/2 = -1 = 0xFFFF; -60000/2 = -30000 = 0x10000 - 0x7530 = 0x8AD0
-        "01 00  FF FF  D0 8A  27  35",
-        {"Force4": 2, "Force5": -2, "Force6": -60_000, "Counter": 7, "Mode": 2, "CRC": 0x35},
+        # 2/2 = 1; -2/2 = -1 = 0x7FFF; -30000/2 = -15000 = 0x8000 - 0x3A98 = 0x4568;
+        # 0x0001 + 0x7FFF << 15 + 0x4568 << 30 + mode 2 << 45 = 0x515A3FFF8001
+        "01 80  FF 3F  5A 51  A7  C4",
+        {"Force4": 2, "Force5": -2, "Force6": -30_000, "Mode": 2, "Counter": 0xA7, "CRC": 0xC4},
     ),
     Vector(
         "COMMAND_FD",
@@ -99,7 +113,7 @@ VECTORS = [
         0x110,
         FD | BRS,
         # in mN: 1000500 = 0x000F4434; -1; 60000000 = 0x03938700; minus that = 0xFC6C7900; 0; 256 = 0x100
-        "34 44 0F 00  FF FF FF FF  00 87 93 03  00 79 6C FC  00 00 00 00  00 01 00 00  27  00 00 00 00 00 00  39",
+        "34 44 0F 00  FF FF FF FF  00 87 93 03  00 79 6C FC  00 00 00 00  00 01 00 00  A7  02  07 4D  00 00 00 00",
         {
             "Force1": 1000.5,
             "Force2": -0.001,
@@ -107,9 +121,9 @@ VECTORS = [
             "Force4": -60_000,
             "Force5": 0,
             "Force6": 0.256,
-            "Counter": 7,
+            "Counter": 0xA7,
             "Mode": 2,
-            "CRC": 0x39,
+            "CRC": 0x4D07,
         },
     ),
     Vector(
@@ -257,15 +271,15 @@ VECTORS = [
 by_message = pytest.mark.parametrize("vector", VECTORS, ids=lambda v: v.message)
 
 
-def bitwise_crc8(data: bytes) -> int:
-    register = 0xFF
+def bitwise_crc(data: bytes, width: int, polynomial: int, final: int) -> int:
+    register = (1 << width) - 1
     for byte in data:
         for position in range(7, -1, -1):
-            carry = (register >> 7) ^ (byte >> position & 1)
-            register = register << 1 & 0xFF
+            carry = (register >> width - 1) ^ (byte >> position & 1)
+            register = register << 1 & (1 << width) - 1
             if carry:
-                register ^= 0x1D
-    return register ^ 0xFF
+                register ^= polynomial
+    return register ^ final
 
 
 @by_message
@@ -274,10 +288,32 @@ def test_codec_writes_the_bytes_computed_by_hand(vector):
 
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if "CRC" in v.signals], ids=lambda v: v.message)
-def test_crc_byte_covers_identifier_and_all_other_bytes(vector):
+def test_the_check_covers_identifier_and_all_bytes_before_it_and_behind_it_is_nothing(vector):
     data = bytes.fromhex(vector.data)
     lead = bytes([vector.identifier % 256, vector.identifier // 256])
-    assert bitwise_crc8(lead + data[:-1]) == data[-1] == vector.signals["CRC"]
+    if vector.message == "COMMAND_FD":
+        assert (
+            bitwise_crc(lead + data[:26], 16, 0x5935, 0) == data[26] + 256 * data[27] == vector.signals["CRC"]
+        )
+        assert not any(data[28:])
+    else:
+        assert bitwise_crc(lead + data[:-1], 8, 0x1D, 0xFF) == data[-1] == vector.signals["CRC"]
+
+
+def test_the_checksum_of_a_set_up_is_that_of_its_config_and_the_rated_force():
+    config = bytes.fromhex("06 06  D4 30 00 00 02 06 02")
+    assert bitwise_crc(config + bytes.fromhex("00 48 E8 01"), 16, 0x5935, 0) == 0x3AF9
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda v: v.message)
+def test_the_general_database_has_the_same_forces_in_per_cent_of_the_rated_one(vector):
+    short = vector.message.startswith(("COMMAND_CLASSIC", "FEEDBACK_FD"))
+    if not short:
+        return
+    decoded = GENERAL.decode_message(vector.identifier, bytes.fromhex(vector.data), decode_choices=False)
+    for name, value in vector.signals.items():
+        expected = 100.0 * value / RATED_N if name.startswith("Force") else value
+        assert decoded[name] == pytest.approx(expected, rel=1e-12)
 
 
 @by_message
@@ -313,8 +349,8 @@ def test_drives_read_the_vectors():
     assert (configure.leg, configure.reaction) == (2, Reaction.HOLD)
     assert configure.watchdog_s == pytest.approx(0.0125, rel=1e-15)
     for half, expected in (
-        ("A", ((0, 1, 2), DriveMode.RUN, [1000.0, -2000.0, 60_000.0], 7)),
-        ("B", ((3, 4, 5), DriveMode.RUN, [2.0, -2.0, -60_000.0], 7)),
+        ("A", ((0, 1, 2), DriveMode.RUN, [1000.0, -2000.0, 30_000.0], 0xA7)),
+        ("B", ((3, 4, 5), DriveMode.RUN, [2.0, -2.0, -30_000.0], 0xA7)),
     ):
         classic = parse(P["classic"], frame_of(f"COMMAND_CLASSIC_{half}"))
         assert isinstance(classic, DeviceCommand)

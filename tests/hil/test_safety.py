@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.arrays import Array
-from drivers.signals import DriveState, Fault, Mode, Stop, Warn
+from drivers.signals import DriveState, Fault, Foreign, Mode, Stop, Warn
 from hil.config.limits import LimitSettings
 from hil.safety import guard
 from hil.safety.certificate import Watch
@@ -281,6 +281,43 @@ def test_guard_takes_eight_refusing_ticks_of_32_for_a_bus_that_cannot_be_relied_
     bench = Bench()
     faults = [bench.tick(sends_failed=n % 2).faults for n in range(16)]
     assert faults == [Fault.NONE] * 15 + [Fault.BUS]
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_faults_for_another_controller_until_the_run_is_over(mode):
+    over = mode in {Mode.PARKED, Mode.FAULT}
+    for kind in (Foreign.SYNC, Foreign.COMMAND, Foreign.CONFIG):
+        verdict = Bench().tick(mode, foreign=kind)
+        assert verdict.faults == (Fault.NONE if over else Fault.SECOND_CONTROLLER)
+    assert Bench().tick(mode, foreign=Foreign.ESTOP).faults == (Fault.NONE if over else Fault.ESTOP)
+    both = Fault.ESTOP | Fault.SECOND_CONTROLLER
+    assert Bench().tick(mode, foreign=Foreign.ESTOP | Foreign.SYNC).faults == (Fault.NONE if over else both)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_faults_for_a_doubled_node_and_another_set_up_once_the_drives_are_set_up(mode):
+    judged = mode is Mode.IDLE or mode in POWERED
+    for bits in (1, 1 << 5, 0b111111):
+        assert Bench().tick(mode, doubled=bits).faults == (Fault.DUPLICATE_NODE if judged else Fault.NONE)
+        assert Bench().tick(mode, altered=bits).faults == (Fault.SET_UP if judged else Fault.NONE)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_guard_faults_for_refused_frames_of_the_drives_in_eight_ticks_of_32(mode):
+    bench = Bench()
+    faults = [bench.tick(mode, rejected=2 * (n % 2)).faults for n in range(16)]
+    assert faults == [Fault.NONE] * 15 + [Fault.REFUSED_FRAMES if mode in POWERED else Fault.NONE]
+    bench.safety.reset()
+    assert bench.tick(mode, rejected=1).faults == Fault.NONE
+
+
+def test_guard_counts_refused_frames_in_all_modes_and_those_of_sensors_in_none():
+    bench = Bench()
+    for _ in range(7):
+        assert bench.tick(Mode.IDLE, rejected=1).faults == Fault.NONE
+    for _ in range(7):
+        assert bench.tick(rejected=3, sensors_rejected=3).faults == Fault.NONE
+    assert bench.tick(rejected=4, sensors_rejected=3).faults == Fault.REFUSED_FRAMES
 
 
 def test_guard_waits_for_as_many_missed_periods_as_configured():

@@ -27,6 +27,7 @@ FAMILIES = [
     "finite",
     "legs",
     "bus",
+    "frames",
     "recorder",
     "kinematics",
     "stroke",

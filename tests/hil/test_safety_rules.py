@@ -8,13 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from drivers.signals import NEVER, DriveState
+from drivers.signals import NEVER, DriveState, Foreign
 from hil.safety import (
     bus,
     certificate,
     finite,
     following,
     force_limits,
+    frames,
     history,
     kinematics,
     legs,
@@ -114,6 +115,26 @@ def test_bus_is_down_when_off_or_refusing_in_a_row_or_often():
     assert bus.bus_down(False, 0b1111011110)
     assert not bus.bus_down(False, 0b11111 << 3)
     assert not bus.bus_down(False, 0b111110)
+
+
+# -- frames
+
+
+@pytest.mark.parametrize("kind", list(Foreign))
+def test_frames_of_a_controller_are_all_but_the_emergency_stop_which_any_node_may_send(kind):
+    assert frames.second_controller(int(kind)) is (kind is not Foreign.ESTOP)
+    assert frames.estop_heard(int(kind)) is (kind is Foreign.ESTOP)
+    assert frames.second_controller(int(kind | Foreign.ESTOP)) is (kind is not Foreign.ESTOP)
+    assert frames.estop_heard(int(kind | Foreign.ESTOP))
+    assert not frames.second_controller(0)
+    assert not frames.estop_heard(0)
+
+
+def test_frames_that_are_refused_in_eight_ticks_wherever_they_are_make_a_bus_unreliable():
+    assert not frames.unreliable(0b1111111)
+    assert frames.unreliable(0b11111111)
+    assert not frames.unreliable(0b111111 << 25)
+    assert frames.unreliable(0b11110000000000000000000000001111)
 
 
 def test_bus_is_noisy_with_errors_losses_or_refusals():

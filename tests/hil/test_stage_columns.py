@@ -39,7 +39,7 @@ from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from hil.signals import Operator
-from tests.drivers.legs_frames import one_feedback
+from tests.drivers.legs_frames import SETUP, one_feedback
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
 from tests.records import altered, arrived, record_of
 
@@ -50,7 +50,20 @@ STATE = ("q", "dq", *POSE, "J")
 LAWS_READ = (*part("estimate", "reference"), "shortfall")
 SAFETY_READS = (
     *(name for name in part("input") if name not in {"tick", "t_ns", "compute_ns", "frames_crc32"}),
-    *("mode", "tau_asked", "rejected", "drive_state", "age", "counted_age", "length", "rate", "drive_force"),
+    *(
+        "mode",
+        "tau_asked",
+        "rejected",
+        "foreign",
+        "doubled",
+        "altered",
+        "drive_state",
+        "age",
+        "counted_age",
+        "length",
+        "rate",
+        "drive_force",
+    ),
     *(*STATE, "fk_residual", "hop", "condition", "unseen", "fusion_faults", "fusion_warnings"),
     *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
 )
@@ -121,9 +134,10 @@ def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layo
     )
     lasts = [
         last,
-        poisoned(last, "tick", "length", "rate", "drive_force", "drive_state", "drive_fault", "age"),
+        poisoned(last, "tick", "length", "rate", "drive_force", "drive_state", "drive_fault", "age", "blind"),
     ]
-    stages = iter([lambda tick, last=last: protocol.decode(None, run, last, tick) for last in lasts])
+    dialogue = protocol.start(SETUP)
+    stages = iter([lambda tick, last=last: protocol.decode(dialogue, run, last, tick) for last in lasts])
     follow(lambda: next(stages), [record_of(tick=8)], ("tick",), part("measurement"))
 
 

@@ -97,7 +97,7 @@ def run(configuration, *faults, seed=1):
             warned |= int(out.row["warnings"])
         if cycle.mode is Mode.TRACKING:
             rows.append(out.row)
-            truths.append((inp.t_ns + 65_000, nodes.snapshot()))  # SYNC takes 65 us
+            truths.append((inp.t_ns + 75_000, nodes.snapshot()))  # SYNC takes 75 us
 
     mode = lockstep.run(None, observe).mode
     plant.close()
@@ -200,7 +200,7 @@ def test_one_lost_encoder_whichever_leg_it_is(seeds):
     for seed in seeds:
         found = run(configuration, EncoderLost(leg=seed % 6, start_s=0.3), seed=seed)
         assert (found.mode, found.faults) == (Mode.PARKED, Fault.NONE), seed
-        assert np.all(found.rows["legs_lost"][100:] == 1 << seed % 6)
+        assert np.all(found.rows["legs_lost"][150:] == 1 << seed % 6)
         assert found.rms_mm <= 0.4, seed
         errors.append(found.position_mm)
         beside.append(tracked_true_mm(found))

@@ -2,7 +2,7 @@
 
 configs/virtual.yaml: encoders of 1 um, leg rates in the feedback frames, bus time, drives of 200 Hz, 1 kHz. Its
 plant counts in 0.1 ms: rates are latched at 0.1 ms after the tick and forces act at 0.6 ms, 0.5 ms later. The
-encoders are latched with SYNC, 0.065 ms after the tick, so that from position to force there is 0.035 ms more
+encoders are latched with SYNC, 0.075 ms after the tick, so that from position to force there is 0.025 ms more
 than in the closed form; 0.4 degrees at 30 Hz.
 """
 
@@ -125,13 +125,13 @@ def test_transport_and_lag_are_told_apart(joint):
 
 
 def test_the_bound_covers_the_truth(either):
-    """The closed form less 0.035 ms is not the nominal one; the bound says how far it can be."""
+    """The closed form less 0.025 ms is not the nominal one; the bound says how far it can be."""
     nominal, profile = either.model.nominal, either.model.uncertainty
     f = np.array(profile.frequency_Hz)
     s = 2j * pi * f
     P0 = np.exp(-1e-3 * nominal.transport_ms * s) / (1 + 1e-3 * nominal.lag_ms * s)
     P0 = P0 * (1 - np.exp(-s * T)) / (s * T) / s**2
-    late = np.exp(-0.035e-3 * s)
+    late = np.exp(-0.025e-3 * s)
     for gain in nominal.gain:
         assert (np.abs(truth(f) * late / (gain * P0) - 1) <= np.array(profile.bound)).all()
     assert np.interp(10.0, f, profile.bound) < 0.05

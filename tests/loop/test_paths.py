@@ -27,8 +27,8 @@ ZOH_IDEAL_MM = json.loads((DATA / "book_closed_loop.json").read_text())["rows"][
 ]["peak_leg_err_mm"]
 HOLD_S = 0.5e-3
 """A force held for a period of 1 ms is late by half of it."""
-BUS_S = (65.0 + 6 * 64.6 + 60.0 + 105.6) * 1e-6
-"""SYNC of 1 byte, six feedbacks of 12, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s."""
+BUS_S = (75.0 + 6 * 64.6 + 60.0 + 105.6) * 1e-6
+"""SYNC of 2 bytes, six feedbacks of 12, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s."""
 LAG_S = 1 / (2 * pi * 200.0)
 """First-order force loop of 200 Hz."""
 

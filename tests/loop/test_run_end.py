@@ -230,7 +230,7 @@ class Wire:
     def __init__(self, nodes, period_ns):
         self.nodes, self.period_ns, self.tick = nodes, period_ns, -1
         self.period_s = 0.0
-        self.commands, self.answers = [], []
+        self.commands, self.answers, self.late = [], [], []
         self.clock = MONOTONIC
         nodes.start(0)
 
@@ -249,13 +249,15 @@ class Wire:
         return 0
 
     def drain_now(self):
-        self.answers = []
-        return []
+        late, self.late, self.answers = self.late, [], []
+        return late
 
     def drain(self, deadline_ns, wanted):
+        """Return the feedbacks; a status loses the arbitration against the last of them, and is late."""
         answers = [answer for answer in self.answers if answer is not None]
         self.answers = [None]
-        return answers
+        self.late += [answer for answer in answers if answer.frame.id not in wanted]
+        return [answer for answer in answers if answer.frame.id in wanted]
 
     def events(self):
         return SimpleNamespace(errors=0, off=False, overflow=0)

@@ -108,7 +108,8 @@ class Rig:
     ) -> list[tuple[int, Frame]]:
         self.tick += 1
         command = Command(mode, np.array(np.broadcast_to(force, 6), float))
-        return self.at(t_ns, *command_frames(self.protocol, command, self.tick))
+        sync = self.protocol.begin(None, self.tick)
+        return self.at(t_ns, *sync, *command_frames(self.protocol, command, self.tick))
 
     def configure(self, watchdog_s: float = 0.01) -> None:
         self.at(0, *self.protocol.configure(watchdog_s, self.reaction))
@@ -261,7 +262,7 @@ def test_the_same_frames_in_one_call_or_many_give_the_same_motion():
     for k in range(1, 6):
         frames.append(Received(k * MS, one.protocol.begin(None, k)[0]))
         command = Command(DriveMode.RUN, np.full(6, 50.0 * k))
-        frames.append(Received(k * MS + 400 * US, command_frames(one.protocol, command, k + 5)[0]))
+        frames.append(Received(k * MS + 400 * US, command_frames(one.protocol, command, k)[0]))
     together = one.nodes.step(6 * MS, frames[::-1])
     apart = [sent for frame in frames for sent in many.nodes.step(frame.t_ns, [frame])]
     apart += many.nodes.step(6 * MS, [])
@@ -330,7 +331,7 @@ def test_a_change_of_state_is_told_at_once():
     rig = Rig()
     rig.at(5 * MS)
     sent = rig.at(6 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
-    assert [(t, frame.id, frame.data) for t, frame in sent] == [
+    assert [(t, frame.id, frame.data[:2]) for t, frame in sent] == [
         (6 * MS, 0x701 + i, b"\1\0") for i in range(6)
     ]
 
@@ -360,7 +361,9 @@ def test_watchdog_reacts_within_its_time_and_one_grid_step(last_us):
     free = sum(dt for dt, _, brake in rig.plant.calls if brake[0] == 0.0)
     stopped_us = started + free * 1e6
     assert last_us + 10_000 - 50 <= stopped_us <= last_us + 10_000 + 100
-    told = [(t, frame.data) for t, frame in sent if frame.id == 0x701 and frame.data[0] == DriveState.FAULT]
+    told = [
+        (t, frame.data[:2]) for t, frame in sent if frame.id == 0x701 and frame.data[0] == DriveState.FAULT
+    ]
     assert told[0] == (last_us * US + 10 * MS, bytes([DriveState.FAULT, DriveFault.WATCHDOG]))
 
 
@@ -503,7 +506,10 @@ def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
         else:
             rig.command(20 * MS, DriveMode.OFF)
         snapshot = rig.nodes.snapshot()
-        assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6, "the first fault stays latched"
+        expected = DriveFault.ESTOP if stop == "estop" else DriveFault.WATCHDOG
+        assert snapshot.fault.tolist() == [expected] * 6, (
+            "an emergency stop is confirmed, else the first stays"
+        )
         assert snapshot.brake.tolist() == [1.0] * 6
         assert not snapshot.force.any()
 

@@ -27,7 +27,7 @@ def fmu(benchmark: Benchmark) -> list[Figure]:
     benchmark.say("the FMU, in process and in a child process")
     cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
     rest = np.zeros(6)
-    weight = cycle.statics.inverse_dynamics(cycle.parts.home_p, cycle.parts.home_R, rest, rest)
+    weight = cycle.effort.model.inverse_dynamics(cycle.parts.home_p, cycle.parts.home_R, rest, rest)
     _, host = build_nodes(c)
     try:
         assert isinstance(host, FmuHost)

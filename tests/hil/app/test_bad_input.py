@@ -115,12 +115,12 @@ def test_two_mistakes_are_told_at_once(refused, bench):
 @pytest.mark.parametrize("command", ["sim", "run", "plant", "check"])
 def test_frames_that_do_not_fit_the_bus_are_refused_with_the_arithmetic(refused, bench, command):
     said = refused(command, bench(("layout: fd ", "layout: classic ")))
-    # At worst 8 n + 47 + floor((34 + 8 n - 1) / 4) bit for n data bytes: 135 for 8, 65 for 1. Six feedbacks
-    # and two commands for three legs each, and SYNC; 0.7 / 1145 us = 611 Hz.
+    # At worst 8 n + 47 + floor((34 + 8 n - 1) / 4) bit for n data bytes: 135 for 8, 75 for 2. Six feedbacks
+    # and two commands for three legs each, and SYNC; 0.7 / 1155 us = 606 Hz.
     assert "8 x classic  8 byte: 135 bit = 135.0 us each, 1080.0 us" in said
-    assert "1 x classic  1 byte: 65 bit = 65.0 us each, 65.0 us" in said
-    assert "total 1145.0 us of a 1000.0 us period = 114.5 %" in said
-    assert "611 Hz" in said
+    assert "1 x classic  2 byte: 75 bit = 75.0 us each, 75.0 us" in said
+    assert "total 1155.0 us of a 1000.0 us period = 115.5 %" in said
+    assert "606 Hz" in said
     assert re.search(r"bench\.yaml:\d+:\d+: bus: ", said)
 
 

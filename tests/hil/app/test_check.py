@@ -60,10 +60,10 @@ def test_the_figures_of_the_books_path_are_the_books():
 def test_the_arithmetic_of_the_bus_is_shown():
     report = inspect(load("virtual"))
     text = "\n".join(report.lines)
-    # 34 + 358 / 5 = 105.6 us, 34 + 153 / 5 = 64.6 us, SYNC of one byte 65 us.
+    # 34 + 358 / 5 = 105.6 us, 34 + 153 / 5 = 64.6 us, SYNC of two bytes 75 us.
     assert "1 x CAN FD  32 byte: 34 bit + 358 fast bit = 105.6 us each" in text
-    assert "total 558.2 us of a 1000.0 us period = 55.8 %" in text
-    assert report.figures["bus"]["feedback_us"] == pytest.approx(65 + 6 * 64.6)
+    assert "total 568.2 us of a 1000.0 us period = 56.8 %" in text
+    assert report.figures["bus"]["feedback_us"] == pytest.approx(75 + 6 * 64.6)
 
 
 BROKEN = [
@@ -276,7 +276,7 @@ def test_it_says_whether_the_law_is_monitored():
 
 def test_a_window_shorter_than_the_feedbacks_is_warned_of():
     c = edited(("  rate_Hz: 1000\n", "  rate_Hz: 1000\n  feedback_window_us: 400\n"))
-    assert any("SYNC and six feedbacks take 453 us" in w for w in inspect(c).warnings)
+    assert any("SYNC and six feedbacks take 463 us" in w for w in inspect(c).warnings)
 
 
 def test_little_force_in_reserve_is_warned_of():

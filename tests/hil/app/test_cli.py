@@ -178,10 +178,10 @@ def test_a_latched_fault_exits_1_and_the_summary_names_it(tmp_path):
 def test_check_exits_0_with_figures(tmp_path):
     result = hil("check", "virtual", "--json", tmp_path / "check.json")
     assert result.exit_code == 0, result.output
-    assert "total 558.2 us of a 1000.0 us period = 55.8 %" in result.stdout
+    assert "total 568.2 us of a 1000.0 us period = 56.8 %" in result.stdout
     summary = json.loads((tmp_path / "check.json").read_text())
     assert summary["success"] is True
-    assert summary["figures"]["bus"]["total_us"] == pytest.approx(558.2)
+    assert summary["figures"]["bus"]["total_us"] == pytest.approx(568.2)
 
 
 def test_check_exits_2_with_all_problems_on_the_terminal_and_in_json(tmp_path):
@@ -222,7 +222,7 @@ SUMMARY = {
     "rate_Hz": 1000.0,
     "trouble": None,
     "real_time": {"granted": ["SCHED_FIFO", "locked memory"], "missing": []},
-    "bus_load_percent": 55.82,
+    "bus_load_percent": 56.82,
     "faults": [],
     "tracking": {"ticks": 20000, "peak_leg_error_mm": 0.12032475, "peak_force_N": 16044.2399},
     "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 3, "FORCE_WINDOW": 0},
@@ -240,7 +240,7 @@ rate              1000 Hz
 real time
   granted         SCHED_FIFO; locked memory
   missing         none
-bus load          55.8 %
+bus load          56.8 %
 faults            none
 tracking
   ticks           20000

@@ -34,8 +34,8 @@ SHIPPED_RATE_HZ = 1000.0
 DESIGNED = f"{{law: state_space, controller_file: {DATA / 'controller.yaml'}}}"
 HOLD_S = 0.5e-3
 """A force held for a period of 1 ms is late by half of it."""
-BUS_S = (65.0 + 6 * 64.6 + 60.0 + 105.6) * 1e-6
-"""SYNC of 1 byte, six feedbacks of 12, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s."""
+BUS_S = (75.0 + 6 * 64.6 + 60.0 + 105.6) * 1e-6
+"""SYNC of 2 bytes, six feedbacks of 12, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s."""
 LENGTH = np.sqrt(1.0 + 2.0**2 + 1.0**2 - 2 * 2.0 * 1.0 * np.cos(np.pi / 6))
 """m, of every leg of the book's platform at home: 1 m up, joint circles of 2 and 1 m, 30 degrees apart."""
 S_Z = 1.0 / LENGTH

@@ -124,12 +124,12 @@ def test_a_home_outside_the_stroke_is_refused():
 def test_frames_that_do_not_fit_the_bus_are_refused_with_the_arithmetic():
     text = edited(("layout: fd ", "layout: classic "))
     (problem,) = problems(text)
-    # 8 frames of 135 bit and SYNC of 65 bit at 1 Mbit/s against a period of 1000 us.
+    # 8 frames of 135 bit and SYNC of 75 bit at 1 Mbit/s against a period of 1000 us.
     assert problem.startswith(
         f"my.yaml:{place(text, 'interface: localcan')}: bus: the frames of one tick do not fit at 1 Mbit/s"
     )
     assert "8 x classic  8 byte: 135 bit = 135.0 us each, 1080.0 us" in problem
-    assert "total 1145.0 us of a 1000.0 us period = 114.5 % at 1000 Hz (allowed 70 %)" in problem
+    assert "total 1155.0 us of a 1000.0 us period = 115.5 % at 1000 Hz (allowed 70 %)" in problem
 
 
 def test_bit_rates_that_no_bus_has_are_refused():

@@ -1,0 +1,109 @@
+"""The force asked for: the law's own, and how it takes over from what holds the platform and gives way."""
+
+from math import nan
+
+from drivers.arrays import ZERO6, Array
+from drivers.signals import Mode
+from drivers.tick_columns import Record, copy_of
+from hil.loop.modes import CONTROLLED, Durations
+from hil.loop.motion import Motion
+from hil.loop.parts import Parts
+from hil.loop.ramps import holding_share, smoothstep, tau_at_rest
+from hil.loop.reference import fill_reference
+from hil.robot.dynamics import Model
+from hil.trajectory.path import PoseSample
+
+
+class Effort:
+    """What the law asks for, with the ramps of entry and exit.
+
+    Mutable state, all of it public; `reset` restores the initial one.
+    """
+
+    def __init__(self, parts: Parts, durations: Durations) -> None:
+        self.parts = parts
+        self.durations = durations
+        self.period_s = 1.0 / parts.rate_Hz
+        self.model = Model(parts.platform, leg_spin=parts.leg_spin)
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the state before the first tick."""
+        self.holding = ZERO6
+        """(6,) N: what holds weight and external wrench where the brakes open, or the force as they close."""
+        self.offset = ZERO6
+        """(6,) N: holding force less the law's own at the moment of entry; fades out."""
+        self.entry_tick: int | None = None
+        """When the entry offset began to fade; None while it is whole."""
+        self.last_tau = ZERO6
+        self.shortfall = ZERO6
+        """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
+
+    def statics(self, tick: Record) -> Array:
+        """Return the forces (6,) N that hold weight and external wrench at the measured pose."""
+        return self.model.inverse_dynamics(tick["p"], tick["R"], ZERO6, ZERO6, tick["wrench"])
+
+    def hold(self, tick: Record, holding: Array, sample: PoseSample, *, on_it: bool = False) -> None:
+        """Begin with a holding force (6,) N at a sample at rest; on_it: as if the platform were there.
+
+        The offset makes up for what the law asks for there, without load. As the law is given it at entry:
+        it begins with this very tick, and the offset fits.
+        """
+        self.entry_tick, self.holding = None, holding
+        self.offset = holding - tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
+
+    def fill(
+        self, tick: Record, mode: Mode, mode_tick: int, motion: Motion, *, free: bool, blind: bool
+    ) -> None:
+        """Fill the law's own force, and what is asked for.
+
+        free: all brakes are open; blind: a fault of `modes.NOT_MEASURED` is latched.
+        """
+        number = int(tick["tick"])
+        if mode is Mode.HELD and blind:
+            tick["tau_asked"] = self.holding
+            return
+        seen = self._as_seen(tick, mode, motion, free=free)
+        if mode in CONTROLLED:
+            if self.shortfall is not ZERO6:
+                seen["shortfall"] = self.shortfall
+            self.parts.law.effort(seen)
+            own = seen["tau_law"]
+            if seen is not tick:
+                tick["tau_law"] = own
+            left = self._entry_share(number)
+            tick["tau_asked"] = own + self.offset * left if left > 0.0 else own
+            return
+        load = self.durations.load
+        if load > 0 and mode in {Mode.LOADING, Mode.UNLOADING}:
+            elapsed = (number - mode_tick) * self.period_s
+            tick["tau_asked"] = self.holding * holding_share(mode, elapsed, load)
+
+    def _as_seen(self, tick: Record, mode: Mode, motion: Motion, *, free: bool) -> Record:
+        """Return the tick as the law sees it: now, or when its force will act.
+
+        Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone
+        makes up for what the law's own model does not hold.
+        """
+        predictor, wrench = self.parts.predictor, self.parts.wrench
+        if predictor is None and not wrench.has_source:
+            return tick
+        number, ahead = int(tick["tick"]), copy_of(tick)
+        if predictor is not None:
+            predictor.ahead(ahead, free=free)
+        if wrench.has_source:
+            ahead["wrench"] *= 1.0 - self._entry_share(number)
+        if predictor is not None and mode in CONTROLLED:
+            sample, t = motion.ahead(number, predictor.horizon_s)
+            if t is None:
+                t = motion.time(number) + predictor.horizon_s if mode is Mode.TRACKING else nan
+            fill_reference(self.parts.platform, sample, ahead)
+            ahead["t_d"] = t
+        return ahead
+
+    def _entry_share(self, tick: int) -> float:
+        """Return how much of the entry offset is left, 1 .. 0."""
+        if self.entry_tick is None:
+            return 1.0
+        blend = self.parts.engage.blend_s
+        return 0.0 if blend == 0.0 else 1.0 - smoothstep((tick - self.entry_tick) * self.period_s / blend)

@@ -1,0 +1,95 @@
+"""The daemon listens until it has six answers that it can use, and switches drives off by the SYNC's rule."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from drivers.can.bus import Bus
+from drivers.protocol import DeviceCommand, Frame, Received, Sync
+from drivers.signals import DriveMode, DriveState
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load
+from hil.loop.clock import Deadlines
+from hil.loop.daemon import _answers, switch_off
+
+TICK = 1003
+
+
+class Queue:
+    """A bus that has one frame after the other, each as late as the one before was taken."""
+
+    def __init__(self, *frames: Frame) -> None:
+        self.left = [Received(5_000 + k, frame) for k, frame in enumerate(frames)]
+        self.sent: list[Frame] = []
+
+    def drain(self, _deadline_ns: int, wanted: frozenset[int]) -> list[Received]:
+        taken, missing = [], set(wanted)
+        while self.left and missing:
+            taken.append(self.left.pop(0))
+            missing.discard(taken[-1].frame.id)
+        return taken
+
+    def flush_tx(self) -> None:
+        """Nothing waits."""
+
+    def send(self, frames: tuple[Frame, ...]) -> int:
+        self.sent += frames
+        return 0
+
+
+@pytest.fixture(scope="module")
+def cycle() -> Any:
+    return build_cycle(load("virtual"), 1000.0, 0.01)
+
+
+def six(cycle: Any, counter: int = TICK) -> list[Frame]:
+    q, zero = np.full(6, 1.5), np.zeros(6)
+    sent = cycle.parts.protocol.feedbacks(Sync(counter), q, zero, zero, np.full(6, DriveState.RUN, np.int64))
+    return [frame for _, frame in sent]
+
+
+def damaged(frame: Frame) -> Frame:
+    return frame._replace(data=bytes([frame.data[0] ^ 4]) + frame.data[1:])
+
+
+@pytest.mark.parametrize("bad", [1, 2, 5])
+@pytest.mark.parametrize("how", ["damaged", "old", "short"])
+def test_an_answer_that_is_of_no_use_does_not_end_the_wait_for_the_right_one(cycle, bad, how):
+    good = six(cycle)
+    worse = {
+        "damaged": damaged(good[3]),
+        "old": six(cycle, TICK - 1)[3],
+        "short": good[3]._replace(data=b""),
+    }[how]
+    bus = Queue(*good[:3], *[worse] * bad, *good[4:], good[3], damaged(good[0]))
+    heard = _answers(cycle, cast("Bus", bus), TICK, 1_000, 10**9)
+    assert [each.frame for each in heard] == [*good[:3], *[worse] * bad, *good[4:], good[3]]
+    assert len(bus.left) == 1, "what comes after six good ones waits for the next tick"
+
+
+def test_at_the_deadline_it_goes_on_with_what_is_there(cycle):
+    good = six(cycle)
+    heard = _answers(cycle, cast("Bus", Queue(*good[:5], damaged(good[5]))), TICK, 1_000, 10**9)
+    assert len(heard) == 6
+
+
+def test_a_frame_from_before_the_tick_is_none_of_the_six(cycle):
+    good = six(cycle)
+    heard = _answers(cycle, cast("Bus", Queue(*good, *good)), TICK, 5_003, 10**9)
+    assert len(heard) == 9
+
+
+def test_a_loop_that_fails_sends_sync_and_command_so_that_the_drives_obey(cycle):
+    bus, protocol = Queue(), cycle.parts.protocol
+    switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
+    memory, heard = protocol.power_up(), []
+    for frame in bus.sent:
+        memory, messages = protocol.parse(memory, frame)
+        heard += messages
+    commands = [each for each in heard if isinstance(each, DeviceCommand)]
+    assert len(commands) == 5
+    assert {each.mode for each in commands} == {DriveMode.OFF}
+    assert len({each.counter for each in commands}) == 5, "none is a repetition"

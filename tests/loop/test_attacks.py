@@ -1,0 +1,130 @@
+"""A second controller on the bus of a whole run: it is held and named, and the platform goes nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from drivers.can.bus_time import BitTiming
+from drivers.protocol import Frame, Received
+from drivers.signals import Command, DriveMode, DriveState, Fault, Mode, Reaction
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import load
+from hil.app.sim.lockstep import Lockstep
+from hil.signals import Operator
+from tests.drivers.legs_frames import command_frames
+
+Attack = Callable[[int], tuple[Frame, ...]]
+
+
+@dataclass
+class Attacked(Lockstep):
+    """A lockstep with a third node, which sends after the feedback and before our command."""
+
+    attack: Attack = field(default=lambda _tick: ())
+    audible: bool = True
+    """Whether the controller hears it: behind a gateway it does not."""
+
+    def _exchange(self, t_ns, opening):
+        feedback, step_ns = super()._exchange(t_ns, opening)
+        forged = [Received(step_ns, frame) for frame in self.attack(self.tick)]
+        self._commands += forged
+        return feedback + forged * self.audible, step_ns
+
+
+@pytest.fixture(scope="module")
+def virtual():
+    c = load("virtual")
+    nodes, plant = build_nodes(c)
+    yield c, nodes
+    plant.close()
+
+
+def begin(virtual, mode: Mode) -> Attacked:
+    c, nodes = virtual
+    bench = Attacked(build_cycle(c, 1000.0, 0.01), nodes, BitTiming.of(c.bus), c.loop.window_s(1000.0))
+    while bench.cycle.mode is not mode:
+        engage = (Operator.ENGAGE,) if bench.cycle.mode is Mode.IDLE else ()
+        bench.step(engage)
+        assert bench.tick < 3000
+    return bench
+
+
+def forged(bench: Attacked, counter: int, force: float) -> tuple[Frame, ...]:
+    command = Command(DriveMode.RUN, np.full(6, force))
+    return command_frames(bench.cycle.parts.protocol, command, counter)
+
+
+ATTACKS: dict[str, Callable[[Attacked], Attack]] = {
+    "the present counter": lambda bench: lambda tick: forged(bench, tick, 3e3),
+    "the next counter": lambda bench: lambda tick: forged(bench, tick + 1, 3e3),
+    "old commands": lambda bench: lambda tick: forged(bench, tick - 1 - tick % 2, 3e3),
+    "SYNC and command": lambda bench: (
+        lambda tick: (
+            *bench.cycle.parts.protocol.begin(None, tick + 9),
+            *forged(bench, tick + 9, 3e3),
+        )
+    ),
+}
+
+
+@pytest.mark.parametrize("mode", [Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING])
+@pytest.mark.parametrize("name", ATTACKS)
+def test_forged_commands_are_held_and_named_and_move_nothing(virtual, mode, name):
+    bench = begin(virtual, mode)
+    for _ in range(100 if mode is Mode.TRACKING else 20):
+        bench.step()
+    before = bench.nodes.snapshot()
+    bench.attack = ATTACKS[name](bench)
+    begun = bench.tick
+    for _ in range(2):
+        bench.step()
+    assert bench.cycle.faults == Fault.SECOND_CONTROLLER
+    assert bench.cycle.mode_tick - begun <= 2
+    for _ in range(200):
+        bench.step()
+    after = bench.nodes.snapshot()
+    assert after.brake.all(), "though the other one goes on"
+    assert after.state.tolist() == [DriveState.FAULT] * 6
+    speed = float(np.abs(before.rate).max())
+    moved = float(np.abs(after.length - before.length).max())
+    assert moved <= 2e-3 + 3e-3 * speed
+
+
+@pytest.mark.parametrize("audible", [True, False])
+def test_a_config_of_somebody_else_is_noticed_before_the_drives_are_powered(virtual, audible):
+    bench = begin(virtual, Mode.IDLE)
+    config = bench.cycle.parts.protocol.configure(4000.0, Reaction.ZERO)  # type: ignore[attr-defined]
+    bench.attack, bench.audible = lambda _tick: config, audible
+    bench.step()
+    bench.attack = lambda _tick: ()
+    for _ in range(20):
+        bench.step((Operator.ENGAGE,))
+    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.faults & (Fault.SECOND_CONTROLLER if audible else Fault.SET_UP)
+    assert not bench.cycle.faults & ~(Fault.SECOND_CONTROLLER | Fault.SET_UP)
+    assert set(bench.nodes.snapshot().state.tolist()) == {DriveState.OFF}
+
+
+def test_an_emergency_stop_reaches_drives_that_miss_the_first_ones(virtual):
+    bench = begin(virtual, Mode.APPROACH)
+    estop = bench.cycle.parts.protocol.emergency_stop()[0]
+    parse, lost = bench.nodes._protocol.parse, [0]
+
+    def deaf(memory, frame):
+        if frame == estop and lost[0] < 3:
+            lost[0] += 1
+            return memory, ()
+        return parse(memory, frame)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench.nodes._protocol, "parse", deaf)
+        bench.step((Operator.ESTOP,))
+        sent = [estop in bench.step()[2].frames for _ in range(30)]
+    assert lost == [3]
+    assert sent[:3] == [True] * 3
+    assert not any(sent[6:])
+    assert bench.nodes.snapshot().brake.all()

@@ -1,0 +1,152 @@
+"""Frames that are old, doubled or forged, at the drives' end: they are refused, counted, and feed no watchdog."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from drivers.legs.protocol import NO_SYNC, LegsProtocol
+from drivers.protocol import Configure, Frame, Rejected, Status
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.legs_frames import command_frames, parse
+from tests.plant_fmu.test_nodes import MS, Rig
+
+LAYOUTS = ("classic", "fd", "ideal")
+
+
+def commands(rig: Rig, tick: int, force: float = 5.0, mode: DriveMode = DriveMode.RUN) -> tuple[Frame, ...]:
+    return command_frames(rig.protocol, Command(mode, np.full(6, force)), tick)
+
+
+def sync(rig: Rig, tick: int) -> Frame:
+    return rig.protocol.begin(None, tick)[0]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_two_old_commands_in_turn_do_not_keep_the_drives_in_run(layout):
+    rig = Rig(layout)
+    rig.run()
+    old = [commands(rig, rig.tick - 1, 3e3), commands(rig, rig.tick - 2, 4e3)]
+    for k in range(1, 15):
+        rig.tick += 1
+        rig.at(k * MS, sync(rig, rig.tick), *old[k % 2])
+    snapshot = rig.nodes.snapshot()
+    assert snapshot.state.tolist() == [DriveState.FAULT] * 6
+    assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6
+    assert (snapshot.commands, snapshot.repeated) == (2 * len(old[0]), 0)
+    assert snapshot.rejected == 14 * len(old[0])
+    assert not snapshot.command.any()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("ahead", [-8, -1, 1, 2, 7])
+def test_a_command_for_another_sync_than_the_present_one_changes_nothing(layout, ahead):
+    rig = Rig(layout)
+    rig.run(100.0)
+    before = rig.nodes.snapshot()
+    rig.at(0, *commands(rig, rig.tick + ahead, 9e3, DriveMode.OFF))
+    after = rig.nodes.snapshot()
+    np.testing.assert_array_equal(after.command, before.command)
+    assert after.state.tolist() == [DriveState.RUN] * 6
+    assert after.rejected - before.rejected == (2 if layout == "classic" else 1)
+
+
+@pytest.mark.parametrize("ahead", [n for n in range(-127, 129) if n])
+@pytest.mark.parametrize("layout", ["classic", "fd"])
+def test_of_256_counters_one_is_present(layout, ahead):
+    protocol = LegsProtocol(layout, (1, 2, 3, 4, 5, 6))
+    frame = command_frames(protocol, Command(DriveMode.RUN, np.zeros(6)), 1000 + ahead)[0]
+    assert isinstance(parse(protocol, frame, 1000 & 0xFF), Rejected)
+
+
+def test_of_two_commands_to_one_sync_the_first_counts():
+    rig = Rig()
+    rig.run()
+    rig.tick += 1
+    rig.at(1 * MS, sync(rig, rig.tick), *commands(rig, rig.tick, 10.0), *commands(rig, rig.tick, 9e3))
+    snapshot = rig.nodes.snapshot()
+    assert snapshot.command.tolist() == [10.0] * 6
+    assert snapshot.repeated == 1
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_without_a_sync_no_command_counts(layout):
+    rig = Rig(layout)
+    rig.configure()
+    for tick in range(256):
+        rig.at(tick * 1000, *commands(rig, tick, mode=DriveMode.READY))
+    assert rig.states == [DriveState.OFF] * 6
+    assert rig.nodes.snapshot().commands == 0
+    assert rig.protocol.power_up() == NO_SYNC
+
+
+def test_any_flipped_bit_of_a_sync_is_refused_and_what_was_present_stays():
+    rig = Rig()
+    rig.run()
+    good = sync(rig, rig.tick + 1)
+    for bit in range(16):
+        data = bytearray(good.data)
+        data[bit // 8] ^= 1 << bit % 8
+        assert not [
+            f for _, f in rig.at(0, good._replace(data=bytes(data))) if f.id in rig.protocol.feedback_ids
+        ]
+    assert rig.nodes.snapshot().rejected == 16
+    rig.at(0, *commands(rig, rig.tick + 1, 77.0))
+    assert not rig.nodes.snapshot().command.any()
+    rig.at(0, good, *commands(rig, rig.tick + 1, 77.0))
+    assert rig.nodes.snapshot().command.tolist() == [77.0] * 6
+
+
+def test_a_repeated_sync_is_answered_once():
+    rig = Rig()
+    frame = sync(rig, 9)
+    answers = [f for _, f in rig.at(1 * MS, frame, frame) if f.id in rig.protocol.feedback_ids]
+    assert len(answers) == 6
+    assert rig.nodes.snapshot().rejected == 1
+
+
+@pytest.mark.parametrize("bits", [*itertools.combinations(range(0, 256, 37), 4)])
+def test_four_flipped_bits_of_an_fd_command_are_found(bits):
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    (frame,) = command_frames(protocol, Command(DriveMode.RUN, np.arange(6.0) * 321), 77)
+    data = bytearray(frame.data)
+    for bit in bits:
+        data[bit // 8] ^= 1 << bit % 8
+    assert isinstance(parse(protocol, frame._replace(data=bytes(data)), 77), Rejected)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0", b"\xff", bytes(8), b"\x55" * 8])
+@pytest.mark.parametrize("state", [DriveState.BOOT, DriveState.OFF, DriveState.RUN])
+def test_an_emergency_stop_acts_whatever_it_carries_and_is_confirmed_at_once(data, state):
+    rig = Rig()
+    if state is DriveState.OFF:
+        rig.configure()
+    elif state is DriveState.RUN:
+        rig.run(500.0)
+    sent = rig.at(1 * MS, Frame(0x001, data))
+    told = [frame.data[:2] for _, frame in sent if 0x700 < frame.id < 0x707]
+    assert told[-6:] == [bytes([DriveState.FAULT, DriveFault.ESTOP])] * 6
+    assert rig.brakes == [1.0] * 6
+    assert rig.states == [DriveState.FAULT] * 6
+
+
+def test_set_up_is_echoed_at_once_and_so_is_that_of_somebody_else():
+    rig = Rig()
+    rig.at(0)  # the first heartbeat
+    ours = rig.at(1 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
+    theirs = rig.at(2 * MS, *rig.protocol.configure(4000.0, Reaction.ZERO))
+    for sent, watchdog_s, reaction in ((ours, 0.01, Reaction.BRAKE), (theirs, 4000.0, Reaction.ZERO)):
+        expected = [
+            rig.protocol.status(Status(leg, DriveState.OFF, 0, Configure(leg, watchdog_s, reaction)))[0]
+            for leg in range(6)
+        ]
+        assert [frame for _, frame in sent] == expected
+    assert len({frame.data[2:4] for _, frame in ours + theirs}) == 12, "watchdog, reaction and leg all count"
+
+
+def test_the_echo_tells_drives_of_another_rated_force():
+    a, b = (LegsProtocol("fd", (1, 2, 3, 4, 5, 6), rated) for rated in (30_000.0, 3_000.0))
+    holds = Status(0, DriveState.OFF, 0, Configure(0, 0.01, Reaction.BRAKE))
+    assert a.status(holds) != b.status(holds)

@@ -1,0 +1,51 @@
+"""A third process on localcan that plays the controller: the run is held and named, whatever it sends."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.can.bus import Bus
+from drivers.protocol import Frame, Sync
+from drivers.signals import Command, DriveMode, Reaction
+from hil.app.compose import build_protocol
+from hil.app.configuration.configuration import load
+from tests.drivers.legs_frames import command_frames, parse
+from tests.realtime.rig import Listener, Process, configuration
+
+pytestmark = pytest.mark.realtime(patient=True)
+FORGED = Command(DriveMode.RUN, np.full(6, 3e3))
+ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
+    "command": lambda protocol, cycle: command_frames(protocol, FORGED, cycle),
+    "CONFIG": lambda protocol, cycle: protocol.configure(4000.0, Reaction.ZERO)[cycle % 6 :][:1],
+    "SYNC": lambda protocol, cycle: protocol.begin(None, cycle + 7),
+}
+
+
+@pytest.mark.parametrize("kind", ATTACKS)
+def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
+    tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
+) -> None:
+    file = configuration(tmp_path)
+    c = load(str(file))
+    protocol = build_protocol(c)
+    listener = listen(file)
+    run = start("run", str(file), "--plant")
+    listener.wait_for_motion(run, 0.05)
+    with Bus.open(c.bus, role="attacker") as bus:
+        end, sent = time.monotonic() + 2.0, 0
+        while sent < 50 and time.monotonic() < end:
+            for received in bus.wait(bus.clock.now() + 20_000_000):
+                heard = parse(protocol, received.frame)
+                if isinstance(heard, Sync):
+                    bus.send(ATTACKS[kind](protocol, heard.counter))
+                    sent += 1
+    assert sent
+    assert run.wait() == 1
+    assert "SECOND_CONTROLLER" in run.errors
+    assert f"heard: {kind.upper()}" in run.errors
+    assert run.summary["plant"]["final_states"] == ["FAULT"] * 6, "stopped at once, and it stays so"

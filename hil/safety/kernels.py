@@ -198,7 +198,7 @@ def judge_frames(tick: Any, memory: Any) -> int:
     the drives say of themselves counts once they have been set up.
     """
     memory.untrusted = refusals(memory.untrusted, tick.rejected - tick.sensors_rejected)
-    if tick.mode > _UNLOADING:
+    if tick.mode > _UNLOADING and tick.mode != _HELD:
         return 0
     faults = 0
     if second_controller(tick.foreign):

@@ -278,6 +278,17 @@ def test_timing_adds_skipped_periods_until_a_tick_skips_none():
     assert timing.missed_run(run, 0) == 0
 
 
+def test_timing_lets_bench_time_stand_still_for_half_a_second_and_a_share_of_the_run():
+    """Real drives allow 10 ms; a stretch of 4 ms is near to what would have ended their run."""
+    assert timing.HARMFUL_STRETCH_NS == 4_000_000
+    run_ns, free_ns = 100_000_000_000, 500_000_000
+    for percent, most_ns in ((0.0, free_ns), (5.0, free_ns + 5_000_000_000), (100.0, free_ns + run_ns)):
+        assert not timing.too_stretched(most_ns, run_ns, percent)
+        assert timing.too_stretched(most_ns + 1000, run_ns, percent)
+    assert not timing.too_stretched(free_ns, 0, 5.0)
+    assert timing.too_stretched(free_ns + 1, 0, 5.0)
+
+
 # -- effort
 
 

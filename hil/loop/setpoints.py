@@ -4,19 +4,17 @@ A set-point is a line of six numbers, x y z in m and the rotation vector in deg;
 not.
 """
 
-import contextlib
 import math
 import socket
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
-from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import RunError
+from hil.loop import operator_socket
+from hil.loop.operator_socket import OperatorSocket
 from hil.signals import SetPoint, explain
 
-AT_MOST = 8
-"""Datagrams read in one tick."""
 LONGEST = 512
 """Bytes of a set-point."""
 ANSWER_LONGEST = 4096
@@ -29,7 +27,7 @@ FORM = "six numbers, x y z in m and the rotation vector rx ry rz in deg"
 
 def socket_path(interface: str, channel: str) -> Path:
     """Return where the controller on a bus listens."""
-    return runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.setpoint.sock"
+    return operator_socket.socket_path(interface, channel, "setpoint")
 
 
 def parse(text: str) -> SetPoint:
@@ -49,7 +47,7 @@ def parse(text: str) -> SetPoint:
     return SetPoint(x, y, z, math.radians(rx), math.radians(ry), math.radians(rz))
 
 
-class SetPointSocket:
+class SetPointSocket(OperatorSocket):
     """Where set-points come in. The controller's role on the bus is held while it is open.
 
     Mutable state: the socket, and the senders that wait for an answer.
@@ -57,31 +55,18 @@ class SetPointSocket:
 
     def __init__(self, interface: str, channel: str) -> None:
         """Listen. Raises RunError when the socket cannot be made."""
-        self.path = socket_path(interface, channel)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-        try:
-            self.path.unlink(missing_ok=True)  # left by a controller that was killed: we hold its role now
-            self._socket.bind(str(self.path))
-            self.path.chmod(0o600)
-        except OSError as error:
-            self._socket.close()
-            raise RunError(f"set-point socket {self.path}: {error.strerror or error}") from error
-        self._socket.setblocking(False)
-        self._senders: list[str | bytes] = []
+        super().__init__(socket_path(interface, channel), "set-point", LONGEST + 1)
+        self._senders: list[str | bytes | None] = []
 
     def take(self) -> tuple[SetPoint, ...]:
         """Return what has come since the last call; what is no set-point is answered at once."""
         found: list[SetPoint] = []
         self._senders = []
-        for _ in range(AT_MOST):
-            try:
-                data, sender = self._socket.recvfrom(LONGEST + 1)
-            except BlockingIOError:
-                break
+        for data, sender in self._heard():
             try:
                 found.append(parse(data.decode("ascii", "replace")))
             except ValueError as error:
-                self._reply(f"refused: {error}", sender)
+                self._reply(f"refused: {error}".encode(), sender)
             else:
                 self._senders.append(sender)
         return tuple(found)
@@ -89,24 +74,8 @@ class SetPointSocket:
     def answer(self, answers: Sequence[int]) -> None:
         """Tell the senders of the last set-points what became of them: bits of Refusal, in their order."""
         for sender, against in zip(self._senders, answers, strict=True):
-            self._reply(f"refused: {explain(against)}" if against else TAKEN, sender)
+            self._reply((f"refused: {explain(against)}" if against else TAKEN).encode(), sender)
         self._senders = []
-
-    def _reply(self, text: str, sender: str | bytes | None) -> None:
-        if sender:  # a sender without an address does not want one
-            with contextlib.suppress(OSError):
-                self._socket.sendto(text.encode(), sender)
-
-    def close(self) -> None:
-        """Stop listening and remove the socket."""
-        self._socket.close()
-        self.path.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 class SetPointSender:

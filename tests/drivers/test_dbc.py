@@ -37,6 +37,7 @@ from drivers.protocol import (
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Reaction
 from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
+from tests.drivers.test_crc import bitwise_crc16
 
 FILES = [Path(drivers.__file__).parent / name for name in ("legs/legs.dbc", "sensors.dbc")]
 DATABASES: list[Any] = [cantools.database.load_file(file) for file in FILES]
@@ -72,15 +73,6 @@ def bitwise_crc8(data: bytes) -> int:
             if carry:
                 register ^= 0x1D
     return register ^ 0xFF
-
-
-def bitwise_crc16(data: bytes) -> int:
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = (register << 1 ^ (0x5935 if register & 0x8000 else 0)) & 0xFFFF
-    return register
 
 
 def resealed(frame: Frame, at: int, byte: int) -> Frame:

@@ -12,7 +12,8 @@ import pytest
 
 from drivers.errors import RunError
 from drivers.signals import Refusal
-from hil.loop.setpoints import AT_MOST, SetPointSender, SetPointSocket, parse, socket_path
+from hil.loop.operator_socket import AT_MOST
+from hil.loop.setpoints import SetPointSender, SetPointSocket, parse, socket_path
 from hil.signals import SetPoint
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -15,7 +17,8 @@ from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.loop.daemon import OperatorPanel, Shell, run
-from hil.loop.release import ReleaseSocket, send_release
+from hil.loop.operator_socket import AT_MOST
+from hil.loop.release import WORD, ReleaseSocket, send_release
 from hil.loop.run_end import Course
 from hil.signals import Operator
 from plant_fmu.drives.faults.leg import StuckBrake
@@ -74,6 +77,19 @@ def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
     assert "nothing was released" in answers[0]
     assert answers[1] == "released"
     assert not listening.path.exists()
+
+
+def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus):
+    """Datagrams read in one tick are few: those of before must not be left for the next."""
+    with ReleaseSocket(*bus) as listening, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as flood:
+        flood.setblocking(False)
+        flood.connect(str(listening.path))
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(3 * AT_MOST):
+                flood.send(WORD)
+        assert not any(listening.take() for _ in range(10))
+        flood.send(WORD)
+        assert listening.take()
 
 
 def test_where_no_controller_runs_there_is_nothing_to_release(bus):

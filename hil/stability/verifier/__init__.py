@@ -5,15 +5,17 @@ solver's tolerance. In doubt a claim is undecided.
 
 ::
 
-    system          the question in exact form        signs            definite, semidefinite, positive
-    cancellation    dV/dt, exactly                    origin, tail     near the equilibrium and far away
-    interval        enclosures                        lasalle, level   where dV/dt = 0; sublevel sets
-    branch_and_bound                                  linearisation, chetaev   eigenvalues; instability
-    counterexample  what refutes                      theorems, report
-    picture         V, level sets and trajectories of two states
+    door            what is taken, and decimals        signs            definite, semidefinite, positive
+    system          the question in exact form         origin, tail     near the equilibrium and far away
+    budget          cells and seconds                  quadratic, convex   forms; Hessians on a box
+    cancellation    dV/dt, exactly                     orthant          polynomials of positive parameters
+    interval        enclosures                         lasalle, level   where dV/dt = 0; sublevel sets
+    branch_and_bound                                   linearisation, eigenvalues, chetaev   instability
+    counterexample  what refutes                       proposal         a V where none was given
+    picture         V and trajectories of two states   theorems, report
 """
 
-from hil.stability.verifier.branch_and_bound import Budget
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.report import Certificate, Decrease, Equilibrium, Report, Truth
 from hil.stability.verifier.theorems import verify
 

@@ -1,35 +1,17 @@
 """Branch and bound: a property of every point of a region, shown cell by cell.
 
-Only enclosures decide. Cells are halved until an enclosure decides them or the budget of cells is spent; no
-clock, no chance, so a proof is found again wherever it was found once.
+Only enclosures decide. Cells are halved until an enclosure decides them or the budget is spent.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.interval import Ball, Cell, Enclosure, ball
+
+__all__ = ["Budget", "covered", "faces", "halves", "middle", "positive", "without"]
 
 SMALLEST = 2.0**-40
 """Cells whose widest side is below are not halved: where an enclosure still says nothing, it never will."""
-
-
-class Budget:
-    """How many cells may be looked at; counts down.
-
-    Mutable: `left` goes down, `ended` tells that it was asked for more than it had.
-    """
-
-    def __init__(self, boxes: int = 40_000) -> None:
-        self.boxes = boxes
-        self.left = boxes
-        self.ended = False
-
-    def take(self) -> bool:
-        """Take one cell; tell whether there was one."""
-        if self.left <= 0:
-            self.ended = True
-            return False
-        self.left -= 1
-        return True
 
 
 def covered(

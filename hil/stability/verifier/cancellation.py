@@ -1,7 +1,7 @@
 """Exact algebra before any interval: what cancels in the derivative of V cancels here.
 
-Every step is an identity of real functions wherever f and V are defined. Decimal numbers mean what is written
-(0.1 is 1/10). Enclosures cannot show that b v - v b is zero; this can.
+Every step is an identity of real functions wherever f and V are defined. Enclosures cannot show that
+b v - v b is zero; this can.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,12 +9,6 @@ from collections.abc import Mapping, Sequence
 import sympy as sp
 
 from drivers.errors import ModelError
-
-
-def exact(expression: sp.Expr) -> sp.Expr:
-    """Return the expression with each decimal number as the fraction that is written."""
-    e = sp.sympify(expression)
-    return e.xreplace({x: sp.Rational(str(x)) for x in e.atoms(sp.Float)})
 
 
 def cancelled(expression: sp.Expr) -> sp.Expr:
@@ -119,7 +113,7 @@ def half_angles(expression: sp.Expr) -> list[sp.Expr]:
 def squares(expression: sp.Expr, states: Sequence[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr]] | None:
     """Return (d_i, l_i) with expression = sum d_i l_i^2 for a quadratic form, else None.
 
-    Completing the square, exactly: L D L^T of a form whose coefficients are numbers.
+    Completing the square, exactly: L D L^T of a form whose coefficients are numbers, not all rational.
     """
     try:
         form = sp.Poly(expression, *states)

@@ -4,7 +4,7 @@ W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. B
 lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W > 0 on one at least.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 
@@ -12,7 +12,8 @@ import sympy as sp
 from flint import arb
 
 from drivers.errors import ModelError
-from hil.stability.verifier.branch_and_bound import Budget, covered, faces, positive
+from hil.stability.verifier.branch_and_bound import covered, faces, positive
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.cancellation import lie_derivative
 from hil.stability.verifier.interval import Ball, Cell, Enclosure, ball, unsupported
 from hil.stability.verifier.origin import RADII, Ray, T
@@ -22,7 +23,19 @@ LIMIT = 400
 WEIGHTS = 3
 """Rays x_i = t^w_i u_i with w_i up to this are tried."""
 CLOSE = 2.0**-8
-_RAYS = partial(product, (-1.0, -0.5, 0.0, 0.5, 1.0))
+
+
+def _rays(n: int) -> Iterator[tuple[float, ...]]:
+    """Points of a cube; of many states those with at most two that are not zero."""
+    if n <= 4:
+        yield from product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=n)
+        return
+    for k in range(n):
+        for s in (-1.0, 1.0):
+            yield tuple(s if i == k else 0.0 for i in range(n))
+            for j in range(k):
+                for t in (-1.0, 1.0):
+                    yield tuple(s if i == k else t if i == j else 0.0 for i in range(n))
 
 
 def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
@@ -58,7 +71,7 @@ def _hopeless(W: sp.Expr, W_dot: sp.Expr, weights: list[tuple[int, ...]], signs:
     ranges = [ball(*signs.sides[p]) for p in signs.system.ranges]
     g, rate = Enclosure(W, names), Enclosure(W_dot, names)
     for w in weights:
-        for u in _RAYS(repeat=len(w)):
+        for u in _rays(len(w)):
             x = [*(ball(v, v) for v in (k * CLOSE**e for k, e in zip(u, w, strict=True))), *ranges]
             if g(x) > 0 and rate(x) <= 0:
                 return True
@@ -107,7 +120,7 @@ def _one_positive(functions: tuple[Enclosure, ...], reach: Ball, u: Sequence[Bal
 
 def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:
     """Tell whether W > 0 all along one ray: so arbitrarily near to the origin, for all parameters."""
-    for ends in _RAYS(repeat=n):
+    for ends in _rays(n):
         ray: Cell = (*((e, e) for e in ends), *ranges, reach)
         if max(map(abs, ends)) == 1.0 and budget.take() and down.on(ray) < arb(0):
             return True

@@ -4,13 +4,14 @@ Where to look is a guess, what is found is a proof. That nothing is found proves
 """
 
 import heapq
-from collections.abc import Iterator
-from itertools import count, product
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, count, product
 
 import sympy as sp
 
+from hil.stability.verifier import quadratic
 from hil.stability.verifier.branch_and_bound import halves, middle
-from hil.stability.verifier.interval import Cell, Enclosure, ball, unsupported
+from hil.stability.verifier.interval import Ball, Cell, Enclosure, ball, number, unsupported
 from hil.stability.verifier.signs import Signs
 from hil.stability.verifier.system import Point
 
@@ -37,17 +38,53 @@ def not_above_zero(g: sp.Expr, signs: Signs) -> Point | None:
 
 
 def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
+    """Return a point with g > 0 (or = 0) whatever the rounded numbers were.
+
+    A quadratic form has one in its own direction, or none.
+    """
     if unsupported(g):
         return None
-    names = (*signs.system.states, *signs.system.ranges, *signs.system.positive)
-    h = Enclosure(g, names)
-    for point in _points(g, signs):
-        value = h.at(point)
+    system = signs.system
+    rounded = tuple(system.rounded.numbers)
+    names = (*system.states, *(p for p in system.ranges if p not in rounded), *system.positive)
+    h = Enclosure(g, (*names, *rounded))
+    whole = [ball(*signs.sides[p]) for p in rounded]
+    form = quadratic.form(g, system.states)
+    for point in _downhill(g, signs) if form else chain(_downhill(g, signs), _points(g, signs)):
+        value = h([*(number(point[v]) for v in names), *whole])
         if not (value > 0 or (exact_zero and value.contains(0))) or not _inside(signs, point):
             continue
         if value > 0 or (value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0):
             return point
-    return _searched(h, signs)
+    return None if form else _searched(lambda x: h([*x, *whole]), names, signs)
+
+
+def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
+    """Along the direction in which the quadratic form that g begins with is positive, or zero."""
+    states = signs.system.states
+    for parameters in _parameters(signs):
+        S = quadratic.form(_leading(g.subs(parameters), states), states)
+        direction = None if S is None else quadratic.falls([[-c for c in row] for row in S])
+        if direction is None:
+            continue
+        d = [quadratic.rational(c / max(map(abs, direction))) for c in direction]
+        if max(len(str(c)) for c in d) > 60:
+            continue
+        ends = [abs(end) for side in signs.system.domain.values() for end in side if not end.is_infinite]
+        reach = min([sp.Rational(float(number(end).lower())) for end in ends], default=sp.S.One)
+        for k in (0, 4, 10, 20, 30):
+            yield {x: c * reach / 2**k for x, c in zip(states, d, strict=True)} | parameters
+
+
+def _leading(g: sp.Expr, states: Sequence[sp.Symbol]) -> sp.Expr:
+    """Return g if it is a polynomial without all but its terms of order two, else g."""
+    try:
+        p = sp.Poly(g, *states)
+    except sp.PolynomialError:
+        return g
+    if p.total_degree() > 40 or any(sum(m) < 2 for m in p.monoms()):
+        return g
+    return sp.Add(*(c * sp.Mul(*map(sp.Pow, states, m)) for m, c in p.terms() if sum(m) == 2))
 
 
 def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
@@ -82,7 +119,9 @@ def _sparse(n: int) -> list[tuple[int, ...]]:
 
 
 def _parameters(signs: Signs) -> list[Point]:
-    fixed = {p: [(low + high) / 2, low, high] for p, (low, high) in signs.system.ranges.items()}
+    rounded = signs.system.rounded.numbers
+    ranges = {p: side for p, side in signs.system.ranges.items() if p not in rounded}
+    fixed = {p: [(low + high) / 2, low, high] for p, (low, high) in ranges.items()}
     free = signs.system.positive
     few = len(free) <= 2
     positive = (
@@ -95,12 +134,12 @@ def _parameters(signs: Signs) -> list[Point]:
     return choices
 
 
-def _searched(h: Enclosure, signs: Signs) -> Point | None:
+def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:
     """Best first: the cell with the highest upper bound is halved next."""
     if signs.system.positive:
         return None
     sides: Cell = tuple(
-        (max(low, -_WINDOW), min(high, _WINDOW)) for low, high in (signs.sides[v] for v in h.variables)
+        (max(low, -_WINDOW), min(high, _WINDOW)) for low, high in (signs.sides[v] for v in names)
     )
     order = count()
     heap = [(0.0, next(order), sides)]
@@ -110,12 +149,12 @@ def _searched(h: Enclosure, signs: Signs) -> Point | None:
         cell = heapq.heappop(heap)[2]
         m = middle(cell)
         if h([ball(v, v) for v in m]) > 0:
-            point = {x: sp.Rational(v) for x, v in zip(h.variables, m, strict=True)}
+            point = {x: sp.Rational(v) for x, v in zip(names, m, strict=True)}
             if _inside(signs, point):
                 return point
         widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0])
         for half in halves(cell, widest):
-            value = h.on(half)
+            value = h([ball(*side) for side in half])
             if not value <= 0:
                 upper = float(value.upper()) if value.is_finite() else float("inf")
                 heapq.heappush(heap, (-upper, next(order), half))
@@ -124,4 +163,6 @@ def _searched(h: Enclosure, signs: Signs) -> Point | None:
 
 def _inside(signs: Signs, point: Point) -> bool:
     sides = signs.system.domain | signs.system.ranges
-    return all(bool(low <= point[v]) and bool(point[v] <= high) for v, (low, high) in sides.items())
+    return all(
+        bool(low <= point[v]) and bool(point[v] <= high) for v, (low, high) in sides.items() if v in point
+    )

@@ -33,7 +33,7 @@ _UNARY: dict[Any, Callable[[Ball], Ball]] = {
 }
 """What may stand in f and V beside sums, products and powers."""
 FUNCTIONS = frozenset(_UNARY)
-_NODES = (sp.Symbol, sp.Rational, sp.NumberSymbol, sp.Add, sp.Mul)
+_NODES = (sp.Symbol, sp.Rational, sp.Add, sp.Mul)
 
 
 class Enclosure:
@@ -103,7 +103,7 @@ def unsupported(e: sp.Expr) -> set[str]:
         if isinstance(node, sp.Pow):
             if not (node.exp.is_Rational or node.base == sp.E):
                 wrong.add(str(node))
-        elif not isinstance(node, _NODES) and node.func not in FUNCTIONS:
+        elif not isinstance(node, _NODES) and node.func not in FUNCTIONS and node not in (sp.pi, sp.E):
             wrong.add(str(node.func))
     return wrong
 

@@ -1,35 +1,29 @@
 """The linearisation at the equilibrium: eigenvalues located, not computed.
 
-A characteristic polynomial of fractions has its roots enclosed by flint; one with parameters has Routh's
-table, whose entries must have a proven sign. A root on the imaginary axis says nothing.
+States that do not act on each other in a circle are taken apart first. A matrix of fractions is decided
+exactly, one with ranges of parameters cell by cell, one with parameters that may be any positive number by
+polynomials of them. A root on the imaginary axis says nothing.
 """
 
-from enum import Enum
-from typing import Any
-
 import sympy as sp
-from flint import arb, fmpq, fmpq_poly
 
 from drivers.errors import ModelError
 from hil.stability.verifier.cancellation import continuous
-from hil.stability.verifier.interval import number, unsupported
+from hil.stability.verifier.eigenvalues import Eigenvalues, of_rationals, over_ranges
+from hil.stability.verifier.interval import unsupported
 from hil.stability.verifier.signs import Signs
 from hil.stability.verifier.system import System
 
-
-class Eigenvalues(Enum):
-    """Where the eigenvalues of the linearisation are shown to be."""
-
-    LEFT = "every eigenvalue has a negative real part"
-    RIGHT = "an eigenvalue has a positive real part"
-    UNKNOWN = "nothing is shown"
+__all__ = ["Eigenvalues", "eigenvalues", "jacobian"]
 
 
 def jacobian(system: System) -> sp.Matrix | None:
     """Return A = df/dx at the equilibrium; None where f is not shown to be smooth there."""
-    origin = dict.fromkeys(system.states, 0)
+    origin = dict.fromkeys(system.states, sp.S.Zero)
     try:
-        entries = [[continuous(sp.diff(e, x)).subs(origin) for x in system.states] for e in system.f.values()]
+        entries = [
+            [continuous(sp.diff(e, x)).xreplace(origin) for x in system.states] for e in system.f.values()
+        ]
     except ModelError:
         return None
     A = sp.Matrix(entries).applyfunc(sp.expand)
@@ -38,52 +32,69 @@ def jacobian(system: System) -> sp.Matrix | None:
 
 def eigenvalues(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     """Return where the eigenvalues of A are."""
-    s = sp.Symbol("s")
-    polynomial = A.charpoly(s).as_expr()
-    coefficients = [sp.expand(c) for c in sp.Poly(polynomial, s).all_coeffs()]
-    if all(c.is_Rational for c in coefficients):
-        return _roots(coefficients)
-    return _routh(coefficients, signs)
-
-
-def _roots(coefficients: list[sp.Expr]) -> Eigenvalues:
-    p = fmpq_poly([fmpq(int(c.p), int(c.q)) for c in reversed(coefficients)])
-    roots: list[tuple[Any, int]] = p.numer().complex_roots()  # type: ignore[assignment]  # (root, multiplicity)
-    real_parts = [root.real for root, _ in roots]
-    if any(re > 0 for re in real_parts):
+    if A.shape != (len(signs.system.states),) * 2:
+        raise AssertionError(f"a linearisation of shape {A.shape} of {len(signs.system.states)} states")
+    found = [_block(A.extract(block, block), signs) for block in _circles(A)]
+    if Eigenvalues.RIGHT in found:
         return Eigenvalues.RIGHT
-    return Eigenvalues.LEFT if all(re < 0 for re in real_parts) else Eigenvalues.UNKNOWN
+    return Eigenvalues.UNKNOWN if Eigenvalues.UNKNOWN in found else Eigenvalues.LEFT
 
 
-def _routh(coefficients: list[sp.Expr], signs: Signs) -> Eigenvalues:
-    """First column of Routh's table: as many roots to the right as changes of sign."""
-    if any(_sign(c, signs) == -1 for c in coefficients):
+def _circles(A: sp.Matrix) -> list[list[int]]:
+    """Return the sets of states that act on each other: A is block triangular in them."""
+    n = A.rows
+    acts = [[i == j or A[i, j] != 0 for j in range(n)] for i in range(n)]
+    for k in range(n):
+        for i in range(n):
+            for j in range(n):
+                acts[i][j] = acts[i][j] or (acts[i][k] and acts[k][j])
+    blocks = {tuple(j for j in range(n) if acts[i][j] and acts[j][i]) for i in range(n)}
+    if sorted(k for b in blocks for k in b) != list(range(n)):
+        raise AssertionError(f"blocks {blocks} of {n} states")
+    return [list(b) for b in sorted(blocks)]
+
+
+def _block(A: sp.Matrix, signs: Signs) -> Eigenvalues:
+    if all(a.is_Rational for a in A):
+        return of_rationals(A)
+    if A.free_symbols.isdisjoint(signs.system.positive):
+        ranges = [(p, signs.sides[p]) for p in signs.system.ranges if p in A.free_symbols]
+        found = over_ranges(A, ranges, signs.budget)
+        if found is not Eigenvalues.UNKNOWN:
+            return found
+    return _for_all(A, signs)
+
+
+def _for_all(A: sp.Matrix, signs: Signs) -> Eigenvalues:
+    """Judge by the critical constraints.
+
+    An eigenvalue crosses the axis only where a_0 or the last but one of Hurwitz's determinants is zero. Where
+    neither ever is, one choice of the parameters stands for all.
+    """
+    n = A.rows
+    variable = sp.Dummy("eigenvalue")
+    coefficients = [sp.together(c) for c in A.charpoly(variable).all_coeffs()]
+    if len(coefficients) != n + 1 or coefficients[0] != 1:
+        raise AssertionError(f"a characteristic polynomial of {len(coefficients)} coefficients of {n} states")
+    shown = [signs.sign(c) for c in coefficients]
+    if -1 in shown:
         return Eigenvalues.RIGHT  # roots all with Re <= 0 have coefficients of one sign
-    upper, lower = coefficients[0::2], coefficients[1::2]
-    column = [1]
-    while lower:
-        sign = _sign(lower[0], signs)
-        if sign == 0:
-            return Eigenvalues.UNKNOWN
-        column.append(sign)
-        pad = [*lower, sp.S.Zero]
-        below = [
-            sp.cancel((lower[0] * upper[k + 1] - upper[0] * pad[k + 1]) / lower[0])
-            for k in range(len(upper) - 1)
-        ]
-        upper, lower = lower, below
-    return Eigenvalues.RIGHT if -1 in column else Eigenvalues.LEFT
+    if shown[-1] == 0 or (n > 1 and signs.sign(_hurwitz(coefficients, n - 1)) == 0):
+        return Eigenvalues.UNKNOWN
+    return _at_one_point(A, signs)
 
 
-def _sign(c: sp.Expr, signs: Signs) -> int:
-    """1, -1, or 0 where none is shown."""
-    if c == 0:
-        return 0
-    if not c.free_symbols:
-        value = number(c)
-        return 1 if value > 0 else -1 if value < arb(0) else 0
-    return 1 if _shown(c, signs) else -1 if _shown(sp.expand(-c), signs) else 0
+def _hurwitz(coefficients: list[sp.Expr], k: int) -> sp.Expr:
+    """Return the k-th of Hurwitz's determinants."""
+    n = len(coefficients) - 1
+    entry = [
+        [coefficients[2 * j - i + 1] if 0 <= 2 * j - i + 1 <= n else sp.S.Zero for j in range(k)]
+        for i in range(k)
+    ]
+    return sp.together(sp.Matrix(entry).det(method="berkowitz"))
 
 
-def _shown(c: sp.Expr, signs: Signs) -> bool:
-    return bool(c.is_positive) or signs.positive(c) or signs.positive(sp.factor(c))
+def _at_one_point(A: sp.Matrix, signs: Signs) -> Eigenvalues:
+    point = {p: (low + high) / 2 for p, (low, high) in signs.system.ranges.items()}
+    there = A.subs(point | dict.fromkeys(signs.system.positive, sp.S.One)).applyfunc(sp.expand)
+    return of_rationals(there) if all(a.is_Rational for a in there) else over_ranges(there, [], signs.budget)

@@ -11,7 +11,8 @@ from math import lcm
 
 import sympy as sp
 
-from hil.stability.verifier.branch_and_bound import Budget, faces, positive
+from hil.stability.verifier.branch_and_bound import faces, positive
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.interval import Cell, Enclosure, unsupported
 
 HIGHEST_ORDER = 12

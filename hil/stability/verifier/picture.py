@@ -13,6 +13,7 @@ import sympy as sp
 from drivers.arrays import Array
 from drivers.errors import ModelError
 from hil.stability.verifier.cancellation import lie_derivative
+from hil.stability.verifier.door import read
 from hil.stability.verifier.report import Report
 
 POINTS = 161
@@ -42,9 +43,9 @@ def draw(
     states = tuple(f)
     if len(states) != 2:
         raise ModelError(f"a picture needs two states; f has {len(states)}: {', '.join(map(str, states))}")
-    values = dict(parameters or {})
-    field = {x: sp.sympify(e).subs(values) for x, e in f.items()}
-    surface = sp.sympify(V).subs(values)
+    values = {p: read(value, f"the value of {p}") for p, value in (parameters or {}).items()}
+    field = {x: read(e, f"d{x}/dt").subs(values) for x, e in f.items()}
+    surface = read(V, "V").subs(values)
     unknown = set().union(surface.free_symbols, *(e.free_symbols for e in field.values())) - set(states)
     if unknown:
         raise ModelError(f"no value of {', '.join(sorted(map(str, unknown)))}: name it in parameters")

@@ -64,6 +64,8 @@ class CertificateFinding:
     value: sp.Expr | None = None
     """V, or dV/dt, there."""
     reason: str = ""
+    V: sp.Expr | None = None
+    """What was proposed, where no V was given."""
 
     @property
     def truth(self) -> Truth:
@@ -104,6 +106,8 @@ class Report:
     def __str__(self) -> str:
         c, e = self.certificate, self.equilibrium
         lines = [f"certificate: {c.status.value}{_where(c.at)}"]
+        if c.V is not None:
+            lines.append(f"  V = {c.V}, proposed from the linearisation")
         if c.V_dot is not None:
             lines.append(f"  dV/dt = {c.V_dot}")
         if c.value is not None:

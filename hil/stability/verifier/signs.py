@@ -9,8 +9,9 @@ from collections.abc import Iterator, Mapping
 
 import sympy as sp
 
-from hil.stability.verifier import origin, tail
-from hil.stability.verifier.branch_and_bound import Budget, positive, without
+from hil.stability.verifier import convex, origin, orthant, quadratic, tail
+from hil.stability.verifier.branch_and_bound import positive, without
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.cancellation import factors, half_angles, squares
 from hil.stability.verifier.interval import Cell, Enclosure, outward, unsupported
 from hil.stability.verifier.system import System
@@ -48,12 +49,34 @@ class Signs:
         if g.is_positive or self._structure(g) == NOWHERE:
             return True
         if not self.enclosable(g):
-            return False
+            return not self.own(g) and self._for_all_positive(g)
         names = tuple(v for v in self.sides if v in g.free_symbols)
         cell = tuple(self.sides[v] for v in names)
         if not all(map(math.isfinite, (end for side in cell for end in side))):
             return self._positive_everywhere(g)
         return positive([Enclosure(g, names)], [cell], self.budget, 3000)
+
+    def sign(self, c: sp.Expr) -> int:
+        """Return 1 or -1 of what is positive or negative for all parameters, 0 where neither is shown."""
+        if c.is_Rational:
+            return int(sp.sign(c))
+        top, bottom = sp.fraction(sp.factor(c) if c.is_rational_function() else c)
+        result = 1
+        for base, p in [*factors(top), *factors(bottom)]:
+            one = 1 if self.positive(base) else -1 if self.positive(sp.expand(-base)) else 0
+            result *= one if p.is_odd else abs(one) if p.is_even else max(one, 0)
+        return result
+
+    def _for_all_positive(self, c: sp.Expr) -> bool:
+        """Judge a function of parameters alone, some of which may be any positive number."""
+        free = tuple(p for p in self.system.positive if p in c.free_symbols)
+        if set(free) == c.free_symbols:
+            return orthant.sign(c, free, self.budget) == 1
+        try:
+            parts = sp.Poly(c, *free).coeffs()
+        except sp.PolynomialError:
+            return False
+        return all(self.positive(part) for part in parts)
 
     def definite(self, g: sp.Expr, *, open_ends: bool = False) -> bool:
         """Tell whether g = 0 where all of the states that it depends on are zero, and g > 0 elsewhere.
@@ -74,14 +97,24 @@ class Signs:
 
     def _is_definite(self, g: sp.Expr, open_ends: bool) -> bool:
         states = self.own(g)
-        if not states or sp.expand(g.subs(dict.fromkeys(states, 0))) != 0:
+        if not states or sp.expand(g.xreplace(dict.fromkeys(states, sp.S.Zero))) != 0:
             return False
+        if (S := quadratic.coefficients(g, states)) is not None:
+            if self._definite_form(S, g):
+                return True
+            if all(c.is_Rational for row in S for c in row):
+                return False
         if not self.enclosable(g):
             freed = self.freed(g)
             return freed is not None and self.own(freed) == states and self.definite(freed)
         if self._definite_by_structure(g, states):
             return True
         ranges = self._ranges(g)
+        sides = tuple(self.sides[x] for x in states)
+        if all(math.isfinite(end) for side in sides for end in side) and convex.convex_definite(
+            g, states, sides, ranges, self.budget
+        ):
+            return True
         near = origin.definite_near(g, states, ranges, self.budget)
         if near is None or (outer := self._outer(g, states, ranges)) is None:
             return False
@@ -92,6 +125,14 @@ class Signs:
         names = (*states, *(p for p, _ in ranges))
         cells = [(*c, *(r for _, r in ranges)) for c in without(outer, near[0])]
         return positive([Enclosure(g, names)], cells, self.budget)
+
+    def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
+        """Judge a quadratic form: exactly, over ranges, or by leading minors for all parameters."""
+        if all(c.is_Rational for row in S for c in row):
+            return quadratic.definite([[quadratic.fraction(c) for c in row] for row in S])
+        if self.enclosable(g):
+            return convex.definite_form(S, self._ranges(g), self.budget)
+        return all(self.sign(minor) == 1 for minor in quadratic.leading_minors(S))
 
     def _definite_by_structure(self, g: sp.Expr, states: tuple[sp.Symbol, ...]) -> bool:
         zeros = self._structure(g)
@@ -145,12 +186,18 @@ class Signs:
     def _nonnegative(self, g: sp.Expr) -> Zeros | None:
         if g == 0:
             return ((),)
+        states = self.own(g)
+        if states and (S := quadratic.form(g, states)) is not None:
+            lines = quadratic.lines(S, states)
+            return None if lines is None else (tuple(lines),)
         for judge in (self._structure, self._by_factors):
             for form in (g, *half_angles(g)):
                 if (zeros := judge(form)) is not None:
                     return zeros
         if not self.enclosable(g) and (freed := self.freed(g)) is not None:
             return self.nonnegative(freed)
+        if states and not g.free_symbols.isdisjoint(self.system.positive) and self.definite(g):
+            return (states,)
         return None
 
     def _structure(self, g: sp.Expr) -> Zeros | None:

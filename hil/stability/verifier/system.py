@@ -7,17 +7,19 @@ positive ones, the equilibrium the origin (the change of variable of section 6.0
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import sympy as sp
 
 from drivers.errors import ModelError
-from hil.stability.verifier.cancellation import continuous, exact
+from hil.stability.verifier.cancellation import continuous
+from hil.stability.verifier.door import Rounded, around, bounded, exact, read
 from hil.stability.verifier.interval import FUNCTIONS, number, unsupported
 
 Interval = tuple[sp.Expr, sp.Expr]
 Point = dict[sp.Symbol, sp.Expr]
+_WIDEST = sp.Integer(10) ** 300
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class System:
     domain: dict[sp.Symbol, Interval]
     """About the equilibrium; -oo and oo where the whole space is meant."""
     ranges: dict[sp.Symbol, Interval]
-    """Parameters of which a range was named."""
+    """Parameters of which a range was named, and decimal numbers that may have been rounded."""
     positive: tuple[sp.Symbol, ...]
     """Parameters of which all positive values are meant."""
     equilibrium: Point
@@ -38,6 +40,8 @@ class System:
     """The user's symbols in these."""
     own: dict[sp.Symbol, sp.Symbol]
     """These symbols in the user's."""
+    rounded: Rounded = field(default_factory=Rounded)
+    """Decimal numbers of too many digits."""
 
     @property
     def bounded(self) -> bool:
@@ -48,15 +52,15 @@ class System:
     def parameters(self) -> dict[sp.Symbol, Interval]:
         """What the parameters may be, in the user's symbols; (0, oo) of those without a range."""
         sides = dict.fromkeys(self.positive, (sp.S.Zero, sp.oo)) | self.ranges
-        return {self.own[p]: side for p, side in sides.items()}
+        return {self.own[p]: side for p, side in sides.items() if p not in self.rounded.numbers}
 
     def read(self, expression: Any) -> sp.Expr:
         """Return an expression of the user in these symbols.
 
         Raises ModelError where it holds something that has no enclosure, or an unknown symbol.
         """
-        e = exact(expression)
-        wrong = sorted(str(s) for s in e.free_symbols - set(self.renamed))
+        e = self.rounded.apart(bounded(read(expression, "V")))
+        wrong = sorted(str(s) for s in e.free_symbols - set(self.renamed) - set(self.rounded.numbers))
         if wrong:
             raise ModelError(
                 f"{expression} speaks of {', '.join(wrong)}, which is neither state nor parameter"
@@ -66,12 +70,14 @@ class System:
     def in_own_symbols(self, point: Point) -> Point:
         """Return a point in the user's symbols and coordinates."""
         moved = {x: point[x] + self.equilibrium[self.own[x]] for x in self.states}
-        return {self.own[s]: value for s, value in (point | moved).items()}
+        return {self.own[s]: value for s, value in (point | moved).items() if s in self.own}
 
     def shown(self, expression: sp.Expr) -> sp.Expr:
         """Return an expression in the user's symbols and coordinates."""
+        if not any(self.equilibrium.values()):
+            return expression.xreplace(self.own | self.rounded.shown)
         there = {x: self.own[x] - self.equilibrium[self.own[x]] for x in self.states}
-        return expression.subs(there, simultaneous=True).xreplace(self.own)
+        return expression.subs(there, simultaneous=True).xreplace(self.own | self.rounded.shown)
 
     def within(self, domain: Mapping[sp.Symbol, Interval]) -> System:
         """Return the same system on another domain."""
@@ -90,39 +96,65 @@ def make_system(
     """
     if not isinstance(f, Mapping) or not f:
         raise ModelError("f has no state: it maps each state to its time derivative")
-    at, box = dict(at or {}), dict(box or {})
-    _names(f, at, box, parameters or {})
-    ranges = {p: _interval(p, side) for p, side in (parameters or {}).items()}
+    at, box, parameters = (_mapping(o, n) for o, n in ((at, "at"), (box, "box"), (parameters, "parameters")))
+    _names(f, at, box, parameters)
+    ranges = {p: _interval(p, side) for p, side in parameters.items()}
     if endless := [str(p) for p, side in ranges.items() if any(end.is_infinite for end in side)]:
         raise ModelError(f"the range of {endless[0]} has no end: leave it out to mean all positive numbers")
-    f = {x: exact(e) for x, e in f.items()}
-    everything = set().union(
-        *(e.free_symbols for e in f.values()), sp.sympify(0 if V is None else V).free_symbols
-    )
-    if any(str(s) == "t" for s in everything - set(f)):
-        raise ModelError("f and V depend on t: only systems dx/dt = f(x) without time can be verified")
-    if unused := sorted(map(str, set(ranges) - everything)):
-        raise ModelError(f"`parameters` names {', '.join(unused)}, of which neither f nor V speaks")
-    free = sorted(everything - set(f) - set(ranges), key=str)
+    rounded = Rounded()
+    f = {x: rounded.apart(bounded(read(e, f"d{x}/dt"))) for x, e in f.items()}
+    of_V = rounded.apart(bounded(read(0 if V is None else V, "V"))).free_symbols
+    everything = set().union(*(e.free_symbols for e in f.values()), of_V) - set(rounded.numbers)
+    free = _free(everything, set(f), ranges)
     _assumptions(f, free, ranges)
-    renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in (*f, *ranges)}
+    renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in f}
+    renamed |= {p: sp.Symbol(str(p), **_sign(side)) for p, side in ranges.items()}
     renamed |= {p: sp.Symbol(str(p), positive=True) for p in free}
     if len({str(s) for s in renamed}) != len(renamed):
         raise ModelError("two symbols have one name: give each state and parameter its own")
     own = {new: old for old, new in renamed.items()}
     states = tuple(renamed[x] for x in f)
-    centre = {x: exact(at.get(x, 0)) for x in f}
+    centre = {x: bounded(exact(read(at.get(x, 0), f"`at` of {x}"))) for x in f}
     for x, value in centre.items():
         if wrong := sorted(map(str, value.free_symbols - {*free, *ranges})):
             raise ModelError(f"`at` puts {x} at {value}: {', '.join(wrong)} is no parameter; name a number")
     equilibrium = {x: value.xreplace(renamed) for x, value in centre.items()}
     shifted = renamed | {x: renamed[x] + equilibrium[x] for x in f}
-    field = {renamed[x]: _field(x, e, shifted) for x, e in f.items()}
-    for x, e in field.items():
+    rates = {renamed[x]: _field(x, e, shifted) for x, e in f.items()}
+    for x, e in rates.items():
         _vanishes(x, e, dict.fromkeys(states, sp.S.Zero), equilibrium)
     domain = {renamed[x]: _about(x, box.get(x), equilibrium[x]) for x in f}
     ranged = {renamed[p]: side for p, side in ranges.items()}
-    return System(states, field, domain, ranged, tuple(renamed[p] for p in free), equilibrium, shifted, own)
+    ranged |= {p: around(c) for p, c in rounded.numbers.items()}
+    positive = tuple(renamed[p] for p in free)
+    return System(states, rates, domain, ranged, positive, equilibrium, shifted, own, rounded)
+
+
+def _mapping(option: Any, name: str) -> dict[Any, Any]:
+    if option is not None and not isinstance(option, Mapping):
+        raise ModelError(f"`{name}` is {option!r}: it maps symbols to what is meant of them")
+    return dict(option or {})
+
+
+def _free(
+    everything: set[sp.Symbol], states: set[sp.Symbol], ranges: Mapping[sp.Symbol, Interval]
+) -> list[sp.Symbol]:
+    """Return the parameters without a range."""
+    free = sorted(everything - states - set(ranges), key=str)
+    if any(str(s) == "t" for s in free):
+        raise ModelError(
+            "f and V depend on t: only systems dx/dt = f(x) without time can be verified; a constant of that "
+            "name has its range in `parameters`"
+        )
+    if unused := sorted(map(str, set(ranges) - everything)):
+        raise ModelError(f"`parameters` names {', '.join(unused)}, of which neither f nor V speaks")
+    return free
+
+
+def _sign(side: Interval) -> dict[str, bool]:
+    """Return what sympy may know of a parameter with a range."""
+    low, high = side
+    return {"positive": True} if low > 0 else {"negative": True} if high < 0 else {"real": True}
 
 
 def _names(
@@ -131,7 +163,7 @@ def _names(
     """Refuse a name that is not understood: it would change the question unseen."""
     states = ", ".join(map(str, f))
     for x in (*f, *parameters):
-        if not isinstance(x, sp.Symbol):
+        if type(x) not in (sp.Symbol, sp.Dummy):
             raise ModelError(f"{x!r} is no symbol: states and parameters are made by sympy.Symbol")
     for option, names in (("at", at), ("box", box)):
         if wrong := [str(x) for x in names if x not in f]:
@@ -179,7 +211,7 @@ def _allowed() -> str:
 
 
 def _vanishes(x: sp.Symbol, e: sp.Expr, origin: Point, equilibrium: Point) -> None:
-    value = sp.simplify(e.subs(origin))
+    value = sp.simplify(e.xreplace(origin))
     if value != 0:
         where = ", ".join(f"{s} = {v}" for s, v in equilibrium.items())
         raise ModelError(
@@ -188,10 +220,11 @@ def _vanishes(x: sp.Symbol, e: sp.Expr, origin: Point, equilibrium: Point) -> No
 
 
 def _interval(x: sp.Symbol, side: tuple[Any, Any]) -> Interval:
-    try:
-        low, high = (exact(end) for end in side)
-    except (TypeError, ValueError):
-        raise ModelError(f"the range of {x} is {side}: two numbers, the lower first") from None
+    if not isinstance(side, tuple | list) or len(side) != 2:
+        raise ModelError(f"the range of {x} is {side!r}: two numbers, the lower first")
+    low, high = (exact(read(end, f"an end of the range of {x}")) for end in side)
+    if any(end.is_number and not end.is_infinite and not abs(end) < _WIDEST for end in (low, high)):
+        raise ModelError(f"the range of {x} ends beyond 1e300: name sympy.oo, or smaller numbers")
     ordered = all(end.is_number and end.is_extended_real for end in (low, high))
     if not ordered or not (low < high):
         raise ModelError(f"the range of {x} is [{low}, {high}]: two numbers, the lower first")

@@ -10,7 +10,8 @@ from math import lcm
 
 import sympy as sp
 
-from hil.stability.verifier.branch_and_bound import Budget, faces, positive
+from hil.stability.verifier.branch_and_bound import faces, positive
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.interval import Cell, Enclosure
 
 RADII = tuple(2.0**k for k in range(0, 13, 2))

@@ -10,9 +10,10 @@ from typing import Any
 import sympy as sp
 
 from drivers.errors import ModelError
-from hil.stability.verifier import chetaev, counterexample, lasalle, tail
-from hil.stability.verifier.branch_and_bound import Budget
+from hil.stability.verifier import chetaev, counterexample, lasalle, proposal, quadratic, tail
+from hil.stability.verifier.budget import Budget
 from hil.stability.verifier.cancellation import lie_derivative
+from hil.stability.verifier.door import TooLarge
 from hil.stability.verifier.interval import unsupported
 from hil.stability.verifier.level import largest_level
 from hil.stability.verifier.linearisation import Eigenvalues, eigenvalues, jacobian
@@ -26,11 +27,18 @@ from hil.stability.verifier.report import (
     Truth,
 )
 from hil.stability.verifier.signs import Signs, Zeros, regular
-from hil.stability.verifier.system import System, make_system
+from hil.stability.verifier.system import Point, System, make_system
 
 SHRINKS = 6
 """How often the box is halved in search of one on which V is valid: stability is a local property."""
-ROUNDED = "quotients of decimal numbers are rounded and do not cancel: write them as sympy.Rational"
+ROUNDED = (
+    "decimal numbers of so many digits are rounded, as quotients are: they need not cancel and stand for all "
+    "that they may have been; write exact ones as sympy.Rational"
+)
+_NO_V = CertificateFinding(Certificate.NONE)
+_INDIRECT = EquilibriumFinding(
+    Equilibrium.ASYMPTOTICALLY_STABLE, "by the linearisation (Lyapunov's indirect method)", Truth.PROVEN
+)
 
 
 def verify(
@@ -44,12 +52,12 @@ def verify(
 ) -> Report:
     """Return what V proves about dx/dt = f(x), and what is known of its equilibrium.
 
-    `f` maps each state to its time derivative, `V` is the Lyapunov candidate (without it only instability
-    and the linearisation are looked at), both in sympy. `at` is the equilibrium, the origin where it
+    `f` maps each state to its time derivative, `V` is the Lyapunov candidate, both in sympy; without it one
+    is proposed from the linearisation. `at` is the equilibrium, the origin where it
     names nothing. `box` says where V is claimed, a state that it does not name is unbounded; without a
     box V is claimed on the whole space, and the finding may be global. Symbols that are not states are
     parameters: any positive number, or one of the range that `parameters` gives. `budget` is how many
-    cells may be looked at.
+    cells may be looked at, and for how many seconds.
 
     Sources: section 6.0 of the chapter; Khalil, Nonlinear Systems, theorems 4.1 to 4.4 and 4.7.
 
@@ -58,20 +66,46 @@ def verify(
     """
     budget = Budget() if budget is None else budget
     start = budget.left
-    system = make_system(f, V, at, box, parameters)
-    signs = Signs(system, budget)
-    near = Signs(system.within(_scaled(system, 2.0**-SHRINKS)), budget)
-    spectrum = _spectrum(near)
-    claim = None if V is None else system.read(V)
-    proof, certificate = _certificate(claim, signs)
-    if certificate.status is Certificate.UNDECIDED and any(_decimal(e) for e in (*f.values(), V)):
-        certificate = replace(certificate, reason=f"{certificate.reason}; {ROUNDED}")
+    budget.start()
+    try:
+        question = budget.within(0.25, lambda: _question(f, V, at, box, parameters, budget), None)
+    except TooLarge as error:
+        return _nothing(V, f"there is {error}, more than exact arithmetic is asked to hold")
+    if question is None:
+        return _nothing(V, "the time ended while the question was read")
+    claim, signs, near = question
+    spectrum = budget.within(0.4, lambda: _spectrum(near), Eigenvalues.UNKNOWN)
+    system = signs.system
+    if claim is None and spectrum is Eigenvalues.LEFT:
+        certificate, equilibrium = _proposed(signs)
+        return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
+    late = _undecided("the time ended before a proof was found")
+    otherwise: _Shown = (None, late)
+    proof, certificate = budget.within(0.65, lambda: _certificate(claim, signs), otherwise)
+    if certificate.status is Certificate.UNDECIDED and system.rounded.numbers:
+        certificate = replace(certificate, reason=f"{certificate.reason}; {_rounded(system)}")
     equilibrium = _equilibrium(claim, signs, near, proof, spectrum)
     return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
 
 
-def _decimal(e: Any) -> bool:
-    return bool(sp.sympify(0 if e is None else e).has(sp.Float))
+def _question(
+    f: Any, V: Any, at: Any, box: Any, parameters: Any, budget: Budget
+) -> tuple[sp.Expr | None, Signs, Signs]:
+    """Return V, the signs on the domain and those close to the equilibrium."""
+    system = make_system(f, V, at, box, parameters)
+    near = Signs(system.within(_scaled(system, 2.0**-SHRINKS)), budget)
+    return None if V is None else system.read(V), Signs(system, budget), near
+
+
+def _nothing(V: Any, reason: str) -> Report:
+    status = Certificate.NONE if V is None else Certificate.UNDECIDED
+    nothing = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
+    return Report(CertificateFinding(status, reason=reason), nothing, Eigenvalues.UNKNOWN, {}, 0)
+
+
+def _rounded(system: System) -> str:
+    numbers = ", ".join(map(str, system.rounded.numbers.values()))
+    return f"{numbers}: {ROUNDED}"
 
 
 @dataclass(frozen=True)
@@ -84,7 +118,10 @@ class _Proof:
     signs: Signs
 
 
-def _certificate(V: sp.Expr | None, signs: Signs) -> tuple[_Proof | None, CertificateFinding]:
+_Shown = tuple[_Proof | None, CertificateFinding]
+
+
+def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
     """Lyapunov's conditions on the domain (6.0, local and global theorem)."""
     if V is None:
         return None, CertificateFinding(Certificate.NONE)
@@ -92,7 +129,7 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> tuple[_Proof | None, Certif
     origin = dict.fromkeys(system.states, sp.S.Zero)
     if wrong := unsupported(V):
         return None, _undecided(f"V holds {', '.join(sorted(wrong))}, of which no enclosure is known")
-    at_origin = sp.simplify(V.subs(origin))
+    at_origin = sp.simplify(V.xreplace(origin))
     if at_origin != 0:
         if not (at_origin.is_finite is False or signs.positive(at_origin) or signs.positive(-at_origin)):
             return None, _undecided(f"V(0) = {at_origin} is not shown to be 0")
@@ -108,12 +145,14 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> tuple[_Proof | None, Certif
     shown = None if V_dot is None else system.shown(V_dot)
     if (point := counterexample.not_above_zero(V, signs)) is not None:
         at, refuted = system.in_own_symbols(point), Certificate.NOT_POSITIVE_DEFINITE
-        return None, CertificateFinding(refuted, shown, None, at, V.subs(point), "V must be > 0 there")
+        return None, CertificateFinding(
+            refuted, shown, None, at, _value(V, point, system), "V must be > 0 there"
+        )
     if V_dot is None:
         return None, _undecided(why)
     if (point := counterexample.above_zero(V_dot, signs)) is not None:
         return None, CertificateFinding(
-            Certificate.GROWS, shown, None, system.in_own_symbols(point), V_dot.subs(point)
+            Certificate.GROWS, shown, None, system.in_own_symbols(point), _value(V_dot, point, system)
         )
     if set(signs.own(V)) != set(system.states) or not signs.definite(V):
         return None, replace(_undecided(_why(signs, "V is not shown to be positive definite")), V_dot=shown)
@@ -125,6 +164,10 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> tuple[_Proof | None, Certif
     decrease = Decrease.CONSERVED if V_dot == 0 else Decrease.STRICT if strict else Decrease.WEAK
     proof = _Proof(V, decrease, zeros or (), signs)
     return proof, CertificateFinding(Certificate.VALID, shown, decrease)
+
+
+def _value(g: sp.Expr, point: Point, system: System) -> sp.Expr:
+    return g.subs(point).xreplace(system.rounded.numbers)
 
 
 def _undecided(reason: str) -> CertificateFinding:
@@ -139,27 +182,59 @@ def _equilibrium(
     V: sp.Expr | None, signs: Signs, near: Signs, proof: _Proof | None, spectrum: Eigenvalues
 ) -> EquilibriumFinding:
     """Return the strongest of what is shown; of stability by V, of instability by eigenvalue or Chetaev."""
+    budget = signs.budget
     if spectrum is Eigenvalues.RIGHT:
-        return EquilibriumFinding(
-            Equilibrium.UNSTABLE, "by an eigenvalue with positive real part", Truth.REFUTED
+        return _unstable("by an eigenvalue with positive real part")
+    if proof is None and (by := budget.within(0.8, lambda: _why_unstable(V, near), None)) is not None:
+        return _unstable(by)
+    best = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
+    if proof is not None:
+        best = replace(
+            best, status=Equilibrium.STABLE, by="by Lyapunov's theorem", box=_named_box(signs.system)
         )
-    if proof is None and (W := _growing(V, near)) is not None:
-        by = f"by Chetaev's theorem with {signs.system.shown(W)}"
-        return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
-    if proof is None and V is not None and _stable_in_reversed_time(V, near):
-        by = "by LaSalle's theorem in reversed time: what tends to the equilibrium there leaves it"
-        return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
-    if V is None and spectrum is Eigenvalues.LEFT:
-        by = "by the linearisation (Lyapunov's indirect method)"
-        return EquilibriumFinding(Equilibrium.ASYMPTOTICALLY_STABLE, by, Truth.PROVEN)
-    best = None if proof is None else _stability(proof)
-    if V is not None and (best is None or best.asymptotic is Truth.UNDECIDED):
-        best = _on_smaller_boxes(V, signs, best)
-    if best is None:
-        best = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
-    if best.asymptotic is Truth.UNDECIDED and _rests_nearby(signs.system):
+        best = budget.within(0.8, lambda: _stability(proof), best)
+    if V is not None and best.asymptotic is Truth.UNDECIDED:
+        first = best if proof is not None else None
+        best = budget.within(0.95, lambda: _on_smaller_boxes(V, signs, first), None) or best
+    if best.asymptotic is Truth.UNDECIDED and budget.within(1.0, lambda: _rests_nearby(near), False):
         best = replace(best, asymptotic=Truth.REFUTED)
     return best
+
+
+def _unstable(by: str) -> EquilibriumFinding:
+    return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
+
+
+def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
+    if (W := _growing(V, near)) is not None:
+        return f"by Chetaev's theorem with {near.system.shown(W)}"
+    if V is not None and _stable_in_reversed_time(V, near):
+        return "by LaSalle's theorem in reversed time: what tends to the equilibrium there leaves it"
+    return None
+
+
+def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
+    """Return what a V of the linearisation proves, on the domain or, if not there, on a smaller box."""
+    V = signs.budget.within(0.6, lambda: proposal.lyapunov_function(signs.system), None)
+    if V is None:
+        return _NO_V, _INDIRECT
+    for k in range(-1, SHRINKS + 1):
+        system = signs.system if k < 0 else signs.system.within(_scaled(signs.system, 2.0**-k))
+        if k == 0 and signs.system.bounded:
+            continue
+        if (found := _proven(V, Signs(system, signs.budget), 0.6 if k < 0 else 0.95)) is not None:
+            return found
+    return _NO_V, _INDIRECT
+
+
+def _proven(V: sp.Expr, signs: Signs, share: float) -> tuple[CertificateFinding, EquilibriumFinding] | None:
+    """Return what a proposed V proves on the domain of `signs`; None if dV/dt < 0 is not shown there."""
+    none: _Shown = (None, _NO_V)
+    proof, certificate = signs.budget.within(share, lambda: _certificate(V, signs), none)
+    if proof is None or proof.decrease is not Decrease.STRICT:
+        return None
+    equilibrium = signs.budget.within(1.0, lambda: _stability(proof), _INDIRECT)
+    return replace(certificate, V=signs.system.shown(V)), equilibrium
 
 
 def _growing(V: sp.Expr | None, near: Signs) -> sp.Expr | None:
@@ -177,7 +252,7 @@ def _stable_in_reversed_time(V: sp.Expr, near: Signs) -> bool:
 def _stability(proof: _Proof) -> EquilibriumFinding:
     """Lyapunov's and LaSalle's theorems on the domain of the proof."""
     signs, system = proof.signs, proof.signs.system
-    box = None if _whole_space(system) else _own_box(system)
+    box = _named_box(system)
     level = largest_level(proof.V, signs)
     if proof.decrease is Decrease.CONSERVED:
         by = "by Lyapunov's theorem; V stays what it is, so nothing else tends to the equilibrium"
@@ -214,7 +289,10 @@ def _scaled(system: System, share: float) -> dict[sp.Symbol, tuple[sp.Expr, sp.E
     }
 
 
-def _own_box(system: System) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]:
+def _named_box(system: System) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]] | None:
+    """Return the domain in the user's coordinates; None of the whole space."""
+    if _whole_space(system):
+        return None
     own, centre = system.own, system.equilibrium
     return {own[x]: (low + centre[own[x]], high + centre[own[x]]) for x, (low, high) in system.domain.items()}
 
@@ -224,7 +302,9 @@ def _whole_space(system: System) -> bool:
 
 
 def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
-    """Radial unboundedness: V -> oo as |x| -> oo."""
+    """Radial unboundedness: V -> oo as |x| -> oo. A definite quadratic form has it."""
+    if quadratic.coefficients(V, signs.system.states) is not None:
+        return signs.definite(V)
     if not signs.enclosable(V):
         if signs.own(sp.denom(sp.together(V))):
             return False
@@ -241,14 +321,21 @@ def _spectrum(near: Signs) -> Eigenvalues:
     return eigenvalues(A, near)
 
 
-def _rests_nearby(system: System) -> bool:
+def _rests_nearby(signs: Signs) -> bool:
     """Tell whether a line through the equilibrium consists of equilibria: then nothing on it tends there."""
+    system = signs.system
     s = sp.Dummy("s", real=True)
     A = jacobian(system)
     lines = [[s if x == y else 0 for y in system.states] for x in system.states]
     if A is not None:
         lines += [[s * v for v in vector] for vector in A.nullspace()]
-    return any(
-        all(sp.expand(e.subs(dict(zip(system.states, line, strict=True)))) == 0 for e in system.f.values())
-        for line in lines
-    )
+    return any(_rests_on(line, signs) for line in lines)
+
+
+def _rests_on(line: list[sp.Expr], signs: Signs) -> bool:
+    """Tell whether f is zero on a line, which is one for all parameters."""
+    bottoms = [sp.denom(sp.together(v)) for v in line]
+    if any(signs.sign(b) == 0 for b in bottoms):
+        return False
+    there = dict(zip(signs.system.states, line, strict=True))
+    return all(sp.cancel(sp.together(sp.expand(e.subs(there)))) == 0 for e in signs.system.f.values())

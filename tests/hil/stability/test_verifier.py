@@ -153,7 +153,7 @@ def test_parameters_may_have_ranges():
 
 
 def test_without_V_the_linearisation_speaks():
-    assert verify({x: v, v: -x - v}).equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert verify({x: v, v: -x - v}).equilibrium.asymptotic is Truth.PROVEN
     assert verify({x: v, v: -x}).equilibrium.status is Equilibrium.NO_CONCLUSION
     third = {x: y, y: z, z: -k0 * x - y - z}  # Routh: stable where k0 < 1
     assert verify(third).linearisation is Eigenvalues.UNKNOWN

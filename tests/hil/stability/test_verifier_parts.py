@@ -197,6 +197,8 @@ def test_two_states_are_drawn(tmp_path):
     report = verify(f, V, box=box, parameters={b: (R(1, 2), 1)})
     picture = draw(f, V, box, tmp_path / "pendulum.png", parameters={b: 1}, report=report)
     assert picture.read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(ModelError, match="a str"):
+        draw(f, "x**2", box, tmp_path / "no.png", parameters={b: 1})
     with pytest.raises(ModelError, match="no value of b"):
         draw(f, V, box, tmp_path / "no.png")
     for ends in ({x: (-1, 1)}, {x: (-1, 1), v: (0, sp.oo)}):

@@ -1,0 +1,137 @@
+"""Quadratic forms x^T S x over the rationals, exactly: L D L^T, what refutes one, and its level on a box.
+
+Nothing here has a tolerance, and twelve states are no more trouble than two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+
+import sympy as sp
+from sympy.polys.matrices import DomainMatrix
+
+Matrix = list[list[Fraction]]
+
+
+def fraction(value: sp.Rational) -> Fraction:
+    """Return an exact number as a fraction."""
+    return Fraction(int(value.p), int(value.q))
+
+
+def rational(value: Fraction) -> sp.Rational:
+    """Return a fraction as an exact number of sympy."""
+    return sp.Rational(value.numerator, value.denominator)
+
+
+def form(g: sp.Expr, states: Sequence[sp.Symbol]) -> Matrix | None:
+    """Return the symmetric S with g = x^T S x; None if g is no such form with rational coefficients."""
+    S = coefficients(g, states)
+    if S is None or any(not c.is_Rational for row in S for c in row):
+        return None
+    return [[fraction(c) for c in row] for row in S]
+
+
+def coefficients(g: sp.Expr, states: Sequence[sp.Symbol]) -> list[list[sp.Expr]] | None:
+    """Return the symmetric S, whose entries may hold parameters, with g = x^T S x; else None."""
+    place = {x: k for k, x in enumerate(states)}
+    S: list[list[sp.Expr]] = [[sp.S.Zero] * len(states) for _ in states]
+    for term in sp.Add.make_args(sp.expand(g)):
+        c, monomial = term.as_independent(*states, as_Add=False)
+        powers = monomial.as_powers_dict()
+        if sum(powers.values()) != 2 or any(x not in place or p not in (1, 2) for x, p in powers.items()):
+            return None
+        i, j = (place[x] for x, p in powers.items() for _ in range(int(p)))
+        S[i][j] += c / 2
+        S[j][i] += c / 2
+    return S
+
+
+def decompose(S: Matrix) -> tuple[list[Fraction], Matrix] | list[Fraction]:
+    """Return d and the rows l of L^T with x^T S x = sum d_i (l_i x)^2, all d_i > 0; or an x with x^T S x < 0.
+
+    Rows with d = 0 are left out: fewer rows than states means that S is semidefinite.
+    """
+    n = len(S)
+    rest = [row[:] for row in S]
+    d: list[Fraction] = []
+    lines: Matrix = []
+    order: list[int] = []
+    for k in range(n):
+        pivot = rest[k][k]
+        if pivot < 0:
+            return _back(_unit(n, k), lines, order)
+        if pivot == 0:
+            if any(rest[k]):
+                j = next(j for j in range(n) if rest[k][j])
+                x = _unit(n, j)  # (t e_k + e_j): 2 t s + q, with s != 0
+                x[k] = -(rest[j][j] + 1) / (2 * rest[k][j])
+                return _back(x, lines, order)
+            continue
+        line = [v / pivot for v in rest[k]]
+        for i in range(n):
+            if factor := rest[i][k]:
+                rest[i] = [a - factor * b for a, b in zip(rest[i], line, strict=True)]
+        d.append(pivot)
+        lines.append(line)
+        order.append(k)
+    return d, lines
+
+
+def _unit(n: int, k: int) -> list[Fraction]:
+    return [Fraction(int(i == k)) for i in range(n)]
+
+
+def _back(x: list[Fraction], lines: Matrix, order: list[int]) -> list[Fraction]:
+    """Return x with its eliminated states such that each line is zero: what was taken off vanishes there."""
+    for line, k in zip(reversed(lines), reversed(order), strict=True):
+        x[k] -= sum((a * b for a, b in zip(line, x, strict=True)), Fraction(0))
+    return x
+
+
+def definite(S: Matrix) -> bool:
+    """Tell whether x^T S x > 0 for all x but zero."""
+    parts = decompose(S)
+    return isinstance(parts, tuple) and len(parts[0]) == len(S)
+
+
+def lines(S: Matrix, states: Sequence[sp.Symbol]) -> list[sp.Expr] | None:
+    """Return the linear forms that all vanish where x^T S x = 0; None of a form that may be negative."""
+    parts = decompose(S)
+    if not isinstance(parts, tuple):
+        return None
+    return [sp.Add(*(rational(c) * x for c, x in zip(line, states, strict=True) if c)) for line in parts[1]]
+
+
+def falls(S: Matrix) -> list[Fraction] | None:
+    """Return an x != 0 with x^T S x <= 0; None if there is none."""
+    parts = decompose(S)
+    if not isinstance(parts, tuple):
+        return parts
+    n = len(S)
+    if len(parts[0]) == n:
+        return None
+    order = [next(k for k, c in enumerate(line) if c) for line in parts[1]]
+    free = next(k for k in range(n) if k not in order)
+    return _back(_unit(n, free), parts[1], order)
+
+
+def inverse(S: Matrix) -> Matrix:
+    """Return the inverse of a regular matrix."""
+    n = len(S)
+    rows = [[*row, *_unit(n, k)] for k, row in enumerate(S)]
+    for k in range(n):
+        p = next(i for i in range(k, n) if rows[i][k])
+        rows[k], rows[p] = rows[p], rows[k]
+        rows[k] = [v / rows[k][k] for v in rows[k]]
+        for i in range(n):
+            if i != k and (c := rows[i][k]):
+                rows[i] = [a - c * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return [row[n:] for row in rows]
+
+
+def leading_minors(S: Sequence[Sequence[sp.Expr]]) -> Iterator[sp.Expr]:
+    """Yield the leading principal minors: a form is positive definite where all are positive."""
+    for k in range(1, len(S) + 1):
+        corner = DomainMatrix.from_Matrix(sp.Matrix([row[:k] for row in S[:k]])).to_field()
+        yield corner.domain.to_sympy(corner.det())

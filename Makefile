@@ -15,7 +15,7 @@ help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-8s %s\n", $$1, $$2}' Makefile
 
 run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the platform's FMU, in real time
-	@exec $(BIN)/hil run virtual --plant
+	@exec $(BIN)/hil run virtual --plant --arm
 
 test: lint fmu  ## import contracts, ruff, mypy, pytest (its summary is the last line)
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)

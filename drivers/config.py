@@ -41,9 +41,8 @@ class DriveSettings(Section):
     options: dict[str, str | int | float | bool] = {}
     """Settings of the protocol's own; `legs` has none."""
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
-    """A drive that hears no command for this long reacts by itself. At least 3 periods."""
-    reaction: Literal["brake", "damp", "hold", "zero"] = "brake"
-    """What a drive does by itself when its watchdog expires in motion. An emergency stop always brakes."""
+    """A drive that hears no command for this long reacts by itself, as `reactions.silence` says. At least 3
+    periods."""
     brake_after_ms: Annotated[float, Field(gt=0)] = 1000.0
     """A drive that damps or holds by itself shuts its brake this long after its fault. No frame of `legs`
     carries it: a real drive has it in its own set-up."""

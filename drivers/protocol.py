@@ -209,6 +209,9 @@ class DriveProtocol(Protocol):
     def legs_set_up(self, dialogue: Dialogue) -> tuple[bool, ...]:
         """Which of the six drives have been set up since `start`, on their own word where they give it."""
 
+    def set_up_lacks(self, dialogue: Dialogue) -> tuple[str, ...]:
+        """Return what of its set-up each of the six drives has not confirmed, in words; empty: nothing."""
+
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
 

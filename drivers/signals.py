@@ -131,7 +131,8 @@ class Fault(IntFlag):
     ESTOP = 1024
     LAW = 2048
     ENCODER = 4096
-    """An encoder contradicts the fused pose that may not be lost."""
+    """A leg's length, rate and force contradict each other (column `legs_doubted` says which leg's, `doubt`
+    how), or an encoder contradicts the fused pose that may not be lost."""
     UNCERTAIN = 8192
     """The fused pose is less certain than it has to be."""
     CERTIFICATE = 16384
@@ -146,6 +147,20 @@ class Fault(IntFlag):
     """Too many ticks had frames of the drives that could not be trusted."""
     SET_UP = 524288
     """A drive reports another set-up than the one that was sent to it."""
+
+
+class Doubt(IntEnum):
+    """Why an encoder is doubted."""
+
+    NONE = 0
+    JUMP = 1
+    """From one reading to the next the length changed by more or less than its rate says."""
+    SLIP = 2
+    """The same, a little at a time."""
+    LEAP = 3
+    """The rate of this leg alone changed by more than forces and disturbance explain."""
+    STILL = 4
+    """The reading stands still while the leg must move, and did not give way to a push."""
 
 
 class Foreign(IntFlag):

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from drivers.section import Section
+from plant_fmu.faults import AnyFault
 
 
 class DriveEmulation(Section):
@@ -155,5 +156,7 @@ class PlantSettings(Section):
     initial_position_m: tuple[float, float, float] | None = None
     """Platform origin at the start; default is the platform's home."""
     initial_rotation_vector_deg: tuple[float, float, float] | None = None
+    faults: list[AnyFault] = []
+    """What goes wrong at this end of the bus, and when."""
     log: bool = True
     """Write the plant's own log with the true pose."""

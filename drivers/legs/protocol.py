@@ -22,6 +22,7 @@ from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_command, encode_feedbacks, intact
 from drivers.legs.kernels import FOREIGN, QUANTITIES, encode, fold
 from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
+from drivers.legs.set_up import NOT_HEARD, checksums_heard, lack
 from drivers.protocol import (
     ALWAYS,
     Configure,
@@ -46,6 +47,7 @@ SETUP_S = 0.02
 """From one CONFIG of a drive to its next."""
 NO_SYNC = -1
 """Memory of drives that have heard no SYNC yet."""
+_ALL = (1 << LEGS) - 1
 _POWERED = (DriveState.READY, DriveState.RUN)
 _BYTES = [bytes([value]) for value in range(256)]
 _new = tuple.__new__
@@ -73,6 +75,8 @@ class LegsDialogue(NamedTuple):
     """How often each drive has been sent its CONFIG."""
     confirmed: int = 0
     """Bit i: the last status of drive i has confirmed its set-up."""
+    said: tuple[int, ...] = (NOT_HEARD,) * LEGS
+    """What the last status of each drive that has not confirmed its set-up says of it."""
 
 
 class LegsProtocol:
@@ -194,6 +198,14 @@ class LegsProtocol:
         """Tell which drives have been sent their CONFIG and have confirmed it."""
         return tuple([n > 0 and dialogue.confirmed >> leg & 1 == 1 for leg, n in enumerate(dialogue.sent)])
 
+    def set_up_lacks(self, dialogue: LegsDialogue) -> tuple[str, ...]:
+        """Return what the checksums say that differ, see `drivers.legs.set_up`."""
+        done, (sent, said) = self.legs_set_up(dialogue), (dialogue.sent, dialogue.said)
+        frames, config, rated = dialogue.configure, self._config, self.rated_force_N
+        return tuple(
+            "" if done[leg] else lack(said[leg], sent[leg], frames[leg], config, rated) for leg in range(LEGS)
+        )
+
     def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
         """Return the six CONFIG frames. Raises ProtocolError if the watchdog is not 1 us .. 4294 s."""
         frames = []
@@ -226,7 +238,7 @@ class LegsProtocol:
         """
         data = np.empty(self._command_size, np.uint8)
         form, scale = self._command_form, self._command_range
-        if not encode(command.force, tick & 0xFF, command.mode, form, scale, data):
+        if not encode(command.force, tick & 0xFF, int(command.mode), form, scale, data):
             raise self._unfit(command.force)
         sent = data.tobytes()
         start = 0
@@ -267,7 +279,10 @@ class LegsProtocol:
         form, scale = self._feedback_form, self._feedback_range
         expected, before = dialogue.expected, dialogue.confirmed
         confirmed = fold(run, since_ns, self._identifiers, form, scale, expected, before, last, tick)
-        return dialogue if confirmed == before else dialogue._replace(confirmed=confirmed)
+        if confirmed == before == _ALL:
+            return dialogue
+        said = checksums_heard(dialogue.said, run, self._status_id, self._status.length, _SET_UP_AT)
+        return dialogue._replace(confirmed=confirmed, said=said)
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is an intact feedback to this tick's SYNC."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ from drivers.signals import Reaction
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
+from hil.app.encoder_limits import encoder_limits
+from hil.app.loop_delay import loop_delay
 from hil.config.delay import ForceDelay
 from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
 from hil.config.values import LegSpin, Pose
@@ -39,14 +42,15 @@ from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from hil.safety import Safety
+from hil.safety.certificate import Watch
 from hil.stability.monitor import build_watch
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.path import Trajectory, axis_limits
 from hil.trajectory.time_optimal import plan
 from plant_fmu.config import BenchPlant
-from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.plants import open_plant
 
@@ -70,9 +74,8 @@ def build_protocol(configuration: Configuration) -> DriveProtocol:
 
 def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float | None = None) -> DriveSetup:
     """Return what a loop at `rate_Hz` sets in the drives; by default with the configured watchdog."""
-    drives = configuration.drives
-    default_s = drives.watchdog_ms * 1e-3
-    reaction = Reaction[drives.reaction.upper()]
+    default_s = configuration.drives.watchdog_ms * 1e-3
+    reaction = Reaction[configuration.reactions.silence.upper()]
     return DriveSetup(default_s if watchdog_s is None else watchdog_s, reaction, rate_Hz)
 
 
@@ -121,6 +124,7 @@ def build_cycle(
             trajectory=trajectory,
             safety=_safety(c, platform, (p, R), rate_Hz),
             engage=c.engage,
+            reactions=c.reactions,
             home_p=p,
             home_R=R,
             rate_Hz=rate_Hz,
@@ -143,8 +147,15 @@ def _safety(c: Configuration, platform: Platform, home: tuple[Array, Array], rat
         rate_Hz=rate_Hz,
         drive_force_limit=c.drives.force_limit_N,
         on_recorder_loss=c.recording.on_recorder_loss,
-        watch=build_watch(c.monitor, c.controller, platform, home, 1.0 / rate_Hz),
+        watch=_watch(c, platform, home, rate_Hz),
+        encoders=encoder_limits(c, platform, home, rate_Hz),
     )
+
+
+def _watch(c: Configuration, platform: Platform, home: tuple[Array, Array], rate_Hz: float) -> Watch:
+    delay = loop_delay(c)
+    ticks = ceil(delay.transport_s * c.loop.rate_Hz - 1e-9)
+    return build_watch(c.monitor, c.controller, platform, home, 1.0 / rate_Hz, ticks, delay.lag_s)
 
 
 def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> ExternalWrench:
@@ -210,6 +221,7 @@ def force_path(delay: ForceDelay, period_s: float) -> ForcePath:
 def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[Nodes, Plant]:
     """Return the emulated drives and sensors, and the plant behind them; the caller closes the plant.
 
+    The faults of `plant.faults` come first, then those of `faults`, whose seed counts.
     Raises PlantError: the plant cannot be opened, or does not start at the configured platform's lengths.
     """
     c = configuration
@@ -231,7 +243,9 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
     try:
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
-        drives = (plant, build_protocol(c), c.plant.drives, c.drives, faults)
+        more, seed = ((), 0) if faults is None else (faults.faults, faults.seed)
+        plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)
+        drives = (plant, build_protocol(c), c.plant.drives, c.drives, plan)
         sensors = build_sensors(c)
         if sensors is None:
             return Nodes(*drives), plant

@@ -1,5 +1,7 @@
 """Where results go: log names, the summary on the terminal, its JSON twin, the picture."""
 
+from __future__ import annotations
+
 import json
 import math
 import os
@@ -7,7 +9,7 @@ import textwrap
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
@@ -15,6 +17,9 @@ from rich.text import Text
 from drivers.errors import LogError
 from drivers.signals import Mode
 from hil.app.files import write_whole
+
+if TYPE_CHECKING:
+    from hil.loop.run_end import Ending  # its kernels are for who runs
 
 console = Console(stderr=True, highlight=False)
 PNG = b"\x89PNG\r\n"
@@ -117,6 +122,17 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def told(ending: Ending) -> dict[str, Any] | None:
+    """Return the story of a run's faults for its summary; None without a fault."""
+    return None if ending.story is None else ending.story.fields()
+
+
+def closing(ending: Ending, trouble: str) -> dict[str, Any]:
+    """Return what a log says of the end of its run."""
+    end: dict[str, Any] = {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
+    return end if ending.story is None else end | {"story": told(ending)}
+
+
 def warn(text: str) -> None:
     """Print one message that deserves attention to standard error."""
     console.print(text, style="bold yellow", soft_wrap=True)
@@ -136,7 +152,7 @@ UNITS = {
     "_percent": "%",
 }
 """End of a key -> unit of its value, the longest first."""
-_SILENT = frozenset({"success", "kind", "last_ticks"})
+_SILENT = frozenset({"success", "kind", "last_ticks", "story"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 

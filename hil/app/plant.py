@@ -23,12 +23,15 @@ from drivers.protocol import Frame, Received
 from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_scene
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
 from hil.app.plant_columns import PLANT
+from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
 from hil.loop.daemon import signals_to
 from hil.record import Recording
-from plant_fmu.drives.nodes import Nodes, Snapshot
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.drives.snapshot import Snapshot
 
 IDLE_NS = 2_000_000
 """The plant never lags the present by more than this. In a run the frames themselves wake it more
@@ -97,13 +100,17 @@ def run_plant(
                     clock=bus.clock,
                 )
             )
+        if recording is not None:
+            for fault in c.plant.faults:
+                recording.event(bus.clock.now(), "info", f"to be injected: {show_fault(fault)}")
         stop = _Stop()
         stack.enter_context(signals_to(stop.signalled))
         with real_time(max(1, c.loop.priority - 10), None) as granted:
             ready()
             try:
                 with _failures_logged(recording, bus.clock):
-                    last, trouble = _serve(nodes, bus, recording, stop, duration_s, supervisor), ""
+                    faults = ProcessFaults(c.plant.faults, bus.clock.now())
+                    last, trouble = _serve(nodes, bus, recording, stop, duration_s, supervisor, faults), ""
             except PlantError as error:
                 last, trouble = nodes.snapshot(), str(error)
             finally:
@@ -183,6 +190,7 @@ def _serve(
     stop: _Stop,
     duration_s: float | None,
     supervisor: int | None,
+    faults: ProcessFaults,
 ) -> Snapshot:
     now = bus.clock.now()
     bus.drain_now()
@@ -191,13 +199,17 @@ def _serve(
     next_look = now
     sent: list[Frame] = []
     heard: list[Received] = []
+    later: list[tuple[int, Frame]] = []
     snapshot = nodes.snapshot()
     row, moving = 0, False
     moved_ns = 0
     while not stop.reason:
-        received = bus.wait(now + IDLE_NS)
+        received = bus.wait(min((now + IDLE_NS, *(t_ns for t_ns, _ in later))))
         now = bus.clock.now()
-        outgoing = latest([frame for _, frame in nodes.step(now, received)])
+        faults.strike(now)
+        later += nodes.step(now, received)
+        outgoing = latest([frame for t_ns, frame in later if t_ns <= now])
+        later = [entry for entry in later if entry[0] > now]
         if outgoing:
             bus.send(outgoing)
         if recording is not None:

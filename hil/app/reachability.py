@@ -85,24 +85,23 @@ def walk(
     n = min(steps, SAMPLES) + 1
     t = np.linspace(0.0, steps * period, n) if steps else np.zeros(1)
     q, dq, ddq, tau = (np.empty((n, 6)) for _ in range(4))
-    cond, sign = np.empty(n), np.empty(n)
-    a, b, no_wrench = platform.base_joints, platform.platform_joints, np.zeros(6)
+    Js, cond = np.empty((n, 6, 6)), np.empty(n)
+    a, b, radius, no_wrench = platform.base_joints, platform.platform_joints, platform.radius, np.zeros(6)
     for k in range(n):
         # Just inside the end, where the path still moves: outside it rests.
         p, R, twist, dtwist = trajectory.sample(min(t[k], span * (1 - 1e-12)))
-        J = jacobian_kernel(a, b, p, R)
+        J = Js[k] = jacobian_kernel(a, b, p, R)
         q[k] = leg_lengths_kernel(a, b, p, R)
         dq[k] = J @ twist
         ddq[k] = J @ dtwist + jacobian_rate_kernel(a, b, p, R, twist) @ twist
-        cond[k] = condition_kernel(J, platform.radius)
-        sign[k] = np.linalg.slogdet(J)[0]
+        cond[k] = condition_kernel(J, radius)
         tau[k] = inverse_dynamics_kernel(model.constants, model.code, p, R, twist, dtwist, no_wrench)
     still = np.zeros(6)
     ends = (trajectory.sample(0.0), trajectory.sample(span))
     rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
     forces = _drive_forces(plant, q, dq, ddq, tau, rest)
     repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
-    return Walk(t, q, dq, ddq, *forces, cond, sign, steps == n - 1, repeats)
+    return Walk(t, q, dq, ddq, *forces, cond, np.linalg.slogdet(Js)[0], steps == n - 1, repeats)
 
 
 def _drive_forces(

@@ -15,6 +15,7 @@ COMMANDS = {
     "sim": "Both ends in lockstep, in simulated time.",
     "replay": "A log's inputs again, compared to the bit.",
     "check": "Figures and problems of a configuration; nothing moves.",
+    "faults": "Each kind of fault at each moment of a run, with verdicts.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",
     "setpoint": "Send a live reference somewhere while it runs.",
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
@@ -60,8 +61,9 @@ def main() -> None:
       hil workspace          map of the reachable poses, with a picture
       hil compare            all control laws on this platform, path, bus and drives
       hil sim                controller, bus, drives and platform in simulated time
-      hil run --plant        the same in real time, the platform's FMU behind the bus
+      hil run --plant        the same in real time; moves on Enter, or with --arm
       hil replay LOG         a recorded run again, compared to the bit
+      hil faults             what becomes of every kind of fault, at every moment
 
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
     socketcan, lab, bench, vcan50. Logs are MCAP files; without --log they go into the

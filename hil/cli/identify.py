@@ -16,6 +16,7 @@ from hil.cli.shared import FILE, finish_lines, log_option, reporting
     "--run", "real_time", is_flag=True, help="In real time: moves real drives. Default is lockstep."
 )
 @click.option("--plant", "with_plant", is_flag=True, help="With --run: start `hil plant` at the other end.")
+@click.option("--arm", is_flag=True, help="With --run: move as soon as all drives are ready, without asking.")
 @click.option(
     "--force",
     type=click.FloatRange(min=0, min_open=True),
@@ -42,6 +43,7 @@ def command(
     delay: bool,
     real_time: bool,
     with_plant: bool,
+    arm: bool,
     force: float | None,
     duration: float | None,
     model: Path | None,
@@ -83,7 +85,7 @@ def command(
       hil identify my.yaml --run                  real drives: they move by some 50 mm
       hil identify my.yaml --run --force 800      more force, where friction or noise hides the answer
       hil identify runs/today.mcap                a run that is there already
-      hil identify virtual --delay --run --plant  only the delay, in real time against the virtual plant
+      hil identify virtual --delay --run --plant --arm    only the delay, in real time
 
     \b
     Exit code:
@@ -99,9 +101,9 @@ def command(
         raise click.UsageError("--model has no use with --delay, which prints what it finds")
     made = run = files = None
     if delay_of.is_log(configuration):
-        if real_time or with_plant or force or duration or log:
+        if real_time or with_plant or arm or force or duration or log:
             raise click.UsageError(
-                f"{configuration} is a log: --run, --plant, --force, --duration, --log have no use"
+                f"{configuration} is a log: --run, --plant, --arm, --force, --duration, --log have no use"
             )
         log = configuration
     else:
@@ -114,7 +116,7 @@ def command(
     if not delay:
         files = axes.outputs(log, model)
     if made is not None:
-        run = delay_of.run_for(made, log, real_time=real_time, with_plant=with_plant)
+        run = delay_of.run_for(made, log, real_time=real_time, with_plant=with_plant, arm=arm)
         if not run["success"]:
             click.echo(
                 f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True

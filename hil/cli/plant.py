@@ -7,13 +7,22 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import configuration_argument, duration_option, finish, load, log_option, reporting
+from hil.cli.shared import (
+    configuration_argument,
+    duration_option,
+    fault_option,
+    finish,
+    load,
+    log_option,
+    reporting,
+)
 
 
 @click.command()
 @configuration_argument
 @duration_option
 @log_option
+@fault_option
 @click.option("--supervisor", type=int, hidden=True)
 @click.option("--report", type=int, hidden=True)
 @reporting
@@ -21,6 +30,7 @@ def command(
     configuration: str,
     duration: float | None,
     log: Path | None,
+    faults: tuple[str, ...],
     json_file: Path | None,
     supervisor: int | None,
     report: int | None,
@@ -34,6 +44,7 @@ def command(
     Examples:
       hil plant                             then, in another terminal: hil run
       hil plant lab --duration 60
+      hil plant --fault "drive_silence leg=2 at=5 for=0.5"
       hil plant vcan50                      on a SocketCAN bus, for any controller
 
     The log goes to --log, else to runs/NAME-TIME-plant.mcap (recording.folder); `plant.log: false` in the
@@ -46,7 +57,10 @@ def command(
       2  not begun: configuration, bus, FMU or log file; the message says what
     """
     loaded = load(configuration, "plant")
+    from hil.app.configuration.fault_words import with_faults
     from hil.app.plant import run_plant
+
+    loaded = with_faults(loaded, faults)
 
     def tell() -> None:
         if report is not None:

@@ -58,6 +58,8 @@ def command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
     for difference in comparison.first:
         click.echo(f"hil: {difference}", err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}
+    if comparison.story is not None:
+        result["story"] = comparison.story.fields()
     short = {key: result[key] for key in ("success", "log", "wall_s", "times_real_time")}
     if "remark" in summary:
         short["remark"] = summary["remark"]

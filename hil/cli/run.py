@@ -4,13 +4,26 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import configuration_argument, duration_option, finish, load, log_option, reporting
+from hil.cli.shared import (
+    configuration_argument,
+    duration_option,
+    fault_option,
+    finish,
+    load,
+    log_option,
+    reporting,
+)
 
 
 @click.command()
 @configuration_argument
 @click.option(
     "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
+)
+@click.option(
+    "--arm",
+    is_flag=True,
+    help="Let the platform move as soon as all drives are ready, without asking for Enter.",
 )
 @click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
 @click.option(
@@ -20,30 +33,35 @@ from hil.cli.shared import configuration_argument, duration_option, finish, load
 )
 @duration_option
 @log_option
+@fault_option
 @reporting
 def command(
     configuration: str,
     with_plant: bool,
+    arm: bool,
     reset: bool,
     release: bool,
     duration: float | None,
     log: Path | None,
+    faults: tuple[str, ...],
     json_file: Path | None,
 ) -> None:
     """Run the daemon in real time.
 
-    Waits for six drives, builds up the holding force against the closed brakes, opens them, moves to the
-    start of the reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a
-    second Ctrl-C is an emergency stop. Ends with a summary, a picture and the result of replaying its log.
+    Waits for six drives, and for the operator's word that the platform may move: Enter, or --arm. Then it
+    builds up the holding force against the closed brakes, opens them, moves to the start of the reference,
+    tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C is an
+    emergency stop. Ends with a summary, a picture and the result of replaying its log.
 
     Before the brakes open, and after they have closed, they carry the platform without force and no leg may
     move. Where one does, the force comes back, and the run holds the platform until --release.
 
     \b
     Examples:
-      hil run --plant                       all virtual; needs nothing but this machine
-      hil run --plant --duration 5          the same, parked after 5 s
-      hil run socketcan                     real drives on can0
+      hil run --plant --arm                 all virtual; needs nothing but this machine
+      hil run --plant --arm --duration 5    the same, parked after 5 s
+      hil run --plant --arm --fault "encoder_jump leg=0 at=2 by=5e-3"
+      hil run socketcan                     real drives on can0; they move when Enter is pressed
       hil run socketcan --reset             the same, clearing faults that the drives have latched
       hil run my.yaml --log today.mcap --json today.json
       hil run my.yaml --release             let go of a held platform, from another terminal
@@ -66,9 +84,16 @@ def command(
 
         finish("release", release_held(read(configuration)), json_file)
     loaded = load(configuration, "run")
+    from hil.app.configuration.fault_words import with_faults
     from hil.app.run.command import run_daemon
 
-    summary = run_daemon(loaded, log=log, duration_s=duration, reset=reset, with_plant=with_plant)
+    if faults and not with_plant:
+        raise click.UsageError("--fault acts on the plant: add --plant, or give it to `hil plant`.")
+    if with_plant:
+        with_faults(loaded, faults).require("plant")
+    summary = run_daemon(
+        loaded, log=log, duration_s=duration, reset=reset, with_plant=with_plant, arm=arm, faults=faults
+    )
     if "last_ticks" in summary:
         from hil.app.output import last_ticks_table
 

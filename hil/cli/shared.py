@@ -33,6 +33,13 @@ log_option = click.option(
     "--log", type=FILE, metavar="FILE", help="Log file to write; an existing one is refused."
 )
 duration_option = click.option("--duration", type=POSITIVE, metavar="S", help="Stop after S seconds.")
+fault_option = click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="WORDS",
+    help='What goes wrong at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
+)
 picture_option = click.option(
     "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
 )
@@ -47,6 +54,9 @@ def finish(
 
     if summary.get("trouble"):
         click.echo(f"hil: {summary['trouble']}", err=True)
+    if summary.get("story"):
+        for line in summary["story"]["lines"]:
+            click.echo(f"  {line}", err=True)
     show(title, summary if shown is None else shown)
     finish_lines((), summary, json_file)
 

@@ -5,13 +5,23 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, configuration_argument, duration_option, finish, load, log_option, reporting
+from hil.cli.shared import (
+    FILE,
+    configuration_argument,
+    duration_option,
+    fault_option,
+    finish,
+    load,
+    log_option,
+    reporting,
+)
 
 
 @click.command()
 @configuration_argument
 @duration_option
 @log_option
+@fault_option
 @click.option(
     "--setpoints",
     type=FILE,
@@ -23,6 +33,7 @@ def command(
     configuration: str,
     duration: float | None,
     log: Path | None,
+    faults: tuple[str, ...],
     setpoints: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -38,6 +49,7 @@ def command(
       hil sim ideal                         theory: exact lengths and rates, no bus time
       hil sim lab --duration 3 --log lab.mcap --json lab.json
       hil sim my.yaml --setpoints poses.csv --duration 10
+      hil sim virtual --duration 2 --fault "brake_stuck_open leg=3 mode=PARKING"
 
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
 
@@ -48,7 +60,10 @@ def command(
       2  not begun: configuration, FMU or log file; the message says what
     """
     loaded = load(configuration, "sim")
+    from hil.app.configuration.fault_words import with_faults
     from hil.app.sim.command import simulate
+
+    loaded = with_faults(loaded, faults)
 
     summary = simulate(loaded, log=log, duration_s=duration, live=sys.stderr.isatty(), setpoints=setpoints)
     finish("sim", summary, json_file)

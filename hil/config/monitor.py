@@ -1,4 +1,4 @@
-"""Section `monitor`: the certificate of the loop, watched while it runs."""
+"""Section `monitor`: what may disturb legs and encoders, and the loop's certificate, which is watched."""
 
 from typing import Annotated, Literal
 
@@ -22,8 +22,17 @@ class MonitorSettings(Section):
     confirm_ticks: Annotated[int, Field(ge=1)] = 3
     """So many ticks in a row have to say it."""
     length_noise_m: NonNegative = 2e-6
-    """What a measured length may be off from one tick to the next: the encoder's step."""
+    """Largest deviation of a reading of a length from the true one: the encoder's step, or 3 to 4 standard
+    deviations of its noise. No reading may be off by more."""
     rate_noise_m_s: NonNegative = 1e-4
-    """What a measured leg rate may be off."""
+    """Largest deviation of a measured leg rate, as of the length."""
+    rate_skew_us: NonNegative = 50.0
+    """So far beside the length a leg rate may be latched, filtered or computed."""
+    rate_error_percent: NonNegative = 1.0
+    """Share of a leg rate that may be wrong: scale."""
+    friction_N: NonNegative | None = None
+    """Dry friction that may hold a leg still. Default: the largest that the law's model and the virtual plant
+    have; without a plant, or with an FMU of one's own, at least 5 % of the smallest of limits.force_N,
+    limits.force_window_N and drives.force_limit_N."""
     drive_lag_ms: Delay = 0.8
     """Time constant of the drives' force loop: 1000 / (2 pi bandwidth in Hz)."""

@@ -17,7 +17,7 @@ class EngageSettings(Section):
     brake_release_s: NonNegative = 0.1
     """Time given to the brakes to open."""
     brake_close_s: NonNegative | None = None
-    """Time given to the brakes to close; default: as `brake_release_s`."""
+    """Time given to the brakes to close and to stop the legs; default: as `brake_release_s`."""
     approach_speed_m_s: Positive = 0.2
     """Mean leg speed of the quintic move from the measured pose to the reference's start."""
     stop_s: Positive = 0.5

@@ -16,22 +16,25 @@ _ALL_LEGS = (1 << LEGS) - 1
 class PoseFusion:
     """The filter with its limits.
 
-    Mutable state: the filter, the last rotation, which encoders have slipped. `start` resets it.
+    Mutable state: the filter, the last rotation, and what the last tick's verdict was made of. `start` resets
+    it.
     """
 
     def __init__(self, estimator: FusedEstimator, settings: FusionSettings) -> None:
         self._estimator = estimator
         self._may_lose = tuple(settings.may_lose_legs)
         self._at_once = settings.lost_at_once
-        self._gap_max = settings.tracker_gap_max_ms * 1e-3
-        self._std_max = settings.position_std_max_m
+        self.slip_m = settings.encoder_slip_m
+        self.gap_max_s = settings.tracker_gap_max_ms * 1e-3
+        self.std_max_m = settings.position_std_max_m
         self.R = np.eye(3)
         """(3, 3) of the last estimate."""
-
-    @property
-    def slipped(self) -> tuple[int, ...]:
-        """Legs whose encoders have slipped."""
-        return tuple(leg for leg in range(LEGS) if self._estimator.slipped[leg])
+        self.contradicting: tuple[int, ...] = ()
+        """Legs whose encoders have slipped and may not be lost."""
+        self.position_std_m = 0.0
+        """The filter's own standard deviation of the position over all directions."""
+        self.alone_s = 0.0
+        """With an encoder lost, since the tracker's last sample of use; else 0."""
 
     def start(self, tick: int, t_ns: int, p: Array, R: Array) -> None:
         """Begin at rest at a pose that the legs have just given."""
@@ -52,8 +55,10 @@ class PoseFusion:
             warnings |= Warn.SENSOR
         if contradicted(health.slipped, allowed):
             faults |= Fault.ENCODER
-        alone = health.gap_s if any(allowed) else 0.0
-        if uncertain(health.position_std, self._std_max) or uncertain(alone, self._gap_max):
+        self.contradicting = tuple(leg for leg in range(LEGS) if health.slipped[leg] and not allowed[leg])
+        self.position_std_m = health.position_std
+        self.alone_s = health.gap_s if any(allowed) else 0.0
+        if uncertain(self.position_std_m, self.std_max_m) or uncertain(self.alone_s, self.gap_max_s):
             faults |= Fault.UNCERTAIN
         tick["counted_age"] = np.where(np.array(allowed), 0, tick["age"])
         tick["unseen"] = tick["legs_used"] != _ALL_LEGS

@@ -17,14 +17,15 @@ from typing import Any
 from drivers.arrays import ZERO6
 from drivers.protocol import Dialogue, Frame, run_of
 from drivers.sensors import Readings, SensorProtocol
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Fault, Mode, Stop, Warn
+from drivers.signals import LEGS, Command, DriveMode, Fault, Mode, Stop, Warn
 from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, new_record, row_of
 from hil.estimation.pose import Estimator
 from hil.loop import modes
+from hil.loop.drives_say import all_free, any_powered, confirmed
 from hil.loop.effort import Effort
-from hil.loop.estop import confirmed
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
+from hil.loop.obedience import Obedience
 from hil.loop.parts import Parts
 from hil.loop.reference import farthest_leg_m, fill_reference
 from hil.loop.steering import NO_SETPOINTS
@@ -65,6 +66,9 @@ class Cycle:
         engage = parts.engage
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self.effort = Effort(parts, self.durations)
+        self.obedience = Obedience(self.effort.model, parts.rate_Hz)
+        self._under_control = parts.reactions.led_to("ss1")
+        self._torque_off = parts.reactions.led_to("sto")
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         followers = (parts.predictor, parts.wrench.observer)
         self._followers = [each for each in followers if each is not None]
@@ -77,6 +81,7 @@ class Cycle:
         self.dialogue: Dialogue = parts.protocol.start(parts.setup)
         self.tick = new_record()
         """The last tick's record."""
+        self._last_wrench = ZERO6
         self.estimator.reset(parts.home_p, parts.home_R)
         self.located = False
         self.readings = Readings()
@@ -85,6 +90,9 @@ class Cycle:
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R)
         self.mode = Mode.WAITING
         self.mode_tick = 0
+        self._yields = False
+        """PARKING after a fault: the reference stays with the platform, and what holds it is all the force. A
+        law that was not followed could work against the brakes."""
         self.proven = True
         """A brake test has passed since the brakes were last open, or they have not been open."""
         self.faults, self.estop = Fault.NONE, False
@@ -93,6 +101,7 @@ class Cycle:
         self.reset_tick: int | None = None
         """When the operator last asked to clear the drives' faults."""
         self.effort.reset()
+        self.obedience.reset()
         for part in (parts.law, parts.wrench, parts.predictor, parts.safety, parts.steering):
             if part is not None:
                 part.reset()
@@ -106,6 +115,7 @@ class Cycle:
         parts, number = self.parts, inp.tick
         run = run_of(inp.frames)
         last, tick = self.tick, new_record()
+        self._last_wrench = last["wrench"]
         buffer: Any = tick.base
         _put_input(
             buffer.data, 0,
@@ -195,10 +205,6 @@ class Cycle:
             fusion.start(number, latched_ns, tick["p"], tick["R"])
             self.fusing = True
 
-    def _free(self) -> bool:
-        """Tell whether all brakes are open, on the drives' own word."""
-        return all(s == DriveState.RUN for s in self.tick["drive_state"].tolist())
-
     # -- modes ---------------------------------------------------------------------------------------
 
     def _change_mode(self, inp: TickInput, tick: Record) -> None:
@@ -209,17 +215,20 @@ class Cycle:
             self.faults, self.estop = Fault.NONE, False
             self.stop_requested = Stop.NONE
             self.located = self.fusing = False
+            self.obedience.reset()
             self.parts.wrench.forget()
             self.parts.safety.reset()
         motion = self.motion
         elapsed = (number - self.mode_tick) * self.period_s
         if overdue(self.mode, elapsed, self.durations):
             self.faults |= Fault.DRIVE
-            self._enter(Mode.HELD if self.mode is Mode.PARKING else Mode.FAULT, tick)
+            waits = self.mode is Mode.PARKING  # for brakes that may not have shut
+            self._enter(Mode.HELD if waits else self._after(Fault.DRIVE, tick), tick)
             return
         if self.mode in ENDING and motion.overdue(number, REST_PATIENCE_S):
             self.faults |= Fault.FOLLOWING
-            self._enter(Mode.FAULT, tick)
+            mode = self._after(Fault.FOLLOWING, tick)
+            self._enter(Mode.PARKING if mode is Mode.STOPPING else mode, tick)  # a stop did not help
             return
         facts = Facts(
             operator,
@@ -228,22 +237,31 @@ class Cycle:
             elapsed,
             motion.finished(number) and max(abs(tick["dq"]).tolist()) < REST_m_s,
             self.stop_requested is not Stop.NONE,
+            self.mode is Mode.HELD and self._provable(tick),
         )
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
             self._enter(mode, tick)
+        if self._yields and self.mode is Mode.PARKING:
+            self.motion.rest(tick["p"], tick["R"], number)
 
     def _ready(self) -> bool:
         """Tell whether all six legs are heard, the pose is found and all six drives are set up."""
         heard = self.located and max(self.tick["age"].tolist()) <= 1
         return heard and all(self.parts.protocol.legs_set_up(self.dialogue))
 
+    def _provable(self, tick: Record) -> bool:
+        """Tell whether a test could prove the brakes: all legs are heard, believed and at rest."""
+        measured = max(tick["age"].tolist()) == 0 and not tick["legs_slipped"]
+        still = measured and max(abs(tick["rate"]).tolist()) < REST_m_s
+        return bool(still) and self.durations.load > 0.0 and not self.faults & modes.NO_PROOF
+
     def _enter(self, mode: Mode, tick: Record) -> None:
         parts, effort, number = self.parts, self.effort, int(tick["tick"])
         previous = self.mode
         match mode:
             case Mode.LOADING:
-                effort.holding = effort.statics(tick)
+                effort.holding = effort.statics(tick["p"], tick["R"], tick["wrench"])
                 self.motion.rest(tick["p"], tick["R"], number)
             case Mode.RELEASING:
                 self.motion.rest(tick["p"], tick["R"], number)
@@ -272,18 +290,40 @@ class Cycle:
             case Mode.PARKING:
                 rest = self.motion.sample(number)
                 self.motion.rest(rest.p, rest.R, number)
+                self._yields = False
+                if self.faults & ~self._under_control:
+                    self._yield(tick)
             case Mode.UNLOADING:
                 effort.holding = effort.last_tau
             case Mode.PARKED if previous is Mode.UNLOADING:
                 self.proven = self.proven or self.durations.load > 0.0
             case Mode.HELD:
-                holding = effort.last_tau if previous is Mode.PARKING else effort.holding
-                if previous not in {Mode.PARKING, Mode.LOADING, Mode.UNLOADING}:
-                    holding = effort.statics(tick)
-                    self.motion.rest(tick["p"], tick["R"], number)
-                effort.hold(tick, holding, self.motion.sample(number), on_it=True)
-                parts.safety.resume(holding)
+                self._hold(previous, tick)
         self.mode, self.mode_tick = mode, number
+
+    def _yield(self, tick: Record) -> None:
+        """Let what holds the platform where it is be all the force, until the brakes are shut."""
+        self._yields = True
+        self.motion.rest(tick["p"], tick["R"], int(tick["tick"]))
+        self.effort.holding = self.effort.statics(tick["p"], tick["R"], tick["wrench"])
+        self.obedience.forget()
+
+    def _hold(self, previous: Mode, tick: Record) -> None:
+        """Begin to hold the platform: by the last force that did, or by what does so where it is.
+
+        In motion that is where it should be if the measurement is no longer believed.
+        """
+        effort, number = self.effort, int(tick["tick"])
+        blind = bool(self.faults & modes.NOT_MEASURED)
+        if previous is Mode.PARKING:
+            effort.holding = effort.last_tau
+        elif previous not in {Mode.LOADING, Mode.UNLOADING}:
+            p, R = self.motion.sample(number)[:2] if blind else (tick["p"], tick["R"])
+            effort.holding = effort.statics(p, R, self._last_wrench if blind else tick["wrench"])
+            self.motion.rest(p, R, number)
+        effort.hold(tick, effort.holding, self.motion.sample(number), on_it=True)
+        self.parts.safety.resume(effort.holding)
+        self.obedience.forget()
 
     # -- reference, effort ---------------------------------------------------------------------------
 
@@ -293,24 +333,50 @@ class Cycle:
         return PoseSample(tick["p"], tick["R"], ZERO6, ZERO6)
 
     def _effort(self, tick: Record) -> None:
-        blind = bool(self.faults & modes.NOT_MEASURED)
-        self.effort.fill(tick, self.mode, self.mode_tick, self.motion, free=self._free(), blind=blind)
+        blind = self.mode is Mode.HELD and bool(self.faults & modes.NOT_MEASURED)
+        yields = self.mode is Mode.PARKING and self._yields
+        effort, watch = self.effort, self.obedience
+        effort.fill(tick, self.mode, self.mode_tick, self.motion, free=all_free(tick), fixed=blind or yields)
+        shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
+        if (yields or shuts) and watch.watch(tick, effort.last_tau):
+            self.faults |= Fault.DRIVE
+            held = effort.last_tau.copy()
+            held[watch.refused] = 0.0
+            self.parts.safety.resume(held)
+        if watch.refused is not None:
+            tick["tau_asked"][watch.refused] = 0.0
+            tick["legs_refused"] = 1 << watch.refused
 
     # -- safety, command -----------------------------------------------------------------------------
 
     def _latch(self, inp: TickInput, verdict: Verdict) -> None:
         faults = verdict.faults
+        if self.mode is Mode.HELD and self.faults & modes.NOT_MEASURED:
+            faults &= ~modes.OF_THE_POSE  # no news, and no cause
         if Operator.ESTOP in inp.operator:
             faults |= Fault.ESTOP
-        if faults & Fault.ESTOP or (faults & Fault.SECOND_CONTROLLER and drive_mode(self.mode)):
+        rivals = (faults | self.faults) & Fault.SECOND_CONTROLLER
+        if faults & Fault.ESTOP or (rivals and (drive_mode(self.mode) or any_powered(self.tick))):
             self.estop = True  # OFF could lose against the commands of another controller
+        if self.mode is Mode.HELD and faults & ~self.faults & modes.NOT_MEASURED:
+            self.effort.holding = self.effort.last_tau
         if faults:
             self.faults |= faults
-            mode = modes.after_fault(self.mode, faults, located=self.located)
+            mode = self._after(faults, self.tick)
             if mode is not self.mode:
                 self._enter(mode, self.tick)
+            elif mode is Mode.PARKING and not self._yields and faults & ~self._under_control:
+                self._yield(self.tick)
         if verdict.stop is not Stop.NONE and self.stop_requested is Stop.NONE:
             self.stop_requested = verdict.stop
+
+    def _after(self, faults: Fault, tick: Record) -> Mode:
+        """Return where faults lead that strike now."""
+        patience = modes.DRIVE_PATIENCE_S / self.period_s
+        heard = bool(((tick["age"] < patience) | (tick["blind"] != 0)).any())
+        return modes.after_fault(
+            self.mode, faults, self._under_control, self._torque_off, located=self.located, heard=heard
+        )
 
     def _command(self, tick: Record) -> Command:
         mode = drive_mode(self.mode)

@@ -25,9 +25,15 @@ from hil.loop.setpoints import SetPointSocket
 from hil.record import Recording
 from hil.signals import Operator, TickInput, explain
 
+CONSENT = "all six drives are ready: Enter lets the platform move, Ctrl-C ends the run"
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
 """Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
+_TOLD = "drives were told to switch off"
+_NOT_TOLD = (
+    "drives could not be told to switch off, since the bus takes no frames: the watchdog of each acts "
+    "{:g} ms after the last command it heard"
+)
 
 
 @contextmanager
@@ -90,8 +96,10 @@ class Shell(NamedTuple):
     """Where those of a live reference come in."""
     release: ReleaseSocket | None = None
     """Where the operator's word to let go of a held platform comes in."""
+    consent: Callable[[], bool] | None = None
+    """Tells whether the operator has said that the platform may move; None: that was said at the start."""
     say: Callable[[str], None] = lambda _: None
-    """Tells the operator why the run goes on after a fault."""
+    """Tells the operator what the run waits for, or why it goes on after a fault."""
 
 
 def run(course: Course, shell: Shell) -> Ending:
@@ -103,7 +111,7 @@ def run(course: Course, shell: Shell) -> Ending:
     try:
         return _run(course, shell)
     except Exception as error:  # noqa: BLE001 - a defect anywhere in the step must not leave drives powered
-        switch_off(cycle, shell.bus, shell.deadlines)
+        told = switch_off(cycle, shell.bus, shell.deadlines)
         tick = shell.deadlines.tick
         if isinstance(error, HilError):
             reason, unexpected = f"tick {tick}: {error}", ""
@@ -111,16 +119,31 @@ def run(course: Course, shell: Shell) -> Ending:
             what = f"{type(error).__name__}: {error}"
             reason = f"tick {tick}: defect of this program, {what}; the log has the details"
             unexpected = traceback.format_exc()
-        return Ending(Mode.FAULT, cycle.faults, reason, tick, tick, raised=True, unexpected=unexpected)
+        done = _TOLD if told else _NOT_TOLD.format(1e3 * cycle.parts.setup.watchdog_s)
+        return Ending(
+            Mode.FAULT,
+            cycle.faults,
+            reason,
+            tick,
+            tick,
+            raised=True,
+            unexpected=unexpected,
+            done=done,
+            story=course.story(),
+        )
     except BaseException:
         switch_off(cycle, shell.bus, shell.deadlines)
         raise
 
 
-def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> None:
-    """Tell the drives to switch off, a few times one a period, past the cycle."""
+def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
+    """Tell the drives to switch off, a few times one a period, past the cycle.
+
+    Returns whether the bus took a whole one of these commands.
+    """
     protocol = cycle.parts.protocol
     dialogue, off = cycle.dialogue, Command(DriveMode.OFF, ZERO6)
+    told = False
     with suppress(HilError):
         bus.flush_tx()
     for tick in range(deadlines.tick + 1, deadlines.tick + 1 + SAFE_FRAMES):
@@ -128,12 +151,14 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> None:
             polls = protocol.command_delay_ticks > 0
             opening = () if polls else protocol.begin(dialogue, tick)  # drives obey the present SYNC alone
             dialogue, frames = protocol.command(dialogue, off, tick)
-            bus.send(protocol.begin(dialogue, tick) if polls else opening + frames)
+            failed = bus.send(protocol.begin(dialogue, tick) if polls else opening + frames)
+            told = told or not failed
         time.sleep(deadlines.period_ns * 1e-9)
+    return told
 
 
 def _run(course: Course, shell: Shell) -> Ending:
-    cycle, (bus, deadlines, recording, panel, window_ns, setpoints, _, _) = course.cycle, shell
+    cycle, (bus, deadlines, recording, panel, window_ns, setpoints, *_) = course.cycle, shell
     sends_failed = compute_ns = 0
     said = ""
     clock, stood_ns = bus.clock, bus.clock.stretched()
@@ -160,7 +185,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             bus_overflow=errors.overflow,
             recorder_alive=recording.alive,
             recorder_dropped=recording.dropped,
-            operator=course.commands(tick, _asked(shell, cycle.mode)),
+            operator=course.commands(tick, _asked(shell, course)),
             compute_ns=compute_ns,
             setpoints=() if setpoints is None else setpoints.take(),
         )
@@ -174,16 +199,21 @@ def _run(course: Course, shell: Shell) -> Ending:
         ending = course.ending(tick)
         if ending is not None:
             return ending
+        if course.waits_for_consent and said != CONSENT:
+            said = CONSENT
+            shell.say(said)
         if cycle.mode in _AFTER_FAULT and course.stays_for != said:
             said = course.stays_for
             shell.say(said)
             recording.event(t_ns, "error", said)
 
 
-def _asked(shell: Shell, mode: Mode) -> tuple[Operator, ...]:
+def _asked(shell: Shell, course: Course) -> tuple[Operator, ...]:
     """Return what the operator has asked for since the last tick."""
-    held = mode is Mode.HELD
+    held = course.cycle.mode is Mode.HELD
     operator = shell.panel.take(held=held)
+    if course.waits_for_consent and shell.consent is not None and shell.consent():
+        operator += (Operator.ENGAGE,)
     if held and shell.release is not None and shell.release.take():
         operator += (Operator.RELEASE,)
     return operator

@@ -2,6 +2,8 @@
 
 from math import nan
 
+import numpy as np
+
 from drivers.arrays import ZERO6, Array
 from drivers.signals import Mode
 from drivers.tick_columns import Record, copy_of
@@ -25,6 +27,9 @@ class Effort:
         self.durations = durations
         self.period_s = 1.0 / parts.rate_Hz
         self.model = Model(parts.platform, leg_spin=parts.leg_spin)
+        self.reach_N = float(parts.safety.limits["force_window_N"])
+        """How far the law may go from the holding force where the platform is held: without an end it pushes
+        a brake open whose leg seems to move, as its encoder drifts."""
         self.reset()
 
     def reset(self) -> None:
@@ -39,9 +44,12 @@ class Effort:
         self.shortfall = ZERO6
         """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
 
-    def statics(self, tick: Record) -> Array:
-        """Return the forces (6,) N that hold weight and external wrench at the measured pose."""
-        return self.model.inverse_dynamics(tick["p"], tick["R"], ZERO6, ZERO6, tick["wrench"])
+    def statics(self, p: Array, R: Array, wrench: Array) -> Array:
+        """Return the forces (6,) N that hold weight and external wrench (6,) N, N m at a pose.
+
+        p (3,) m, R (3, 3); wrench at the platform's origin; base frame.
+        """
+        return self.model.inverse_dynamics(p, R, ZERO6, ZERO6, wrench)
 
     def hold(self, tick: Record, holding: Array, sample: PoseSample, *, on_it: bool = False) -> None:
         """Begin with a holding force (6,) N at a sample at rest; on_it: as if the platform were there.
@@ -53,14 +61,14 @@ class Effort:
         self.offset = holding - tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
 
     def fill(
-        self, tick: Record, mode: Mode, mode_tick: int, motion: Motion, *, free: bool, blind: bool
+        self, tick: Record, mode: Mode, mode_tick: int, motion: Motion, *, free: bool, fixed: bool
     ) -> None:
         """Fill the law's own force, and what is asked for.
 
-        free: all brakes are open; blind: a fault of `modes.NOT_MEASURED` is latched.
+        free: all brakes are open; fixed: the holding force as it is, without the law.
         """
         number = int(tick["tick"])
-        if mode is Mode.HELD and blind:
+        if fixed:
             tick["tau_asked"] = self.holding
             return
         seen = self._as_seen(tick, mode, motion, free=free)
@@ -72,7 +80,10 @@ class Effort:
             if seen is not tick:
                 tick["tau_law"] = own
             left = self._entry_share(number)
-            tick["tau_asked"] = own + self.offset * left if left > 0.0 else own
+            asked = own + self.offset * left if left > 0.0 else own
+            if mode is Mode.HELD:
+                asked = np.clip(asked, self.holding - self.reach_N, self.holding + self.reach_N)
+            tick["tau_asked"] = asked
             return
         load = self.durations.load
         if load > 0 and mode in {Mode.LOADING, Mode.UNLOADING}:

@@ -8,13 +8,17 @@ entered.
     WAITING -> IDLE -> LOADING -> RELEASING -> APPROACH -> TRACKING -> PARKING -> UNLOADING -> PARKED
                                                   +---> STOPPING <---+   ^
                                                             +------------+
-    any -> FAULT (latched) -> WAITING on RESET
+    a fault in motion, by its reaction: ss1 -> STOPPING, sbc -> PARKING, or HELD where a leg is not measured,
+                                        sto -> FAULT (latched) -> WAITING on RESET
     brakes engaged, not proven shut -> HELD (latched, force on) -> FAULT on RELEASE
 
 Brakes open and close only on the drives' own word: a drive that does not report the state it was asked
 for keeps LOADING, RELEASING and PARKING, with the force on, until they are `overdue`. That word is not
 believed: LOADING begins, and UNLOADING ends, with all six brakes carrying the platform while the legs must
-stand still. A leg that moves, and a fault before the brakes are proven, lead to HELD.
+stand still. A leg that moves leads to HELD, and so does one that is not measured before its brake is proven;
+once it is measured again there is another test.
+A drive in FAULT shuts its brake by itself: it is waited for no longer, and where all six are there is no
+force that could hold.
 Without a force ramp LOADING goes straight to TRACKING: the law acts at the instant the brakes open. There is
 no brake test then.
 """
@@ -33,13 +37,21 @@ BRAKED = frozenset({Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED})
 """Modes in which the brakes carry the platform, or begin to: the legs must stand still."""
 UNPROVEN = frozenset({Mode.PARKING, Mode.UNLOADING, Mode.HELD})
 """Modes with the force on and the brakes engaged, but not proven shut."""
-FORCE_LOST = Fault.ESTOP | Fault.DRIVE | Fault.BUS
+NOBODY_OBEYS = Fault.ESTOP | Fault.BUS | Fault.SECOND_CONTROLLER
 """Faults after which there is no force that could stay on."""
 NOT_MEASURED = (
     Fault.STALE | Fault.KINEMATICS | Fault.ASSEMBLY | Fault.CONDITION | Fault.NOT_FINITE | Fault.LAW
-    | Fault.ENCODER | Fault.UNCERTAIN | Fault.FOLLOWING
+    | Fault.ENCODER | Fault.UNCERTAIN | Fault.DUPLICATE_NODE
 )  # fmt: skip
-"""Faults after which the law holds nothing: the last holding force stays as it is."""
+"""Faults after which the law holds nothing, and no leg is seen to stand still: the holding force stays as it
+is."""
+NO_PROOF = (NOT_MEASURED & ~Fault.STALE) | Fault.BRAKE
+"""Faults after which no test of the brakes is believed."""
+OF_THE_POSE = (
+    Fault.KINEMATICS | Fault.ASSEMBLY | Fault.CONDITION | Fault.STROKE | Fault.SPEED | Fault.FOLLOWING
+    | Fault.NOT_FINITE | Fault.UNCERTAIN | Fault.ENCODER
+)  # fmt: skip
+"""Faults that follow by themselves where a leg is not measured."""
 ENDING = frozenset({Mode.APPROACH, Mode.TRACKING, Mode.STOPPING})
 """Modes that end when the motion has ended and the legs are at rest."""
 STEERED = frozenset({Mode.TRACKING, Mode.STOPPING})
@@ -64,10 +76,12 @@ class Facts(NamedTuple):
     """The present motion (approach, reference, stop) has ended and the legs are at rest."""
     stop: bool
     """Safety asks for a controlled stop."""
+    provable: bool = False
+    """All six legs are heard, believed and at rest, and no brake has failed: a test could prove them."""
 
-    def all_in(self, state: DriveState) -> bool:
-        """Tell whether all six drives report this state."""
-        return all(s == state for s in self.drive_state)
+    def all_in(self, *states: DriveState) -> bool:
+        """Tell whether all six drives report one of these states."""
+        return all(s in states for s in self.drive_state)
 
 
 class Durations(NamedTuple):
@@ -87,12 +101,15 @@ class Durations(NamedTuple):
                 return 2.0 * self.load  # the brake test, then the ramp
             case Mode.RELEASING:
                 return self.release
-            case Mode.PARKING:
+            case Mode.PARKING | Mode.HELD:
                 return self.close
             case Mode.UNLOADING:
                 return self.load + PROOF_S if self.load > 0.0 else 0.0
             case _:
                 return 0.0
+
+
+_BRAKED_DRIVE = (DriveState.READY, DriveState.FAULT)
 
 
 def _finished(facts: Facts, _least: float) -> bool:
@@ -107,11 +124,11 @@ _NEXT: tuple[tuple[Mode, Callable[[Facts, float], bool]], ...] = (
     (Mode.TRACKING, _finished),
     (Mode.PARKING, _finished),
     (Mode.PARKING, _finished),
-    (Mode.UNLOADING, lambda facts, least: facts.elapsed >= least and facts.all_in(DriveState.READY)),
+    (Mode.UNLOADING, lambda facts, least: facts.elapsed >= least and facts.all_in(*_BRAKED_DRIVE)),
     (Mode.PARKED, lambda facts, least: facts.elapsed >= least),
     (Mode.PARKED, lambda _facts, _: False),
     (Mode.WAITING, lambda facts, _: Operator.RESET in facts.operator),
-    (Mode.FAULT, lambda facts, _: Operator.RELEASE in facts.operator),
+    (Mode.FAULT, lambda facts, _: Operator.RELEASE in facts.operator or facts.all_in(DriveState.FAULT)),
 )
 """By mode: where it leads without a stop, and when: from the facts, and how long it takes at least, s."""
 _STOPPED = {
@@ -137,6 +154,8 @@ def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
     """Return the mode of this tick. Faults are for `after_fault`: here FAULT only leaves by RESET."""
     if (facts.stop or Operator.STOP in facts.operator) and mode in _STOPPED:
         return _STOPPED[mode]
+    if mode is Mode.HELD and facts.provable and _NEXT[Mode.PARKING][1](facts, durations.close):
+        return Mode.UNLOADING
     following, due = _NEXT[mode]
     if not due(facts, durations.least(mode)):
         return mode
@@ -148,16 +167,28 @@ def overdue(mode: Mode, elapsed: float, durations: Durations) -> bool:
     return mode in _WAITING and elapsed > durations.least(mode) + DRIVE_PATIENCE_S
 
 
-def after_fault(mode: Mode, faults: Fault, *, located: bool) -> Mode:
-    """Return where faults that strike in a mode lead; located: the pose has been found.
+def after_fault(
+    mode: Mode, faults: Fault, under_control: Fault, torque_off: Fault, *, located: bool, heard: bool
+) -> Mode:
+    """Return where faults that strike in a mode lead, by what is still known.
 
-    The force stays on, or comes back, where a brake that is engaged may not hold: as long as there is one.
+    under_control: after which a stop along the path may be relied on (ss1); torque_off: after which none of
+    the force stays on (sto); located: the pose has been found; heard: not all drives have
+    been silent for DRIVE_PATIENCE_S.
+    The force stays on, or comes back, where a brake may not hold: as long as there is one.
     """
-    if mode is Mode.FAULT or faults & FORCE_LOST:
+    if mode is Mode.FAULT or not heard or faults & (NOBODY_OBEYS | torque_off):
         return Mode.FAULT
-    if mode in UNPROVEN or (mode in BRAKED and located and faults & Fault.BRAKE):
+    blind = bool(faults & NOT_MEASURED)
+    if mode in UNPROVEN:
+        return Mode.HELD if blind or faults & Fault.BRAKE else mode
+    if mode in BRAKED:
+        return Mode.HELD if located and faults & Fault.BRAKE else Mode.FAULT
+    if mode not in MOVING:
+        return Mode.FAULT
+    if blind:
         return Mode.HELD
-    return Mode.FAULT
+    return Mode.PARKING if mode is Mode.RELEASING or faults & ~under_control else Mode.STOPPING
 
 
 def drive_mode(mode: Mode) -> DriveMode:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from drivers.arrays import Array
 from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
+from hil.config.reactions import ReactionSettings
 from hil.config.running import EngageSettings
 from hil.config.values import LegSpin
 from hil.control.law import Law
@@ -36,6 +37,7 @@ class Parts:
     trajectory: Trajectory
     safety: Safety
     engage: EngageSettings
+    reactions: ReactionSettings
     home_p: Array
     home_R: Array
     rate_Hz: float

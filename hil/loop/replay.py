@@ -11,6 +11,8 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
 from hil.loop.cycle import Cycle
+from hil.loop.story.narrator import Narrator
+from hil.loop.story.told import Story
 from hil.record.log import Tick
 from hil.record.row import names_of
 from hil.signals import Operator, TickInput
@@ -53,6 +55,8 @@ class Comparison:
     """(first missing tick, how many) where the recorder lost ticks: nothing after the first is comparable."""
     largest: float = 0.0
     """Largest |replayed - recorded| / max(1, |recorded|) over all columns; inf where an integer differs."""
+    story: Story | None = None
+    """What the latched faults at the end of the log have to tell."""
 
     @property
     def exact(self) -> bool:
@@ -115,7 +119,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     Raises LogError where the log cannot be read.
     """
     cycle.reset()
-    comparison = Comparison()
+    comparison, narrator = Comparison(), Narrator(cycle)
     expected: int | None = None
     for entry in log.ticks():
         inp = recorded_input(entry)
@@ -128,6 +132,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
         expected = tick + 1
         sent = cycle.begin(tick)
         out = cycle.step(inp)
+        narrator.look(inp.operator)
         sent += out.frames
         comparison.ticks += 1
         comparison.frames += len(sent)
@@ -144,6 +149,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
                     comparison.first.append(Difference(tick, "sent frames", entry.sent, sent))
         if progress is not None and comparison.ticks % 1000 == 0:
             progress(comparison.ticks)
+    comparison.story = narrator.story()
     return comparison
 
 

@@ -3,12 +3,14 @@
 One rule for the daemon and the lockstep. It reads no clock: its time is the tick.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import inf
 
 from drivers.signals import NEVER, DriveState, Fault, Mode, Stop
 from hil.loop.cycle import Cycle
-from hil.loop.report import fault_text, moving_text, waiting_text
+from hil.loop.report import moving_text, waiting_text
+from hil.loop.story.narrator import EventSink, Narrator, no_event
+from hil.loop.story.told import Story
 from hil.signals import Operator
 
 NO_DRIVES_S = 2.0
@@ -54,28 +56,52 @@ class Ending:
     """The operator has let go of a platform whose brakes were not proven shut."""
     unexpected: str = ""
     """Traceback of a defect of this program, for the log."""
+    done: str = ""
+    """What was done about a failure of the loop itself."""
+    story: Story | None = field(default=None, compare=False)
+    """What its latched faults have to tell."""
 
     @property
     def success(self) -> bool:
         """Parked as planned or on request, without a fault."""
         return self.mode is Mode.PARKED and not self.faults and not self.reason
 
+    @property
+    def trouble(self) -> str:
+        """What went wrong, when, and what was done about it; empty for a good ending."""
+        text = self.reason
+        if self.fault_tick >= 0:
+            text = f"{text} at tick {self.fault_tick}"
+        told = "" if self.story is None else self.story.done_text
+        done = "; ".join(filter(None, (told, self.done)))
+        return f"{text}: {done}" if done else text
+
 
 class Course:
     """Engages once the drives are ready, stops after `duration_s`, and ends the run.
 
+    `armed`: engages by itself; otherwise the operator's ENGAGE does, and `duration_s` counts from there.
     `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a platform
     that is held with force is held until the operator releases it, and one that moves after a fault is stayed
     with until it rests, or the operator asks for an emergency stop in FAULT. Otherwise both are simulated,
-    and end in time.
+    and end in time. `event` takes what each fault tells in its tick.
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
-    over before the drives were ready; the last fault's text; when a leg last moved.
+    over before the drives were ready; the first fault's tick and the last one's text; when a leg last moved.
     """
 
     def __init__(
-        self, cycle: Cycle, duration_s: float | None = None, *, reset: bool = False, stays: bool = False
+        self,
+        cycle: Cycle,
+        duration_s: float | None = None,
+        *,
+        armed: bool = True,
+        reset: bool = False,
+        stays: bool = False,
+        event: EventSink = no_event,
     ) -> None:
         self.cycle = cycle
+        self._narrator = Narrator(cycle, event)
+        self._operator: tuple[Operator, ...] = ()
         self.stays = stays
         rate = cycle.parts.rate_Hz
         self._held, self._moving = round(HELD_S * rate), round(MOVING_S * rate)
@@ -83,10 +109,13 @@ class Course:
         self._leaves = self._released = False
         self._no_drives, self._not_ready = round(NO_DRIVES_S * rate), round(NOT_READY_S * rate)
         self._tail = max(5, round(TAIL_S * rate))
-        self._stop_tick = inf if duration_s is None else round(duration_s * rate)
+        self._duration = inf if duration_s is None else round(duration_s * rate)
+        self._stop_tick = self._duration if armed else inf
+        self._armed = armed
         self._reset = reset
         self._engaged = self._requested = self._late = False
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
+        self._after_fault_since = -1
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
@@ -95,8 +124,12 @@ class Course:
             self._late = self.cycle.mode is Mode.WAITING
             operator = (Operator.STOP, *operator)
         if not self._engaged and self.cycle.mode is Mode.IDLE:
-            self._engaged = True
-            operator = (Operator.ENGAGE, *operator)
+            if self._armed:
+                self._engaged = True
+                operator = (Operator.ENGAGE, *operator)
+            elif Operator.ENGAGE in operator:
+                self._engaged = True
+                self._stop_tick = tick + self._duration
         if self._reset:
             self._reset = False
             operator = (Operator.RESET, *operator)
@@ -105,10 +138,30 @@ class Course:
             self._leaves = self._leaves or (self.cycle.mode is Mode.FAULT and Operator.ESTOP in operator)
         if Operator.RELEASE in operator and self.cycle.mode is Mode.HELD:
             self._released = True
+        self._operator = operator
         return operator
 
     def ending(self, tick: int) -> Ending | None:
-        """Return how the run ends with the tick that has just been stepped; None if it goes on.
+        """Return how the run ends with the tick that has just been stepped; None if it goes on."""
+        self._narrator.look(self._operator)
+        ending = self._ending(tick)
+        if ending is None:
+            return None
+        return replace(ending, story=self.story(), reason=ending.reason or self._narrator.short)
+
+    def failed(self, plant: str, tick: int) -> Ending:
+        """Return how a simulation ends in a tick that could not be stepped, since its plant had failed."""
+        cycle, before = self.cycle, self._narrator.short
+        reason = f"{plant}; before that: {before}" if before else plant
+        story = self._narrator.story(plant)
+        return Ending(cycle.mode, cycle.faults, reason, tick, self._fault_tick, story=story)
+
+    def story(self) -> Story | None:
+        """Return what the latched faults have to tell by now; None without any."""
+        return self._narrator.story()
+
+    def _ending(self, tick: int) -> Ending | None:
+        """Return how the run ends with a tick, without its story; None if it goes on.
 
         It ends parked, once the brakes are proven and all drives report OFF, or TAIL_S later; after a fault,
         when the legs have been at rest for TAIL_S; where no drive was heard for NO_DRIVES_S; and from then on
@@ -116,13 +169,14 @@ class Course:
         """
         cycle = self.cycle
         mode, since = cycle.mode, cycle.mode_tick
+        self._note_faults(tick)
         match mode:
             case Mode.PARKED if tick - since >= self._tail or (cycle.proven and _all_off(cycle)):
                 why = cycle.stop_requested
                 reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
                 if self._late:
                     reason = waiting_text(cycle)
-                return Ending(mode, cycle.faults, reason, tick, requested=self._requested)
+                return Ending(mode, cycle.faults, reason, tick, self._fault_tick, requested=self._requested)
             case Mode.FAULT | Mode.HELD:
                 return self._after_fault(tick)
             case Mode.WAITING if tick - since >= self._no_drives:
@@ -139,19 +193,13 @@ class Course:
         """Return how a run with a latched fault ends with this tick; None while it goes on."""
         cycle = self.cycle
         mode, since = cycle.mode, cycle.mode_tick
-        if self._fault_tick != since:
-            self._moved_tick = since
-            if self._faults != cycle.faults or not self._released:
-                self._fault_text = fault_text(cycle)
-            self._fault_tick, self._faults = since, cycle.faults
-        elif self._faults != cycle.faults:  # a leg moves on a brake that had shut, say
-            self._faults, self._fault_text = cycle.faults, fault_text(cycle)
+        if self._after_fault_since != since:
+            self._after_fault_since = self._moved_tick = since
         moving = moving_text(cycle)
         if moving:
             self._moved_tick = tick
         rested, text = tick - self._moved_tick, self._fault_text
         if mode is Mode.HELD:
-            text += ": not all brakes are proven shut, and the holding force stayed on"
             ends = not self.stays and (rested >= self._held or tick - since >= self._moving)
         else:
             left = self._leaves if self.stays else tick - since >= self._moving
@@ -160,7 +208,21 @@ class Course:
             ends = rested >= self._tail or left
         if not ends:
             return None
-        return Ending(mode, cycle.faults, text, tick, since, released=self._released)
+        return Ending(mode, cycle.faults, text, tick, self._fault_tick, released=self._released)
+
+    def _note_faults(self, tick: int) -> None:
+        """Keep what is to be said of the faults, as they strike."""
+        faults = self.cycle.faults
+        if faults == self._faults:
+            return
+        if not self._faults or self._faults & ~faults:  # the first ones, or those after a RESET
+            self._fault_tick = tick
+        self._faults, self._fault_text = faults, self._narrator.short
+
+    @property
+    def waits_for_consent(self) -> bool:
+        """Whether all is ready and only the operator's word is missing."""
+        return self.cycle.mode is Mode.IDLE and not self._engaged and not self._armed
 
     @property
     def stays_for(self) -> str:

@@ -9,7 +9,18 @@ from drivers.arrays import Array
 from drivers.signals import LEGS, Fault, Stop, Warn
 from drivers.tick_columns import Record
 from hil.config.limits import LimitSettings
-from hil.safety.certificate import ASKED, LAST_V, NO_WATCH, PAST, Watch
+from hil.safety.certificate import (
+    ASKED,
+    CONFIRM,
+    COUNT,
+    LAST_V,
+    NO_WATCH,
+    PAST,
+    POSE,
+    SCALARS,
+    Watch,
+)
+from hil.safety.encoder_limits import NONE, EncoderLimits
 from hil.safety.force_limits import BLOCK
 from hil.safety.kernels import LIMITS, MEMORY, judge_tick
 from hil.safety.recorder import recorder_stop
@@ -39,8 +50,9 @@ class Safety:
     Mutable state: the forces sent within the last 250 ms, the last of them being the last tau; which of the
     last 32 ticks were late; periods missed in a row; in which of the last 32 ticks the bus refused frames and
     in which frames of the drives were refused; the recorder's losses so far; whether all drives have been in
-    RUN since the brakes opened; where the legs have to stand; what the watch of the certificate remembers.
-    `reset` forgets all of it.
+    RUN since the brakes opened; where the legs have to stand; the last readings of the encoders, which of
+    them are doubted and which legs are pushed; what the watch of the certificate remembers. `reset` forgets
+    all of it.
     """
 
     def __init__(
@@ -52,6 +64,7 @@ class Safety:
         drive_force_limit: float,
         on_recorder_loss: Literal["continue", "stop"] = "continue",
         watch: Watch = NO_WATCH,
+        encoders: EncoderLimits = NONE,
     ) -> None:
         """Take the hard ends of the legs (m), the loop's rate and the drives' rated force (N)."""
         rows = len(watch.constants)
@@ -68,6 +81,8 @@ class Safety:
         self.limits["period_ns"] = round(1e9 / rate_Hz)
         self.limits["settle_ticks"] = round(SETTLE_S * rate_Hz)
         self.limits["stop_on_recorder_loss"] = recorder_stop(losing=True, on_loss=on_recorder_loss)
+        for name, value in encoders._asdict().items():
+            self.limits[name] = value
         self._memory = np.zeros((), MEMORY)
         self._history = np.zeros((max(1, round(WINDOW_S * rate_Hz)), LEGS))
         self._lows = np.zeros((math.ceil(len(self._history) / BLOCK), LEGS))
@@ -85,6 +100,23 @@ class Safety:
         """Let the force (6,) N come back at once: changes are limited as if it had been on all the time."""
         for forces in (self._history, self._lows, self._highs):
             forces[:] = tau
+
+    @property
+    def memory(self) -> Record:
+        """What the rules remember, a record of `hil.safety.kernels.MEMORY`: for reading alone."""
+        return self._memory
+
+    @property
+    def watches_pose(self) -> bool:
+        """Whether the axes of the certificate are those of the pose; else they are the legs."""
+        return bool(self._watched.size) and bool(self._watched[SCALARS, POSE])
+
+    def broken_axes(self) -> tuple[int, ...]:
+        """Return the axes that break the certificate for as long as is asked."""
+        if not self._watched.size:
+            return ()
+        counts, confirm = self._watch_memory[COUNT].tolist(), float(self._watched[SCALARS, CONFIRM])
+        return tuple(axis for axis, count in enumerate(counts) if count >= confirm)
 
     def moved_m(self, tick: Record) -> Array:
         """Return how far each leg is from where it had to stand the last time, (6,) m."""

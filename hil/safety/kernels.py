@@ -29,6 +29,8 @@ from hil.safety.certificate import (
     unsettle,
     watch,
 )
+from hil.safety.encoder_kernels import judge_encoders, push_legs, pushing
+from hil.safety.encoder_limits import ENCODER_LIMITS, ENCODER_MEMORY
 from hil.safety.finite import all_finite
 from hil.safety.following import lagging
 from hil.safety.force_limits import limit_force, limit_step, limit_window, remember, window_extremes
@@ -87,6 +89,7 @@ LIMITS = np.dtype(
         ("stretch_percent", "<f8"),
         ("period_ns", "<i8"),
         ("stop_on_recorder_loss", "<i8"),
+        *ENCODER_LIMITS,
     ]
 )
 """Section `limits`, and what else the rules compare with."""
@@ -103,6 +106,7 @@ MEMORY = np.dtype(
         ("standing", "<i8"),  # 1: the legs have to stand where they are
         ("resting", "<i8"),  # ticks in a row at rest after a fault
         ("still", "<f8", (LEGS,)),  # m, where the legs have to stand; nan before they are heard
+        *ENCODER_MEMORY,
     ]
 )
 """What the rules remember."""
@@ -163,7 +167,9 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
 
     if not _finite(tick):
         faults |= _NOT_FINITE
-    if stale(tick.counted_age, limits.stale_fault_ticks):
+    proves = mode in (_LOADING, _UNLOADING)  # no estimate proves a brake
+    ages = tick.age if proves else tick.counted_age
+    if stale(ages, limits.stale_fault_ticks) or (proves and tick.legs_slipped != 0):
         faults |= _STALE
     run = all_running(tick.drive_state)
     if drive_lost(tick.drive_state) or (moving and memory.running != 0 and not run):
@@ -194,17 +200,17 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
 def judge_frames(tick: Any, memory: Any) -> int:
     """Return fault bits of what was heard on the bus.
 
-    Another controller and an emergency stop of another node fault before the drives are powered, too; what
-    the drives say of themselves counts once they have been set up.
+    Another controller and an emergency stop of another node fault in every mode; what the drives say of
+    themselves counts once they have been set up, as long as they are needed.
     """
     memory.untrusted = refusals(memory.untrusted, tick.rejected - tick.sensors_rejected)
-    if tick.mode > _UNLOADING and tick.mode != _HELD:
-        return 0
     faults = 0
     if second_controller(tick.foreign):
         faults |= _SECOND_CONTROLLER
     if estop_heard(tick.foreign):
         faults |= _ESTOP
+    if tick.mode > _UNLOADING and tick.mode != _HELD:
+        return faults
     if tick.mode >= _IDLE and tick.doubled != 0:
         faults |= _DUPLICATE_NODE
     if tick.mode >= _IDLE and tick.altered != 0:
@@ -230,6 +236,7 @@ def limit_effort(
     if not all_finite(tau):
         faults = _LAW
         tau[:] = 0.0
+    push_legs(tau, limits, memory)
     rows = history.shape[0]
     newest = memory.newest
     last = history[newest].copy()
@@ -316,8 +323,9 @@ def judge_tick(
     memory.dropped = tick.recorder_dropped
     warnings = judge_loop(tick, memory, late, losing) | tick.fusion_warnings
     faults, more = judge_state(tick, limits, memory)
-    faults |= judge_standstill(tick, limits, memory)
     warnings |= more
+    faults |= judge_encoders(tick, limits, memory, history, memory.running != 0)
+    faults |= judge_standstill(tick, limits, memory)
     faults |= judge_frames(tick, memory)
     broken, more = judge_certificate(tick, memory.running, late, watched)
     faults |= broken
@@ -333,7 +341,7 @@ def judge_tick(
         faults |= _BUS
     law, more = limit_effort(tick, limits, memory, history, lows, highs)
     if watched.size:
-        settle(watched[CONSTANTS:], more != 0)
+        settle(watched[CONSTANTS:], more != 0 or pushing(memory))
     stop = _STOP_MISSED if too_many_missed(memory.missed, limits.missed_stop_ticks) else _NO_STOP
     if too_stretched(memory.stretched_ns, tick.tick * limits.period_ns, limits.stretch_percent):
         stop = _STOP_STRETCHED

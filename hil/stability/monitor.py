@@ -20,8 +20,6 @@ from hil.stability.error_dynamics import certificate
 ACTIONS = {"log": 0.0, "warn": 1.0, "fault": 2.0}
 LAGS = 3.0
 """Time constants of the force loop after which a command is forgotten, but for 5 % of it."""
-HELD_TICKS = 2
-"""A force acts from its tick's end to the next one's: transport and hold."""
 
 
 def certified(controller: LawSettings) -> ErrorDynamics | str:
@@ -48,10 +46,14 @@ def build_watch(
     platform: Platform,
     home: tuple[Array, Array],
     period_s: float,
+    transport_ticks: int = 1,
+    lag_s: float = 0.0,
 ) -> Watch:
     """Return what `hil.safety.certificate` watches; nothing for a law without a certificate.
 
     home: p (3,) m and R (3, 3), where the noise of the legs is turned into that of the pose.
+    transport_ticks: from a measurement to the force that answers it. lag_s: of the drives' force loop, as far
+    as it is known.
     """
     dynamics = certified(controller)
     if isinstance(dynamics, str):
@@ -84,7 +86,9 @@ def build_watch(
     constants[rule.SCALARS, rule.CONFIRM] = settings.confirm_ticks
     constants[rule.SCALARS, rule.PERIOD] = period_s
     constants.flags.writeable = False
-    return Watch(constants, HELD_TICKS + ceil(1e-3 * settings.drive_lag_ms * LAGS / period_s))
+    lag_s = max(1e-3 * settings.drive_lag_ms, lag_s)
+    held = max(transport_ticks, 1) + 1  # from its tick's end to the next one's
+    return Watch(constants, held + ceil(lag_s * LAGS / period_s))
 
 
 def _horizon_s(delay: DelayCompensation | None) -> float:

@@ -4,17 +4,17 @@
 """
 
 from functools import partial
-from math import exp, nan, pi
+from math import exp, inf, nan, pi
 
 import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.config import DriveSettings
-from drivers.signals import INVALID, LEGS, Reaction
+from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import kernels
-from plant_fmu.drives.faults.fault import Present
 from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS
+from plant_fmu.faults.fault import Present
 
 _NO_COUNTER = -1
 
@@ -29,8 +29,8 @@ class Drives:
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
         """Power up; `step_s` is the plant's internal step, over which the force lag is exact."""
-        self._integers = integers = np.zeros((kernels.MOVED + 1, LEGS), np.int64)
-        self._reals = reals = np.zeros((kernels.SHUT + 1, LEGS))
+        self._integers = integers = np.zeros((kernels.FOLLOWED + 1, LEGS), np.int64)
+        self._reals = reals = np.zeros((kernels.TRUE + 1, LEGS))
         self.state = integers[kernels.STATE]
         self.fault = integers[kernels.REASON]
         self.configured = integers[kernels.CONFIGURED]
@@ -38,7 +38,8 @@ class Drives:
         self.deadline_ns = integers[kernels.DEADLINE]
         self.reaction = integers[kernels.REACTION]
         self.acting = integers[kernels.ACTING]
-        self.moved_ns = integers[kernels.MOVED]
+        self.moved_ns = integers[kernels.MOVED :]
+        """(2, 6), see `kernels`."""
         self.command = reals[kernels.COMMAND]
         self.held_m = reals[kernels.HELD]
         self.force = reals[kernels.FORCE]
@@ -49,13 +50,14 @@ class Drives:
         integers[kernels.COUNTER] = _NO_COUNTER
         self.watchdog_ns[:] = round(settings.watchdog_ms * 1e6)
         self.deadline_ns[:] = NEVER_NS
-        self.reaction[:] = Reaction[settings.reaction.upper()]
+        self.reaction[:] = Reaction.BRAKE
         self.acting[:] = BRAKE
         integers[kernels.STUCK] = WORKS
         self.moved_ns[:] = NEVER_NS
-        reals[kernels.SHUT] = 1.0
         reals[kernels.FROZEN] = nan
-        reals[kernels.GAIN] = 1.0
+        reals[kernels.MOST] = inf
+        for row in (kernels.SHUT, kernels.TRUE, kernels.SHARE, kernels.GAIN, kernels.SCALE):
+            reals[row] = 1.0
         # First-order lag over one step: its end value and its mean.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         self.lags = x > 0.0
@@ -73,15 +75,33 @@ class Drives:
         self.obey = partial(kernels.obey, integers, reals, common)
         self.actuate = partial(kernels.actuate, integers, reals, common)
 
-    def disturb(self, present: Present, length: Array, rate: Array) -> None:
-        """Let the faults of this instant act, the plant being there; an encoder freezes at what it reads."""
-        self._reals[kernels.OFFSET] = present.offset_m
-        self._integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
+    def disturb(self, present: Present, length: Array, rate: Array, t_ns: int) -> None:
+        """Let the faults of this instant act, the plant being there.
+
+        An encoder freezes at what it reads, and scales what it moves from there on.
+        """
+        reals, integers = self._reals, self._integers
+        self.drift(present, t_ns)
+        begins = (reals[kernels.SCALE] == 1.0) & (np.array(present.scale) != 1.0)
+        reals[kernels.ORIGIN] = np.where(begins, length, reals[kernels.ORIGIN])
+        reals[kernels.SCALE] = present.scale
+        integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
         reads, _, _ = self.encoders(length, rate)
-        frozen = self._reals[kernels.FROZEN]
+        frozen = reals[kernels.FROZEN]
         frozen[:] = np.where(present.frozen, np.where(np.isnan(frozen), reads, frozen), nan)
-        self._reals[kernels.GAIN] = present.gain
-        self._integers[kernels.STUCK] = [WORKS if stuck is None else stuck for stuck in present.stuck]
+        reals[kernels.GAIN], reals[kernels.MOST] = present.gain, present.saturation_N
+        integers[kernels.STUCK] = [WORKS if stuck is None else stuck for stuck in present.stuck]
+        integers[kernels.SLOW], reals[kernels.SHARE] = present.slow_ns, present.share
+        for leg in np.flatnonzero(present.reset).tolist():
+            self.enter(leg, BOOT, DriveFault.NONE)
+            self.configured[leg], integers[kernels.COUNTER, leg] = False, _NO_COUNTER
+
+    def drift(self, present: Present, t_ns: int) -> None:
+        """Let encoders that drift be off by as much as they are by now."""
+        self._reals[kernels.OFFSET], self._reals[kernels.DRIFT] = present.offset_m, 0.0
+        for leg, by_m_s, since_ns in present.drifts:
+            self._reals[kernels.OFFSET, leg] += by_m_s * (t_ns - since_ns) * 1e-9
+            self._reals[kernels.DRIFT, leg] += by_m_s
 
     def encoders(
         self, length: Array, rate: Array, dt_s: float = 0.0, quantum_m: float = 0.0

@@ -28,15 +28,48 @@ NEVER_NS = 1 << 62
 WORKS = -1
 """A brake that is not stuck."""
 
-STATE, REASON, CONFIGURED, COUNTER, WATCHDOG, DEADLINE, REACTION, ACTING, STUCK, LOST, MOVED = range(11)
+(
+    STATE,
+    REASON,
+    CONFIGURED,
+    COUNTER,
+    WATCHDOG,
+    DEADLINE,
+    REACTION,
+    ACTING,
+    STUCK,
+    LOST,
+    SLOW,
+    MOVED,
+    FOLLOWED,
+) = range(13)
 """Rows of `integers`: DriveState, DriveFault, 1 if set up, counter of the last command, ns, ns, Reaction of a
-fault in RUN, Reaction of the latched fault, where a stuck brake stays, INVALID for a lost encoder, ns when a
-brake that moves has moved."""
-COMMAND, HELD, LAGGED, FROZEN, OFFSET, GAIN, FORCE, BRAKES, KEPT, SHUT = range(10)
+fault in RUN, Reaction of the latched fault, where a stuck brake stays, INVALID for a lost encoder, ns that a
+slow brake is later than its drive counts, ns when a brake that moves has moved, as its drive counts and in
+truth."""
+(
+    COMMAND,
+    HELD,
+    LAGGED,
+    FROZEN,
+    OFFSET,
+    SCALE,
+    ORIGIN,
+    DRIFT,
+    GAIN,
+    MOST,
+    FORCE,
+    BRAKES,
+    SHARE,
+    KEPT,
+    SHUT,
+    TRUE,
+) = range(16)
 """Rows of `reals`: N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the
-lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; gain of the wiring; what
-the plant gets: N, and 1 for an engaged brake; N, the drive's last force; 1 for a brake that has closed, 0 for
-one that has opened, as its drive counts."""
+lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; how it scales motion, and
+m, from where on; m/s, its drift; gain of the wiring; N, most that the drive gives; what the plant gets: N,
+and 1 for an engaged brake; share of its force that a brake has; N, the drive's last force; 1 for a brake that
+has closed, 0 for one that has opened, as its drive counts and in truth."""
 LIMIT, DAMPING, STIFFNESS, LAGS, LAG_END, LAG_MEAN, OPENING, CLOSING = range(8)
 """Places of `stage`, what the drives have in common: rated force N, gains of the reactions N s/m and N/m, 1
 if the force lags; end value and mean of that lag over one step of the plant; ns that a brake takes."""
@@ -72,7 +105,9 @@ def _encoder(integers: Ints, reals: Array, length: Array, rate: Array, leg: int)
     if integers[LOST, leg]:
         return 0.0, 0.0
     if np.isnan(reals[FROZEN, leg]):
-        return length[leg] + reals[OFFSET, leg], rate[leg]
+        origin, scale = reals[ORIGIN, leg], reals[SCALE, leg]
+        moved = length[leg] if scale == 1.0 else origin + scale * (length[leg] - origin)
+        return moved + reals[OFFSET, leg], scale * rate[leg] + reals[DRIFT, leg]
     return reals[FROZEN, leg], 0.0
 
 
@@ -91,6 +126,19 @@ def _move_brake(integers: Ints, reals: Array, stage: Array, leg: int, opens: boo
 
 
 @helper
+def _follow(integers: Ints, reals: Array, leg: int, t_ns: int) -> None:
+    """Let a brake do what its drive counts, later by what it is slow."""
+    if reals[TRUE, leg] == reals[SHUT, leg]:
+        integers[FOLLOWED, leg] = NEVER_NS
+        return
+    if integers[FOLLOWED, leg] == NEVER_NS:
+        integers[FOLLOWED, leg] = t_ns + integers[SLOW, leg]
+    if integers[FOLLOWED, leg] <= t_ns:
+        reals[TRUE, leg] = reals[SHUT, leg]
+        integers[FOLLOWED, leg] = NEVER_NS
+
+
+@helper
 def _actuate(
     integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool, t_ns: int
 ) -> bool:
@@ -101,6 +149,7 @@ def _actuate(
         acting = integers[ACTING, leg] if state == FAULT else BRAKE
         opens = state == RUN or acting != BRAKE
         _move_brake(integers, reals, stage, leg, opens, t_ns)
+        _follow(integers, reals, leg, t_ns)
         if not opens and state != READY and reals[SHUT, leg] == 0.0:
             f = reals[KEPT, leg]
         if acting in (DAMP, HOLD):
@@ -112,6 +161,7 @@ def _actuate(
         if not -stage[LIMIT] <= f <= stage[LIMIT]:
             f = stage[LIMIT] if f > 0.0 else -stage[LIMIT]
         reals[KEPT, leg] = f
+        f = min(max(f, -reals[MOST, leg]), reals[MOST, leg])
         if lag:
             gap = reals[LAGGED, leg] - f
             reals[LAGGED, leg] = f + gap * stage[LAG_END]
@@ -120,7 +170,7 @@ def _actuate(
             f = reals[LAGGED, leg]
         reals[FORCE, leg] = f * reals[GAIN, leg]
         stuck = integers[STUCK, leg]
-        reals[BRAKES, leg] = reals[SHUT, leg] if stuck == WORKS else float(stuck)
+        reals[BRAKES, leg] = reals[SHARE, leg] * (reals[TRUE, leg] if stuck == WORKS else float(stuck))
     return controls
 
 
@@ -162,7 +212,8 @@ def obey(
             reals[COMMAND, leg] = command[k]
             integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
     controls = fresh and _actuate(integers, reals, stage, length, rate, False, t_ns)
-    return fresh, controls, entered, min(integers[DEADLINE].min(), integers[MOVED].min())
+    moved = min(integers[MOVED].min(), integers[FOLLOWED].min())
+    return fresh, controls, entered, min(integers[DEADLINE].min(), moved)
 
 
 @direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)

@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from functools import lru_cache
 from math import floor
 from operator import itemgetter
-from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Ints
 from drivers.config import DriveSettings
-from drivers.errors import PlantError
+from drivers.errors import PlantError, ProtocolError
 from drivers.protocol import (
     Answer,
     Configure,
@@ -34,8 +33,12 @@ from drivers.protocol import (
 from drivers.signals import LEGS, DriveFault, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
-from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
+from plant_fmu.drives.reading import Reading
+from plant_fmu.drives.snapshot import Snapshot
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.gateway import Gateway
+from plant_fmu.faults.plan import FaultPlan, Schedule, weight
 from plant_fmu.plant import Plant, Truth
 
 _TIME = itemgetter(0)
@@ -44,40 +47,6 @@ _TIME = itemgetter(0)
 @lru_cache(maxsize=64)
 def _indices(legs: tuple[int, ...]) -> Ints:
     return np.array(legs, np.int64)
-
-
-class Snapshot(NamedTuple):
-    """The plant's end at one instant, for its log."""
-
-    t_ns: int
-    """Grid instant of length and rate."""
-    length: Array
-    """(6,) m, true."""
-    rate: Array
-    """(6,) m/s, true."""
-    command: Array
-    """(6,) N, last valid command."""
-    force: Array
-    """(6,) N, what the drives put on the plant."""
-    applied: Array
-    """(6,) N, the plant's own answer to that where it knows it, else `force`."""
-    state: Ints
-    """(6,) DriveState."""
-    fault: Ints
-    """(6,) DriveFault."""
-    brake: Array
-    """(6,) 1 engaged, 0 released."""
-    wrench: Array
-    """(6,) N, N m on the platform."""
-    truth: Truth | None
-    syncs: int
-    """SYNC frames or polls heard since the start."""
-    commands: int
-    """Valid command frames with a new counter."""
-    repeated: int
-    """Valid command frames whose counter had been seen: they count for nothing."""
-    rejected: int
-    """Frames that could not be trusted, or were for another SYNC than the present one."""
 
 
 class Nodes:
@@ -91,8 +60,8 @@ class Nodes:
     and a drive keeps its last force until its own has closed. An emergency stop brakes and is reported,
     whatever was latched before.
 
-    Mutable state: the plant, six drives, the protocol's memory at their end, the time, the generator of
-    frame faults. Owner of all of it; `start` resets it.
+    Mutable state: the plant, six drives, the protocol's memory at their end, the time, the schedule of the
+    faults and what they remember. Owner of all of it; `start` resets it.
     """
 
     def __init__(
@@ -126,9 +95,14 @@ class Nodes:
         self._next_beat_ns = t0_ns
         self._calm_ns = t0_ns
         """No watchdog, brake, edge or heartbeat is due before this instant."""
-        self._edges = [(t0_ns + round(edge_s * 1e9), edge_s) for edge_s in self._faults.edges_s()]
-        self._present = self._faults.present(0.0)
-        self._generator = np.random.default_rng(self._faults.seed)
+        self._schedule = Schedule(self._faults, t0_ns)
+        self._gateway = None
+        if self._faults.touches_frames:
+            self._gateway = Gateway(self._schedule, self._protocol, t0_ns)
+        self._reading = Reading()
+        self._missed: list[Received] = []
+        self._edges = self._schedule.edges_ns(t0_ns + 1)
+        self._present = self._schedule.present(t0_ns)
         self._truth: Truth | None = None
         self._truth_k = -1
         self.syncs = 0
@@ -143,11 +117,20 @@ class Nodes:
         last step's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
         status every heartbeat, one drive after the other, and at once when state or fault change.
         A watchdog that ends at `t_ns` exactly waits for the next step: a command of that instant is in time.
-        Raises PlantError if `t_ns` lies before the last step's or the plant fails.
+        Frames that faults delay or add may be for an instant to come. Raises PlantError if `t_ns` lies before
+        the last step's or the plant fails.
         """
         if t_ns < self._now_ns:
             raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self._now_ns} ns")
         out: list[tuple[int, Frame]] = []
+        if self._present.hangs:
+            self._missed += received
+            if not self._schedule.present(t_ns).hangs:
+                received, self._missed = self._missed, []
+            else:
+                return out
+        if self._gateway is not None:
+            received = self._gateway.hear(received, t_ns)
         frames = received if len(received) < 2 else sorted(received, key=_TIME)
         for t_frame_ns, frame in frames:
             t = min(max(t_frame_ns, self._now_ns), t_ns)
@@ -155,7 +138,38 @@ class Nodes:
             self._receive(t, frame, out)
         self._pass_time(t_ns, out)
         self._advance(t_ns)
-        return out
+        return out if self._gateway is None else self._gateway.send(out)
+
+    def reached(self, mode: str) -> None:
+        """Let the time of the faults count that wait for a mode of the controller: it has been reached."""
+        if self._schedule.reached(mode, self._now_ns):
+            self._edges = self._schedule.edges_ns(self._now_ns)
+            self._calm_ns = self._now_ns
+
+    @property
+    def bus_off(self) -> bool:
+        """A fault has cut the bus."""
+        return self._present.bus_off
+
+    @property
+    def now_ns(self) -> int:
+        """The end of the last step."""
+        return self._now_ns
+
+    @property
+    def fault_ns(self) -> int:
+        """When the first fault begins; `NEVER_NS` where none will, as things stand."""
+        return self._schedule.first_ns
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Faults whose mode the controller has not reached."""
+        return self._schedule.waiting
+
+    @property
+    def begun(self) -> tuple[Fault, ...]:
+        """Faults that have begun."""
+        return self._schedule.begun(self._now_ns)
 
     def snapshot(self) -> Snapshot:
         """Return the plant's end as it is now; arrays are copies."""
@@ -170,7 +184,7 @@ class Nodes:
             state=self._drives.state.copy(),
             fault=self._drives.fault.copy(),
             brake=self._drives.brake.copy(),
-            wrench=self._present.wrench.copy(),
+            wrench=self._wrench.copy(),
             truth=truth,
             syncs=self.syncs,
             commands=self._commands,
@@ -188,7 +202,7 @@ class Nodes:
         while t >= self._calm_ns:
             deadlines = self._drives.deadline_ns.tolist()
             watchdog = min(deadlines)
-            edge, edge_s = self._edges[0] if self._edges else (NEVER_NS, 0.0)
+            edge = self._edges[0] if self._edges else NEVER_NS
             moved = int(self._drives.moved_ns.min())
             other = min(edge, self._next_beat_ns, moved)
             if watchdog < t and watchdog <= other:
@@ -204,7 +218,7 @@ class Nodes:
             elif edge <= self._next_beat_ns:
                 del self._edges[0]
                 self._advance(edge)
-                self._present = self._faults.present(edge_s)
+                self._present = self._schedule.present(edge)
                 self._disturb(edge)
             else:
                 self._send_status(self._beats % LEGS, self._next_beat_ns, out)
@@ -226,10 +240,17 @@ class Nodes:
 
     def _move(self, n: int) -> None:
         drives = self._drives
-        self._length, self._rate = self._plant.step(
-            drives.force, drives.brake, self._present.wrench, n * self._h_s
-        )
+        self._length, self._rate = self._plant.step(drives.force, drives.brake, self._wrench, n * self._h_s)
+        if self._present.not_finite:
+            self._length = np.full(LEGS, np.nan)
         self._k += n
+
+    def _weigh(self) -> None:
+        """Set the wrench on the platform; a mass weighs where it is by now."""
+        self._wrench = self._present.wrench
+        truth = self._know() if self._present.masses else None
+        if truth is not None:
+            self._wrench = self._wrench + weight(self._present.masses, truth, self._faults.gravity)
 
     def _know(self) -> Truth | None:
         """Return the plant's truth, asked for once per instant."""
@@ -241,8 +262,12 @@ class Nodes:
     # drives
 
     def _disturb(self, t: int) -> None:
-        self._drives.disturb(self._present, self._length, self._rate)
+        if self._present.crashes:
+            raise PlantError("the plant crashed: fault plant_crash")
+        self._drives.disturb(self._present, self._length, self._rate, t)
+        self._weigh()
         self._actuate(t)
+        self._calm_ns = min(self._calm_ns, int(self._drives.moved_ns.min()))
 
     def _actuate(self, t: int, *, lag: bool = False) -> None:
         """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
@@ -272,11 +297,6 @@ class Nodes:
     # frames
 
     def _receive(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
-        if self._faults.touches_frames:
-            arrived = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
-            if arrived is None:
-                return
-            frame = arrived
         self._memory, messages = self._protocol.parse(self._memory, frame)
         for message in messages:
             match message:
@@ -298,17 +318,28 @@ class Nodes:
         self.syncs += 1
         self._advance(t)
         dt = (t - self._grid_ns()) * 1e-9
+        present = self._present
+        if present.masses:
+            self._weigh()
+        if present.drifts:
+            self._drives.drift(present, t)
         force = self._plant.applied_force()
         if force is None:
             force = self._drives.force
         quantum = self._emulation.encoder_resolution_m
         length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
-        frames = self._protocol.feedbacks(sync, length, rate, force, state)
-        if self._faults.touches_frames or any(self._present.silent):
-            for leg, frame in frames:
-                self._send(leg, t, (frame,), out)
-        else:
-            out += [(t, frame) for _, frame in frames]
+        if present.noise or any(present.late_ns):
+            self._reading.spoil(present, t, length, rate)
+        try:
+            frames = self._protocol.feedbacks(sync, length, rate, force, state)
+        except ProtocolError as error:
+            raise PlantError(f"the plant gave what is no measurement: {error}") from error
+        silent = present.silent
+        out += [(t, frame) for leg, frame in frames if not silent[leg]]
+        for leg, by_m in enumerate(present.forged_m):
+            if by_m is not None:
+                other = self._protocol.feedbacks(sync, length + by_m, rate, force, state)
+                out += [(t, frame) for k, frame in other if k == leg]
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
         self._advance(t)
@@ -348,12 +379,6 @@ class Nodes:
         self._send(leg, t, self._protocol.status(Status(leg, state, fault, holds)), out)
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:
-        """Queue frames of one drive, as far as it is not silent and they are not lost."""
-        if self._present.silent[leg]:
-            return
-        for frame in frames:
-            sent: Frame | None = frame
-            if self._faults.touches_frames:
-                sent = self._faults.pass_on(frame, (t - self._t0_ns) * 1e-9, self._generator)
-            if sent is not None:
-                out.append((t, sent))
+        """Queue frames of one drive, as far as it is not silent."""
+        if not self._present.silent[leg]:
+            out += [(t, frame) for frame in frames]

@@ -17,8 +17,8 @@ from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
-from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Truth
 
 _LONGEST_STAMP_S = 0.0655
@@ -116,16 +116,15 @@ class SensedNodes(Nodes):
         settings = getattr(self._noise, kind)
         values = self._measure[kind](self._moment(t_ns))
         lost = self._chance.random() < 0.01 * settings.lost_percent
-        if self._sync is None or lost:
+        if self._sync is None or lost or self._present.hangs:
             return
         offset_s = (t_ns - self._sync[0]) * 1e-9
         if offset_s > _LONGEST_STAMP_S:
             return
         frame = self._sensors.encode(kind, values.tolist(), self._sync[1], offset_s, self._count[kind])
         sent_ns = t_ns + round(settings.latency_ms * 1e6)
-        arrived = self._faults.pass_on(frame, (sent_ns - self._start_ns) * 1e-9, self._chance)
-        if arrived is not None:
-            self._waiting.append((sent_ns, arrived))
+        carried = self._schedule.carry(sent_ns, frame, to_drives=False)
+        self._waiting += [(at_ns, arriving) for at_ns, arriving, _ in carried]
 
     def _true(self) -> Truth:
         truth = self._know()
@@ -157,7 +156,7 @@ class SensedNodes(Nodes):
         )
 
     def _load(self, truth: Truth) -> Array:
-        s, wrench = self._noise.wrench, self._present.wrench
+        s, wrench = self._noise.wrench, self._wrench
         return self._turned(
             truth,
             (wrench[:3], s.force_bias_N, s.force_noise_N),

@@ -181,7 +181,7 @@ class ChildHost:
                 self._process.kill()  # an FMU that cannot be freed goes with its process
         os.close(self._command_w)
         try:
-            self._process.wait(self._step_timeout_s)
+            self._process.wait(self._start_timeout_s)  # an interpreter's end takes its time, too
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

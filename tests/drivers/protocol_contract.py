@@ -34,11 +34,11 @@ from drivers.protocol import (
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.faults.fault import Fault
-from plant_fmu.drives.faults.frames import FrameLoss
-from plant_fmu.drives.faults.leg import Silence
-from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.drive import DriveSilence
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.frames import FramesLoss
+from plant_fmu.faults.plan import FaultPlan
 
 PERIOD_NS = 4_000_000
 SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)
@@ -190,7 +190,9 @@ class ProtocolContract:
     def test_the_dialogue_sets_up_every_drive_and_then_falls_silent(self, protocol):
         ends = Ends(protocol)
         assert not any(protocol.legs_set_up(ends.dialogue))
+        assert all(protocol.set_up_lacks(ends.dialogue))
         ends.until_set_up()
+        assert protocol.set_up_lacks(ends.dialogue) == ("",) * LEGS
         drives = ends.nodes._drives
         assert drives.watchdog_ns.tolist() == [50_000_000] * LEGS
         assert drives.reaction.tolist() == [Reaction.DAMP] * LEGS
@@ -204,12 +206,13 @@ class ProtocolContract:
             frame_bits(len(frame.data), frame.flags)
 
     def test_a_drive_that_is_silent_is_not_set_up_and_does_not_hold_up_the_others(self, protocol):
-        ends = Ends(protocol, Silence(leg=3))
+        ends = Ends(protocol, DriveSilence(leg=3))
         ends.until_set_up([0, 1, 2, 4, 5])
         assert not protocol.legs_set_up(ends.dialogue)[3]
+        assert [bool(lack) for lack in protocol.set_up_lacks(ends.dialogue)] == [leg == 3 for leg in range(6)]
 
     def test_a_dialogue_that_loses_frames_comes_to_its_end_all_the_same(self, protocol):
-        ends = Ends(protocol, FrameLoss(probability=0.3, stop_s=0.2))
+        ends = Ends(protocol, FramesLoss(probability=0.3, for_s=0.2))
         ends.until_set_up()
         assert ends.nodes._drives.configured.tolist() == [True] * LEGS
 
@@ -294,7 +297,7 @@ class ProtocolContract:
             assert not any(protocol.fresh(Received(begun, frame), ends.tick, begun) for frame in ends.opening)
 
     def test_a_drive_that_falls_silent_ages_by_itself(self, protocol):
-        ends = Ends(protocol, Silence(leg=2, start_s=1.0))
+        ends = Ends(protocol, DriveSilence(leg=2, at_s=1.0))
         ends.until_set_up()
         while ends.measurement["age"][2] == 0:
             ends.step()

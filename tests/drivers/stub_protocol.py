@@ -220,6 +220,12 @@ class StubProtocol:
     def legs_set_up(self, dialogue: StubDialogue) -> tuple[bool, ...]:
         return tuple(done == EXCHANGES for done in dialogue.done)
 
+    def set_up_lacks(self, dialogue: StubDialogue) -> tuple[str, ...]:
+        return tuple(
+            "" if done == EXCHANGES else f"exchange {done} of {EXCHANGES} is not confirmed"
+            for done in dialogue.done
+        )
+
     def emergency_stop(self) -> tuple[Frame, ...]:
         return tuple(self._frame(STOP, leg) for leg in range(LEGS))
 

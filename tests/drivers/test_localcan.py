@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import itertools
@@ -53,7 +54,9 @@ def start(code, timing="1_000_000, 5_000_000", stdin=None):
 def end(child):
     child.kill()
     child.wait(10)
-    child.stdout.close()
+    for stream in (child.stdin, child.stdout):
+        if stream is not None:
+            stream.close()
 
 
 PREAMBLE = """
@@ -386,7 +389,7 @@ def test_all_see_one_order_whoever_is_stopped_when(join, tmp_path):
     watcher = join()
     code = """
 import json, random
-random.seed({seed}); seen = []; until = time.monotonic() + 2.0
+random.seed({seed}); seen = []; sys.stdin.readline(); until = time.monotonic() + 2.0
 while time.monotonic() < until:
     node.send([Frame(random.randrange(0x100, 0x700), bytes([{seed}, k])) for k in range(random.randrange(3))])
     seen += node.receive()
@@ -396,18 +399,24 @@ with open("{folder}/{seed}", "w") as file:
     json.dump([(t, f.id, f.data.hex()) for t, f in seen], file)
 print("done", flush=True)
 """
-    children = [
-        start(code.replace("{seed}", str(seed)).replace("{folder}", str(tmp_path))) for seed in range(4)
-    ]
-    order = random.Random(3)
-    seen, until = [], time.monotonic() + 2.0
-    while time.monotonic() < until:
-        child = order.choice(children[:2])
-        os.kill(child.pid, signal.SIGSTOP)
-        time.sleep(order.random() * 0.01)
-        os.kill(child.pid, signal.SIGCONT)
-        seen += watcher.receive()
-    assert [child.stdout.readline() for child in children] == ["done\n"] * 4
+    with contextlib.ExitStack() as stack:
+        children = [
+            start(code.replace("{seed}", str(k)).replace("{folder}", str(tmp_path)), stdin=subprocess.PIPE)
+            for k in range(4)
+        ]
+        for child in children:
+            stack.callback(end, child)
+        for child in children:
+            print(file=child.stdin, flush=True)
+        order = random.Random(3)
+        seen, until = [], time.monotonic() + 2.0
+        while time.monotonic() < until:
+            child = order.choice(children[:2])
+            os.kill(child.pid, signal.SIGSTOP)
+            time.sleep(order.random() * 0.01)
+            os.kill(child.pid, signal.SIGCONT)
+            seen += watcher.receive()
+        assert [child.stdout.readline() for child in children] == ["done\n"] * 4
     logs = [[tuple(each) for each in json.loads((tmp_path / str(k)).read_text())] for k in range(4)]
     seen += watcher.receive()
     ends = [t for t, _ in seen]
@@ -418,8 +427,6 @@ print("done", flush=True)
         others = [each for each in frames if each[2][:2] != f"{seed:02x}"]
         begun = others.index(log[0])
         assert log == others[begun : begun + len(log)]
-    for child in children:
-        end(child)
 
 
 @pytest.mark.parametrize("seed", range(20))

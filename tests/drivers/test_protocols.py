@@ -188,7 +188,8 @@ def test_drives_whose_set_up_is_not_complete_are_named(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
     cycle.dialogue = cycle.dialogue._replace(done=(3, 3, 3, 3, 1, 3))
-    assert waiting_text(cycle) == "the drives are not ready: drive 4 does not complete its set-up"
+    said = "drive 4 does not complete its set-up: exchange 1 of 3 is not confirmed"
+    assert waiting_text(cycle) == f"the drives are not ready: {said}"
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Frame, Rec
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Warn
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
-from hil.loop.report import fault_text
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, TickInput
 from tests.drivers.legs_frames import one_feedback, parse
+from tests.stories import fault_text
 
 PERIOD_NS = 1_000_000
 
@@ -153,8 +153,11 @@ def test_a_silent_leg_is_carried_on_at_its_last_rate_then_faults(bench):
     np.testing.assert_allclose(carried, 0.01e-3 * np.array(ages), atol=1e-7)
     assert warned == [False, True, True, True, True]
     assert bench.cycle.faults == Fault.STALE
-    assert bench.drives.commands[-1].mode == DriveMode.OFF
-    assert fault_text(bench.cycle) == "latched fault STALE (leg 2 not heard for 5 ticks)"
+    assert bench.cycle.mode is Mode.HELD
+    assert bench.drives.commands[-1].mode == DriveMode.READY, "the brakes shut, and the force stays on"
+    assert fault_text(bench.cycle) == (
+        "latched fault STALE (leg 2 not heard for 5 ticks, limits.stale_fault_ticks is 5)"
+    )
 
 
 def test_legs_that_are_silent_together_are_called_a_stall_with_what_to_change(bench):
@@ -242,7 +245,7 @@ def test_a_drive_in_fault_faults_the_controller(bench):
     bench.until(Mode.APPROACH)
     bench.drives.state[4] = DriveState.FAULT
     bench.step()
-    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.mode is Mode.PARKING
     assert bench.cycle.faults & Fault.DRIVE
 
 
@@ -311,16 +314,17 @@ def test_the_force_stays_on_while_one_brake_does_not_shut_and_then_it_is_a_fault
 
 
 @pytest.mark.parametrize(
-    ("mode", "stuck"), [(Mode.LOADING, DriveState.OFF), (Mode.RELEASING, DriveState.READY)]
+    ("mode", "stuck", "leads"),
+    [(Mode.LOADING, DriveState.OFF, Mode.FAULT), (Mode.RELEASING, DriveState.READY, Mode.PARKING)],
 )
-def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stuck):
+def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stuck, leads):
     bench.until(mode)
     entered = bench.tick
     while bench.cycle.mode is mode:
         bench.drives.state[1] = stuck
         bench.step()
         assert bench.tick < 5000
-    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.mode is leads
     assert bench.cycle.faults & Fault.DRIVE
     assert 1000 < bench.tick - entered < 1700
 
@@ -333,7 +337,7 @@ def test_legs_that_do_not_come_to_rest_are_a_fault_and_not_a_stop_for_ever(bench
         bench.drives.rate = 0.021 if bench.tick % 2 else -0.021
         bench.step()
         assert bench.tick < 5000
-    assert bench.cycle.mode is Mode.FAULT
+    assert bench.cycle.mode is Mode.PARKING
     assert bench.cycle.faults == Fault.FOLLOWING
     assert 1400 < bench.tick - stopping < 1600
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.signals import DriveMode, DriveState, Fault, Mode
+from hil.config.reactions import ReactionSettings
 from hil.loop.modes import Durations, Facts, after_fault, drive_mode, next_mode, overdue
 from hil.signals import Operator
 
@@ -123,27 +124,92 @@ def test_a_held_platform_is_let_go_of_by_the_operators_release_and_nothing_else(
     for operator in Operator:
         expected = Mode.FAULT if operator is Operator.RELEASE else Mode.HELD
         assert after(Mode.HELD, operator=(operator,), stop=True, finished=True, elapsed=1e6) is expected
+    assert after(Mode.HELD, drive_state=states(DriveState.FAULT, DriveState.READY)) is Mode.HELD
+    for state, elapsed, provable, expected in (
+        (DriveState.READY, 0.2, True, Mode.UNLOADING),
+        (DriveState.READY, 0.19, True, Mode.HELD),
+        (DriveState.READY, 9.0, False, Mode.HELD),
+        (DriveState.RUN, 9.0, True, Mode.HELD),
+    ):
+        found = after(
+            Mode.HELD, drive_state=states(DriveState.READY, state), elapsed=elapsed, provable=provable
+        )
+        assert found is expected
+    assert after(Mode.HELD, drive_state=states(DriveState.FAULT)) is Mode.FAULT, "there is no force"
     for mode in set(Mode) - {Mode.HELD}:
         assert after(mode, operator=(Operator.RELEASE,)) is after(mode)
 
 
-LOST = (Fault.ESTOP, Fault.DRIVE, Fault.BUS)
+NOBODY = (Fault.ESTOP, Fault.BUS, Fault.SECOND_CONTROLLER)
+UNSEEN = (
+    *(Fault.STALE, Fault.ENCODER, Fault.UNCERTAIN, Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION),
+    *(Fault.NOT_FINITE, Fault.LAW, Fault.DUPLICATE_NODE),
+)
+"""Where a leg is not measured, or no law can be evaluated, no brake is seen to hold."""
+DEFAULT = ReactionSettings()
+
+
+def leads(mode, fault, reactions=DEFAULT, *, located=True, heard=True):
+    ss1, sto = reactions.led_to("ss1"), reactions.led_to("sto")
+    return after_fault(mode, fault, ss1, sto, located=located, heard=heard)
 
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
 @pytest.mark.parametrize("mode", Mode)
 def test_a_fault_leaves_the_force_on_where_it_alone_may_hold_the_platform(mode, fault):
-    braked = {Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED}
-    held = mode in {Mode.PARKING, Mode.UNLOADING, Mode.HELD} or (mode in braked and fault is Fault.BRAKE)
-    expected = Mode.HELD if held and fault not in LOST else Mode.FAULT
-    assert after_fault(mode, fault, located=True) is expected
-    for lost in LOST:
-        assert after_fault(mode, fault | lost, located=True) is Mode.FAULT
+    match mode:
+        case _ if fault in NOBODY or mode is Mode.FAULT:
+            expected = Mode.FAULT
+        case Mode.PARKING | Mode.UNLOADING | Mode.HELD:
+            expected = Mode.HELD if fault is Fault.BRAKE or fault in UNSEEN else mode
+        case Mode.IDLE | Mode.LOADING | Mode.PARKED:
+            expected = Mode.HELD if fault is Fault.BRAKE else Mode.FAULT
+        case Mode.WAITING:
+            expected = Mode.FAULT
+        case _ if fault in UNSEEN:
+            expected = Mode.HELD
+        case Mode.APPROACH | Mode.TRACKING | Mode.STOPPING if fault in DEFAULT.led_to("ss1"):
+            expected = Mode.STOPPING
+        case _:
+            expected = Mode.PARKING
+    assert leads(mode, fault) is expected
+    assert leads(mode, fault, heard=False) is Mode.FAULT
+    for lost in NOBODY:
+        assert leads(mode, fault | lost) is Mode.FAULT
+
+
+def test_of_several_faults_the_strongest_reaction_counts():
+    assert leads(Mode.TRACKING, Fault.CERTIFICATE | Fault.SET_UP) is Mode.STOPPING
+    assert leads(Mode.TRACKING, Fault.CERTIFICATE | Fault.SPEED) is Mode.PARKING
+    assert leads(Mode.STOPPING, Fault.SPEED) is Mode.PARKING
+    assert leads(Mode.TRACKING, Fault.CERTIFICATE | Fault.SPEED | Fault.STALE) is Mode.HELD
+    off = ReactionSettings(speed="sto")
+    assert leads(Mode.TRACKING, Fault.CERTIFICATE | Fault.SPEED, off) is Mode.FAULT
+    assert leads(Mode.TRACKING, Fault.SPEED, ReactionSettings(speed="ss1")) is Mode.STOPPING
+
+
+def test_every_fault_has_a_reaction_or_none_that_could_be_chosen():
+    assert Fault.STALE in DEFAULT.led_to("sbc")
+    assert Fault.CERTIFICATE in DEFAULT.led_to("ss1")
+    assert DEFAULT.led_to("sto") is Fault.NONE
+    named = DEFAULT.led_to("ss1") | DEFAULT.led_to("sbc")
+    assert {f for f in Fault if f and f not in named} == {*NOBODY, Fault.BRAKE}
+    with pytest.raises(ValueError, match="ss1"):
+        ReactionSettings.model_validate({"stale": "ss1"})
+
+
+def test_a_drive_that_has_shut_its_brake_by_itself_does_not_keep_the_others_waiting():
+    for odd, expected in (
+        (DriveState.FAULT, Mode.UNLOADING),
+        (DriveState.OFF, Mode.PARKING),
+        (DriveState.RUN, Mode.PARKING),
+    ):
+        assert after(Mode.PARKING, elapsed=0.2, drive_state=states(DriveState.READY, odd)) is expected
 
 
 def test_where_the_pose_was_never_found_no_force_comes_back():
-    assert after_fault(Mode.PARKED, Fault.BRAKE, located=False) is Mode.FAULT
-    assert after_fault(Mode.UNLOADING, Fault.BRAKE, located=False) is Mode.HELD, "its force is known"
+    assert leads(Mode.PARKED, Fault.BRAKE, located=False) is Mode.FAULT
+    assert leads(Mode.UNLOADING, Fault.BRAKE, located=False) is Mode.HELD, "its force is known"
 
 
 DRIVES = {

@@ -1,6 +1,7 @@
 """What is watched: the numbers of the certificate, and that they allow what they promise to allow."""
 
 import math
+from math import ceil
 
 import numpy as np
 import pytest
@@ -51,6 +52,8 @@ def test_the_constants_of_a_critically_damped_law(platform):
     np.testing.assert_array_equal(table[11], [0, 0, 1, 2, 3, T])
     assert ticks == 2 + 3, "transport and hold, and 2.4 ms of the force loop"
     assert build_watch(MonitorSettings(), PLAIN, platform, HOME, 0.02).ticks == 2 + 1
+    polled = build_watch(MonitorSettings(), PLAIN, platform, HOME, T, transport_ticks=2, lag_s=3.2e-3)
+    assert polled.ticks == 3 + ceil(3 * 3.2)
 
 
 def test_noise_of_the_legs_reaches_the_pose_through_the_jacobian(platform):

@@ -10,6 +10,7 @@ from drivers.signals import DriveState, Fault, Foreign, Mode, Stop, Warn
 from hil.config.limits import LimitSettings
 from hil.safety import guard
 from hil.safety.certificate import Watch
+from hil.safety.encoder_limits import NONE
 from tests.records import record_of
 
 POWERED = (
@@ -284,14 +285,22 @@ def test_guard_takes_eight_refusing_ticks_of_32_for_a_bus_that_cannot_be_relied_
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_faults_for_another_controller_until_the_run_is_over(mode):
-    over = mode in {Mode.PARKED, Mode.FAULT}
+def test_guard_faults_for_another_controller_in_every_mode(mode):
     for kind in (Foreign.SYNC, Foreign.COMMAND, Foreign.CONFIG):
-        verdict = Bench().tick(mode, foreign=kind)
-        assert verdict.faults == (Fault.NONE if over else Fault.SECOND_CONTROLLER)
-    assert Bench().tick(mode, foreign=Foreign.ESTOP).faults == (Fault.NONE if over else Fault.ESTOP)
+        assert Bench().tick(mode, foreign=kind).faults == Fault.SECOND_CONTROLLER
+    assert Bench().tick(mode, foreign=Foreign.ESTOP).faults == Fault.ESTOP
     both = Fault.ESTOP | Fault.SECOND_CONTROLLER
-    assert Bench().tick(mode, foreign=Foreign.ESTOP | Foreign.SYNC).faults == (Fault.NONE if over else both)
+    assert Bench().tick(mode, foreign=Foreign.ESTOP | Foreign.SYNC).faults == both
+
+
+@pytest.mark.parametrize("mode", POWERED)
+def test_guard_takes_no_estimate_of_a_leg_where_its_brake_is_tested(mode):
+    """The filter stands in for a leg that may be lost; on shut brakes it believes that all stand."""
+    tested = mode in {Mode.LOADING, Mode.UNLOADING}
+    for age, of_the_leg in ((4, Fault.NONE), (5, Fault.STALE)):
+        verdict = Bench().tick(mode, age=leg(age, 0, np.int64), counted_age=leg(0, 0, np.int64))
+        assert verdict.faults == (of_the_leg if tested else Fault.NONE)
+    assert Bench().tick(mode, legs_slipped=1 << 5).faults == (Fault.STALE if tested else Fault.NONE)
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -341,11 +350,23 @@ def test_guard_stops_a_bench_whose_time_stood_still_for_more_than_its_share():
     assert bench.tick(tick=0).stop is Stop.STRETCHED
 
 
-def test_short_stretches_do_not_count_however_many():
+def test_guard_does_not_count_short_stretches_however_many():
     bench = Bench()
     assert not any(bench.tick(stretched_ns=3_999_999).stop for _ in range(1000))
     stops = [bench.tick(tick=0, stretched_ns=4_000_000).stop for _ in range(126)]
     assert stops == [Stop.NONE] * 125 + [Stop.STRETCHED]
+
+
+def test_guard_pushes_a_leg_that_stands_still_once_all_drives_run_and_faults_for_one_that_is_held_fast():
+    limits = NONE._replace(watched_legs=63, length_noise_m=0.01, push_N=np.full(6, 8.0), push_ticks=2)
+    bench = Bench(encoders=limits)
+    astray, ready = leg(5.2, 5.0), leg(DriveState.READY, DriveState.RUN, np.int64)
+    for q_d in (5.0, astray, astray):
+        bench.tick(Mode.LOADING, q_d=q_d, drive_state=ready)
+        assert not bench.safety.memory["pushed_N"].any()
+    verdicts = [bench.tick(q_d=q_d) for q_d in (5.0, *[astray] * 5)]
+    np.testing.assert_allclose([v.tau[3] for v in verdicts[:5]], [0.0, 8.0, 8.0, 0.0, -8.0])
+    assert [v.faults for v in verdicts] == [Fault.NONE] * 5 + [Fault.ENCODER]
 
 
 def test_guard_warns_of_a_noisy_bus():
@@ -577,7 +598,7 @@ def certified(action=WARN, ticks=3, **options):
     table[6], table[8] = 1e-6, 1.0  # noise, decay
     table[11] = [0.0, 0.0, 1.0, action, 1.0, 1.0 / RATE_HZ]
     for name, value in options.items():
-        row, axis = {"pose": (11, 0), "disturbance": (5, 3)}[name]
+        row, axis = {"pose": (11, 0), "confirm": (11, 4), "disturbance": (5, 3)}[name]
         table[row, axis] = value
     return Bench(watch=Watch(table, ticks))
 
@@ -720,8 +741,21 @@ def test_guard_takes_the_errors_of_the_pose_for_a_law_in_pose_space():
     bench = certified(pose=1.0)
     pushed = {"p_d": np.array([0.0, 0.0, 0.5]), "q": leg(5.1, 5.0)}
     assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.25)
+    assert bench.safety.watches_pose
     bench = certified()
     assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.01)
+    assert not bench.safety.watches_pose
+    assert not Bench().safety.watches_pose
+
+
+def test_guard_names_the_axes_that_break_the_certificate_for_as_long_as_is_asked():
+    assert Bench().safety.broken_axes() == ()
+    bench = certified(confirm=2.0)
+    named = []
+    for de in (0.5, 0.6, 0.9, 1.4, 0.1):
+        figures(bench, de=de)
+        named.append(bench.safety.broken_axes())
+    assert named == [(), (), (3,), (3,), ()]
 
 
 def test_guard_forgets_the_certificate_on_reset():

@@ -20,6 +20,7 @@ import pytest
 import hil.safety
 from drivers.tick_columns import Record
 from hil.control.error_axes import error_axes
+from tests.hil import encoder_bench
 
 PACKAGE = Path(hil.safety.__file__).parent
 FAMILIES = [
@@ -37,12 +38,16 @@ FAMILIES = [
     "force_limits",
     "certificate",
 ]
-TOGETHER = ["kernels", "guard"]
+ENCODERS = ["latch", "increments", "leaps", "stillness"]
 
 EQUIVALENT = {
     "force_limits 16: 16 one more": "blocks of any size have the same extremes",
     "force_limits 16: 16 less": "blocks of any size have the same extremes",
     "kernels 6: 6 one more": "six elements are filled and read of an array of seven, too",
+    "latch 0.0: 0.0 one more": "sums are compared with sums; without a leg that moves nobody bears witness",
+    "encoder_kernels 12: 12 one more": "a row of scratch that nobody uses",
+    "encoder_kernels 1e-09: 1e-09 less": "any number that is small beside every noise",
+    "encoder_kernels abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]: Gt to GtE": "there it is allowed anyway",
     "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",
 }
 """Changes that no test can notice, by their name, with the reason."""
@@ -164,7 +169,7 @@ def source_of(name: str) -> ast.Module:
 def plain_links() -> dict[str, Any]:
     """Return every function of the package in its uncompiled form, and the modules that guard imports."""
     links: dict[str, Any] = {"error_axes": error_axes.py_func}  # type: ignore[attr-defined]
-    for name in [*FAMILIES, "kernels"]:
+    for name in [*FAMILIES, *ENCODERS, "encoder_kernels", "kernels"]:
         module = load(name, source_of(name), links)
         links.update({k: v for k, v in vars(module).items() if inspect.isfunction(v)})
         links[name] = module
@@ -258,9 +263,9 @@ def survivors(
     return left
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", [*FAMILIES, *ENCODERS])
 def test_the_tests_of_a_rule_notice_every_change_of_it(family):
-    module = claims("test_safety_rules.py")
+    module = claims("test_encoder_rules.py" if family in ENCODERS else "test_safety_rules.py")
     left = survivors(family, module, lambda m: setattr(module, family, m), f"test_{family}_")
     assert not left, "\n".join(left)
 
@@ -275,6 +280,24 @@ def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
         module.guard = load("guard", source_of("guard"), {**links, "judge_tick": judge_tick})  # type: ignore[attr-defined]
 
     left = survivors("kernels", module, exchange, "test_guard_")
+    assert not left, "\n".join(left)
+
+
+@pytest.mark.long
+def test_the_tests_of_encoders_notice_every_change_of_their_fused_rules(monkeypatch):
+    doubts, motion = claims("test_encoder_kernels.py"), claims("test_encoder_motion.py")
+    vars(doubts).update({k: v for k, v in vars(motion).items() if k.startswith("test_encoders_")})
+    links = plain_links()
+
+    def exchange(changed: ModuleType) -> None:
+        functions = {k: v for k, v in vars(changed).items() if inspect.isfunction(v)}
+        kernels = load("kernels", source_of("kernels"), {**links, **functions})
+        judge_tick = by_name(kernels.judge_tick)
+        linked = load("guard", source_of("guard"), {**links, "judge_tick": judge_tick})
+        monkeypatch.setattr(encoder_bench, "guard", linked)
+        motion.encoder_kernels = changed  # type: ignore[attr-defined]
+
+    left = survivors("encoder_kernels", doubts, exchange, "test_encoders_")
     assert not left, "\n".join(left)
 
 

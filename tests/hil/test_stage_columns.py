@@ -23,6 +23,8 @@ from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
 from hil.app.compose import build_cycle, build_nodes, build_sensors
 from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.encoder_limits import encoder_limits
 from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
@@ -49,7 +51,7 @@ POSE = ("p", "R", "twist")
 STATE = ("q", "dq", *POSE, "J")
 LAWS_READ = (*part("estimate", "reference"), "shortfall")
 SAFETY_READS = (
-    *(name for name in part("input") if name not in {"tick", "t_ns", "compute_ns", "frames_crc32"}),
+    *(name for name in part("input") if name not in {"compute_ns", "frames_crc32"}),
     *(
         "mode",
         "tau_asked",
@@ -67,6 +69,7 @@ SAFETY_READS = (
     *(*STATE, "fk_residual", "hop", "condition", "unseen", "fusion_faults", "fusion_warnings"),
     *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
 )
+MOVED_OR_DOUBTED = ("legs_moved", "legs_doubted", "doubt", "doubt_value", "doubt_limit")
 LYAPUNOV = ("lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share")
 
 
@@ -195,11 +198,14 @@ def test_safety_fills_force_and_certificate_and_looks_neither_at_the_law_nor_at_
         following_error_m=9.0,
     )  # fmt: skip
 
+    c = load("virtual")
+    encoders = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), 1e3)
+
     def make_stage():
-        return Safety(limits, 0.5, 9.0, 1e3, 1e5, watch=Watch(table, 1)).judge
+        return Safety(limits, 0.5, 9.0, 1e3, 1e5, watch=Watch(table, 1), encoders=encoders).judge
 
     off = moving(mode=Mode.IDLE)
-    follow(make_stage, moving() + off[:2] + moving(), SAFETY_READS, ("tau", "legs_moved", *LYAPUNOV))
+    follow(make_stage, moving() + off[:2] + moving(), SAFETY_READS, ("tau", *MOVED_OR_DOUBTED, *LYAPUNOV))
 
 
 def test_the_predictor_moves_the_state_on_and_reads_nothing_else_but_the_load():

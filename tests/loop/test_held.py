@@ -15,10 +15,11 @@ from hil.app.sim.lockstep import Lockstep
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator, TickInput
-from plant_fmu.drives.faults.encoder import EncoderLost
-from plant_fmu.drives.faults.fault import Fault as PlantFault
-from plant_fmu.drives.faults.leg import Silence, StuckBrake
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.brake import BrakeStuckOpen
+from plant_fmu.faults.drive import DriveSilence
+from plant_fmu.faults.encoder import EncoderLost
+from plant_fmu.faults.fault import Fault as PlantFault
+from plant_fmu.faults.plan import FaultPlan
 
 BOUND_m = 10e-3
 """No leg may move by more because of a brake."""
@@ -90,8 +91,10 @@ def assert_held(ran: Ran, legs: tuple[int, ...], since: Mode) -> float:
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert not ran.ending.success
     assert ran.ending.faults == Fault.BRAKE
-    named = {leg for leg in LEGS if f"leg {leg} moved" in ran.ending.reason}
+    assert ran.ending.story is not None
+    named = {each.seen.leg for each in ran.ending.story.findings if each.seen.leg is not None}
     assert named
+    assert f"leg {', '.join(map(str, sorted(named)))} moved" in ran.ending.reason
     assert named <= set(legs), ran.ending.reason
     assert "limits.standstill_m is 0.5 mm" in ran.ending.reason
     held = ran.rows[ran.rows["mode"] == Mode.HELD]
@@ -118,7 +121,7 @@ def test_a_good_brake_passes_both_tests_and_the_run_is_a_success(good):
 @pytest.mark.parametrize("leg", LEGS)
 def test_a_brake_that_does_not_close_when_parking_is_found_and_its_leg_held(good, leg, capsys):
     """Before: 401 mm, PARKED, success."""
-    ran = run(load("virtual"), StuckBrake(leg=leg, engaged=False, start_s=begins(good, Mode.TRACKING, 0.5)))
+    ran = run(load("virtual"), BrakeStuckOpen(leg=leg, at_s=begins(good, Mode.TRACKING, 0.5)))
     moved = assert_held(ran, (leg,), Mode.UNLOADING)
     assert f"leg {leg} moved" in ran.ending.reason
     with capsys.disabled():
@@ -128,7 +131,7 @@ def test_a_brake_that_does_not_close_when_parking_is_found_and_its_leg_held(good
 def test_six_brakes_that_do_not_close_when_parking_leave_the_platform_on_its_force(good, capsys):
     """Before: 352 mm."""
     since = begins(good, Mode.TRACKING, 0.5)
-    ran = run(load("virtual"), *[StuckBrake(leg=leg, engaged=False, start_s=since) for leg in LEGS])
+    ran = run(load("virtual"), *[BrakeStuckOpen(leg=leg, at_s=since) for leg in LEGS])
     moved = assert_held(ran, tuple(LEGS), Mode.UNLOADING)
     with capsys.disabled():
         print(f"\nsix brakes open when parking: {1e3 * moved:.2f} mm")
@@ -147,7 +150,7 @@ CLOSED = [
 @pytest.mark.parametrize(("mode", "share"), CLOSED, ids=[f"{m.name} {s}" for m, s in CLOSED])
 def test_a_brake_that_opens_by_itself_under_load_is_caught(good, mode, share, legs, capsys):
     since = begins(good, mode, share)
-    ran = run(load("virtual"), *[StuckBrake(leg=leg, engaged=False, start_s=since) for leg in legs])
+    ran = run(load("virtual"), *[BrakeStuckOpen(leg=leg, at_s=since) for leg in legs])
     moved = assert_held(ran, legs, Mode.UNLOADING if mode is Mode.UNLOADING else Mode.IDLE)
     with capsys.disabled():
         print(f"\nbrake opens in {mode.name}: {1e3 * moved:.2f} mm")
@@ -159,7 +162,7 @@ def test_other_robots_hold_their_legs_too(name, capsys):
     good = run(c)
     assert good.ending.success, good.ending
     since = begins(good, Mode.TRACKING, 0.9)
-    ran = run(c, StuckBrake(leg=2, engaged=False, start_s=since))
+    ran = run(c, BrakeStuckOpen(leg=2, at_s=since))
     moved = assert_held(ran, (2,), Mode.UNLOADING)
     with capsys.disabled():
         print(f"\n{name}: brake of leg 2 open when parking: {1e3 * moved:.2f} mm")
@@ -172,7 +175,7 @@ def test_a_law_without_gravity_holds_as_well(law):
     c = loads(text[:a] + f"controller: {law}\n\n" + text[b:], "pd.yaml", load("virtual").folder)
     good = run(c)
     assert good.ending.success, good.ending
-    ran = run(c, StuckBrake(leg=4, engaged=False, start_s=begins(good, Mode.TRACKING, 0.5)))
+    ran = run(c, BrakeStuckOpen(leg=4, at_s=begins(good, Mode.TRACKING, 0.5)))
     assert_held(ran, (4,), Mode.UNLOADING)
 
 
@@ -187,7 +190,7 @@ def test_a_brake_that_slips_below_its_load_is_found():
 
 def test_without_a_ramp_there_is_no_test_and_a_leg_that_falls_is_caught():
     """Theory's layout parks without a brake test; the legs are watched for a moment before the run ends."""
-    ran = run(load("ideal"), StuckBrake(leg=1, engaged=False, start_s=0.5), duration_s=1.2)
+    ran = run(load("ideal"), BrakeStuckOpen(leg=1, at_s=0.5), duration_s=1.2)
     assert_held(ran, (1,), Mode.PARKED)
 
 
@@ -201,10 +204,10 @@ def test_a_slow_brake_is_found_although_it_closes_in_the_end():
     assert ran.moved(ran.first(Mode.UNLOADING)) < BOUND_m
 
 
-@pytest.mark.parametrize("fault", [Silence, EncoderLost])
+@pytest.mark.parametrize("fault", [DriveSilence, EncoderLost])
 def test_a_leg_that_is_not_measured_during_the_test_is_no_proof(good, fault):
     """The holding force of all legs comes back, and stays as it is: nothing can be controlled."""
-    ran = run(load("virtual"), fault(leg=5, start_s=begins(good, Mode.UNLOADING, 0.4)))
+    ran = run(load("virtual"), fault(leg=5, at_s=begins(good, Mode.UNLOADING, 0.4)))
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert ran.ending.faults == Fault.STALE
     assert "leg 5" in ran.ending.reason
@@ -215,7 +218,7 @@ def test_a_leg_that_is_not_measured_during_the_test_is_no_proof(good, fault):
 
 
 def test_a_run_that_is_held_replays_to_the_bit(good):
-    ran = run(load("virtual"), StuckBrake(leg=0, engaged=False, start_s=begins(good, Mode.TRACKING, 0.5)))
+    ran = run(load("virtual"), BrakeStuckOpen(leg=0, at_s=begins(good, Mode.TRACKING, 0.5)))
     cycle = ran.cycle
     cycle.reset()
     for inp, row in zip(ran.inputs, ran.rows, strict=True):
@@ -229,10 +232,14 @@ def test_a_run_that_is_held_replays_to_the_bit(good):
 FRICTION = ("viscous_friction_N_s_m: 0", "viscous_friction_N_s_m: 300")
 
 
-def held(good: Ran, *changes: tuple[str, str]) -> tuple[Lockstep, Any, Course]:
+def stuck(good: Ran) -> BrakeStuckOpen:
+    return BrakeStuckOpen(leg=2, at_s=begins(good, Mode.TRACKING, 0.5))
+
+
+def held(fault: PlantFault, *changes: tuple[str, str]) -> tuple[Lockstep, Any, Course]:
+    """Return a run that is held, and goes on."""
     c = configuration("virtual", *changes)
     cycle = build_cycle(c, 1000.0, 0.01)
-    fault = StuckBrake(leg=2, engaged=False, start_s=begins(good, Mode.TRACKING, 0.5))
     nodes, plant = build_nodes(c, FaultPlan([fault]))
     lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(1000.0))
     course = Course(cycle, DURATION_S, stays=True)
@@ -243,7 +250,7 @@ def held(good: Ran, *changes: tuple[str, str]) -> tuple[Lockstep, Any, Course]:
 
 
 def test_the_daemon_holds_until_it_is_told_to_release_and_then_stays_until_all_is_at_rest(good):
-    lockstep, plant, course = held(good, FRICTION)
+    lockstep, plant, course = held(stuck(good), FRICTION)
     cycle, nodes = lockstep.cycle, lockstep.nodes
     for k in range(3000):
         lockstep.step(course.commands(lockstep.tick + 1, (Operator.STOP,) if k % 500 == 0 else ()))
@@ -272,7 +279,7 @@ def test_the_daemon_holds_until_it_is_told_to_release_and_then_stays_until_all_i
 
 def test_a_platform_that_never_comes_to_rest_is_left_when_the_operator_asks_twice(good):
     """Without any friction the leg that was let go of swings for ever."""
-    lockstep, plant, course = held(good)
+    lockstep, plant, course = held(stuck(good))
     lockstep.step(course.commands(lockstep.tick + 1, (Operator.RELEASE,)))
     for _ in range(3000):
         lockstep.step(course.commands(lockstep.tick + 1))
@@ -287,7 +294,7 @@ def test_a_platform_that_never_comes_to_rest_is_left_when_the_operator_asks_twic
 
 def test_an_emergency_stop_acts_on_a_held_platform_too(good):
     """Not a second Ctrl-C, which the panel turns into a stop: the frame itself, from whoever has one."""
-    lockstep, plant, _ = held(good)
+    lockstep, plant, _ = held(stuck(good))
     lockstep.step((Operator.ESTOP,))
     assert lockstep.cycle.mode is Mode.FAULT
     assert lockstep.cycle.faults & Fault.ESTOP
@@ -295,7 +302,7 @@ def test_an_emergency_stop_acts_on_a_held_platform_too(good):
 
 
 def test_reset_does_not_drop_a_held_platform(good):
-    lockstep, plant, _ = held(good)
+    lockstep, plant, _ = held(stuck(good))
     for operator in (Operator.RESET, Operator.ENGAGE, Operator.STOP):
         lockstep.step((operator,))
         lockstep.step()

@@ -14,13 +14,13 @@ import pytest
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.record.metrics import total_variation
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 ROOT = Path(__file__).resolve().parents[2]
 LOAD_S = 2.3
-LOAD = WrenchStep(start_s=LOAD_S, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
+LOAD = WrenchStep(at_s=LOAD_S, force_N=(10e3, 10e3, 10e3), moment_N_m=(0.0, 0.0, 0.0))
 LAWS = {
     "plain": "  law: inverse_dynamics\n  wn_rad_s: 20\n",
     "mu": "  law: state_space\n  controller_file: mu\n",

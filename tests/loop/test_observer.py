@@ -16,15 +16,15 @@ from hil.app.sim.command import simulate
 from hil.record.log import Log
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
 HOLD = "reference: {type: hold, duration_s: 1.25}\n"
 LOAD = (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 START_S = 1.5
 """A quarter of a second after tracking begins: there is nothing to be seen before."""
-STEP = FaultPlan([WrenchStep(start_s=START_S, wrench=LOAD)])
+STEP = FaultPlan([WrenchStep(at_s=START_S, force_N=LOAD[:3], moment_N_m=LOAD[3:])])
 
 
 def bench(*, reference=None, bandwidth_Hz=15.0, bus_ms=0.5, drive_lag_ms=0.796, source="observer", scale=1.0):
@@ -91,7 +91,10 @@ def test_a_step_of_1_kN_is_seen_within_5_percent_after_50_ms(held):
 @pytest.fixture(scope="module")
 def loaded():
     """1 kN from the first tick on, seen by a sensor."""
-    return shown(bench(reference=HOLD, source="sensor"), FaultPlan([WrenchStep(start_s=0.0, wrench=LOAD)]))
+    return shown(
+        bench(reference=HOLD, source="sensor"),
+        FaultPlan([WrenchStep(at_s=0.0, force_N=LOAD[:3], moment_N_m=LOAD[3:])]),
+    )
 
 
 def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_they_do(loaded):

@@ -21,8 +21,8 @@ from hil.loop.operator_socket import AT_MOST
 from hil.loop.release import WORD, ReleaseSocket, send_release
 from hil.loop.run_end import Course
 from hil.signals import Operator
-from plant_fmu.drives.faults.leg import StuckBrake
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.brake import BrakeStuckOpen
+from plant_fmu.faults.plan import FaultPlan
 from tests.loop.test_run_end import Wire
 
 
@@ -101,7 +101,7 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
     """Theory's layout, in the daemon itself; a brake that does not close when it parks."""
     c = load("ideal")
     cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
-    nodes, plant = build_nodes(c, FaultPlan([StuckBrake(leg=1, engaged=False, start_s=0.5)]))
+    nodes, plant = build_nodes(c, FaultPlan([BrakeStuckOpen(leg=1, at_s=0.5)]))
     wire: Any = Wire(nodes, round(1e9 / c.loop.rate_Hz))
     panel, held = OperatorPanel(), [0]
     said: list[str] = []
@@ -116,7 +116,7 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
 
     recording: Any = SimpleNamespace(alive=True, dropped=0, tick=tick, event=lambda *_: None)
     release: Any = SimpleNamespace(take=lambda: held[0] >= 3000)
-    shell = Shell(wire, wire, recording, panel, 0, None, release, said.append)
+    shell = Shell(wire, wire, recording, panel, 0, None, release, None, said.append)
     course = Course(cycle, 1.2, stays=True)
     leaving = iter(range(2000))
 

@@ -18,11 +18,11 @@ from drivers.signals import Mode
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 from hil.record.metrics import total_variation
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
-LOAD = WrenchStep(start_s=2.3, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
+LOAD = WrenchStep(at_s=2.3, force_N=(10e3, 10e3, 10e3), moment_N_m=(0.0, 0.0, 0.0))
 """Tracking begins at 0.95 s."""
 LAMBDA, W_N, EPSILON = 92.0, 60.0, 0.43
 DISTURBANCE, ERROR, ACCELERATION, REACHING = 13.0, 0.1, 12.0, 1.0

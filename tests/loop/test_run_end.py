@@ -8,24 +8,25 @@ import numpy as np
 import pytest
 
 from drivers.clock import MONOTONIC
-from drivers.protocol import Received
-from drivers.signals import NEVER, DriveState, Fault, Mode, Stop
+from drivers.protocol import DriveSetup, Received
+from drivers.signals import NEVER, DriveState, Fault, Mode, Reaction, Stop
 from drivers.tick_columns import FIRST
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.modes import Durations
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
-from plant_fmu.drives.faults.encoder import EncoderOffset
-from plant_fmu.drives.faults.frames import FrameLoss
-from plant_fmu.drives.faults.leg import Silence
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.drive import DriveSilence
+from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.frames import FramesLoss
+from plant_fmu.faults.plan import FaultPlan
 from tests.records import altered, record_of
 
 RATE_Hz = 100.0
-SET_UP = SimpleNamespace(legs_set_up=lambda _: (True,) * 6)
-HEARD = {"age": 0, "drive_state": DriveState.OFF}
+SET_UP = SimpleNamespace(set_up_lacks=lambda _: ("",) * 6)
+HEARD = {"age": 0, "counted_age": 0, "drive_state": DriveState.OFF}
 
 
 def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
@@ -36,12 +37,19 @@ def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
         stop_requested=stop,
         proven=True,
         tick=record_of(**(HEARD | measured)),
+        estop=False,
+        reset_tick=None,
         dialogue=None,
+        durations=Durations(0.3, 0.1, 0.1),
         parts=SimpleNamespace(
             rate_Hz=RATE_Hz,
             fusion=None,
             protocol=SET_UP,
-            safety=SimpleNamespace(limits={"stale_fault_ticks": 5}),
+            setup=DriveSetup(0.01, Reaction.BRAKE, RATE_Hz),
+            safety=SimpleNamespace(
+                limits={"stale_fault_ticks": np.int64(5)},
+                memory={"refused": 0b11111, "running": 0, "untrusted": 0},
+            ),
         ),
     )
 
@@ -88,6 +96,7 @@ def test_its_own_commands_come_before_the_operators():
     assert course.commands(1, (Operator.ESTOP,)) == (*mine, Operator.ESTOP)
 
 
+STALE_LIMIT = "limits.stale_fault_ticks is 5"
 ENDS = {Mode.PARKED, Mode.FAULT, Mode.WAITING, Mode.HELD}
 
 
@@ -138,28 +147,28 @@ def test_a_stop_by_safety_is_no_success_and_says_why(stop, what):
 
 
 def test_ends_a_quarter_of_a_second_after_a_fault_with_what_was_known_in_its_tick():
-    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.STALE, age=np.array([0, 0, 5, 0, 0, 0]))
+    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.STALE, counted_age=np.array([0, 0, 5, 0, 0, 0]))
     course = Course(now)
     assert course.ending(40) is None
-    now.tick = altered(now.tick, age=[9, 9, 30, 9, 9, 9])
+    now.tick = altered(now.tick, counted_age=[9, 9, 30, 9, 9, 9])
     assert course.ending(64) is None
-    text = "latched fault STALE (leg 2 not heard for 5 ticks)"
+    text = "latched fault STALE (leg 2 not heard for 5 ticks, limits.stale_fault_ticks is 5)"
     assert course.ending(65) == Ending(Mode.FAULT, Fault.STALE, text, 65, 40)
 
 
 @pytest.mark.parametrize(
     ("ages", "said"),
     [
-        ([3, 3, 5, 1, 3, 1], "(leg 2 not heard for 5 ticks)"),
-        ([0, 7, 5, 0, 0, 0], "(leg 1 not heard for 7 ticks; leg 2 not heard for 5 ticks)"),
+        ([3, 3, 5, 1, 3, 1], f"(leg 2 not heard for 5 ticks, {STALE_LIMIT})"),
+        ([0, 7, 5, 0, 0, 0], f"(leg 1, 2 not heard for 7, 5 ticks, {STALE_LIMIT})"),
         (
             [5, 6, 5, 5, 5, 5],
-            "(no leg heard for 5 ticks: the drives, the bus or this machine stalled for 50 ms;",
+            f"(no leg heard for 5 ticks, {STALE_LIMIT}: the drives, the bus or this machine stalled for 50 ms;",
         ),
     ],
 )
 def test_a_stale_fault_names_the_legs_that_reached_its_limit(ages, said):
-    now = cycle(Mode.FAULT, mode_tick=1, faults=Fault.STALE, age=np.array(ages))
+    now = cycle(Mode.FAULT, mode_tick=1, faults=Fault.STALE, counted_age=np.array(ages))
     ending = first_end(Course(now), 100)
     assert ending is not None
     assert said in ending.reason
@@ -185,7 +194,8 @@ def test_a_second_fault_after_a_reset_has_a_tail_and_a_text_of_its_own():
     now.mode, now.mode_tick, now.faults = Mode.FAULT, 60, Fault.BUS
     assert course.ending(60) is None
     assert course.ending(84) is None
-    assert course.ending(85) == Ending(Mode.FAULT, Fault.BUS, "latched fault BUS", 85, 60)
+    text = "latched fault BUS (the bus did not take our frames in 5 ticks in a row; 5 are a dead bus)"
+    assert course.ending(85) == Ending(Mode.FAULT, Fault.BUS, text, 85, 60)
 
 
 def test_a_slow_loop_still_tells_the_drives_to_switch_off_five_times():
@@ -263,8 +273,8 @@ class Wire:
         return SimpleNamespace(errors=0, off=False, overflow=0)
 
 
-ALL_LOST = FrameLoss()
-LEG_0 = Silence(leg=0)
+ALL_LOST = FramesLoss()
+LEG_0 = DriveSilence(leg=0)
 
 
 @pytest.mark.parametrize(
@@ -272,11 +282,11 @@ LEG_0 = Silence(leg=0)
     [
         ([], Mode.PARKED, None),
         ([ALL_LOST], Mode.WAITING, 2.0),
-        ([FrameLoss(start_s=1.0)], Mode.FAULT, None),
+        ([FramesLoss(at_s=1.0)], Mode.FAULT, None),
         ([LEG_0], Mode.WAITING, 10.0),
-        ([Silence(leg=4, start_s=0.3)], Mode.FAULT, None),
-        ([Silence(leg=2, start_s=1.2)], Mode.FAULT, None),
-        ([EncoderOffset(leg=5, offset_m=0.3, start_s=1.1)], Mode.FAULT, None),
+        ([DriveSilence(leg=4, at_s=0.3)], Mode.HELD, None),
+        ([DriveSilence(leg=2, at_s=1.2)], Mode.HELD, None),
+        ([EncoderJump(leg=5, by_m=0.3, at_s=1.1)], Mode.HELD, None),
     ],
 )
 def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, seconds):
@@ -299,7 +309,7 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
     ran = run(Course(there, duration_s), shell)
     plant.close()
 
-    assert ran == stepped
+    assert (ran, ran.story) == (stepped, stepped.story)
     assert ran.mode is mode, ran
     assert len(seen) == len(rows) == ran.ticks + 1
     assert all((a["mode"], a["faults"]) == (b["mode"], b["faults"]) for a, b in zip(rows, seen, strict=True))

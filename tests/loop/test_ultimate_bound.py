@@ -16,11 +16,11 @@ import pytest
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.stability.command import assess
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded
 
-LOAD = WrenchStep(start_s=2.3, wrench=(10e3, 10e3, 10e3, 0.0, 0.0, 0.0))
+LOAD = WrenchStep(at_s=2.3, force_N=(10e3, 10e3, 10e3), moment_N_m=(0.0, 0.0, 0.0))
 FORCE_N = sqrt(3.0) * 10e3
 SCALES = (1.0, 0.9)
 

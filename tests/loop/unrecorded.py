@@ -13,7 +13,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.clock import collector_paused
 from hil.record.figures import figures
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.plan import FaultPlan
 
 
 def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[dict[str, Any], np.ndarray]:

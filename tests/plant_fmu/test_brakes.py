@@ -7,8 +7,8 @@ import pytest
 
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.faults.fault import Fault
-from plant_fmu.drives.faults.leg import StuckBrake
+from plant_fmu.faults.brake import BrakeStuckOpen
+from plant_fmu.faults.fault import Fault
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
 
 OPEN_MS, CLOSE_MS = 50, 30
@@ -86,7 +86,7 @@ def test_a_drive_keeps_its_last_force_until_its_brake_has_closed(end):
 
 def test_a_drive_whose_brake_does_not_close_lets_go_when_it_should_have():
     """It knows its brake by the time alone."""
-    a = rig(StuckBrake(leg=2, engaged=False))
+    a = rig(BrakeStuckOpen(leg=2))
     running(a)
     a.command(105 * MS, DriveMode.OFF)
     a.at((105 + CLOSE_MS + 10) * MS)

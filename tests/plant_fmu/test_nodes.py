@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp, pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,13 +23,14 @@ from drivers.signals import (
 )
 from drivers.tick_columns import Record, new_record
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.faults.encoder import EncoderFreeze, EncoderLost, EncoderOffset
-from plant_fmu.drives.faults.fault import Fault
-from plant_fmu.drives.faults.frames import FrameCorruption, FrameLoss
-from plant_fmu.drives.faults.leg import LegGain, Silence, StuckBrake
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.brake import BrakeStuckClosed, BrakeStuckOpen
+from plant_fmu.faults.drive import DriveSign, DriveSilence
+from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump, EncoderLost
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import command_frames, decode
 
@@ -129,9 +131,9 @@ class Rig:
         return [float(brake) for brake in self.nodes.snapshot().brake]
 
 
-def push(newton: float, **when: float) -> WrenchStep:
+def push(newton: float, **when: Any) -> WrenchStep:
     """Push every mass, as gravity does."""
-    return WrenchStep(wrench=(newton,) * 6, **when)
+    return WrenchStep(force_N=(newton,) * 3, moment_N_m=(newton,) * 3, **when)
 
 
 # states and brakes
@@ -271,7 +273,7 @@ def test_the_same_frames_in_one_call_or_many_give_the_same_motion():
 
 
 def test_start_restores_everything():
-    rig = Rig(faults=[FrameLoss(probability=0.5)])
+    rig = Rig(faults=[FramesLoss(probability=0.5)])
 
     def live() -> list[tuple[int, Frame]]:
         rig.nodes.start(0)
@@ -398,7 +400,7 @@ def test_a_repeated_counter_does_not_feed_the_watchdog():
 
 
 def test_damaged_commands_do_not_feed_the_watchdog():
-    rig = Rig(faults=[FrameCorruption(identifier=0x110, start_s=0.5e-3)])
+    rig = Rig(faults=[FramesCorrupt(identifier=0x110, at_s=0.5e-3)])
     rig.run()
     for k in range(1, 15):
         rig.command(k * MS, DriveMode.RUN)
@@ -407,7 +409,7 @@ def test_damaged_commands_do_not_feed_the_watchdog():
 
 
 def test_one_lost_command_frame_of_the_classic_layout_stops_its_three_legs():
-    rig = Rig("classic", faults=[FrameLoss(identifier=0x101, start_s=0.5e-3)])
+    rig = Rig("classic", faults=[FramesLoss(identifier=0x101, at_s=0.5e-3)])
     rig.run()
     for k in range(1, 15):
         rig.command(k * MS, DriveMode.RUN)
@@ -416,7 +418,7 @@ def test_one_lost_command_frame_of_the_classic_layout_stops_its_three_legs():
 
 def starve(reaction: Reaction, *, seconds: float, load: float = 0.0) -> tuple[Rig, float]:
     """Accelerate for 10 ms at 10 m/s^2, then silence: 0.1 m/s at the fault."""
-    rig = Rig(reaction=reaction, faults=[push(load, start_s=0.01)] if load else [])
+    rig = Rig(reaction=reaction, faults=[push(load, at_s=0.01)] if load else [])
     rig.run(10.0 * MASS)
     rig.at(10 * MS + 1)
     assert rig.states == [DriveState.FAULT] * 6
@@ -539,7 +541,7 @@ def test_emulated_force_lag_is_of_first_order():
 
 
 def test_encoder_slip_shows_in_feedback_and_not_in_the_plant():
-    rig = Rig("ideal", faults=[EncoderOffset(leg=2, offset_m=5e-3, start_s=2e-3, stop_s=4e-3)])
+    rig = Rig("ideal", faults=[EncoderJump(leg=2, by_m=5e-3, at_s=2e-3, for_s=0.002)])
     rig.configure()
     seen = [rig.sync(k * MS)["length"][2] - REST[2] for k in range(1, 6)]
     assert seen == pytest.approx([0, 5e-3, 5e-3, 0, 0], abs=1e-12)
@@ -547,7 +549,7 @@ def test_encoder_slip_shows_in_feedback_and_not_in_the_plant():
 
 
 def test_frozen_encoder_keeps_its_length_at_rate_zero():
-    rig = Rig("ideal", faults=[EncoderFreeze(leg=1, start_s=3e-3)])
+    rig = Rig("ideal", faults=[EncoderFreeze(leg=1, at_s=3e-3)])
     rig.run(10 * MASS)
     measurement = rig.sync(8 * MS)
     assert measurement["length"][1] - REST[1] == pytest.approx(0.5 * 10 * 3e-3**2, abs=1e-12)
@@ -556,7 +558,7 @@ def test_frozen_encoder_keeps_its_length_at_rate_zero():
 
 
 def test_a_drive_that_lost_its_encoder_says_so_and_still_obeys():
-    rig = Rig("ideal", faults=[EncoderLost(leg=1, start_s=3e-3)])
+    rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)])
     rig.run(10 * MASS)
     measurement = rig.sync(8 * MS)
     assert measurement["blind"].tolist() == [False, True, False, False, False, False]
@@ -570,7 +572,7 @@ def test_a_drive_that_lost_its_encoder_says_so_and_still_obeys():
 
 @pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.DAMP])
 def test_a_drive_without_its_encoder_brakes_where_its_reaction_needs_one(reaction):
-    rig = Rig("ideal", faults=[EncoderLost(leg=1, start_s=3e-3)], reaction=reaction)
+    rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)], reaction=reaction)
     rig.run(10 * MASS)
     rig.at(50 * MS)
     assert rig.nodes.snapshot().fault.tolist() == [DriveFault.WATCHDOG] * 6
@@ -578,14 +580,14 @@ def test_a_drive_without_its_encoder_brakes_where_its_reaction_needs_one(reactio
 
 
 def test_swapped_wires_push_the_other_way():
-    rig = Rig(faults=[LegGain(leg=4, start_s=0.0)])
+    rig = Rig(faults=[DriveSign(leg=4, at_s=0.0)])
     rig.run(200.0)
     rig.at(5 * MS)
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([5e-3] * 4 + [-5e-3] + [5e-3])
 
 
 def test_a_silent_drive_is_missed_and_still_obeys():
-    rig = Rig(faults=[Silence(leg=3)])
+    rig = Rig(faults=[DriveSilence(leg=3)])
     rig.run(200.0)
     sent = rig.at(5 * MS, *rig.protocol.begin(None, 0))
     assert not {frame.id for _, frame in sent} & {0x284, 0x704}
@@ -594,7 +596,7 @@ def test_a_silent_drive_is_missed_and_still_obeys():
 
 
 def test_stuck_brakes_ignore_the_drive():
-    rig = Rig(faults=[StuckBrake(leg=0), StuckBrake(leg=1, engaged=False), push(-200.0)])
+    rig = Rig(faults=[BrakeStuckClosed(leg=0), BrakeStuckOpen(leg=1), push(-200.0)])
     rig.at(1 * MS)
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([0, -1e-3, 0, 0, 0, 0])
     rig.at(1 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
@@ -605,14 +607,14 @@ def test_stuck_brakes_ignore_the_drive():
 
 
 def test_wrench_acts_from_and_to_its_instants():
-    rig = Rig(faults=[push(200.0, start_s=2e-3, stop_s=5e-3)])
+    rig = Rig(faults=[push(200.0, at_s=2e-3, for_s=0.003)])
     rig.run()
     rig.at(9 * MS)
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([3e-3] * 6)
 
 
 def test_lost_feedback_is_lost_at_its_rate():
-    rig = Rig(faults=[FrameLoss(identifier=0x283, probability=0.25)])
+    rig = Rig(faults=[FramesLoss(identifier=0x283, probability=0.25)])
     rig.configure()
     ages = []
     for k in range(1, 2001):
@@ -624,7 +626,7 @@ def test_lost_feedback_is_lost_at_its_rate():
 
 
 def test_damaged_feedback_is_refused_by_the_controller():
-    rig = Rig(faults=[FrameCorruption(identifier=0x286)])
+    rig = Rig(faults=[FramesCorrupt(identifier=0x286)])
     measurement = rig.sync(1 * MS)
     assert measurement["rejected"] == 1
     assert measurement["age"].tolist() == [0] * 5 + [1_000_000]

@@ -19,10 +19,10 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
 from drivers.sensors import Readings, SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
-from plant_fmu.drives.faults.frames import FrameCorruption, FrameLoss
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
 from plant_fmu.drives.sensor_nodes import SensedNodes
+from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 
 MS, US = 1_000_000, 1_000
@@ -121,7 +121,9 @@ def test_an_imu_gives_rate_and_specific_force_in_the_platform_frame():
 
 
 def test_a_wrench_sensor_gives_the_load_in_the_platform_frame():
-    found, _ = run(EXACT, faults=FaultPlan([WrenchStep(start_s=0.05, wrench=WRENCH)]))
+    found, _ = run(
+        EXACT, faults=FaultPlan([WrenchStep(at_s=0.05, force_N=WRENCH[:3], moment_N_m=WRENCH[3:])])
+    )
     before = [values for _, at, values in found["wrench"] if at < 0.0495]
     after = [(at, values) for _, at, values in found["wrench"] if at > 0.0505]
     assert len(before) > 40
@@ -175,10 +177,10 @@ def test_lost_samples_leave_gaps_in_the_counter_and_the_same_seed_gives_the_same
 
 
 def test_faults_of_the_bus_strike_sensors_as_well():
-    lost, _ = run(EXACT, faults=FaultPlan([FrameLoss(identifier=0x407)]))
+    lost, _ = run(EXACT, faults=FaultPlan([FramesLoss(identifier=0x407)]))
     assert lost["tracker"] == []
     assert lost["imu"]
-    corrupted, rejected = run(EXACT, faults=FaultPlan([FrameCorruption(identifier=0x407)]))
+    corrupted, rejected = run(EXACT, faults=FaultPlan([FramesCorrupt(identifier=0x407)]))
     assert corrupted["tracker"] == []
     assert rejected > 35
 

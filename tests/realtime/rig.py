@@ -43,6 +43,8 @@ PATIENT = {
     "watchdog_ms: 10 ": "watchdog_ms: 150 ",
     "stale_fault_ticks: 5": "stretch_percent: 100\n  stale_fault_ticks: 60\n  missed_stop_ticks: 60",
 }
+LASTING = {"periods: 3": "periods: 1000"}
+"""A path that goes on until somebody ends it, however late this machine lets him."""
 FIFO = fifo_allowed(80)
 
 
@@ -90,7 +92,8 @@ class Process:
     ) -> None:
         self.json = folder / f"{arguments[0]}-{time.monotonic_ns()}.json"
         self._errors = self.json.with_suffix(".err")
-        command = [*prefix, sys.executable, "-m", entry, *arguments, "--json", str(self.json)]
+        arm = ["--arm"] if arguments[0] == "run" else []
+        command = [*prefix, sys.executable, "-m", entry, *arguments, *arm, "--json", str(self.json)]
         options = {"cwd": ROOT, **options}
         with self._errors.open("wb") as errors:
             self._process = subprocess.Popen(

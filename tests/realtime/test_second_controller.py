@@ -15,7 +15,7 @@ from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from tests.drivers.legs_frames import command_frames, parse
-from tests.realtime.rig import Listener, Process, configuration
+from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
 pytestmark = pytest.mark.realtime(patient=True)
 FORGED = Command(DriveMode.RUN, np.full(6, 3e3))
@@ -30,15 +30,15 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
 ) -> None:
-    file = configuration(tmp_path)
+    file = configuration(tmp_path, LASTING)
     c = load(str(file))
     protocol = build_protocol(c)
     listener = listen(file)
     run = start("run", str(file), "--plant")
     listener.wait_for_motion(run, 0.05)
     with Bus.open(c.bus, role="attacker") as bus:
-        end, sent = time.monotonic() + 2.0, 0
-        while sent < 50 and time.monotonic() < end:
+        end, sent = time.monotonic() + END_S, 0
+        while sent < 50 and time.monotonic() < end and not gone(run.pid):
             for received in bus.wait(bus.clock.now() + 20_000_000):
                 heard = parse(protocol, received.frame)
                 if isinstance(heard, Sync):

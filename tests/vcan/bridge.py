@@ -31,7 +31,7 @@ def main() -> int:
     heard = folder / "candump.log"
     hil = [sys.executable, "-m", "hil.cli"]
     plant_command = [*hil, "plant", "vcan50", "--duration", "200", "--log", str(folder / "plant.mcap")]
-    run_command = [*hil, "run", "vcan50", "--duration", "10", "--log", str(folder / "run.mcap")]
+    run_command = [*hil, "run", "vcan50", "--arm", "--duration", "10", "--log", str(folder / "run.mcap")]
     with candump("vcan0", heard):
         plant = subprocess.Popen(plant_command, stdin=subprocess.DEVNULL)
         try:

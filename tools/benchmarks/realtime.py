@@ -152,7 +152,7 @@ def realtime(benchmark: Benchmark) -> list[Figure]:
         *patience_figures(rows, c, benchmark.configuration),
         Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
         Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
-        compute_figure(rows["compute_ns"][rows["mode"] == Mode.TRACKING]),
+        compute_figure(rows["compute_ns"][np.isin(rows["mode"], (Mode.APPROACH, Mode.TRACKING))]),
     ]
 
 

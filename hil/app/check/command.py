@@ -6,14 +6,20 @@ import numpy as np
 
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
+from hil.app.check.brakes import brake_line
 from hil.app.check.controller import report_controller
+from hil.app.check.dangers import dangers
+from hil.app.check.encoders import report_encoders
 from hil.app.check.findings import Report
 from hil.app.check.monitor import report_monitor
+from hil.app.check.pushes import clipped
+from hil.app.check.silence import silence_of
 from hil.app.compose import build_admission, build_protocol, drive_setup
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.configuration.yaml_positions import Problem, parse
+from hil.app.configuration.yaml_positions import Path, Problem, parse
+from hil.app.encoder_limits import encoder_limits
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
 from hil.config.reference import LiveReference
 from hil.loop.clock import real_time
@@ -40,6 +46,7 @@ def inspect(c: Configuration) -> Report:
     _drives(report, c)
     report_controller(report, c)
     report_monitor(report, c)
+    report_encoders(report, c)
     _reference(report, c, platform, model)
     _permissions(report, c)
     return report
@@ -105,13 +112,15 @@ def _drives(report: Report, c: Configuration) -> None:
         f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {_reaction(c)}",
         f"brakes get {1e3 * c.engage.brake_release_s:g} ms to open, {1e3 * c.engage.closing_s:g} ms to close",
         _brake_test(c),
+        *brake_line(c),
     ]
-    report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.drives.reaction}
+    report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.reactions.silence}
 
 
 def _reaction(c: Configuration) -> str:
-    ends = c.drives.reaction in {"damp", "hold"}
-    return f"{c.drives.reaction}, after {c.drives.brake_after_ms:g} ms brake" if ends else c.drives.reaction
+    silence = c.reactions.silence
+    ends = silence in {"damp", "hold"}
+    return f"{silence}, after {c.drives.brake_after_ms:g} ms brake" if ends else silence
 
 
 def _brake_test(c: Configuration) -> str:
@@ -121,16 +130,21 @@ def _brake_test(c: Configuration) -> str:
     return f"brake tests take {ramp_s:g} s; a leg may move by {allowed_mm:g} mm"
 
 
-def _until_braked_m(c: Configuration, platform: Platform, model: Model, w: Walk) -> float:
-    """Return how far a leg may travel from silence at its top speed until its brake acts, m.
+def stopping_distances_m(c: Configuration) -> tuple[float, float]:
+    """Return how far a leg may travel on the reference, m, as printed.
 
-    Within the watchdog's time and that of the brake it accelerates as on the path, or as without any force.
+    From silence until its brake holds it, and in a stop under control. Raises ConfigurationError as `inspect`
+    does.
     """
-    home, still = pose_arrays(c.platform.home), np.zeros(6)
-    falls = jacobian(platform, *home) @ model.forward_dynamics(*home, still, still)
-    a = max(float(np.abs(w.ddq).max()), float(np.abs(falls).max()))
-    T = 1e-3 * c.drives.watchdog_ms + c.engage.closing_s
-    return float(np.abs(w.dq).max()) * T + 0.5 * a * T * T
+    platform = build_platform(c.platform)
+    model = Model(platform, leg_spin=c.platform.leg_spin)
+    w, _ = _walk_within_limits(c, platform, model)
+    return silence_of(c, platform, model, w).travel_m(w), _controlled_stop_m(c, w)
+
+
+def _controlled_stop_m(c: Configuration, w: Walk) -> float:
+    """Return the longest way of a leg while path time slows down to rest: half of `engage.stop_s` goes by."""
+    return 0.5 * c.engage.stop_s * float(np.abs(w.dq).max())
 
 
 def refuse_unreachable(c: Configuration) -> None:
@@ -159,13 +173,18 @@ def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> t
             raise ConfigurationError(_line(c, f"at its start, set-points are refused: {explain(against)}"))
     if found:
         raise ConfigurationError(*(_line(c, f"at t = {v.t:.3f} s: {v.message}") for v in found))
+    limits = encoder_limits(c, platform, pose_arrays(c.platform.home), c.loop.rate_Hz)
+    clips = clipped(c, limits, w)
+    if clips is not None:
+        raise ConfigurationError(_line(c, clips, ("monitor", "friction_N")))
     return w, trajectory.duration_s
 
 
 def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
     w, whole = _walk_within_limits(c, platform, model)
     step, swing = _changes(w, 1 / c.loop.rate_Hz)
-    peak, braked_m = float(np.abs(w.tau).max()), _until_braked_m(c, platform, model, w)
+    peak, silence = float(np.abs(w.tau).max()), silence_of(c, platform, model, w)
+    braked_m = silence.travel_m(w)
     change = f"not seen: {len(w.t)} samples are fewer than ticks"
     if w.every_tick:
         change = (
@@ -181,10 +200,13 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         f"leg forces     {w.tau.min():.0f} to {w.tau.max():.0f} N (limit {c.limits.force_N:g})",
         f"force change   {change}",
         f"condition of J up to {w.condition.max():.2f} (limit {c.limits.condition:g})",
-        f"silence        a leg travels up to {1e3 * braked_m:.0f} mm until its brake acts",
+        f"silence        a leg travels up to {1e3 * braked_m:.0f} mm until it rests on its brake,",
+        f"               in {1e3 * silence.T:.0f} ms: drives.watchdog_ms and engage.brake_close_s",
+        f"controlled stop up to {1e3 * _controlled_stop_m(c, w):.0f} mm, along the path within engage.stop_s",
     ]
     report.figures["reference"] = {
         "until_braked_m": braked_m,
+        "controlled_stop_m": _controlled_stop_m(c, w),
         "duration_s": whole,
         "length_min_m": float(w.q.min()),
         "length_max_m": float(w.q.max()),
@@ -196,6 +218,7 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         "force_window_N": swing if w.every_tick else None,
         "condition_max": float(w.condition.max()),
     }
+    report.warnings += dangers(c, w, silence)
     if isinstance(c.reference, LiveReference):
         _live(report, c, c.reference, platform)
     if peak > 0.9 * c.limits.force_N:
@@ -251,10 +274,9 @@ def _permissions(report: Report, c: Configuration) -> None:
         )
 
 
-def _line(c: Configuration, message: str) -> str:
-    """Point at the section `reference` of the file."""
-    document = parse(c.text)
-    return Problem(document.key_position(("reference",)), ("reference",), message).line(c.source)
+def _line(c: Configuration, message: str, path: Path = ("reference",)) -> str:
+    """Point at a key of the file, or its nearest ancestor there."""
+    return Problem(parse(c.text).key_position(path), path, message).line(c.source)
 
 
 def _limit(value: float | None) -> str:

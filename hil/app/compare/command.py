@@ -1,11 +1,7 @@
 """`hil compare CONFIG`: all laws on one platform, trajectory, disturbance and model mismatch."""
 
-import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +18,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform
 from hil.app.output import picture_path
 from hil.app.reachability import span_s
+from hil.app.workers import Progress, perform
 from hil.control import ControllerSettings
 from hil.record.metrics import Share, force_shares
 from hil.robot.dynamics import Model
@@ -30,8 +27,6 @@ from plant_fmu.config import BenchPlant
 
 OWN = "own"
 """The configuration's path as it is: what the rows of the table are measured on."""
-Progress = Callable[[int, int], None]
-"""Called with how many runs are done, and of how many."""
 SHARE_SAMPLES = 2001
 """Instants along the reference at which the terms of the force are looked at."""
 
@@ -176,42 +171,12 @@ def _along(name: str, work: Iterable[Job], done: dict[tuple[str, str], Outcome])
 
 
 def _perform(work: list[Job], jobs: int | None, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield every outcome, in the order in which they are ready; progress is reported before each."""
-    count = min(len(work), jobs or len(os.sched_getaffinity(0)))
-    outcomes = map(measure, work) if count <= 1 else _in_processes(work, count)
-    for n in range(len(work)):
-        if progress is not None:
-            progress(n, len(work))
-        yield next(outcomes)
+    """Yield every outcome, in the order in which they are ready."""
+    return perform(work, measure, _died, jobs, progress)
 
 
-def _in_processes(work: list[Job], count: int) -> Iterator[Outcome]:
-    """Yield every outcome of `count` processes; if one dies, the lost jobs run again, each by itself."""
-    lost = []
-    with _pool(count) as pool:
-        try:
-            waiting = {pool.submit(measure, job): job for job in work}
-            for future in as_completed(waiting):
-                try:
-                    yield future.result()
-                except BrokenProcessPool:
-                    lost.append(waiting[future])
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    for job in lost:
-        with _pool(1) as pool:
-            try:
-                yield pool.submit(measure, job).result()
-            except BrokenProcessPool:
-                yield Outcome(job.law, job.path, "its process died", None, {}, {})
-
-
-def _pool(count: int) -> ProcessPoolExecutor:
-    """Return processes forked from a fresh interpreter: forked from this one they would hold its locks."""
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["hil.app.compare.measure"])
-    return ProcessPoolExecutor(count, mp_context=context)
+def _died(job: Job) -> Outcome:
+    return Outcome(job.law, job.path, "its process died", None, {}, {})
 
 
 def _shares(c: Configuration, duration: float) -> dict[str, Share]:

@@ -25,8 +25,8 @@ from hil.mathematics.rotations import rotation_from_vector
 from hil.record.figures import errors, limited_ticks, pose_errors
 from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
 from hil.trajectory.path import PoseSample, Trajectory
-from plant_fmu.drives.faults.load import WrenchStep
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
 
 SETTLE_PERIODS = 30.0
 """Time constants 1 / wn before and after a step: exp(-30) is nothing, and an integral is slower."""
@@ -132,7 +132,7 @@ def _run(
             mode = cycle.mode
             if mode is Mode.TRACKING and begun is None:
                 begun = lockstep.tick
-            over = mode is Mode.FAULT or course.ending(lockstep.tick)
+            over = rows[-1]["faults"] or course.ending(lockstep.tick)
             if over or (begun is not None and (mode is not Mode.TRACKING or lockstep.tick - begun >= ticks)):
                 return np.array(rows, ROW)
     finally:
@@ -146,15 +146,14 @@ def _engagement_s(c: Configuration, trajectory: Trajectory | None = None) -> flo
 
 
 def _wrench(d: DisturbanceSettings, offset_s: float) -> FaultPlan:
-    stop = math.inf if d.stop_s is None else offset_s + d.stop_s
-    return FaultPlan(
-        [WrenchStep(start_s=offset_s + d.start_s, stop_s=stop, wrench=(*d.force_N, *d.moment_N_m))]
-    )
+    lasts = None if d.stop_s is None else d.stop_s - d.start_s
+    at = offset_s + d.start_s
+    return FaultPlan([WrenchStep(at_s=at, for_s=lasts, force_N=d.force_N, moment_N_m=d.moment_N_m)])
 
 
 def _fault(rows: Rows) -> str | None:
     last = rows[-1]
-    if last["mode"] == Mode.FAULT:
+    if last["faults"]:
         return " ".join(str(f.name) for f in Fault if int(last["faults"]) & f)
     if not (rows["mode"] == Mode.TRACKING).any():
         return f"did not start: {Mode(int(last['mode'])).name}"

@@ -20,7 +20,7 @@ def bus_budget(
     nodes = SensorProtocol(bus, sensors)
     protocol = PROTOCOLS[drives.protocol](bus, drives)
     try:
-        protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, Reaction[drives.reaction.upper()], rate_Hz))
+        protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, Reaction.BRAKE, rate_Hz))
     except ProtocolError as error:
         raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
     frames = protocol.cyclic_frames()

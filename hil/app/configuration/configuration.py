@@ -18,6 +18,7 @@ from drivers.section import Section
 from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.consistency import RULES, needs
+from hil.app.configuration.fault_rules import cannot_serve
 from hil.app.configuration.section_file import read_text
 from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
@@ -25,6 +26,7 @@ from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.monitor import MonitorSettings
 from hil.config.platform import PlatformSettings
+from hil.config.reactions import ReactionSettings
 from hil.config.reference import ReferenceSettings
 from hil.config.running import EngageSettings, RecordingSettings
 from hil.control import ControllerSettings
@@ -51,6 +53,7 @@ class Configuration(Section):
     engage: EngageSettings = EngageSettings()
     reference: ReferenceSettings
     limits: LimitSettings
+    reactions: ReactionSettings = ReactionSettings()
     recording: RecordingSettings = RecordingSettings()
     plant: PlantSettings | None = None
     """The other end of a virtual bus; left out for real drives."""
@@ -80,7 +83,7 @@ class Configuration(Section):
         """Refuse what cannot serve `command`.
 
         Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus,
-        no section `plant` where one is needed.
+        no section `plant` where one is needed, faults that the command cannot bring about.
         """
         found = []
         if command in ("run", "plant") and self.bus.interface == "virtual":
@@ -98,6 +101,8 @@ class Configuration(Section):
                 f"{self._source}: plant: missing, and `hil {command}` needs one: this configuration is for "
                 "real drives (`hil run`)"
             )
+        faults = [] if self.plant is None else self.plant.faults
+        found += [f"{self._source}: {problem}" for problem in cannot_serve(command, faults)]
         if found:
             raise ConfigurationError(*found)
 

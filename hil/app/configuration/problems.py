@@ -20,8 +20,10 @@ UNITS = frozenset({
     "W", "V", "A", "Hz", "kHz", "MHz", "rad", "deg", "percent", "bit", "ticks",
 })  # fmt: skip
 """Words that count as a unit at the end of a key."""
-FORMER_KEYS: dict[str, str] = {}
+FORMER_KEYS: dict[str, str] = {"drives.reaction": "reactions.silence"}
 """Key that was removed or renamed, as a dotted path without list indices -> what to write instead."""
+FIXED_KEYS = {"reactions": ("estop", "bus", "second_controller")}
+"""Section -> what cannot be set there: there is nobody who could obey anything but sto."""
 
 
 def problems(error: ValidationError, document: Document, schema: Schema) -> list[Problem]:
@@ -188,6 +190,9 @@ def unknown_key(path: Path, document: Document, schema: Schema) -> str:
     advice = FORMER_KEYS.get(".".join(item for item in path if isinstance(item, str)))
     if advice is not None:
         return f"no longer a key, write {advice}"
+    fixed = FIXED_KEYS.get(str(path[0]), ()) if len(path) == 2 else ()
+    if path[-1] in fixed:
+        return f"no key: the reactions to {', '.join(fixed)} are fixed, always sto; leave it out"
     known = list(at(path[:-1], document.value, schema).get("properties", {}))
     key = str(path[-1])
     free = [k for k in known if not document.has((*path[:-1], k))]

@@ -223,13 +223,17 @@ def report(result: dict[str, Any]) -> list[str]:
     return [*lines, "", "controller:", f"  delay_compensation: {{{values}}}"]
 
 
-def run_for(made: Excited, log: Path | None, *, real_time: bool, with_plant: bool) -> dict[str, Any]:
+def run_for(
+    made: Excited, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
+) -> dict[str, Any]:
     """Run an excited configuration, in lockstep or in real time; return the summary of that run.
+
+    with_plant, arm: as for `run_daemon`, in real time.
 
     Raises ConfigurationError for what cannot run: lockstep needs a plant.
     """
     if real_time:
-        return run_daemon(made.configuration, log=log, with_plant=with_plant, draw=False)
+        return run_daemon(made.configuration, log=log, with_plant=with_plant, draw=False, arm=arm)
     if made.configuration.plant is None:
         raise ConfigurationError(
             f"{made.configuration.source}: no section plant, so there is nothing to simulate: these are real "

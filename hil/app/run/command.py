@@ -2,7 +2,8 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
-from hil.app.output import console, log_path, warn
+from hil.app.output import closing, console, log_path, told, warn
 from hil.app.replay import replay_log
+from hil.app.run.consent import EnterKey
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import select_rate
 from hil.app.run.stretching import begin, bench_clock, stretches
@@ -47,14 +49,18 @@ def run_daemon(
     with_plant: bool = False,
     draw: bool = True,
     reset: bool = False,
+    arm: bool = False,
+    faults: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
-    Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
+    arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for. `faults` are
+    words for its plant. Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
     c.require("run")
     panel = OperatorPanel()
+    consent = None if arm else EnterKey(lambda: _hung_up(panel)).pressed
     plant_summary: dict[str, Any] | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(_startable())
@@ -66,7 +72,7 @@ def run_daemon(
         path = log_path(c.recording.folder, c.name, log)
         plant = None
         if with_plant:
-            plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap")))
+            plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap"), faults))
         recording = stack.enter_context(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
         )
@@ -80,17 +86,17 @@ def run_daemon(
             if clock is not None:
                 begin(clock, c, cycle, window_ns)
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
-            shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints, release, _say)
+            shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints, release, consent, _say)
             try:
-                ending = run(Course(cycle, duration_s, reset=reset, stays=True), shell)
+                course = Course(cycle, duration_s, armed=arm, reset=reset, stays=True, event=recording.event)
+                ending = run(course, shell)
                 interrupted = clock is not None and clock.interrupted
             finally:
                 bus.clock.leave()
         trouble = _trouble(ending, c, "" if plant is None else plant.trouble(), with_plant=with_plant)
         if trouble:
             recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
-        end = {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
-        closed = recording.close(end)
+        closed = recording.close(closing(ending, trouble))
         if plant is not None:
             plant_summary = plant.finish()
     result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
@@ -117,6 +123,16 @@ def release_held(configuration: Configuration) -> dict[str, Any]:
     return {"success": True, "kind": "release", "configuration": configuration.source}
 
 
+def _hung_up(panel: OperatorPanel) -> None:
+    """Ask for a controlled stop where the terminal is gone, as SIGHUP does.
+
+    That signal, which comes earlier, later or never, is no second one.
+    """
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    if not panel.interrupts:
+        panel.interrupt(signal.SIGHUP, None)
+
+
 def _say(text: str) -> None:
     """Write to the operator's terminal at once, past buffers."""
     with contextlib.suppress(OSError):
@@ -134,7 +150,7 @@ def _startable() -> Iterator[None]:
 
 def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) -> str:
     """Say what went wrong and what to do about it; empty for a good ending."""
-    text = ending.reason
+    text = ending.trouble
     if text == NO_DRIVES:
         start = (
             "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
@@ -143,9 +159,6 @@ def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) 
             f"no drive answered on {c.bus.interface} channel {c.bus.channel} within {NO_DRIVES_S:g} s: check "
             f"power, wiring, bit rate and drives.node_ids{start}"
         )
-    elif ending.mode is Mode.FAULT:
-        let_go = "the platform was released on request, and the " if ending.released else ""
-        text = f"{text} at tick {ending.fault_tick}: {let_go}drives were told to switch off"
     return "; ".join(filter(None, (text, plant)))
 
 
@@ -170,6 +183,7 @@ def _summary(
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),
         "trouble": trouble or None,
+        "story": told(ending),
         "real_time": {"granted": granted.granted, "missing": granted.missing},
         "bus_load_percent": None if budget is None else budget.load_percent,
         "resident_MB": resident_MB(),
@@ -190,7 +204,7 @@ def _summary(
     _, result["replay"] = replay_log(closed.path)
     lossy = closed.dropped > 0 and not result["replay"]["different_ticks"]
     result["success"] = result["success"] and (result["replay"]["agrees"] or lossy)
-    if ending.mode is Mode.FAULT:
+    if ending.fault_tick >= 0:
         result["last_ticks"] = _tail(rows, ending.fault_tick)
     return result
 

@@ -6,6 +6,7 @@ import select
 import signal
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
@@ -30,7 +31,7 @@ class SupervisedPlant:
     Mutable state: the process, the pipes, how it was found when it was first asked about.
     """
 
-    def __init__(self, configuration: Configuration, log: Path) -> None:
+    def __init__(self, configuration: Configuration, log: Path, faults: Iterable[str] = ()) -> None:
         self._said = b""
         self._trouble: str | None = None
         alive_read, self._alive = os.pipe()
@@ -39,6 +40,7 @@ class SupervisedPlant:
         self._process = start(
             "hil.cli", "plant", configuration.source, "--log", str(log),
             "--supervisor", str(alive_read), "--report", str(report_write),
+            *(word for fault in faults for word in ("--fault", fault)),
             pass_fds=(alive_read, report_write),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

@@ -5,14 +5,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError, PlantError
+from drivers.errors import ConfigurationError
 from drivers.protocol import Frame
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
-from hil.app.output import log_path
+from hil.app.configuration.fault_words import show_fault
+from hil.app.output import closing, log_path, told
 from hil.app.replay import replay_log
 from hil.app.setpoint import require_live
 from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
@@ -24,7 +25,7 @@ from hil.record.figures import figures
 from hil.record.log import Log
 from hil.signals import SetPoint, TickInput, TickOutput
 from hil.trajectory.sampled import read_poses
-from plant_fmu.drives.faults.plan import FaultPlan
+from plant_fmu.faults.plan import FaultPlan
 
 
 class Script:
@@ -66,10 +67,7 @@ def _run(
     def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
         recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
 
-    try:
-        return lockstep.run(duration_s, observe, setpoints)
-    except PlantError as error:
-        return Ending(lockstep.cycle.mode, lockstep.cycle.faults, str(error), lockstep.tick)
+    return lockstep.run(duration_s, observe, setpoints, recording.event)
 
 
 def simulate(
@@ -89,6 +87,7 @@ def simulate(
     """
     c = configuration
     c.require("sim")
+    assert c.plant is not None
     rate = c.loop.rate_Hz
     budget = bus_budget(c.bus, c.drives, c.sensors, rate)
     watchdog_s = c.drives.watchdog_ms * 1e-3
@@ -104,17 +103,23 @@ def simulate(
     try:
         lockstep = build_lockstep(c, cycle, nodes)
         with record(c, cycle, path, "sim", live=live, lockstep=True) as recording, collector_paused():
+            for fault in c.plant.faults:
+                recording.event(0, "info", f"to be injected: {show_fault(fault)}")
             begun = time.perf_counter()
             ending = _run(lockstep, recording, duration_s, script or no_setpoints)
             wall = time.perf_counter() - begun
-            recorder = recording.close({"ending": ending.mode.name, "faults": int(ending.faults)})
+            if ending.trouble:
+                recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)
+            recorder = recording.close(closing(ending, ending.trouble))
     finally:
         physics.close()
     rows = Log.open(path).rows()
+    injected, unmet = nodes.begun, nodes.waiting
     result: dict[str, Any] = {
         "success": ending.success,
         "kind": "sim",
-        "trouble": ending.reason or None,
+        "trouble": ending.trouble or None,
+        "story": told(ending),
         "configuration": c.source,
         "log": str(path),
         "rate_Hz": rate,
@@ -125,6 +130,10 @@ def simulate(
         **figures(rows),
         "recorder_cpu_s": recorder.recorder_cpu_s,
     }
+    late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
+    for key, which in (("injected", injected), ("mode_not_reached", unmet), ("time_not_reached", late)):
+        if which:
+            result[key] = [show_fault(fault) for fault in which]
     if script is not None and script.left:
         result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
     if check_replay:

@@ -10,10 +10,13 @@ from typing import NamedTuple
 
 from drivers.can.arbitration import priority, transmit
 from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.errors import PlantError
 from drivers.protocol import ALWAYS, Frame, Received
+from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
+from hil.loop.story.narrator import EventSink, no_event
 from hil.signals import Operator, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
@@ -27,6 +30,8 @@ _frame_of = itemgetter(1)
 
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
+REST_S = 0.1
+"""A reference that has stood still for so long in TRACKING is at rest: HOLD, as faults call it."""
 
 
 def no_setpoints(tick: int) -> tuple[SetPoint, ...]:
@@ -54,8 +59,11 @@ class Burst(NamedTuple):
 class Lockstep:
     """The bus between a Cycle and Nodes, and the time that both share.
 
+    The faults of the nodes that wait for a mode are told when it is reached.
+
     Mutable state: the transmit queue and when the bus falls free, the frames on their way to either end, the
-    tick; and the controller and the nodes themselves. One run per instance.
+    tick, the last mode and since when the reference rests; and the controller and the nodes themselves. One
+    run per instance.
     """
 
     cycle: Cycle
@@ -78,6 +86,9 @@ class Lockstep:
     """Priority and ns on the wire of every shape seen so far."""
     _bursts: dict[tuple[Shape, ...], Burst] = field(default_factory=dict)
     """What is known of frames of these shapes: the same few come together tick after tick."""
+    _mode: Mode = Mode.WAITING
+    _rests: int = 0
+    """How many ticks in a row the reference has stood still in TRACKING."""
 
     def __post_init__(self) -> None:
         self.period_ns = round(1e9 / self.cycle.parts.rate_Hz)
@@ -95,13 +106,34 @@ class Lockstep:
         t_ns = tick * self.period_ns
         opening = self.cycle.begin(tick)
         feedback, step_ns = self._exchange(t_ns, opening)
-        inp = TickInput(tick, t_ns, frames=tuple(feedback), operator=operator, setpoints=setpoints)
+        inp = TickInput(
+            tick,
+            t_ns,
+            frames=tuple(feedback),
+            bus_off=self.nodes.bus_off,
+            operator=operator,
+            setpoints=setpoints,
+        )
         out = self.cycle.step(inp)
+        if self.nodes.waiting:
+            self._report_mode()
         queued_ns = step_ns + self.compute_ns
         # nothing else is queued before the next SYNC
         if not self._send(queued_ns, out.frames, t_ns + self.period_ns - 1, self._commands):
             self._queue([(queued_ns, frame) for frame in out.frames], from_drive=False)
         return inp, opening, out
+
+    def _report_mode(self) -> None:
+        """Let the time of the faults count that wait for the controller's mode."""
+        cycle = self.cycle
+        mode = cycle.mode
+        if mode is not self._mode:
+            self._mode = mode
+            self.nodes.reached(mode.name)
+        resting = mode is Mode.TRACKING and not cycle.tick["dq_d"].any()
+        self._rests = self._rests + 1 if resting else 0
+        if self._rests == round(REST_S * cycle.parts.rate_Hz):
+            self.nodes.reached("HOLD")
 
     def _exchange(self, t_ns: int, opening: tuple[Frame, ...]) -> tuple[list[Received], int]:
         """Let SYNC reach the drives and their answers the controller; return those and the step's time."""
@@ -109,8 +141,8 @@ class Lockstep:
         if not self._send(t_ns, opening, deadline, self._commands):
             self._queue([(t_ns, frame) for frame in opening], from_drive=False)
             self._carry(t_ns)
-            # what starts the tick waits for the frame on the wire
-            while any(queued[-1] in opening for queued in self._queued):
+            # what starts the tick waits for the frame on the wire, on a flooded bus in vain
+            while self.free_ns <= deadline and any(queued[-1] in opening for queued in self._queued):
                 self._carry(self.free_ns)
         synced = self._commands[-1].t_ns if self._commands else t_ns
         commands, self._commands = self._commands, []
@@ -202,13 +234,22 @@ class Lockstep:
         duration_s: float | None,
         observe: Observer,
         setpoints: Callable[[int], tuple[SetPoint, ...]] = no_setpoints,
+        event: EventSink = no_event,
     ) -> Ending:
-        """Engage, run the reference, park. `setpoints` gives those of a tick. Return how the run ended."""
-        course = Course(self.cycle, duration_s)
+        """Engage, run the reference, park. `setpoints` gives those of a tick. Return how the run ended.
+
+        It ends with its plant, too. `event` takes what each fault tells in its tick.
+        """
+        course = Course(self.cycle, duration_s, event=event)
         ending = None
         while ending is None:
             tick = self.tick + 1
-            observe(*self.step(course.commands(tick), setpoints(tick)))
+            operator, given = course.commands(tick), setpoints(tick)
+            try:
+                stepped = self.step(operator, given)
+            except PlantError as error:
+                return course.failed(str(error), tick)
+            observe(*stepped)
             ending = course.ending(tick)
         return ending
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from plant_fmu.drives.faults.fault import LegFault, Present
+from typing import Literal
+
+from plant_fmu.faults.fault import LegFault, Present
 
 
 class Derated(LegFault):
     """The leg's force is this share of what its drive means to apply."""
 
+    kind: Literal["derated"] = "derated"
     share: float = 0.5
 
     def act(self, present: Present) -> None:

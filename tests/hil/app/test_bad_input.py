@@ -279,17 +279,23 @@ def log(tmp_path_factory):
     return path
 
 
+def consent(command: str) -> list[str]:
+    return ["--arm"] if command == "run" else []
+
+
 @pytest.mark.parametrize("command", ["sim", "run", "plant"])
 def test_an_existing_log_is_not_overwritten(refused, tmp_path, command):
     (tmp_path / "precious.mcap").write_text("hours of work")
-    assert "precious.mcap: exists and is not overwritten" in refused(command, "--log", "precious.mcap")
+    said = refused(command, *consent(command), "--log", "precious.mcap")
+    assert "precious.mcap: exists and is not overwritten" in said
 
 
 @pytest.mark.parametrize("command", ["sim", "run", "plant"])
 @pytest.mark.parametrize("folder", ["file", "/proc/nowhere"])
 def test_a_log_where_no_folder_can_be_made(refused, tmp_path, command, folder):
     (tmp_path / "file").touch()
-    assert f"{folder}: cannot be made" in refused(command, "--log", f"{folder}/run.mcap")
+    said = refused(command, *consent(command), "--log", f"{folder}/run.mcap")
+    assert f"{folder}: cannot be made" in said
 
 
 def test_a_log_with_a_name_too_long(refused):

@@ -173,6 +173,19 @@ def test_a_latched_fault_exits_1_and_the_summary_names_it(tmp_path):
     assert summary["faults"] == ["FOLLOWING"]
     assert result.stdout.splitlines()[0] == "sim: failed"
     assert re.search(r"^faults +FOLLOWING$", result.stdout, re.MULTILINE)
+    story = summary["story"]
+    assert len(story["findings"]) >= 1
+    for finding in story["findings"]:
+        assert 0 <= finding["leg"] <= 5
+        assert finding["value"] > finding["limit"] == pytest.approx(1e-6)
+        assert f"leg {finding['leg']} is " in result.stderr
+    assert "all six in OFF" in summary["trouble"]
+    for line in story["lines"]:
+        assert line in result.stderr
+    assert "docs/guides/glossary-of-faults.md#fault-following" in result.stderr
+    again = hil("replay", tmp_path / "a.mcap", "--json", tmp_path / "b.json")
+    assert again.exit_code == 0, again.output
+    assert json.loads((tmp_path / "b.json").read_text())["story"] == story
 
 
 def test_check_exits_0_with_figures(tmp_path):
@@ -186,7 +199,7 @@ def test_check_exits_0_with_figures(tmp_path):
 
 def test_check_exits_2_with_all_problems_on_the_terminal_and_in_json(tmp_path):
     (tmp_path / "two.yaml").write_text(
-        edited(("reaction: brake ", "reaction: pray "), ("priority: 80", "priorty: 80"))
+        edited(("silence: brake ", "silence: pray "), ("priority: 80", "priorty: 80"))
     )
     result = hil("check", tmp_path / "two.yaml", "--json", tmp_path / "check.json")
     assert result.exit_code == 2

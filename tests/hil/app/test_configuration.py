@@ -42,6 +42,7 @@ ONE_PROBLEM = [
     ("rate_Hz: 1000\n", "rate: 1000\n", "rate: 1000\n", "loop.rate: missing unit: the key is rate_Hz"),
     ("watchdog_ms: 10 ", "watchdog_s: 10 ", "watchdog_s", "drives.watchdog_s: wrong unit: the key is watchdog_ms (in ms)"),
     ("channel: hil0", "chanel: hil0", "chanel", "bus.chanel: unknown key, did you mean channel?"),
+    ("  following: sbc ", "  estop: sbc ", "estop: sbc", "reactions.estop: no key: the reactions to estop, bus, second_controller are fixed, always sto"),
     ("loop:\n", "lop:\n", "lop:\n", "lop: unknown key, did you mean loop?"),
     ("  priority: 80 ", "  zzz: 80 ", "zzz", "loop.zzz: unknown key, allowed: rate_Hz, feedback_window_us"),
     ("    mass_kg: 1150", "    mass: 1150", "mass: 1150", "platform.platform.mass: missing unit: the key is mass_kg"),

@@ -1,0 +1,97 @@
+"""What `hil check` warns of: configurations that run, and that nobody should stand under."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from drivers.signals import Fault
+from hil.app.check.brakes import brake_dangers
+from hil.app.check.silence import Silence
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.encoder_limits import encoder_limits
+from hil.app.reachability import Walk
+from hil.safety.increments import gap_bound
+from hil.safety.stillness import SUSPECT
+
+FACTOR = 4.0
+"""A limit this many times above what the reference needs protects from little."""
+UNSTATED = 3.0
+"""A rated force that nobody stated and that is this many times above the limit is a mistake."""
+JUMP_SHARE = 0.1
+"""A jump of a larger share of the stroke has to be seen."""
+QUINTIC_PEAK = 1.875
+"""Peak over mean speed of the approach."""
+
+
+def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
+    """Yield what is dangerous.
+
+    The layout ideal drives no hardware, so nothing is dangerous with it.
+    """
+    if c.bus.layout == "ideal":
+        return
+    weight_N = float(np.abs(w.rest).max())
+    if c.reactions.silence == "zero":
+        yield (
+            "reactions.silence zero: after silence nothing holds the platform, whose legs carry "
+            f"up to {weight_N:.0f} N; write brake"
+        )
+    sto = [name.lower() for name, fault in Fault.__members__.items() if fault & c.reactions.led_to("sto")]
+    if sto:
+        yield (
+            f"reactions sto after {', '.join(sto)}: the platform falls until the brakes act, and whether "
+            "they hold is not tested; sbc keeps the force on until they are proven"
+        )
+    if c.engage.force_ramp_s <= 0.0:
+        yield "engage.force_ramp_s 0: no brake is ever tested, neither at the start nor when parking"
+    hit = silence.beyond(w, c.platform.length_min_m, c.platform.length_max_m)
+    if c.reactions.silence == "brake" and hit is not None:
+        yield (
+            f"drives.watchdog_ms {c.drives.watchdog_ms:g} and engage.brake_close_s "
+            f"{c.engage.closing_s:g}: after silence at t = {hit.t:.3f} s leg {hit.leg} travels up to "
+            f"{1e3 * hit.travel_m:.0f} mm until it rests on its brake, and is {1e3 * hit.free_m:.0f} mm from "
+            "a hard end; shorten drives.watchdog_ms, engage.brake_close_s to what the brakes take, or speed "
+            "or stroke of the reference"
+        )
+    yield from _loose(c, w)
+    yield from _blind(c)
+    yield from brake_dangers(c, w)
+    rated, asked = c.drives.force_limit_N, c.limits.force_N
+    if "force_limit_N" not in c.drives.model_fields_set and rated > UNSTATED * asked:
+        yield (
+            f"drives.force_limit_N is not stated, and {rated:.0f} N are assumed as the drives' rated force, "
+            f"{rated / asked:.0f} times limits.force_N {asked:g}: state that of your drives"
+        )
+
+
+def _blind(c: Configuration) -> Iterator[str]:
+    """Yield the rules on encoders that the stated noise leaves without effect."""
+    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), c.loop.rate_Hz)
+    noise_m, T, following_m = limits.length_noise_m, limits.period_s, c.limits.following_error_m
+    jump_m = gap_bound(noise_m, limits.rate_noise_m_s, 2.0 * limits.disturbance_m_s2, T)
+    most_m = JUMP_SHARE * (c.platform.length_max_m - c.platform.length_min_m)
+    stated = f"monitor.length_noise_m {c.monitor.length_noise_m:g}"
+    mend = "give the largest deviation of a reading, 3 to 4 standard deviations"
+    if jump_m > most_m:
+        yield (
+            f"{stated}: a jump is seen from {1e3 * jump_m:.3g} mm on, more than a tenth of the stroke "
+            f"({1e3 * most_m:.3g} mm), so the rules on jumps are without effect; {mend}"
+        )
+    if SUSPECT * noise_m > following_m:
+        yield (
+            f"{stated}: a leg that stands still is suspected from {1e3 * SUSPECT * noise_m:.3g} mm on, above "
+            f"limits.following_error_m {following_m:g}, so that rule is without effect; {mend}"
+        )
+
+
+def _loose(c: Configuration, w: Walk) -> Iterator[str]:
+    """Yield the limits that are far beyond what the path and the way to it need."""
+    speed = max(float(np.abs(w.dq).max()), QUINTIC_PEAK * c.engage.approach_speed_m_s)
+    for name, limit, needed, unit in (
+        ("force_N", c.limits.force_N, float(np.abs(w.tau).max()), "N"),
+        ("speed_m_s", c.limits.speed_m_s, speed, "m/s"),
+    ):
+        if limit > FACTOR * needed:
+            times = limit / needed
+            yield f"limits.{name} {limit:g} is {times:.1f} times the {needed:.3g} {unit} that are needed"

@@ -1,0 +1,96 @@
+"""From a configuration to the limits of the rules on encoders."""
+
+from math import ceil, sqrt
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.signals import LEGS
+from hil.app.configuration.configuration import Configuration
+from hil.app.loop_delay import loop_delay
+from hil.mathematics.linear_algebra import solve
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
+from hil.safety.encoder_limits import EncoderLimits
+from hil.safety.stillness import MOVED
+from plant_fmu.config import BenchPlant, StewartPlant
+
+LENGTH_STEP_M = 1e-7
+"""Step of a length in a feedback."""
+AWAY = 2.0
+"""Mobility at home times this bounds it elsewhere, the error of the model included."""
+ASSUMED_FRICTION = 0.05
+"""Share of the largest force of a leg that friction may take where nobody states it."""
+PUSH = {False: 0.038, True: 0.25}
+"""Share of the stated disturbance that a leg is pushed by, by whether it sticks: nobody feels a slow rise."""
+LOOSENS = 2.0
+"""Times its friction from one end of what it can balance to beyond the other."""
+LAGS = 3.0
+"""Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
+
+
+def mobility(platform: Platform, model: Model, home: tuple[Array, Array]) -> Array:
+    """Return J M^-1 J^T (6, 6) 1/kg: how forces on the legs accelerate legs."""
+    J, M = jacobian(platform, *home), model.mass_matrix(*home)
+    moved = [solve(M, leg) for leg in J]
+    return np.array([[float((row * twist).sum()) for twist in moved] for row in J])
+
+
+def encoder_limits(
+    c: Configuration, platform: Platform, home: tuple[Array, Array], rate_Hz: float
+) -> EncoderLimits:
+    """Return what the rules on encoders compare with at a rate of the loop.
+
+    Where the pose is fused with a tracker, the filter decides: no encoder is watched here.
+    """
+    monitor, period_s = c.monitor, 1.0 / rate_Hz
+    A = mobility(platform, Model(platform, leg_spin=c.platform.leg_spin), home)
+    decided = c.estimation.pose == "fused" and c.sensors.tracker is not None
+    delay = loop_delay(c)
+    noise_m = length_noise_m(c)
+    sticks = friction_N(c) > 0.0
+    push = PUSH[sticks] * monitor.disturbance_m_s2
+    push_N = LOOSENS * friction_N(c) + push / np.diag(A)
+    seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
+    late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
+    ticks, turns = ceil((late_s + seen_s) / period_s), ceil(2.0 * float(push_N.max()) / c.limits.force_step_N)
+    return EncoderLimits(
+        watched_legs=0 if decided else (1 << LEGS) - 1,
+        length_noise_m=noise_m,
+        rate_noise_m_s=monitor.rate_noise_m_s,
+        rate_skew_s=1e-6 * monitor.rate_skew_us,
+        rate_error=1e-2 * monitor.rate_error_percent,
+        disturbance_m_s2=monitor.disturbance_m_s2,
+        mobility=AWAY * np.abs(A),
+        acting_ticks=ceil((late_s + LAGS * delay.lag_s) / period_s),
+        push_N=push_N,
+        push_ticks=ticks + max(turns - 1, 0) if sticks else max(ticks, turns),
+        sticks=int(sticks),
+        open_ticks=ceil(c.engage.brake_release_s / period_s),
+        period_s=period_s,
+    )
+
+
+def length_noise_m(c: Configuration) -> float:
+    """Return what one length may be off: as stated, and no less than the steps in which it comes."""
+    step = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
+    return max(c.monitor.length_noise_m, step + LENGTH_STEP_M)
+
+
+def friction_N(c: Configuration) -> float:
+    """Return the dry friction that may hold a leg still, N."""
+    if c.monitor.friction_N is not None:
+        return c.monitor.friction_N
+    believed = c.controller.believed
+    known = 0.0 if believed is None else float(np.max(believed.coulomb_friction_N))
+    assumed = ASSUMED_FRICTION * min(c.limits.force_N, c.limits.force_window_N, c.drives.force_limit_N)
+    match c.plant:
+        case None:
+            return max(known, assumed)
+        case plant if isinstance(plant.model, StewartPlant):
+            return max(known, plant.model.coulomb_friction_N)
+        case plant if isinstance(plant.model, BenchPlant):
+            return known
+        case _:
+            return max(known, assumed)

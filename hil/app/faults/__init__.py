@@ -1,0 +1,1 @@
+"""`hil faults`: the matrix of faults and moments, and its verdicts."""

@@ -1,0 +1,99 @@
+"""`hil faults`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, configuration_argument, finish, load, reporting
+
+
+def _legs(text: str | None) -> tuple[int, ...]:
+    """Return the legs of a list with commas, each once. Raises ConfigurationError for what is none."""
+    from drivers.errors import ConfigurationError
+
+    words = [] if text is None else text.split(",")
+    try:
+        return tuple(dict.fromkeys(map(int, words)))
+    except ValueError:
+        raise ConfigurationError(f"--legs {text}: allowed: numbers of legs with commas, as 0,3") from None
+
+
+@click.command()
+@configuration_argument
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="GLOB",
+    help="Cases by KIND or KIND/MOMENT, as 'brake_*'; may be repeated.",
+)
+@click.option("--legs", metavar="LEG,...", help="Whose faults, where they are a leg's: each once; default 2.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Draws leg, size and sign of each case; default: leg 2 and the usual sizes.",
+)
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
+)
+@click.option(
+    "--junit",
+    type=FILE,
+    metavar="FILE",
+    help="Write the verdicts there as JUnit XML, too; an earlier one goes.",
+)
+@reporting
+def command(
+    configuration: str,
+    only: tuple[str, ...],
+    legs: str | None,
+    seed: int | None,
+    jobs: int | None,
+    junit: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Inject each kind of fault once at each moment of a run, in simulated time, and judge what follows.
+
+    The moments: LOADING, APPROACH, TRACKING where the reference is fastest, HOLD, PARKING, UNLOADING. Motion
+    is that of the plant's true legs: from the reference before the reaction, from where they were after it.
+    A case passes if the run ends held within the bound of its kind and names a right cause and the leg, or if
+    nothing came of the fault; what the sensors cannot see is said to be so, with the error that it leaves.
+
+    \b
+    Examples:
+      hil faults                            the default configuration
+      hil faults lab --only 'brake_*' --only 'encoder_*/TRACKING'
+      hil faults --legs 0,3 --only 'encoder_*'
+      hil faults --seed 7                   other legs, sizes and signs, the same each time
+      hil faults my.yaml --jobs 4 --junit faults.xml --json faults.json
+
+    \b
+    Exit code:
+      0  every case is within its bound
+      1  a case is not; the table says which
+      2  not begun: configuration, pattern, FMU or file; the message says what
+    """
+    loaded = load(configuration, "sim")
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from hil.app.faults.command import run_matrix
+    from hil.app.faults.report import check_junit_path, show, shown, write_junit
+    from hil.app.output import console
+
+    if junit is not None:
+        check_junit_path(junit)
+    columns = (TextColumn("injecting faults"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+        summary = run_matrix(
+            loaded,
+            only=only,
+            legs=_legs(legs),
+            seed=seed,
+            jobs=jobs,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    show(summary)
+    if junit is not None:
+        write_junit(junit, summary)
+    finish("faults", summary, json_file, shown(summary))

@@ -1,0 +1,34 @@
+"""What the six drives say of themselves in a tick."""
+
+from drivers.signals import DriveFault, DriveState
+from drivers.tick_columns import Record
+
+_POWERED = (DriveState.READY, DriveState.RUN)
+
+
+def all_free(tick: Record) -> bool:
+    """Tell whether all brakes are open, on the drives' own word."""
+    return all(state == DriveState.RUN for state in tick["drive_state"].tolist())
+
+
+def any_powered(tick: Record) -> bool:
+    """Tell whether a drive is powered."""
+    return any(state in _POWERED for state in tick["drive_state"].tolist())
+
+
+def unconfirmed(tick: Record) -> tuple[int, ...]:
+    """Return the legs whose drive is not in FAULT or does not report the emergency stop as its reason.
+
+    A fault code of the drives' own is taken for it: what it means only their maker knows.
+    """
+    faults, states = tick["drive_fault"].tolist(), tick["drive_state"].tolist()
+    return tuple(
+        leg
+        for leg, (fault, state) in enumerate(zip(faults, states, strict=True))
+        if state != DriveState.FAULT or not (fault == DriveFault.ESTOP or fault >= len(DriveFault))
+    )
+
+
+def confirmed(tick: Record) -> bool:
+    """Tell whether all drives are in FAULT and report the emergency stop as their reason."""
+    return not unconfirmed(tick)

@@ -1,0 +1,236 @@
+"""Watches the cycle from tick to tick and tells the story of its faults."""
+
+import json
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from drivers.signals import LEGS, DriveMode, DriveState, Fault, Mode
+from drivers.tick_columns import FIRST, TICK, Record
+from hil.loop.cycle import Cycle
+from hil.loop.drives_say import confirmed, unconfirmed
+from hil.loop.modes import drive_mode
+from hil.loop.report import moving_text
+from hil.loop.story.faults import findings
+from hil.loop.story.finding import Finding, Moment
+from hil.loop.story.told import DONE, DriveSaid, Step, Story, listed, short
+from hil.signals import Operator
+
+_fields: Any = TICK.fields
+_STATES = slice(_fields["drive_state"][1] // 8, _fields["drive_fault"][1] // 8 + LEGS)
+"""Where a record's buffer has what the drives say of themselves."""
+_AGE_AT = _fields["age"][1]
+_ages = struct.Struct(f"<{LEGS}q").unpack_from
+EventSink = Callable[[int, str, str], None]
+"""Takes t_ns, level and text of an event."""
+
+
+def no_event(t_ns: int, level: str, text: str) -> None:
+    """Keep no event."""
+    del t_ns, level, text
+
+
+class Narrator:
+    """Told every tick of a cycle, it knows what its latched faults have to tell. It changes nothing.
+
+    Most ticks have nothing to tell: only what has changed since the last one is looked at.
+
+    Mutable state: record and mode of the last tick, the faults told of, what was found and what the drives
+    said then, the modes since, how commands and emergency stops went.
+    """
+
+    def __init__(self, cycle: Cycle, event: EventSink = no_event) -> None:
+        """Watch a cycle from its present tick on; each finding is an event."""
+        self._cycle, self._event = cycle, event
+        self._before: Record = FIRST
+        self._mode, self._mode_tick = cycle.mode, cycle.mode_tick
+        self._reset_tick = cycle.reset_tick
+        self._forget()
+
+    def _forget(self) -> None:
+        self._faults = Fault.NONE
+        self._findings: list[Finding] = []
+        self._drives: tuple[DriveSaid, ...] = ()
+        self._steps: list[tuple[int, Mode, bool]] = []
+        self._off_tick: int | None = None
+        """When the drives were first asked to switch off."""
+        self._told = False
+        """The bus has taken a command to switch off."""
+        self._all_off: tuple[int, str] | None = None
+        """When all drives first said that they are, and their states."""
+        self._estops, self._estop_done = 0, False
+        self._states = b""
+        """States and reasons of all drives, as the last tick that was waited with has them."""
+        self._powered = True
+        """Whether a drive among them is."""
+
+    def look(self, operator: Sequence[Operator] = ()) -> None:
+        """Take in the tick that was just stepped, and the operator's commands in it."""
+        cycle = self._cycle
+        if cycle.reset_tick != self._reset_tick:
+            self._reset_tick = cycle.reset_tick
+            self._forget()
+        faults, mode = cycle.faults, cycle.mode
+        if faults:
+            if cycle.estop or (self._off_tick is not None and self._all_off is None):
+                self._wait(cycle)
+            if mode is not self._mode or faults != self._faults:
+                self._follow(cycle, faults, Operator.RELEASE in operator)
+        self._before, self._mode, self._mode_tick = cycle.tick, mode, cycle.mode_tick
+
+    def _wait(self, cycle: Cycle) -> None:
+        """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
+        tick = cycle.tick
+        states = tick.base[_STATES].tobytes()  # type: ignore[index]
+        if states != self._states:
+            self._states = states
+            self._powered = any(each.powered for each in said(tick))
+            self._estop_done = confirmed(tick)
+        if cycle.estop:
+            self._estops += not self._estop_done
+        if self._off_tick is not None and self._all_off is None:
+            self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
+            if self._told and not self._powered and self._heard(tick):
+                self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(tick)}))
+
+    def _heard(self, tick: Record) -> bool:
+        """Tell whether all drives have been heard since they were told to switch off."""
+        assert self._off_tick is not None
+        since = int(tick["tick"]) - self._off_tick
+        for leg, age in enumerate(_ages(tick.base, _AGE_AT)):  # type: ignore[arg-type]
+            if age >= since and not tick["blind"][leg]:
+                return False
+        return True
+
+    def _follow(self, cycle: Cycle, faults: Fault, released: bool) -> None:
+        tick = cycle.tick
+        number = int(tick["tick"])
+        if self._faults & ~faults:
+            self._forget()
+        new = faults & ~self._faults
+        if new:
+            first = not self._findings
+            elapsed_s = (number - self._mode_tick) / cycle.parts.rate_Hz
+            found = list(findings(Moment(cycle, self._before, self._mode, elapsed_s), new))
+            self._findings += found
+            self._faults = faults
+            if first:
+                self._drives = said(tick)
+            for each in found:
+                self._event(int(tick["t_ns"]), "error", f"{each.line}\n{json.dumps(each.fields())}")
+        if cycle.mode is not self._mode or (new and not self._steps):
+            self._steps.append((number, cycle.mode, released and self._mode is Mode.HELD))
+            if drive_mode(cycle.mode) is not DriveMode.OFF:
+                self._off_tick, self._told, self._all_off = None, False, None
+            elif self._off_tick is None:
+                self._off_tick = number
+
+    @property
+    def short(self) -> str:
+        """The faults and what shows them, in one line; empty without."""
+        return short(self._findings)
+
+    def story(self, plant: str = "") -> Story | None:
+        """Return what there is to tell by now; None without a fault.
+
+        `plant`: why it failed, which has ended the simulation.
+        """
+        if not self._findings and not plant:
+            return None
+        tick = self._cycle.tick
+        moving = moving_text(self._cycle)
+        rest = f"still moving: {moving}" if moving else "no leg that is heard moves"
+        if tick["age"].all():
+            rest = "no leg is heard, so nobody here knows whether one moves"
+        done = self._done()
+        if plant:
+            number = int(tick["tick"])
+            done.append(
+                Step(number, number / self._cycle.parts.rate_Hz, "PLANT", "the simulation ended with it")
+            )
+        return Story(tuple(self._findings), self._drives or said(tick), tuple(done), said(tick), rest, plant)
+
+    def _done(self) -> list[Step]:
+        rate = self._cycle.parts.rate_Hz
+        last_off = max((n for n, (_, mode, _) in enumerate(self._steps) if _off(mode)), default=-1)
+        steps = []
+        for n, (tick, mode, released) in enumerate(self._steps):
+            text = DONE[mode]
+            if n == last_off and self._off_tick is not None:
+                text = self._switched_off()
+            if mode is Mode.HELD and n == len(self._steps) - 1:
+                text += self._braked(tick)
+            if released:
+                text = f"the platform was released on request; {text}"
+            if mode is Mode.PARKED and self._tested(n):
+                text += "; the brakes had passed their test"
+            steps.append(Step(tick, tick / rate, mode.name, text))
+        if self._estops:
+            first = self._findings[0].tick
+            steps.append(Step(first, first / rate, "ESTOP", self._stopped()))
+        return steps
+
+    def _tested(self, n: int) -> bool:
+        """Tell whether the brake test passed before step n."""
+        before = self._steps[n - 1][1] if n else None
+        return before is Mode.UNLOADING and self._cycle.proven and self._cycle.durations.load > 0.0
+
+    def _braked(self, since: int) -> str:
+        """Say which drives have not said since a tick that they brake."""
+        now = int(self._cycle.tick["tick"])
+        run = DriveState.RUN.name
+        missing = [d.leg for d in said(self._cycle.tick) if d.state == run or now - d.age <= since]
+        return f"; not confirmed by drive {listed(missing)}" if missing else ""
+
+    def _switched_off(self) -> str:
+        """Say what became of the command to switch off."""
+        cycle, now = self._cycle, int(self._cycle.tick["tick"])
+        assert self._off_tick is not None
+        if now == self._off_tick:
+            return DONE[Mode.FAULT]
+        setup = cycle.parts.setup
+        running = any(d.state == DriveState.RUN.name for d in self._drives)
+        reaction = setup.reaction.name.lower() if running else "brake"
+        own = f"{1e3 * setup.watchdog_s:g} ms after the last command it heard, with reaction `{reaction}`"
+        if not self._told:
+            return (
+                "the drives could not be told to switch off, since the bus takes no frames: the watchdog of "
+                f"each acts {own}"
+            )
+        if self._all_off is not None:
+            tick, states = self._all_off
+            later_ms = 1e3 * (tick - self._off_tick) / cycle.parts.rate_Hz
+            return f"{DONE[Mode.FAULT]}: all six in {states} {later_ms:g} ms later"
+        silent = listed(self._unconfirmed(cycle.tick))
+        which = f"not confirmed by drive {silent}; the watchdog of one that hears nothing acts {own}"
+        return f"{DONE[Mode.FAULT]}: {which}"
+
+    def _unconfirmed(self, tick: Record) -> list[int]:
+        """Return the legs whose drive has not said, since it was told to switch off, that it is."""
+        assert self._off_tick is not None
+        number = int(tick["tick"])
+        return [each.leg for each in said(tick) if each.powered or number - each.age <= self._off_tick]
+
+    def _stopped(self) -> str:
+        """Say what became of the emergency stop."""
+        if self._off_tick is not None and not self._told and int(self._cycle.tick["tick"]) > self._off_tick:
+            return "the emergency stop could not be sent: the bus takes no frames"
+        sent = f"the emergency stop was sent in {self._estops} ticks"
+        if self._estop_done:
+            return f"{sent}, until all six drives confirmed it"
+        tick = self._cycle.tick
+        return f"{sent}; not confirmed by drive {listed(unconfirmed(tick))}"
+
+
+def _off(mode: Mode) -> bool:
+    return drive_mode(mode) is DriveMode.OFF
+
+
+def said(tick: Record) -> tuple[DriveSaid, ...]:
+    """Return what each drive has said of itself up to a tick."""
+    columns = (tick[name].tolist() for name in ("drive_state", "drive_fault", "age", "blind"))
+    rows = zip(range(LEGS), *columns, strict=True)
+    return tuple(
+        DriveSaid(leg, DriveState(state).name, fault, 0 if blind else age)
+        for leg, state, fault, age, blind in rows
+    )

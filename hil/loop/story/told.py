@@ -1,0 +1,178 @@
+"""A story as it is told: in words, one line or several, and as plain values."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from drivers.signals import NEVER, DriveState, Mode
+from hil.loop.report import because
+from hil.loop.story.finding import Finding
+
+DONE = {
+    Mode.WAITING: "the faults were cleared on request",
+    Mode.IDLE: "the brakes stayed closed",
+    Mode.LOADING: "the force was built up on the closed brakes",
+    Mode.RELEASING: "the brakes were told to open",
+    Mode.APPROACH: "the move to the start of the reference went on",
+    Mode.TRACKING: "the reference was followed on",
+    Mode.STOPPING: "a controlled stop along the reference began",
+    Mode.PARKING: "the brakes were told to close, while the force held the platform",
+    Mode.UNLOADING: "the force faded out on the closed brakes, while the legs had to stand still",
+    Mode.PARKED: "the drives were told to switch off",
+    Mode.FAULT: "the drives were told to switch off",
+    Mode.HELD: "the brakes were told to close and the force held the platform: not all are proven shut",
+}
+"""What was done about a fault, by the mode that was entered."""
+PLANT_PAGE = "docs/guides/own-fmu.md"
+"""What a plant has to do."""
+HELD_NEXT = "support the platform, then let go of it with `hil run CONFIG --release`"
+HELD_PAGE = "docs/guides/real-drives.md#held-until-the-brakes-are-proven"
+"""What it means that the drives hold the platform with force."""
+NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?$")
+_POWERED = (DriveState.READY.name, DriveState.RUN.name)
+
+
+class DriveSaid(NamedTuple):
+    """What a drive has said of itself."""
+
+    leg: int
+    state: str
+    """Name of a DriveState."""
+    fault: int
+    age: int
+    """Ticks since it was last heard."""
+
+    @property
+    def powered(self) -> bool:
+        """Whether it was, when it was last heard."""
+        return self.state in _POWERED
+
+    @property
+    def text(self) -> str:
+        """Its state in words."""
+        if self.age >= NEVER:
+            return "never heard"
+        silent = f" when last heard, {self.age} ticks ago" if self.age else ""
+        return f"{self.state}{because(self.fault)}{silent}"
+
+
+class Step(NamedTuple):
+    """One thing that was done."""
+
+    tick: int
+    time_s: float
+    mode: str
+    """Name of the mode that was entered; ESTOP for the frame, PLANT where that has failed."""
+    text: str
+
+
+@dataclass(frozen=True)
+class Story:
+    """What happened, what the drives said, what was done, what to do next."""
+
+    findings: tuple[Finding, ...]
+    """In the order in which the faults struck, causes first where several did at once."""
+    drives: tuple[DriveSaid, ...]
+    """In the tick of the first fault."""
+    done: tuple[Step, ...]
+    drives_at_end: tuple[DriveSaid, ...]
+    at_end: str
+    """What moves in the end."""
+    plant: str = ""
+    """Why the plant of a simulation failed; empty while it lives."""
+
+    @property
+    def short(self) -> str:
+        """The faults and what shows them, in one line."""
+        return short(self.findings)
+
+    @property
+    def done_text(self) -> str:
+        """What was done, in one line."""
+        return "; ".join(step.text for step in self.done)
+
+    def fields(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "text": self.short,
+            "plant": self.plant or None,
+            "findings": [each.fields() for each in self.findings],
+            "drives": [each._asdict() for each in self.drives],
+            "done": [each._asdict() for each in self.done],
+            "drives_at_end": [each._asdict() for each in self.drives_at_end],
+            "at_end": self.at_end,
+            "lines": self.lines(),
+        }
+
+    def lines(self) -> list[str]:
+        """Return it in words, one thing a line."""
+        lines = [f"{each.place}: {text}" if text else each.place for each, text in _merged(self.findings)]
+        if self.plant:
+            lines.append(f"plant: {self.plant}")
+        lines.append(f"drives: {_grouped(self.drives)}")
+        lines += [f"done: {step.text} ({step.time_s:.3f} s)" for step in self.done]
+        lines.append(f"in the end: {_grouped(self.drives_at_end)}; {self.at_end}")
+        lines += [f"next: {mend} ({page})" for mend, page in self.next.items()]
+        return lines
+
+    @property
+    def next(self) -> dict[str, str]:
+        """What to do next: each advice with its page in the glossary."""
+        modes = [step.mode for step in self.done if step.mode in Mode.__members__]
+        advice = {HELD_NEXT: HELD_PAGE} if modes[-1:] == [Mode.HELD.name] else {}
+        advice |= {each.mend or "see the glossary": each.page for each in self.findings}
+        if self.plant:
+            advice["mend the plant: its own words stand above"] = PLANT_PAGE
+        return advice
+
+
+def short(findings: Iterable[Finding]) -> str:
+    """Return faults and what shows them in one line; empty without any."""
+    found = list(findings)
+    if not found:
+        return ""
+    names = ", ".join(dict.fromkeys(each.fault for each in found))
+    texts = "; ".join(text for _, text in _merged(found) if text)
+    return f"latched fault {names}" + (f" ({texts})" if texts else "")
+
+
+def listed(legs: Sequence[int]) -> str:
+    """Return numbers of legs with commas."""
+    return ", ".join(map(str, legs))
+
+
+def _merged(findings: Sequence[Finding]) -> list[tuple[Finding, str]]:
+    """Return the findings with their texts, as one those in a row that differ in leg and figures alone."""
+    rows: list[tuple[Finding, list[list[str]]]] = []
+    for each in findings:
+        words = [[word] for word in each.text.split(" ")]
+        if rows and each.seen.leg is not None and _alike(rows[-1], each, words):
+            for column, word in zip(rows[-1][1], words, strict=True):
+                column.extend(word)
+        else:
+            rows.append((each, words))
+    return [(first, " ".join(map(_joined, words))) for first, words in rows]
+
+
+def _alike(row: tuple[Finding, list[list[str]]], finding: Finding, words: list[list[str]]) -> bool:
+    """Tell whether a text differs from those of a row by numbers alone."""
+    first, said = row
+    same = (first.fault, first.tick, len(said)) == (finding.fault, finding.tick, len(words))
+    pairs = zip(said, words, strict=False)
+    return same and all(a[0] == b[0] or (NUMBER.match(a[0]) and NUMBER.match(b[0])) for a, b in pairs)
+
+
+def _joined(words: Sequence[str]) -> str:
+    """Return one word for all legs, or that of each."""
+    return words[0] if len(set(words)) == 1 else ", ".join(words)
+
+
+def _grouped(drives: Sequence[DriveSaid]) -> str:
+    """Return what the drives say, those together that say the same."""
+    texts: dict[str, list[int]] = {}
+    for each in drives:
+        texts.setdefault(each.text, []).append(each.leg)
+    if len(texts) == 1:
+        return f"all {next(iter(texts))}"
+    return "; ".join(f"{listed(legs)} {text}" for text, legs in texts.items())

@@ -1,0 +1,274 @@
+"""The rules on encoders of one tick: which leg is doubted, and which is pushed to see whether it moves."""
+
+from math import inf, isnan
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.compiled.compiler import helper
+from drivers.signals import Doubt, Fault, Mode
+from hil.safety.increments import beside, excused, gap_bound, gap_of, remembered, slip_bound
+from hil.safety.latch import explained, shared_delay
+from hil.safety.leaps import acceleration_range, leap_bound, leap_of, sole
+from hil.safety.stillness import SETTLES_S, SUSPECT, eased, held_fast, push_of, pushed, stands, strayed
+
+_ENCODER = int(Fault.ENCODER)
+_JUMP, _SLIP, _LEAP, _STILL = int(Doubt.JUMP), int(Doubt.SLIP), int(Doubt.LEAP), int(Doubt.STILL)
+_NO_DOUBT, _IDLE, _FAULT = int(Doubt.NONE), int(Mode.IDLE), int(Mode.FAULT)
+_LOADING, _UNLOADING, _PARKED = int(Mode.LOADING), int(Mode.UNLOADING), int(Mode.PARKED)
+LONGEST_GAP = 8
+"""Ticks without a leg after which its last reading says nothing of the next."""
+UNSHARED = 0.3
+"""Share of a period by which a latch may be late although a leg contradicts it: frames in the way."""
+LEAST_m_s = 1e-9
+"""A rate that leaps by less does not."""
+RATE_MOVES = 3.0
+"""So many times its noise make a rate that is not zero."""
+(_DT, _GAP, _RATE, _BOUND, _RANGE, _LEAPED, _EXCESS, _DEVIATION, _SWING, _NOISE, _SAY, _LATE) = range(12)
+"""Rows of a tick's scratch."""
+
+
+@helper
+def doubt_leg(tick: Any, limits: Any, memory: Any, leg: int, why: int, value: float, limit: float) -> None:
+    """Remember a doubtful leg, and for the first one why.
+
+    A length that jumped is no motion: where the leg has to stand, it stands there from now on.
+    """
+    if limits.watched_legs >> leg & 1 == 0:
+        return
+    memory.doubted |= 1 << leg
+    memory.still[leg] = tick.length[leg]
+    if memory.doubt == _NO_DOUBT:
+        memory.doubt, memory.doubt_value, memory.doubt_limit = why, value, limit
+
+
+@helper
+def forget_doubt(memory: Any) -> None:
+    """Let no leg be doubted, nor for what was found before."""
+    memory.doubt = memory.doubted = 0
+    memory.doubt_value = memory.doubt_limit = 0.0
+    memory.gaps[:] = 0.0
+    memory.travel[:] = 0.0
+    memory.excused[:] = 0.0
+
+
+@helper
+def swings(history: Array, newest: int, rows: int, swing: Array) -> None:
+    """Fill swing (6,) N: largest less smallest of the last `rows` + 1 forces sent; history (n, 6): a ring."""
+    n = history.shape[0]
+    for j in range(6):
+        low, high = inf, -inf
+        for k in range(min(rows + 1, n)):
+            force = history[(newest - k) % n, j]
+            low, high = min(low, force), max(high, force)
+        swing[j] = high - low
+
+
+@helper
+def acting(tick: Any, limits: Any, memory: Any) -> int:
+    """Return how many of the last forces, beside the newest, act between the readings to be compared."""
+    rows: int = limits.acting_ticks
+    for i in range(6):
+        if tick.age[i] == 0:
+            since = min(tick.tick + 1 - memory.heard[i], LONGEST_GAP)
+            rows = max(rows, limits.acting_ticks + since)
+    return rows
+
+
+@helper
+def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> float:
+    """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
+
+    Returns how much later than the clock says the latch was, over the legs heard the last time any was.
+    """
+    for i in range(6):
+        x[_GAP, i] = x[_SAY, i] = np.nan
+        lost = memory.heard[i] == 0 or tick.tick + 1 - memory.heard[i] > LONGEST_GAP
+        if tick.age[i] != 0 or lost:
+            continue
+        T = 1e-9 * (latched_ns - memory.latched_ns[i])
+        x[_DT, i] = T
+        x[_RANGE, i] = acceleration_range(limits.mobility, x[_SWING], limits.disturbance_m_s2, i)
+        lively = x[_RANGE, i] + abs(memory.acceleration[i])
+        x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
+        x[_GAP, i] = gap_of(tick.length[i], tick.rate[i], memory.length_was[i], memory.rate_was[i], T)
+        x[_RATE, i] = 0.5 * (tick.rate[i] + memory.rate_was[i])
+        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T)
+        if memory.heard[i] == memory.heard_tick:
+            x[_SAY, i] = x[_GAP, i]
+    delay, shared = shared_delay(x[_SAY], x[_RATE], x[_BOUND])
+    for i in range(6):
+        if not isnan(x[_GAP, i]):
+            late = memory.delay_s + delay - memory.latched_delay_s[i]
+            x[_DT, i] += late
+            x[_GAP, i] -= late * x[_RATE, i]
+    allow_delay(limits, shared, x)
+    return delay
+
+
+@helper
+def allow_delay(limits: Any, shared: bool, x: Array) -> None:
+    """Fill what a delay that is not shared may make of each gap, and add it to the bounds.
+
+    Where no leg contradicts it, it may be a whole period: a leg that is heard in its tick was latched in it.
+    """
+    for i in range(6):
+        period = limits.period_s * abs(x[_RATE, i])
+        x[_LATE, i] = UNSHARED * period
+        beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
+        if beyond and explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
+            x[_LATE, i] = period
+    for i in range(6):
+        if not shared or isnan(x[_SAY, i]):
+            x[_BOUND, i] += x[_LATE, i]
+
+
+@helper
+def fill_leaps(tick: Any, memory: Any, x: Array) -> None:
+    """Fill how far each rate leaps, and as a share of what forces explain; 0 where that is not known."""
+    for i in range(6):
+        if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0:
+            leap = leap_of(tick.rate[i], memory.rate_was[i], memory.acceleration[i], x[_DT, i])
+            bound = leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
+            x[_LEAPED, i], x[_EXCESS, i] = leap, abs(leap) / max(bound, LEAST_m_s)
+
+
+@helper
+def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
+    """Doubt legs whose length and rate contradict each other: at once, or within a while."""
+    closed = tick.mode in (_IDLE, _LOADING, _UNLOADING, _PARKED)
+    for i in range(6):
+        gap, T = x[_GAP, i], x[_DT, i]
+        if isnan(gap):
+            continue
+        if x[_EXCESS, i] > 1.0 and not closed:
+            gap = beside(gap, x[_LEAPED, i], T)
+        if abs(gap) > x[_BOUND, i]:
+            doubt_leg(tick, limits, memory, i, _JUMP, gap, x[_BOUND, i])
+        keep = remembered(T)
+        memory.gaps[i] = keep * memory.gaps[i] + gap
+        memory.travel[i] = keep * memory.travel[i] + abs(x[_RATE, i]) * T
+        noise, share = limits.length_noise_m, limits.rate_error
+        bound = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], T, share, memory.travel[i])
+        left, period = keep * memory.excused[i], limits.period_s
+        bound += x[_LATE, i] + left
+        usual = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], period, share, memory.travel[i])
+        memory.excused[i] = excused(left, memory.gaps[i], usual, T, period)
+        if abs(memory.gaps[i]) > bound:
+            doubt_leg(tick, limits, memory, i, _SLIP, memory.gaps[i], bound)
+
+
+@helper
+def judge_rates(tick: Any, limits: Any, memory: Any, x: Array) -> None:
+    """Doubt the one leg whose rate leaps."""
+    leg = sole(x[_EXCESS])
+    if leg >= 0:
+        leap = x[_LEAPED, leg]
+        doubt_leg(tick, limits, memory, leg, _LEAP, leap, abs(leap) / x[_EXCESS, leg])
+
+
+@helper
+def let_settle(memory: Any, deviation: Array, period_s: float) -> None:
+    """Let no leg be suspected for what another one does that was pushed a moment ago."""
+    for i in range(6):
+        if memory.push[i] != 0:
+            memory.unsettled_s[i] = SETTLES_S
+        if memory.unsettled_s[i] > 0.0:
+            memory.unsettled_s[i] -= period_s
+            own = memory.began[i, i]
+            memory.began[:, i] = deviation[i]
+            memory.began[i, i] = own
+
+
+@helper
+def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
+    """Push legs whose reading stands still while they or others stray, and doubt those that do not move."""
+    deviation = x[_DEVIATION]
+    for i in range(6):
+        deviation[i] = tick.length[i] - tick.q_d[i]
+    let_settle(memory, deviation, limits.period_s)
+    noise, moves = limits.length_noise_m, RATE_MOVES * limits.rate_noise_m_s
+    for i in range(6):
+        if tick.age[i] != 0 or not limits.watched_legs >> i & 1:
+            continue
+        still = memory.stood[i] != 0 and stands(tick.length[i], tick.rate[i], memory.anchor[i], noise, moves)
+        if not still:
+            memory.stood[i], memory.anchor[i], memory.push[i] = 1, tick.length[i], 0
+            memory.began[i, :] = deviation
+            continue
+        moved = strayed(deviation, memory.began[i], tick.age)
+        if memory.push[i] != 0 or moved > SUSPECT * noise:
+            memory.push[i] = pushed(memory.push[i], deviation[i])
+        if held_fast(memory.push[i], limits.push_ticks):
+            doubt_leg(tick, limits, memory, i, _STILL, moved, SUSPECT * noise)
+
+
+@helper
+def remember_readings(tick: Any, memory: Any, latched_ns: int, delay: float, x: Array) -> None:
+    """Keep what the next tick is compared with."""
+    memory.delay_s += delay
+    for i in range(6):
+        if tick.age[i] != 0:
+            continue
+        if not isnan(x[_GAP, i]):
+            memory.acceleration[i] = (tick.rate[i] - memory.rate_was[i]) / x[_DT, i]
+            memory.spacing_s[i] = x[_DT, i]
+        else:
+            memory.gaps[i] = memory.travel[i] = memory.excused[i] = 0.0
+            memory.acceleration[i] = memory.spacing_s[i] = 0.0
+        memory.length_was[i], memory.rate_was[i] = tick.length[i], tick.rate[i]
+        memory.latched_ns[i], memory.latched_delay_s[i] = latched_ns, memory.delay_s
+        memory.heard[i] = memory.heard_tick = tick.tick + 1
+
+
+@helper
+def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open: bool) -> int:
+    """Fill the doubted legs; return fault bits.
+
+    history (n, 6) N: ring of the forces sent, its newest row `memory.newest`. is_open: all drives are in RUN
+    and the law moves the platform; rates and standstill count once the brakes have had their time to open.
+    """
+    tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, _NO_DOUBT, 0.0, 0.0
+    if limits.watched_legs == 0:
+        return 0
+    memory.open_for = memory.open_for + 1 if is_open else 0
+    settled = memory.open_for > limits.open_ticks
+    x = np.zeros((12, 6))
+    latched_ns = tick.t_ns + tick.lateness_ns
+    swings(history, memory.newest, acting(tick, limits, memory), x[_SWING])
+    delay = compare(tick, limits, memory, latched_ns, x)
+    if tick.mode < _IDLE:
+        forget_doubt(memory)
+    elif memory.doubted == 0 and tick.mode != _FAULT:
+        fill_leaps(tick, memory, x)
+        judge_lengths(tick, limits, memory, x)
+        if settled:
+            judge_rates(tick, limits, memory, x)
+            judge_stillness(tick, limits, memory, x)
+    if not settled or memory.doubted != 0:
+        memory.stood[:] = 0
+        memory.push[:] = 0
+    remember_readings(tick, memory, latched_ns, delay, x)
+    tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
+    tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
+    return _ENCODER if memory.doubted != 0 else 0
+
+
+@helper
+def pushing(memory: Any) -> bool:
+    """Tell whether a leg is being pushed."""
+    for i in range(6):  # noqa: SIM110 - compiled
+        if memory.push[i] != 0 or memory.pushed_N[i] != 0.0:
+            return True
+    return False
+
+
+@helper
+def push_legs(tau: Array, limits: Any, memory: Any) -> None:
+    """Add the pushes to tau (6,) N."""
+    for i in range(6):
+        force = push_of(memory.push[i], limits.push_ticks, limits.push_N[i], limits.sticks != 0)
+        fall = 2.0 * limits.push_N[i] / max(limits.push_ticks, 1)
+        memory.pushed_N[i] = eased(memory.pushed_N[i], force, fall)
+        tau[i] += memory.pushed_N[i]

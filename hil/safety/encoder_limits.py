@@ -1,0 +1,82 @@
+"""What the rules on encoders compare with, and what they remember."""
+
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.signals import LEGS
+
+
+class EncoderLimits(NamedTuple):
+    """Stated figures of encoders, model and loads, from which the limits follow."""
+
+    watched_legs: int
+    """Bit i: leg i; 0 watches none."""
+    length_noise_m: float
+    rate_noise_m_s: float
+    rate_skew_s: float
+    """So far beside the length a rate may be latched."""
+    rate_error: float
+    """Share of a rate that may be wrong."""
+    disturbance_m_s2: float
+    """Acceleration of a leg that the model does not know of, friction included."""
+    mobility: Array
+    """(6, 6) 1/kg: no force on a leg accelerates another by more, |J M^-1 J^T| with a margin."""
+    acting_ticks: int
+    """After so many ticks a force has come to act in full."""
+    push_N: Array
+    """(6,) N, under which a free leg has moved visibly within `push_ticks`."""
+    push_ticks: int
+    sticks: int
+    """1: friction may hold a leg still, see `hil.safety.stillness`."""
+    open_ticks: int
+    """The brakes get so many ticks to open."""
+    period_s: float
+
+
+NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 0, 0.0)
+"""No encoder is watched."""
+ENCODER_LIMITS = [
+    ("watched_legs", "<i8"),
+    ("length_noise_m", "<f8"),
+    ("rate_noise_m_s", "<f8"),
+    ("rate_skew_s", "<f8"),
+    ("rate_error", "<f8"),
+    ("disturbance_m_s2", "<f8"),
+    ("mobility", "<f8", (LEGS, LEGS)),
+    ("acting_ticks", "<i8"),
+    ("push_N", "<f8", (LEGS,)),
+    ("push_ticks", "<i8"),
+    ("sticks", "<i8"),
+    ("open_ticks", "<i8"),
+    ("period_s", "<f8"),
+]
+"""Fields of a record of `EncoderLimits`."""
+ENCODER_MEMORY = [
+    ("doubt", "<i8"),  # `Doubt`: why the first doubtful leg is
+    ("doubted", "<i8"),  # bit i: leg i, of the tick in which that was
+    ("doubt_value", "<f8"),  # m or m/s
+    ("doubt_limit", "<f8"),
+    ("open_for", "<i8"),  # ticks in a row with all drives in RUN
+    ("delay_s", "<f8"),  # how much later than the clock says the encoders were latched, summed up
+    ("heard_tick", "<i8"),  # the last one in which a leg was heard
+    ("heard", "<i8", (LEGS,)),  # tick + 1 in which each leg was last heard; 0: not yet
+    ("latched_ns", "<i8", (LEGS,)),
+    ("latched_delay_s", "<f8", (LEGS,)),
+    ("length_was", "<f8", (LEGS,)),
+    ("rate_was", "<f8", (LEGS,)),
+    ("spacing_s", "<f8", (LEGS,)),  # over which the last acceleration was taken; 0: unknown
+    ("acceleration", "<f8", (LEGS,)),
+    ("gaps", "<f8", (LEGS,)),  # m, sums that forget
+    ("travel", "<f8", (LEGS,)),
+    ("excused", "<f8", (LEGS,)),  # m of them, by a stall
+    ("stood", "<i8", (LEGS,)),  # 1: the reading's standstill is being watched
+    ("anchor", "<f8", (LEGS,)),  # m, the reading then
+    ("began", "<f8", (LEGS, LEGS)),  # m, deviations of all legs then
+    ("push", "<i8", (LEGS,)),  # ticks, see `hil.safety.stillness.pushed`
+    ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
+    ("pushed_N", "<f8", (LEGS,)),  # what was added to the force in the last tick
+]
+"""Fields of what the rules remember of encoders."""

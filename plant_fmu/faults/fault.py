@@ -1,0 +1,162 @@
+"""What faults have in common: when they begin and end, and where they act.
+
+Times count from `Nodes.start`, or from the instant at which the controller reaches a mode. Legs are 0..5.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal, get_args
+
+import numpy as np
+from pydantic import Field
+
+from drivers.arrays import Array
+from drivers.protocol import Frame
+from drivers.section import Section
+from drivers.signals import LEGS
+
+Moment = Literal[
+    "IDLE",
+    "LOADING",
+    "RELEASING",
+    "APPROACH",
+    "TRACKING",
+    "HOLD",
+    "STOPPING",
+    "PARKING",
+    "UNLOADING",
+    "PARKED",
+]
+"""Modes of the controller; HOLD: the reference is at rest in TRACKING."""
+MOMENTS: tuple[Moment, ...] = get_args(Moment)
+NEVER_NS = 1 << 62
+
+
+class Present:
+    """The faults of drives and plant at one instant, per leg where they are a leg's."""
+
+    def __init__(self) -> None:
+        self.since_ns = 0
+        """When the fault began that is entered now."""
+        self.generator = np.random.default_rng(0)
+        """The chance of the fault that is entered now."""
+        self.offset_m = [0.0] * LEGS
+        self.drifts: list[tuple[int, float, int]] = []
+        """Leg, m/s, since when in ns."""
+        self.noise: list[tuple[int, float, np.random.Generator]] = []
+        """Leg, standard deviation in m, its chance."""
+        self.late_ns = [0] * LEGS
+        self.scale = [1.0] * LEGS
+        """Of what the encoder has moved since the fault began."""
+        self.frozen = [False] * LEGS
+        self.lost = [False] * LEGS
+        self.forged_m: list[float | None] = [None] * LEGS
+        """How much longer a second answer of the leg's node says that the leg is."""
+        self.gain = [1.0] * LEGS
+        self.saturation_N = [np.inf] * LEGS
+        self.silent = [False] * LEGS
+        self.reset = [False] * LEGS
+        self.stuck: list[bool | None] = [None] * LEGS
+        """True engaged, False released, None works."""
+        self.slow_ns = [0] * LEGS
+        """How much later than its drive counts the brake has opened or closed."""
+        self.share = [1.0] * LEGS
+        """Of the brake's force."""
+        self.wrench: Array = np.zeros(LEGS)
+        """(6,) N, N m on the platform at its origin, base frame."""
+        self.masses: list[tuple[float, Array]] = []
+        """kg, and where they lie on the platform: (3,) m, platform frame."""
+        self.bus_off = self.not_finite = self.hangs = self.crashes = False
+
+
+class Fault(Section):
+    """A fault that begins at an instant. Each kind has its name as `kind`, a Literal.
+
+    Raises ValidationError on senseless values.
+    """
+
+    kind: Any
+    at_s: Annotated[float, Field(ge=0)] = 0.0
+    """When it begins: after the drives' power-up, or after `mode` is reached."""
+    mode: Moment | None = None
+    """The mode of the controller that `at_s` counts from."""
+
+    @property
+    def lasts_ns(self) -> int:
+        """How long it is present; by default for an instant."""
+        return 1
+
+    def act(self, present: Present) -> None:
+        """Enter what the fault does to drives and plant."""
+
+
+class LastingFault(Fault):
+    """A fault that is present for `for_s`."""
+
+    for_s: Annotated[float, Field(gt=0)] | None = None
+    """How long it is present; default: to the end."""
+
+    @property
+    def lasts_ns(self) -> int:
+        """How long it is present."""
+        return NEVER_NS if self.for_s is None else max(1, round(self.for_s * 1e9))
+
+
+class LegFault(LastingFault):
+    """A fault of one leg."""
+
+    leg: Annotated[int, Field(ge=0, lt=LEGS)]
+
+
+class Passed:
+    """What a fault of passing frames remembers between them: its chance, and frames by direction and id."""
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self.generator = generator
+        self.frames: dict[tuple[bool, int], list[Frame]] = {}
+
+
+Place = tuple[bool, int]
+"""Whether a frame is for the drives, and its identifier."""
+
+
+class Passage(LastingFault):
+    """A fault of frames on their way, in both directions."""
+
+    adds: ClassVar[bool] = False
+    """Whether frames after the first are sent by somebody else, and heard by both ends."""
+
+    def concerns(self, frame: Frame) -> bool:
+        """Tell whether the fault may strike this frame."""
+        del frame
+        return True
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Return when and as what a frame arrives that was due at `t_ns`. Changes `passed`."""
+        raise NotImplementedError
+
+
+class FrameFault(Passage):
+    """A fault of the frames of one identifier, or of all, in both directions."""
+
+    probability: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """Of a frame to be struck."""
+    identifier: Annotated[int, Field(ge=0)] | None = None
+    """Of the frames that may be struck; default: all."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Decides which frames are struck."""
+
+    def concerns(self, frame: Frame) -> bool:
+        """Tell whether the fault may strike this frame."""
+        return self.identifier in (None, frame.id)
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Strike at random."""
+        del place
+        if passed.generator.random() < self.probability:
+            return self.strike(t_ns, frame, passed.generator)
+        return [(t_ns, frame)]
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Return what becomes of a frame that is struck. Draws from `generator`."""
+        raise NotImplementedError

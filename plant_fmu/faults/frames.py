@@ -1,0 +1,112 @@
+"""Faults of frames on their way: lost, doubled, late, out of order, damaged, forged, old."""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from drivers.protocol import Frame
+from plant_fmu.faults.fault import FrameFault, LastingFault, LegFault, Passed, Place, Present
+
+
+class FramesLoss(FrameFault):
+    """The frame never arrives."""
+
+    kind: Literal["frames_loss"] = "frames_loss"
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Lose it."""
+        del t_ns, frame, generator
+        return []
+
+
+class FramesDuplicate(FrameFault):
+    """The frame arrives twice."""
+
+    kind: Literal["frames_duplicate"] = "frames_duplicate"
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Double it."""
+        del generator
+        return [(t_ns, frame)] * 2
+
+
+class FramesDelay(FrameFault):
+    """The frame arrives later."""
+
+    kind: Literal["frames_delay"] = "frames_delay"
+    by_ms: Annotated[float, Field(gt=0, le=1000)]
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Delay it."""
+        del generator
+        return [(t_ns + round(self.by_ms * 1e6), frame)]
+
+
+class FramesReorder(FrameFault):
+    """The frame arrives after the next one of its identifier."""
+
+    kind: Literal["frames_reorder"] = "frames_reorder"
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Hold a frame back that is struck, until the next one has passed."""
+        held = passed.frames.pop(place, [])
+        if not held and passed.generator.random() < self.probability:
+            passed.frames[place] = [frame]
+            return []
+        return [(t_ns, each) for each in (frame, *held)]
+
+
+class FramesCorrupt(FrameFault):
+    """One bit of the data is flipped behind the back of the bus' own check, as a bad gateway does."""
+
+    kind: Literal["frames_corrupt"] = "frames_corrupt"
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Flip one bit of any; an empty frame passes."""
+        if not frame.data:
+            return [(t_ns, frame)]
+        bit = int(generator.integers(8 * len(frame.data)))
+        data = bytearray(frame.data)
+        data[bit // 8] ^= 1 << bit % 8
+        return [(t_ns, frame._replace(data=bytes(data)))]
+
+
+class FramesOld(FrameFault):
+    """A third node sends an older frame of the same identifier after the frame. Both ends hear it."""
+
+    kind: Literal["frames_old"] = "frames_old"
+    adds: ClassVar[bool] = True
+    back: Annotated[int, Field(ge=1, le=1000)] = 2
+    """How many frames of this identifier ago."""
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Remember the frame, and repeat an older one at random."""
+        seen = passed.frames.setdefault(place, [])
+        seen.append(frame)
+        if len(seen) <= self.back:
+            return [(t_ns, frame)]
+        old = seen.pop(0)
+        struck = passed.generator.random() < self.probability
+        return [(t_ns, frame), (t_ns, old)] if struck else [(t_ns, frame)]
+
+
+class FramesForgedCommand(LastingFault):
+    """A third node answers every SYNC with a command of its own: RUN, this force in each leg, valid checks.
+
+    Both ends hear it; it is there before the controller's.
+    """
+
+    kind: Literal["frames_forged_command"] = "frames_forged_command"
+    force_N: float = 0.0
+
+
+class FramesForgedFeedback(LegFault):
+    """A second node of the leg's number answers every SYNC: the leg is this much longer, valid checks."""
+
+    kind: Literal["frames_forged_feedback"] = "frames_forged_feedback"
+    by_m: float
+
+    def act(self, present: Present) -> None:
+        """Of several forgeries the last one counts."""
+        present.forged_m[self.leg] = self.by_m

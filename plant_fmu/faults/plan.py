@@ -1,0 +1,125 @@
+"""The faults of one run, and which of them are present when."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.protocol import Frame
+from plant_fmu.faults.bus import SenderFault
+from plant_fmu.faults.fault import NEVER_NS, Fault, Passage, Passed, Place, Present
+from plant_fmu.faults.frames import FramesForgedCommand
+from plant_fmu.plant import Truth
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+
+
+class FaultPlan:
+    """The faults of one run. `seed` varies the chance of all of them; gravity (3,) m/s^2, base frame."""
+
+    def __init__(
+        self, faults: Sequence[Fault] = (), seed: int = 0, gravity: Sequence[float] = STANDARD_GRAVITY
+    ) -> None:
+        self.faults = tuple(faults)
+        self.seed = seed
+        self.gravity = np.array(gravity, float)
+        frames = (Passage, SenderFault, FramesForgedCommand)
+        self.touches_frames = any(isinstance(fault, frames) for fault in self.faults)
+        """Whether frames are changed on their way, or added."""
+
+
+class Schedule:
+    """When the faults of a plan begin and end in one run.
+
+    Mutable state: when each fault begins, as far as that is known; its chance, and the frames it has seen.
+    """
+
+    def __init__(self, plan: FaultPlan, t0_ns: int) -> None:
+        self._plan = plan
+        self._start_ns = [
+            t0_ns + round(fault.at_s * 1e9) if fault.mode is None else NEVER_NS for fault in plan.faults
+        ]
+        self._passed = [
+            Passed(np.random.default_rng((plan.seed, getattr(fault, "seed", 0), n)))
+            for n, fault in enumerate(plan.faults)
+        ]
+
+    @property
+    def first_ns(self) -> int:
+        """When the first fault begins; NEVER_NS where none will, as things stand."""
+        return min(self._start_ns, default=NEVER_NS)
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Faults whose mode has not been reached."""
+        return tuple(f for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at == NEVER_NS)
+
+    def begun(self, t_ns: int) -> tuple[Fault, ...]:
+        """Return the faults that have begun by an instant."""
+        return tuple(f for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at <= t_ns)
+
+    def reached(self, mode: str, t_ns: int) -> bool:
+        """Let the time of the faults count that wait for this mode; tell whether there are any."""
+        found = False
+        for n, fault in enumerate(self._plan.faults):
+            if fault.mode == mode and self._start_ns[n] == NEVER_NS:
+                self._start_ns[n] = t_ns + round(fault.at_s * 1e9)
+                found = True
+        return found
+
+    def edges_ns(self, since_ns: int) -> list[int]:
+        """Return the instants from `since_ns` on at which a fault begins or ends, rising."""
+        ends = (at + fault.lasts_ns for fault, at in self._timed())
+        edges = {*ends, *(at for _, at in self._timed())}
+        return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
+
+    def _timed(self) -> Iterator[tuple[Fault, int]]:
+        return ((f, at) for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at < NEVER_NS)
+
+    def active(self, t_ns: int) -> Iterator[tuple[int, Fault]]:
+        """Yield the faults that are present at an instant, each with its number."""
+        for n, (fault, start_ns) in enumerate(zip(self._plan.faults, self._start_ns, strict=True)):
+            if start_ns <= t_ns < start_ns + fault.lasts_ns:
+                yield n, fault
+
+    def present(self, t_ns: int) -> Present:
+        """Return the faults of drives and plant at this instant."""
+        present = Present()
+        for n, fault in self.active(t_ns):
+            present.since_ns, present.generator = self._start_ns[n], self._passed[n].generator
+            fault.act(present)
+        return present
+
+    def carry(self, t_ns: int, frame: Frame, *, to_drives: bool) -> list[tuple[int, Frame, bool]]:
+        """Return when and as what a frame arrives, and whether it is one that nobody of ours has sent."""
+        arriving = [(t_ns, frame, False)]
+        for n, fault in self.active(t_ns):
+            if not isinstance(fault, Passage):
+                continue
+            place: Place = (to_drives, frame.id)
+            arriving = [
+                (*each, foreign or (k > 0 and fault.adds))
+                for at, before, foreign in arriving
+                for k, each in enumerate(
+                    fault.carry(at, before, place, self._passed[n])
+                    if fault.concerns(before)
+                    else [(at, before)]
+                )
+            ]
+        return arriving
+
+    def senders(self) -> Iterator[tuple[int, SenderFault, int, int]]:
+        """Yield the nodes that should not be there: number, fault, from and until when they send, ns."""
+        for n, fault in enumerate(self._plan.faults):
+            if isinstance(fault, SenderFault) and self._start_ns[n] < NEVER_NS:
+                yield n, fault, self._start_ns[n], self._start_ns[n] + fault.lasts_ns
+
+
+def weight(masses: Sequence[tuple[float, Array]], truth: Truth, gravity: Array) -> Array:
+    """Return the wrench (6,) N, N m of masses on the platform at its origin, base frame."""
+    wrench = np.zeros(6)
+    for mass, position in masses:
+        force = mass * gravity
+        wrench[:3] += force
+        wrench[3:] += np.cross(truth.R @ position, force)
+    return wrench

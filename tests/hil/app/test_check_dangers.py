@@ -1,0 +1,125 @@
+"""What `hil check` warns of: each danger at both sides of where it begins; no shipped file has one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.app.check.command import inspect, stopping_distances_m
+from hil.app.configuration.configuration import load, loads
+
+BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
+HEAVY = (("force_limit_N: 30000 ", "force_limit_N: 70000 "),)
+"""Drives that can do more than the limits below."""
+
+
+def warnings(name, *changes):
+    text = load(name).text
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return [each for each in inspect(loads(text, "my.yaml")).warnings if "SCHED_FIFO" not in each]
+
+
+def closing(seconds):
+    return ("brake_close_s: 0.1 ", f"brake_close_s: {seconds} ")
+
+
+# The book's path needs 16022 N and 1.129 m/s; vcan50 needs 1.875 x 0.1 m/s to reach its start.
+DANGERS = [
+    (
+        "virtual",
+        [closing(0.125)],
+        [closing(0.135)],
+        "drives.watchdog_ms 10 and engage.brake_close_s 0.135: after silence at t = 0.",
+    ),
+    (
+        "virtual",
+        [*HEAVY, ("force_N: 25000 ", "force_N: 64000 ")],
+        [*HEAVY, ("force_N: 25000 ", "force_N: 64200 ")],
+        "limits.force_N 64200 is 4.0 times the 1.6e+04 N that are needed",
+    ),
+    (
+        "virtual",
+        [("speed_m_s: 2 ", "speed_m_s: 4.49 ")],
+        [("speed_m_s: 2 ", "speed_m_s: 4.55 ")],
+        "limits.speed_m_s 4.55 is 4.0 times the 1.13 m/s that are needed",
+    ),
+    (
+        "vcan50",
+        [("speed_m_s: 0.6 ", "speed_m_s: 0.749 ")],
+        [("speed_m_s: 0.6 ", "speed_m_s: 0.751 ")],
+        "limits.speed_m_s 0.751 is 4.0 times the 0.188 m/s that are needed",
+    ),
+    (
+        "virtual",
+        [("silence: brake ", "silence: hold ")],
+        [("silence: brake ", "silence: zero ")],
+        "reactions.silence zero: after silence nothing holds the platform, whose legs carry up to ",
+    ),
+    (
+        "virtual",
+        [("following: sbc ", "following: ss1 ")],
+        [("following: sbc ", "following: sto ")],
+        "reactions sto after following: the platform falls until the brakes act",
+    ),
+    (
+        "virtual",
+        [("force_ramp_s: 0.3 ", "force_ramp_s: 0.01 ")],
+        [("force_ramp_s: 0.3 ", "force_ramp_s: 0 ")],
+        "engage.force_ramp_s 0: no brake is ever tested",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "harmless", "dangerous", "message"), DANGERS)
+def test_a_danger_is_warned_of_from_where_it_begins(name, harmless, dangerous, message):
+    assert warnings(name, *harmless) == []
+    (warning,) = warnings(name, *dangerous)
+    assert warning.startswith(message)
+
+
+def test_lockstep_without_a_bus_endangers_nobody():
+    assert warnings("ideal", ("blend_s: 0\n", "blend_s: 0\nreactions: {silence: zero}\n")) == []
+
+
+@pytest.mark.parametrize(("closing_s", "leaves"), [(0.125, False), (0.135, True)])
+def test_silence_drives_a_leg_into_its_end_where_the_books_lengths_and_rates_say_so(closing_s, leaves):
+    """A leg of a platform that falls accelerates by a little more than 9.81 x 1 / 1.5925 = 6.2 m/s^2."""
+    T, a = 0.01 + closing_s, 6.4
+    q, dq = (np.array([state[key] for state in BOOK["states"]]) for key in ("length", "rate"))
+    away = q + dq * T + a * T**2 / 2, q + dq * T - a * T**2 / 2
+    assert (away[0].max() > 2.2 or away[1].min() < 0.75) == leaves
+    assert bool(warnings("virtual", closing(closing_s))) == leaves
+
+
+@pytest.mark.parametrize("name", ["lab", "vcan50", "virtual"])
+def test_a_shipped_bench_gives_its_brakes_two_to_four_times_what_they_take_to_act(name):
+    """They begin to act within it, and stop the legs: then the brakes are tested."""
+    c = load(name)
+    taken_ms = c.plant.drives.brake_close_ms  # type: ignore[union-attr]
+    assert 2 * taken_ms <= 1e3 * c.engage.closing_s <= 4 * taken_ms
+
+
+def test_the_printed_distance_is_speed_and_acceleration_over_watchdog_and_brake():
+    """The distance is v T + a T^2 / 2: its mean speed rises in proportion to T, from the top speed on."""
+    text = load("virtual").text
+    T = np.array([0.04, 0.06, 0.1])
+    closes = [text.replace(closing(0)[0], f"brake_close_s: {t - 0.01:g} ") for t in T]
+    mean = np.array([stopping_distances_m(loads(each))[0] for each in closes]) / T
+    rise = np.diff(mean) / np.diff(T)
+    assert rise[1] == pytest.approx(rise[0], rel=1e-9)
+    assert 9.81 / 1.5925 < 2 * rise[0] < 1.1 * 9.81 / 1.5925
+    assert mean[0] - rise[0] * T[0] == pytest.approx(1.129, abs=1e-3)
+
+
+def test_the_way_after_silence_names_its_time_and_the_keys_that_shorten_it():
+    c = loads(load("virtual").text.replace(*closing(0.135)), "my.yaml")
+    report = inspect(c)
+    (lines,) = [lines for title, lines in report.sections.items() if title.startswith("reference")]
+    told = " ".join(" ".join(lines).split())
+    assert "until it rests on its brake, in 145 ms:" in told
+    assert "drives.watchdog_ms and engage.brake_close_s" in told
+    (warning,) = [each for each in report.warnings if "after silence at t" in each]
+    assert "shorten drives.watchdog_ms, engage.brake_close_s" in warning

@@ -1,0 +1,142 @@
+"""What `hil check` says of encoders that fail."""
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from drivers.signals import Doubt, DriveState, Mode
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.encoder_limits import encoder_limits, friction_N, length_noise_m
+from hil.safety import Safety
+from tests.hil.encoder_bench import WIDE, six
+from tests.records import record_of
+
+
+@pytest.mark.parametrize("name", ["virtual", "lab", "socketcan"])
+def test_the_limits_are_printed_and_what_is_not_observable_is_named_with_its_error(name):
+    report = inspect(load(name))
+    lines = report.sections["encoders, at rest"]
+    unseen = [line for line in lines if "not observable with these sensors" in line]
+    assert [line.split("  ")[0].split(" ")[0] for line in unseen] == ["drift", "scale", "a", "frozen"]
+    figures = report.figures["encoders"]
+    assert figures["jump_m"] < 0.1 * 0.5e-3, "half a millimetre is well beyond"
+    text = " ".join(" ".join(lines).split())
+    assert "drift as of the rate: not observable with these sensors in motion, at any speed" in text
+    assert (
+        "scale as of the rate: not observable with these sensors at any size; leaves share x travel" in text
+    )
+    late = 0.3e-3 / 50e-3 * 1000.0 / load(name).loop.rate_Hz
+    assert figures["scale_of_rate_alone"] == pytest.approx(0.01 + late), (
+        "monitor.rate_error_percent, and time"
+    )
+    assert set(figures["not_observable"]) == {"late_m", "frozen_m"}, "no figure bounds drift and scale"
+
+
+def doubt_of(length: Array, rate: Array) -> Doubt:
+    """Return what safety doubts of leg 2, which reads (n,) m and m/s at 1 kHz, on `virtual`.
+
+    The other legs stand still, and the law follows what is read.
+    """
+    c = load("virtual")
+    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), 1e3)
+    safety = Safety(
+        WIDE, drive_force_limit=1e6, length_min=-1e6, length_max=1e6, rate_Hz=1e3, encoders=limits
+    )
+    for n, (q, dq) in enumerate(zip(length, rate, strict=True)):
+        lengths, rates = six(q, 2, other=1.5), six(dq, 2)
+        tick = record_of(
+            tick=n, t_ns=n * 1_000_000, mode=Mode.TRACKING, recorder_alive=1, condition=2.0, q=1.5, length=lengths,
+            rate=rates, drive_state=DriveState.RUN, age=six(0, dtype=int), R=np.eye(3), J=np.eye(6), R_d=np.eye(3),
+            q_d=lengths,
+        )  # fmt: skip
+        safety.judge(tick)
+        if tick["legs_doubted"]:
+            assert tick["legs_doubted"] == 1 << 2
+            return Doubt(int(tick["doubt"]))
+    return Doubt.NONE
+
+
+@functools.cache
+def printed() -> dict[str, Any]:
+    """Return the figures that `hil check virtual` prints of encoders."""
+    figures: dict[str, Any] = inspect(load("virtual")).figures["encoders"]
+    return figures
+
+
+T_S = 1e-3 * np.arange(3000)
+SWING = 0.02 * np.sin(np.pi * T_S) ** 2, 0.02 * np.pi * np.sin(2.0 * np.pi * T_S)
+"""Motion of a leg, m and m/s: 40 mm there and back within 1 s, at 63 mm/s at most."""
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.97, Doubt.NONE), (1.03, Doubt.SLIP)])
+def test_a_drift_of_the_length_alone_is_found_beyond_the_printed_speed(share, found):
+    speed = share * printed()["drift_of_length_alone_m_s"]
+    assert doubt_of(1.5 + speed * T_S, np.zeros(len(T_S))) is found
+
+
+@pytest.mark.parametrize("speed_m_s", [0.005, 0.01, 0.019])
+def test_a_drift_that_the_rate_contains_is_never_found_in_motion(speed_m_s):
+    way, rate = SWING
+    drift = speed_m_s * np.maximum(T_S - 0.5, 0.0), speed_m_s * (T_S > 0.5)
+    assert doubt_of(1.5 + way + drift[0], rate + drift[1]) is Doubt.NONE
+
+
+def test_a_drift_that_begins_with_a_step_of_the_rate_beyond_the_printed_one_is_a_leap():
+    step = 1.05 * printed()["leap_m_s"]
+    drift = step * np.maximum(T_S - 0.5, 0.0), step * (T_S > 0.5)
+    assert doubt_of(1.5 + drift[0], drift[1]) is Doubt.LEAP
+
+
+@pytest.mark.parametrize("factor", [1.05, 1.3, 0.7])
+def test_a_scale_of_length_and_rate_alike_is_never_found(factor):
+    way, rate = SWING
+    assert doubt_of(1.5 + factor * way, factor * rate) is Doubt.NONE
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.95, Doubt.NONE), (1.08, Doubt.SLIP)])
+def test_a_scale_of_the_rate_alone_is_found_beyond_the_printed_share(share, found):
+    """At a uniform speed, of which the share has to be more than the drift that is found and 1.6 %."""
+    figures, speed = printed(), 0.2
+    wrong = share * (figures["drift_of_length_alone_m_s"] / speed + figures["scale_of_rate_alone"])
+    way = np.cumsum(np.minimum(T_S / 0.5, 1.0)) * 1e-3 * speed
+    rate = np.minimum(T_S / 0.5, 1.0) * speed
+    assert doubt_of(1.5 + way, (1.0 + wrong) * rate) is found
+
+
+def test_the_noise_is_no_less_than_the_step_of_an_emulated_encoder():
+    """2 um are assumed; virtual counts in 1 um, and a feedback in 0.1 um."""
+    c = load("virtual")
+    assert length_noise_m(c) == 2e-6
+    assert c.plant is not None
+    drives = c.plant.drives.model_copy(update={"encoder_resolution_m": 1e-5})
+    coarse = c.model_copy(update={"plant": c.plant.model_copy(update={"drives": drives})})
+    assert length_noise_m(coarse) == pytest.approx(1.01e-5)
+
+
+def test_friction_is_what_is_stated_or_known_or_a_share_of_the_rated_force():
+    assert friction_N(load("virtual")) == 0.0
+    assert friction_N(load("lab")) == 60.0
+    assert friction_N(load("socketcan")) == pytest.approx(75.0), "5 % of 1.5 kN: nobody knows"
+    c = load("lab")
+    stated = c.model_copy(update={"monitor": c.monitor.model_copy(update={"friction_N": 25.0})})
+    assert friction_N(stated) == 25.0
+
+
+@pytest.mark.parametrize(
+    ("more", "watched"),
+    [
+        ("", 0b111111),
+        ("estimation: {pose: fused}\n", 0b111111),
+        ("estimation: {pose: fused}\nsensors: {tracker: {rate_Hz: 200}}\n", 0),
+    ],
+)
+def test_a_filter_with_a_tracker_decides_on_all_legs(more, watched):
+    shipped = load("virtual")
+    c = loads(shipped.text + "\n" + more, "fused.yaml", shipped.folder)
+    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), 1e3)
+    assert limits.watched_legs == watched

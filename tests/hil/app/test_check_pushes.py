@@ -1,0 +1,154 @@
+"""What a leg may be pushed by: assumed from what legs may do, and refused where the limits would clip it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.check.command import inspect, refuse_unreachable
+from hil.app.check.pushes import clipped
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.encoder_limits import encoder_limits, friction_N
+from hil.app.reachability import Walk
+
+
+def edited(name, *changes):
+    c = load(name)
+    text = c.text
+    for old, new in changes:
+        text, found = re.subn(old, new, text, flags=re.MULTILINE)
+        assert found == 1, old
+    return loads(text, "my.yaml", c.folder)
+
+
+def limits_of(c):
+    return encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), c.loop.rate_Hz)
+
+
+def stated(c, friction):
+    return c.model_copy(update={"monitor": c.monitor.model_copy(update={"friction_N": friction})})
+
+
+@pytest.mark.parametrize(
+    ("rated", "force", "window", "friction"),
+    [
+        (60_000, 1500, 1600, 75.0),
+        (3000, 1500, 1600, 75.0),
+        (1500, 1500, 1600, 75.0),
+        (3000, 400, 1600, 20.0),
+        (3000, 1500, 600, 30.0),
+    ],
+)
+def test_unstated_friction_is_a_twentieth_of_what_a_leg_may_be_asked_for(rated, force, window, friction):
+    c = load("socketcan")
+    drives = c.drives.model_copy(update={"force_limit_N": rated})
+    asked = c.limits.model_copy(update={"force_N": force, "force_window_N": window})
+    assert friction_N(c.model_copy(update={"drives": drives, "limits": asked})) == pytest.approx(friction)
+
+
+RATED = r"^  force_limit_N: 3000.*\n"
+
+
+def rated_warnings(c):
+    return [each for each in inspect(c).warnings if "rated force" in each]
+
+
+def test_a_rated_force_that_nobody_stated_is_warned_of_where_it_is_far_above_the_limit():
+    (warning,) = rated_warnings(edited("socketcan", (RATED, "")))
+    assert "drives.force_limit_N is not stated, and 60000 N" in warning
+    assert "40 times limits.force_N 1500" in warning
+    assert rated_warnings(edited("socketcan", (RATED, "  force_limit_N: 60000\n"))) == []
+    assert (
+        rated_warnings(
+            edited("lab", (r"^  force_limit_N: .*\n", ""), (r"^  force_N: .*", "  force_N: 21000"))
+        )
+        == []
+    )
+    assert (
+        rated_warnings(
+            edited("lab", (r"^  force_limit_N: .*\n", ""), (r"^  force_N: .*", "  force_N: 19000"))
+        )
+        != []
+    )
+
+
+def walked(force, swing=0.0):
+    """A path of 1 s at 1 kHz whose forces change by `swing` to `force`, N."""
+    n = 1001
+    t, tau, nothing = np.linspace(0, 1, n), np.full((n, 6), force), np.zeros((n, 6))
+    tau[: n // 2, 2] -= swing
+    return Walk(t, nothing, nothing, nothing, tau, tau[[0, -1]], t, t, True, False)
+
+
+# lab: 2500 N, window 2000 N, 10 mm; a push of twice the friction and some 127 N
+@pytest.mark.parametrize(
+    ("force", "swing", "friction", "key"),
+    [
+        (1400.0, 0.0, 430.0, None),
+        (1400.0, 0.0, 440.0, "limits.force_window_N 2000"),
+        (1500.0, 300.0, 355.0, None),
+        (1500.0, 300.0, 365.0, "limits.force_window_N 2000"),
+        (-1600.0, 0.0, 380.0, None),
+        (-1600.0, 0.0, 390.0, "limits.force_N 2500"),
+    ],
+)
+def test_a_push_that_the_limits_would_clip_is_told(force, swing, friction, key):
+    c = stated(load("lab"), friction)
+    told = clipped(c, limits_of(c), walked(force, swing))
+    assert (told is None) == (key is None)
+    assert key is None or key in str(told)
+
+
+def test_a_path_that_breaks_a_limit_alone_is_not_blamed_on_friction():
+    c = stated(load("lab"), 60.0)
+    assert clipped(c, limits_of(c), walked(100.0, 2001.0)) is None
+    assert "limits.force_window_N" in str(clipped(c, limits_of(c), walked(100.0, 1999.0)))
+
+
+def test_a_push_that_moves_a_free_leg_out_of_its_following_error_is_told():
+    c = stated(load("lab"), 60.0)
+    limits = limits_of(c)
+    accelerates = limits.push_N[0] * limits.mobility[0, 0] / 2.0
+    seen_s = 1e-3 * limits.acting_ticks + (6.0 * limits.length_noise_m / accelerates) ** 0.5
+    moved = accelerates * seen_s**2
+    for share, fine in ((1.05, True), (0.95, False)):
+        asked = c.limits.model_copy(update={"following_error_m": share * moved})
+        told = clipped(c.model_copy(update={"limits": asked}), limits, walked(500.0))
+        assert (told is None) == fine
+        assert fine or "limits.following_error_m" in str(told)
+
+
+def test_a_run_is_refused_with_place_value_what_is_allowed_and_how_to_mend_it():
+    c = edited("lab", (r"^monitor:.*", "monitor:\n  friction_N: 900"))
+    line = c.text[: c.text.index("friction_N: 900")].count("\n") + 1
+    for entry in (refuse_unreachable, inspect):
+        with pytest.raises(ConfigurationError) as caught:
+            entry(c)
+        (problem,) = caught.value.problems
+        assert problem.startswith(f"my.yaml:{line}:3: monitor.friction_N: ")
+        allowed = float(re.findall(r"allowed: at most ([\d.]+) N", problem)[0])
+        assert "given: 900 N" in problem
+        assert "raise limits.force_" in problem
+    refuse_unreachable(stated(c, 0.99 * allowed))
+    with pytest.raises(ConfigurationError):
+        refuse_unreachable(stated(c, 1.01 * allowed + 1.0))
+
+
+def test_a_push_gets_the_ticks_in_which_its_force_can_turn_round():
+    """From one way to the other it changes by twice its size, by limits.force_step_N a tick."""
+    c = load("lab")
+    limits = limits_of(c)
+    twice = 2.0 * limits.push_N.max()
+    for step, more in ((1.01 * twice, 0), (0.99 * twice, 1), (0.3 * twice, 3)):
+        slow = c.model_copy(update={"limits": c.limits.model_copy(update={"force_step_N": step})})
+        assert limits_of(slow).push_ticks == limits.push_ticks + more
+    free = load("virtual")
+    base = limits_of(free)
+    twice = 2.0 * base.push_N.max()
+    for step, ticks in ((1.01 * twice / base.push_ticks, base.push_ticks), (twice / 35.5, 36)):
+        slow = free.model_copy(update={"limits": free.limits.model_copy(update={"force_step_N": step})})
+        assert limits_of(slow).push_ticks == ticks

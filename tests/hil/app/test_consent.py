@@ -1,0 +1,180 @@
+"""The operator's word: a real terminal's line discipline, and the course of a run that waits for it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.errors import RunError
+from drivers.signals import Fault, Mode
+from hil.app.run.command import _hung_up
+from hil.app.run.consent import EnterKey
+from hil.loop.daemon import OperatorPanel
+from hil.loop.run_end import Course
+from hil.signals import Operator
+
+ROOT = Path(__file__).resolve().parents[3]
+IN_A_TERMINAL = """
+import time
+from hil.app.run.consent import EnterKey
+key = EnterKey(lambda: print("gone", flush=True))
+time.sleep(0.2)
+print("first", key.pressed(), flush=True)
+end = time.monotonic() + 10
+while time.monotonic() < end and not key.pressed():
+    time.sleep(0.01)
+print("pressed", time.monotonic() < end, flush=True)
+"""
+
+
+def read_until(terminal: int, word: bytes) -> bytes:
+    heard, end = b"", time.monotonic() + 60.0
+    while word not in heard and time.monotonic() < end:
+        if select.select([terminal], [], [], 0.1)[0]:
+            heard += os.read(terminal, 1024)
+    return heard
+
+
+def test_enter_counts_once_all_is_ready_and_what_was_typed_before_does_not():
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", IN_A_TERMINAL])
+    try:
+        os.write(terminal, b"\n\n")
+        assert b"first False" in read_until(terminal, b"first False")
+        os.write(terminal, b"x")
+        time.sleep(0.1)
+        os.write(terminal, b"\n")
+        assert b"pressed True" in read_until(terminal, b"pressed True")
+    finally:
+        os.waitpid(pid, 0)
+        os.close(terminal)
+
+
+AT_A_TERMINAL_THAT_GOES = """
+import signal, sys, time
+from hil.app.run.command import _hung_up
+from hil.app.run.consent import EnterKey
+from hil.loop.daemon import OperatorPanel
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+panel = OperatorPanel()
+told = []
+def gone():
+    told.append(1)
+    _hung_up(panel)
+key = EnterKey(gone)
+panel.running()
+if sys.argv[2] == "asked":
+    key.pressed()
+print("ready", flush=True)
+end = time.monotonic() + 30
+while time.monotonic() < end and not told:
+    assert not key.pressed()
+    time.sleep(0.01)
+signal.raise_signal(signal.SIGHUP)
+again = [key.pressed() for _ in range(3)]
+with open(sys.argv[1], "w") as file:
+    print(len(told), again, [c.name for c in panel.take()], file=file)
+"""
+
+
+@pytest.mark.parametrize("asked", ["asked", "at once"])
+def test_a_terminal_that_hangs_up_is_one_stop_and_no_defect(tmp_path, asked):
+    """Reading it fails, or gives nothing; SIGHUP may follow."""
+    said = tmp_path / "said"
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", AT_A_TERMINAL_THAT_GOES, str(said), asked])
+    assert b"ready" in read_until(terminal, b"\n")
+    os.close(terminal)
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    assert said.read_text() == "1 [False, False, False] ['STOP']\n"
+
+
+def test_a_stop_that_was_asked_for_before_the_terminal_went_stays_one(monkeypatch):
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    panel = OperatorPanel()
+    panel.running()
+    panel.interrupt(signal.SIGHUP, None)
+    _hung_up(panel)
+    assert panel.take() == (Operator.STOP,)
+
+
+def test_without_a_terminal_arm_is_asked_for(tmp_path):
+    with (tmp_path / "input").open("w+") as file, pytest.raises(RunError, match="--arm"):
+        EnterKey(lambda: None, file.fileno())
+
+
+def test_a_process_in_the_background_of_its_terminal_is_refused():
+    """Reading there would stop the process."""
+    code = (
+        "import os, sys; sys.path.insert(0, os.getcwd())\n"
+        "from hil.app.run.consent import EnterKey\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    os.setpgid(0, 0)\n"
+        "    try:\n        EnterKey(lambda: None)\n"
+        "    except Exception as error:\n        os.write(2, str(error).encode()); os._exit(3)\n"
+        "    os._exit(0)\n"
+        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", code])
+    heard = read_until(terminal, b"--arm")
+    _, status = os.waitpid(pid, 0)
+    os.close(terminal)
+    assert b"add --arm" in heard
+    assert os.waitstatus_to_exitcode(status) == 3
+
+
+def test_hil_run_without_a_word_ends_before_it_opens_the_bus():
+    ended = subprocess.run(
+        [sys.executable, "-m", "hil.cli", "run", "virtual", "--plant"],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert "add --arm" in ended.stderr
+
+
+def cycle(mode: Mode) -> Any:
+    parts = SimpleNamespace(rate_Hz=1000.0)
+    return SimpleNamespace(mode=mode, mode_tick=0, reset_tick=0, faults=Fault.NONE, parts=parts)
+
+
+def test_a_course_that_is_not_armed_waits_for_ever_and_counts_its_duration_from_the_word():
+    c = cycle(Mode.IDLE)
+    course = Course(c, 2.0, armed=False)
+    for tick in range(0, 100_000, 500):
+        assert course.commands(tick) == ()
+        assert course.waits_for_consent
+    assert course.commands(100_000, (Operator.ENGAGE,)) == (Operator.ENGAGE,)
+    assert not course.waits_for_consent
+    c.mode = Mode.TRACKING
+    assert course.commands(101_999) == ()
+    assert course.commands(102_000) == (Operator.STOP,)
+
+
+def test_an_armed_course_engages_once_by_itself():
+    course = Course(cycle(Mode.IDLE), armed=True)
+    assert course.commands(7) == (Operator.ENGAGE,)
+    assert course.commands(8) == ()

@@ -1,0 +1,171 @@
+"""Faults as a user writes them: in the configuration and as words, with what is refused and how to mend it."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+from pydantic import ValidationError
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.fault_words import read_fault, short_keys, show_fault, with_faults
+from hil.app.configuration.problems import split_unit
+from hil.cli import main
+from plant_fmu.faults import FAULTS
+from plant_fmu.faults.brake import BrakeSlow, BrakeStuckOpen
+from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.frames import FramesLoss
+from plant_fmu.faults.load import PayloadStep, WrenchStep
+from plant_fmu.faults.process import ProcessKill
+
+
+def configured(name: str, entry: str):
+    text = load(name).text.replace("\nplant:", f"\nplant:\n  faults:\n    - {entry}\n", 1)
+    return loads(text, "my.yaml", load(name).folder)
+
+
+# words
+
+MEANT = [
+    ("encoder_jump leg=0 at=2 by=5e-3", EncoderJump(leg=0, at_s=2.0, by_m=5e-3)),
+    ("encoder_jump leg=0 at_s=2 by_m=5e-3", EncoderJump(leg=0, at_s=2.0, by_m=5e-3)),
+    ("brake_stuck_open leg=3 mode=PARKING", BrakeStuckOpen(leg=3, mode="PARKING")),
+    ("brake_slow leg=3 by=150 for=2", BrakeSlow(leg=3, by_ms=150.0, for_s=2.0)),
+    (
+        "frames_loss probability=0.1 identifier=642 seed=7",
+        FramesLoss(probability=0.1, identifier=642, seed=7),
+    ),
+    ("wrench_step force=0,0,-500 moment=1,2,3", WrenchStep(force_N=(0, 0, -500), moment_N_m=(1, 2, 3))),
+    ("payload_step mass=50 position=0.2,0,0.1", PayloadStep(mass_kg=50.0, position_m=(0.2, 0.0, 0.1))),
+    ("process_kill at=3", ProcessKill(at_s=3.0)),
+]
+
+
+@pytest.mark.parametrize(("text", "fault"), MEANT, ids=[text for text, _ in MEANT])
+def test_words_mean_the_entry_of_the_configuration(text, fault):
+    assert read_fault(text) == fault
+    assert read_fault(show_fault(fault)) == fault
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_key_has_one_short_form(name):
+    keys = [key for key in FAULTS[name].model_fields if key != "kind"]
+    assert list(short_keys(FAULTS[name]).values()) == keys
+    assert all(split_unit(key)[0] == short for short, key in short_keys(FAULTS[name]).items())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("encoder_jmp leg=0 by=1", "unknown kind 'encoder_jmp', did you mean encoder_jump? allowed: encoder_jump, "),
+        ("", "unknown kind ''"),
+        ("teleport", "unknown kind 'teleport', allowed: encoder_jump, encoder_freeze, "),
+        ("encoder_jump leg=0 bye=1", "bye: unknown key of encoder_jump, did you mean by? allowed: at, mode, for, leg, by"),
+        ("encoder_jump leg=0 size=1", "size: unknown key of encoder_jump, allowed: at, mode, for, leg, by"),
+        ("encoder_jump leg=0", "by_m: missing, allowed: a number"),
+        ("encoder_jump leg=6 by=1", "leg: out of range, allowed: a whole number at least 0 and less than 6, given: 6"),
+        ("encoder_jump leg=1.5 by=1", "leg: wrong type, allowed: a whole number"),
+        ("encoder_jump leg=0 by=far", 'by_m: wrong type, allowed: a number, given: "far"'),
+        ("encoder_jump leg=0 by=.nan", "by_m: not a finite number"),
+        ("encoder_jump leg=0 by=", "by=: no value, allowed: KEY=VALUE"),
+        ("encoder_jump leg=0 by=1 by_m=2", "by_m: given twice"),
+        ("encoder_jump leg=0 by=1 mode=FLYING", "mode: unknown value, allowed: IDLE, LOADING, "),
+        ("wrench_step force=1,2", "force_N: wrong number of entries"),
+        ("drive_reset leg=0 for=1", "for: unknown key of drive_reset"),
+    ],
+)  # fmt: skip
+def test_words_that_mean_nothing_are_refused_with_what_is_allowed(text, message):
+    with pytest.raises(ConfigurationError) as refused:
+        read_fault(text)
+    assert str(refused.value).startswith(f'--fault "{text}": ')
+    assert message in str(refused.value)
+
+
+# configuration
+
+
+def test_a_configuration_has_faults_of_its_own_and_words_add_more():
+    c = configured("virtual", "{kind: encoder_jump, leg: 0, at_s: 2, by_m: 5e-3}")
+    more = with_faults(c, ["drive_silence leg=1"])
+    assert c.plant is not None
+    assert more.plant is not None
+    assert [show_fault(fault) for fault in more.plant.faults] == [
+        "encoder_jump at=2 leg=0 by=0.005",
+        "drive_silence leg=1",
+    ]
+    assert len(c.plant.faults) == 1
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (
+            "{kind: encoder_jmp, leg: 0}",
+            "plant.faults[0].kind: unknown value, allowed: brake_slipping, brake_slow, ",
+        ),
+        ("{leg: 0}", "plant.faults[0].kind: missing, allowed: brake_slipping, "),
+        ("{kind: encoder_jump, leg: 0}", "plant.faults[0].by_m: missing, allowed: a number"),
+        ("{kind: encoder_jump, leg: 0, by: 1}", "plant.faults[0].by: missing unit: the key is by_m"),
+        ("{kind: encoder_jump, leg: 0, by_m: 1, lag: 2}", "plant.faults[0].lag: unknown key"),
+        ("{kind: drive_silence, leg: 7}", "plant.faults[0].leg: out of range"),
+        ("{kind: frames_loss, probability: 2}", "plant.faults[0].probability: out of range"),
+    ],
+)
+def test_wrong_entries_are_refused_at_their_place(entry, message):
+    with pytest.raises(ConfigurationError) as refused:
+        configured("virtual", entry)
+    assert message in str(refused.value)
+
+
+def test_a_bench_without_a_platform_carries_no_load():
+    with pytest.raises(ConfigurationError, match=r"plant\.faults\[0\]\.kind: wrench_step needs a platform"):
+        configured("bench", "{kind: wrench_step, force_N: [0, 0, -100]}")
+    with pytest.raises(ConfigurationError, match="payload_step needs a platform"):
+        with_faults(load("bench"), ["payload_step mass=10"])
+
+
+def test_real_drives_have_no_faults_on_demand():
+    with pytest.raises(ConfigurationError, match="real drives"):
+        with_faults(load("socketcan"), ["drive_silence leg=0"])
+
+
+def test_a_simulation_refuses_faults_of_a_process_and_real_time_those_of_a_mode():
+    process = with_faults(load("virtual"), ["process_kill at=1"])
+    process.require("plant")
+    with pytest.raises(ConfigurationError, match="process_kill: a simulation has no process of its own"):
+        process.require("sim")
+    mode = with_faults(load("virtual"), ["drive_silence leg=0 mode=PARKING"])
+    mode.require("sim")
+    with pytest.raises(ConfigurationError, match=r"PARKING: the plant's end does not know .* `hil sim`"):
+        mode.require("plant")
+
+
+def test_faults_are_frozen():
+    with pytest.raises(ValidationError):
+        read_fault("drive_silence leg=0").at_s = 3.0
+
+
+# commands
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("sim", "virtual", "--fault", "teleport"), "unknown kind 'teleport'"),
+        (("sim", "virtual", "--fault", "process_kill"), "a simulation has no process"),
+        (
+            ("plant", "virtual", "--fault", "drive_silence leg=0 mode=HOLD"),
+            "does not know the controller's mode",
+        ),
+        (("run", "virtual", "--plant", "--fault", "drive_silence leg=0 mode=HOLD"), "does not know"),
+        (("run", "virtual", "--fault", "drive_silence leg=0"), "add --plant"),
+        (("faults", "virtual", "--only", "nothing*"), "matches no case"),
+        (("faults", "virtual", "--legs", "two"), "--legs two: allowed: numbers of legs with commas"),
+        (("faults", "virtual", "--legs", "0,6"), "6 is no leg, allowed: 0 to 5"),
+        (("faults", "virtual", "--only", "plant_nan/HOLD", "--junit", "/nowhere/x.xml"), "no folder"),
+    ],
+)
+def test_commands_refuse_before_anything_moves(words, message):
+    result = CliRunner().invoke(main, list(words))
+    assert result.exit_code == 2, result.output
+    assert message in " ".join(result.output.split())

@@ -1,0 +1,101 @@
+"""Six encoders in short sequences of ticks, and what safety makes of their readings.
+
+64 ticks a second, T = 1/64 s. Unless a test says more, a bound is nothing but what a brake that closes takes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.signals import Doubt, DriveState, Mode
+from hil.config.limits import LimitSettings
+from hil.safety import guard
+from hil.safety.encoder_limits import EncoderLimits
+from tests.records import record_of
+
+T = 1.0 / 64.0
+PERIOD_NS = 15_625_000
+CREEP = 0.02 * T / 2.0
+"""m, on which a brake closes within a tick."""
+ROWS = 16
+"""Ticks of the window of forces, a quarter of a second."""
+WIDE = LimitSettings(
+    force_N=1e6, force_step_N=1e6, force_window_N=1e6, speed_m_s=1e6, deceleration_m_s2=1e6,
+    stroke_margin_m=0.0, following_error_m=1e6, standstill_m=0.125, consistency_m=1.0, condition=1e6,
+    stale_warn_ticks=1000, stale_fault_ticks=1000,
+)  # fmt: skip
+ON_ONE_LEG = pytest.mark.parametrize("leg", [0, 3, 5])
+BOTH_SIGNS = pytest.mark.parametrize("sign", [1, -1])
+RATES = np.array([2.0, -1.0, 4.0, 0.5, 1.0, -8.0])
+
+
+def six(value, leg=None, other=0.0, dtype=float):
+    """Six times `value`, or six `other` with `value` on one leg."""
+    x = np.full(6, value if leg is None else other, dtype)
+    if leg is not None:
+        x[leg] = value
+    return x
+
+
+class Bench:
+    """Six legs that move as their rates say, and what safety makes of that."""
+
+    def __init__(self, length=5.0, **limits):
+        """Take what differs from limits that allow nothing."""
+        quiet = EncoderLimits(
+            watched_legs=63, length_noise_m=0.0, rate_noise_m_s=0.0, rate_skew_s=0.0, rate_error=0.0,
+            disturbance_m_s2=0.0, mobility=np.zeros((6, 6)), acting_ticks=0, push_N=np.zeros(6),
+            push_ticks=3, sticks=0, open_ticks=10_000, period_s=T,
+        )  # fmt: skip
+        self.safety = guard.Safety(
+            WIDE, drive_force_limit=1e6, length_min=-1e6, length_max=1e6, rate_Hz=64.0,
+            encoders=quiet._replace(**limits),
+        )  # fmt: skip
+        self.n = -1
+        self.length, self.rate, self.latched_s = six(length), six(0.0), 0.0
+
+    def tick(self, rate=None, jump=0.0, unseen=(), late_s=0.0, lateness=0, mode=Mode.TRACKING, **columns):
+        """Move on to the next latch, `lateness` ticks / 64 and `late_s` behind the clock; return the record.
+
+        rate: (6,) from now on, at a uniform acceleration; jump: (6,) m, for good; unseen: legs not heard.
+        """
+        self.n += 1
+        now_s = self.n * T + lateness * T + late_s
+        new = self.rate if rate is None else rate + np.zeros(6)
+        self.length = self.length + 0.5 * (self.rate + new) * (now_s - self.latched_s) + jump
+        self.rate, self.latched_s = new, now_s
+        gone = np.isin(np.arange(6), unseen)
+        healthy = {
+            "tick": self.n, "t_ns": self.n * PERIOD_NS, "lateness_ns": round(lateness * PERIOD_NS),
+            "mode": mode, "recorder_alive": 1, "condition": 2.0, "drive_state": DriveState.RUN,
+            "length": np.where(gone, 1e3, self.length), "rate": np.where(gone, 7.0, self.rate),
+            "age": gone.astype(int), "q_d": self.length, "q": 5.0, "R": np.eye(3), "J": np.eye(6),
+            "R_d": np.eye(3), "legs_doubted": 7, "doubt": 2, "doubt_value": 1.0, "doubt_limit": 1.0,
+        }  # fmt: skip
+        tick = record_of(**{**healthy, **columns})
+        self.faults = self.safety.judge(tick).faults
+        return tick
+
+    def ticks(self, count, **columns):
+        """Return the last of some calm ticks."""
+        for _ in range(count):
+            tick = self.tick(**columns)
+            assert calm(tick)
+        return tick
+
+    def memory(self, name):
+        """Return a column of what the rules remember."""
+        return self.safety.memory[name]
+
+
+def calm(tick):
+    """Tell whether the columns of a tick doubt nobody."""
+    said = tick["legs_doubted"], tick["doubt"], tick["doubt_value"], tick["doubt_limit"]
+    return said == (0, Doubt.NONE, 0.0, 0.0)
+
+
+def doubted(tick, why, leg, value, limit):
+    """Tell whether a tick doubts this leg alone, for this reason."""
+    said = tick["doubt_value"], tick["doubt_limit"]
+    return (tick["legs_doubted"], tick["doubt"]) == (1 << leg, why) and said == pytest.approx((value, limit))

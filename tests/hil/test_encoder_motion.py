@@ -1,0 +1,297 @@
+"""The rules on encoders put together: slips, leaps, and readings that stand still."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drivers.signals import Doubt, Mode
+from hil.safety import encoder_kernels
+from hil.safety.stillness import SETTLES_S
+from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
+
+# -- slips
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
+    """Of the first, 1 - T / 50 ms is left a tick later."""
+    bench = Bench(length_noise_m=0.25)
+    bench.ticks(2)
+    bench.ticks(1, jump=six(sign * 0.3, leg))
+    value = sign * 0.3 * (1.0 + 0.6875)
+    assert doubted(bench.tick(jump=six(sign * 0.3, leg)), Doubt.SLIP, leg, value, 0.5 + CREEP)
+
+
+def test_encoders_a_slip_that_is_forgotten_in_time_is_none():
+    bench = Bench(length_noise_m=0.25)
+    bench.ticks(2)
+    for _ in range(20):
+        bench.ticks(1, jump=six(0.155, 1))
+    bench = Bench(length_noise_m=0.25)
+    bench.ticks(2)
+    for _ in range(20):
+        tick = bench.tick(jump=six(0.158, 1))
+    assert tick["doubt"] == Doubt.SLIP
+
+
+@BOTH_SIGNS
+def test_encoders_a_slip_may_be_a_share_of_the_way_of_the_last_fifty_milliseconds(sign):
+    """Noise of the rate over all of that, and a period's delay of a leg that others contradict."""
+    bench = Bench(length_noise_m=0.5, rate_noise_m_s=2.0, rate_error=0.5, disturbance_m_s2=64.0)
+    bench.ticks(60, rate=sign * RATES)
+    limit = 1.0 + 0.05 * 2.0 + 4.0 * 128.0 * T * T / 8.0 + CREEP + 0.5 * 0.05 * 8.0 + 0.3 * T * 8.0
+    jump = 0.9 * (1.0 + T * 2.0 + 128.0 * T * T / 8.0 + 0.3 * T * 8.0)
+    bench.ticks(1, jump=six(jump, 5))
+    tick = bench.tick(jump=six(jump, 5))
+    assert doubted(tick, Doubt.SLIP, 5, 1.6875 * jump, limit)
+
+
+@BOTH_SIGNS
+def test_encoders_what_would_be_a_delay_of_a_leg_that_moves_alone_adds_up(sign):
+    for share, why in ((0.17, Doubt.NONE), (0.28, Doubt.SLIP)):
+        bench = Bench()
+        bench.ticks(2, rate=six(8.0, 5))
+        bench.ticks(1, jump=six(sign * share * T * 8.0, 5))
+        assert bench.tick(jump=six(sign * share * T * 8.0, 5))["doubt"] == why
+
+
+def test_encoders_what_a_long_gap_explains_is_not_held_against_the_encoder_a_tick_later():
+    """Of 50 mm, which 128 m/s^2 explain in four periods, 34 are left a tick later, where 16 mm are allowed anew."""
+    bench = Bench(disturbance_m_s2=64.0)
+    bench.ticks(2)
+    bench.ticks(3, unseen=[1])
+    bench.ticks(1, jump=six(0.05, 1))
+    assert bench.memory("gaps")[1] == pytest.approx(0.05)
+    tick = bench.ticks(1)
+    assert bench.memory("gaps")[1] == pytest.approx(0.6875 * 0.05)
+    assert calm(tick)
+    usual = 4.0 * 16.0 * T * T + CREEP
+    assert bench.memory("excused")[1] == pytest.approx(0.6875 * (0.05 - usual))
+    bench.ticks(40)
+    assert bench.memory("excused")[1] < 1e-6
+
+
+def test_encoders_a_calm_stall_excuses_no_slip_after_it():
+    bench = Bench(disturbance_m_s2=64.0)
+    bench.ticks(2)
+    bench.ticks(3, unseen=[1])
+    bench.ticks(1)
+    assert not bench.memory("excused").any()
+
+
+# -- leaps
+
+
+def accelerated(**limits):
+    """Return a bench whose lengths say nothing, after three ticks at rest with open brakes."""
+    wide = {"length_noise_m": 1e3, "open_ticks": 2}
+    bench = Bench(**{**wide, **limits})
+    bench.ticks(3)
+    return bench
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+def test_encoders_a_rate_may_leap_as_loads_and_noise_make_it(leg, sign):
+    """From -8 to 8 m/s^2, and noise of the last acceleration, too."""
+    limit = 16.0 * T + 2.0 * 0.25 * 2.0
+    limits = {"disturbance_m_s2": 8.0, "rate_noise_m_s": 0.25}
+    accelerated(**limits).ticks(1, rate=six(sign * 0.999 * limit, leg))
+    value = sign * 1.001 * limit
+    tick = accelerated(**limits).tick(rate=six(value, leg))
+    assert doubted(tick, Doubt.LEAP, leg, value, limit)
+    assert calm(accelerated(**limits).tick(rate=six(value, leg, 1.01 * value)))
+
+
+@BOTH_SIGNS
+def test_encoders_an_acceleration_that_goes_on_is_no_leap_and_one_that_ends_is(sign):
+    bench = accelerated(disturbance_m_s2=16.0)
+    for n in range(1, 4):
+        bench.ticks(1, rate=six(sign * 32.0 * T * n, 3))
+    bench.ticks(1, rate=six(sign * 96.1 * T, 3))
+    bench = accelerated(disturbance_m_s2=16.0)
+    for n in range(1, 4):
+        bench.ticks(1, rate=six(sign * 32.0 * T * n, 3))
+    tick = bench.tick(rate=six(sign * 95.9 * T, 3))
+    assert doubted(tick, Doubt.LEAP, 3, -sign * 32.1 * T, 32.0 * T)
+
+
+def test_encoders_a_leap_is_judged_by_the_times_between_the_readings():
+    """1.5 T, then 0.5 T: a third of the noise of the last acceleration."""
+    bench = accelerated(rate_noise_m_s=0.25, disturbance_m_s2=8.0)
+    bench.ticks(1, lateness=0.5, rate=six(3.0 * T, 1))
+    value, limit = 9.0, 16.0 * 0.5 * T + 2.0 * 0.25 * (1.0 + 1.0 / 3.0)
+    assert doubted(bench.tick(rate=six(9.0 + 4.0 * T, 1)), Doubt.LEAP, 1, value, limit)
+
+
+def test_encoders_a_leap_counts_once_the_brakes_have_had_their_time_to_open():
+    bench = Bench(length_noise_m=1e3, open_ticks=3, disturbance_m_s2=32.0)
+    bench.ticks(3)
+    bench.ticks(1, mode=Mode.IDLE)
+    bench.ticks(2)
+    bench.ticks(1, rate=six(9.0, 1))
+    assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -9.0 - 9.0, 1.0)
+
+
+def test_encoders_no_leap_without_an_acceleration_before():
+    bench = Bench(length_noise_m=1e3, open_ticks=0, rate_noise_m_s=1e-3)
+    bench.ticks(1)
+    bench.ticks(1, rate=six(9.0, 1))
+    assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -18.0, 4e-3)
+
+
+# -- readings that stand still
+
+
+class Standing(Bench):
+    """One leg stands, and the others move at 1 m/s along the reference; its own reference may move."""
+
+    def __init__(self, leg, **limits):
+        wide = {"length_noise_m": 0.5, "rate_noise_m_s": 0.25, "open_ticks": 0, "push_N": six(300.0)}
+        super().__init__(**{**wide, **limits})
+        self.leg = leg
+        self.rate = six(0.0, leg, 1.0)
+
+    def stand(self, astray=0.0, where=None, **columns):
+        """Return a tick in which a leg, by default that which stands, is astray of its reference, m."""
+        leg = self.leg if where is None else where
+        now_s = (self.n + 1) * T
+        q_d = self.length + self.rate * (now_s - self.latched_s) - six(astray, leg)
+        return self.tick(q_d=q_d, **columns)
+
+
+RISES = [200.0, 300.0, 300.0, 100.0, -100.0, -300.0]
+TURNS = [300.0] * 3 + [-300.0] * 3
+
+
+@pytest.mark.parametrize(("sticks", "forces"), [(0, RISES), (1, TURNS)])
+@ON_ONE_LEG
+@BOTH_SIGNS
+def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_there_and_then_doubted(
+    leg, sign, sticks, forces
+):
+    bench = Standing(leg, sticks=sticks)
+    assert [bench.stand(sign * 5.0 * (n > 1))["tau"][leg] for n in range(4)] == [0.0] * 4
+    for n, force in enumerate(forces):
+        tick = bench.stand(sign * (5.5 if n == 0 else 4.0), tau_asked=six(7.0))
+        assert calm(tick)
+        assert tick["tau"] == pytest.approx(six(7.0 - sign * force, leg, 7.0))
+        assert bench.memory("stood")[leg] == 1
+    assert doubted(bench.stand(sign * 12.0), Doubt.STILL, leg, 12.0, 5.0)
+    assert not bench.memory("push").any()
+    assert not bench.memory("stood").any()
+
+
+def test_encoders_a_leg_that_stands_is_pushed_where_another_one_strays():
+    bench = Standing(2)
+    bench.stand()
+    assert bench.stand(5.5, where=4)["tau"] == pytest.approx(six(200.0, 2))
+    bench = Standing(2)
+    bench.stand()
+    assert bench.stand(5.5, where=4, unseen=[4])["tau"] == pytest.approx(six(0.0))
+
+
+@BOTH_SIGNS
+def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more(sign):
+    bench = Standing(2)
+    bench.stand()
+    bench.stand(20.0)
+    bench.stand(20.0, jump=six(sign * 0.5, 2))
+    assert bench.memory("push")[2] == -2
+    tick = bench.stand(20.0, jump=six(sign * 0.01, 2))
+    assert bench.memory("push")[2] == 0
+    assert bench.memory("anchor")[2] == pytest.approx(5.0 + sign * 0.51)
+    assert tick["tau"][2] == pytest.approx(-100.0), "what is left of 300 N falls by 200 N a tick"
+    assert bench.stand(20.0)["tau"][2] == 0.0
+    assert bench.stand(24.9)["tau"][2] == 0.0
+    assert bench.stand(25.1)["tau"][2] == pytest.approx(-200.0)
+
+
+@ON_ONE_LEG
+def test_encoders_what_a_leg_does_that_was_pushed_counts_against_no_other_until_it_has_settled(leg):
+    """Else pushes go from leg to leg: each one moves its leg by more than what a leg is suspected for."""
+    memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))
+    settle = plain(encoder_kernels.let_settle)
+    memory.push[leg] = -1
+    settle(memory, six(1.0), 0.2501 * SETTLES_S)
+    memory.push[leg] = 0
+    for n in range(2, 6):
+        expected = np.zeros((6, 6))
+        expected[:, leg] = min(n, 4)
+        expected[leg, leg] = 0.0
+        settle(memory, six(float(n)), 0.2501 * SETTLES_S)
+        assert memory.began == pytest.approx(expected), "its own reference may move on"
+
+
+def test_encoders_a_leg_that_is_pushed_is_unsettled_as_long_as_that_lasts():
+    bench = Standing(2)
+    bench.stand()
+    bench.stand(20.0)
+    for _ in range(3):
+        bench.stand(20.0)
+        assert bench.memory("unsettled_s") == pytest.approx(six(SETTLES_S - T, 2))
+    bench.stand(20.0, jump=six(0.6, 2))
+    bench.stand(20.0)
+    assert bench.memory("unsettled_s") == pytest.approx(six(SETTLES_S - 2.0 * T, 2))
+
+
+@BOTH_SIGNS
+def test_encoders_a_rate_of_three_times_its_noise_is_a_motion(sign):
+    for rate, push in ((0.75, -1), (0.76, 0)):
+        bench = Standing(2)
+        bench.rate = six(sign * rate, 2, 1.0)
+        bench.stand()
+        bench.stand(20.0)
+        assert bench.memory("push")[2] == push
+
+
+def test_encoders_a_push_waits_for_a_leg_that_is_silent_and_goes_on():
+    bench = Standing(2)
+    bench.stand()
+    bench.stand(20.0)
+    assert bench.stand(20.0, unseen=[2])["tau"][2] == pytest.approx(-200.0)
+    assert bench.stand(20.0)["tau"][2] == pytest.approx(-300.0)
+
+
+def test_encoders_a_leg_that_is_not_watched_is_not_pushed():
+    bench = Standing(2, watched_legs=63 - 4)
+    bench.stand()
+    assert bench.stand(20.0)["tau"][2] == 0.0
+    assert bench.memory("stood")[2] == 0
+
+
+def test_encoders_nothing_is_pushed_or_remembered_to_stand_before_the_brakes_are_open():
+    bench = Standing(2, open_ticks=3)
+    for n in range(5):
+        bench.stand(20.0 * n)
+        assert bench.memory("stood")[2] == (n > 2)
+    assert bench.memory("push")[2] == -1
+    tick = bench.stand(99.0, mode=Mode.UNLOADING)
+    assert bench.memory("push")[2] == bench.memory("stood")[2] == 0
+    assert tick["tau"][2] == 0.0
+
+
+@pytest.mark.parametrize(("ticks", "fall"), [(0, 600.0), (1, 600.0), (4, 150.0)])
+def test_encoders_a_push_ends_as_fast_as_it_turns(ticks, fall):
+    limits = SimpleNamespace(push_ticks=ticks, push_N=six(300.0), sticks=0)
+    memory = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(900.0))
+    tau = six(7.0)
+    plain(encoder_kernels.push_legs)(tau, limits, memory)
+    assert tau == pytest.approx(six(907.0 - fall))
+    assert memory.pushed_N == pytest.approx(six(900.0 - fall))
+
+
+def plain(function):
+    return getattr(function, "py_func", function)
+
+
+@ON_ONE_LEG
+def test_encoders_a_leg_is_being_pushed_until_nothing_is_left_of_it(leg):
+    pushing = plain(encoder_kernels.pushing)
+    assert not pushing(SimpleNamespace(push=six(0), pushed_N=six(0.0)))
+    assert pushing(SimpleNamespace(push=six(-1, leg), pushed_N=six(0.0)))
+    assert pushing(SimpleNamespace(push=six(0), pushed_N=six(0.5, leg)))

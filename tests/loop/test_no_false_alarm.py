@@ -1,0 +1,226 @@
+"""Loads up to the stated disturbance, on a machine that stalls now and then: nothing faults, nobody is doubted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from math import e
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import configs
+from drivers.arrays import Array
+from drivers.can.bus_time import BitTiming
+from drivers.protocol import Frame
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.sim.lockstep import Lockstep
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.loop.run_end import Ending
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from hil.signals import Operator, SetPoint, TickInput, TickOutput
+from hil.trajectory.path import Trajectory
+from plant_fmu.config import StewartPlant
+from plant_fmu.faults.load import PayloadStep, WrenchStep
+from plant_fmu.faults.plan import STANDARD_GRAVITY, FaultPlan
+
+SHIPPED = sorted(path.stem for path in Path(str(configs.__file__)).parent.glob("*.yaml"))
+VIRTUAL = [name for name in SHIPPED if load(name).plant is not None]
+FOLLOWS = 0.4
+"""Share of the allowed following error that a load may cause: the path and friction take theirs, too."""
+ANSWERS = 0.25
+"""Share of the allowed change of force that the law may need to answer a load, anywhere on the path."""
+PLACES = ("asleep", "before SYNC", "before the command")
+
+
+@dataclass
+class Stalling(Lockstep):
+    """A controller whose machine takes the processor away now and then, and wakes it late.
+
+    It stalls where it sleeps, between the clock and SYNC, and between the feedbacks and the command, each
+    `every_s` on average and up to `longest_ns`. Periods that are over are skipped.
+
+    Mutable state: `Lockstep`'s, how late the next tick begins, and what was skipped before it.
+    """
+
+    generator: np.random.Generator = field(default_factory=np.random.default_rng)
+    every_s: float = 0.5
+    longest_ns: int = 0
+    jitter_ns: int = 30_000
+    stalls: int = 0
+    _skipped: int = 0
+    _lateness_ns: int = 0
+
+    def step(
+        self, operator: tuple[Operator, ...] = (), setpoints: tuple[SetPoint, ...] = ()
+    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
+        """Advance both ends by one tick."""
+        self.tick = tick = self.tick + 1
+        t_ns, next_ns = tick * self.period_ns, (tick + 1) * self.period_ns
+        skipped, lateness_ns = self._skipped, self._lateness_ns
+        asleep_ns, unseen_ns, held_ns = self._stall()
+        opening = self.cycle.begin(tick)
+        sent_ns = max(t_ns + lateness_ns + unseen_ns, self.nodes.now_ns)
+        window_ns, self.window_ns = self.window_ns, self.window_ns - (sent_ns - t_ns)
+        feedback, heard_ns = self._exchange(sent_ns, opening)
+        self.window_ns = window_ns
+        inp = TickInput(
+            tick, t_ns, lateness_ns, skipped, frames=tuple(feedback), operator=operator, setpoints=setpoints
+        )
+        out = self.cycle.step(inp)
+        done_ns = max(heard_ns, sent_ns) + self.compute_ns + held_ns
+        if not self._send(done_ns, out.frames, next_ns - 1, self._commands):
+            self._queue([(done_ns, frame) for frame in out.frames], from_drive=False)
+        awake_ns = max(done_ns, next_ns + asleep_ns)
+        self._skipped = (awake_ns - next_ns) // self.period_ns
+        self.tick += self._skipped
+        self._lateness_ns = awake_ns - next_ns - self._skipped * self.period_ns
+        return inp, opening, out
+
+    def _stall(self) -> tuple[int, int, int]:
+        """Return how long this tick is held up in each of the PLACES, ns."""
+        stall = [int(self.generator.integers(self.jitter_ns)), 0, 0]
+        if self.generator.random() < 1e-9 * self.period_ns / self.every_s:
+            self.stalls += 1
+            stall[self.generator.integers(len(PLACES))] += int(self.generator.integers(self.longest_ns))
+        return stall[0], stall[1], stall[2]
+
+
+def longest_stall_s(c: Configuration) -> float:
+    """Return what makes no feedback stale and leaves the watchdog of the drives calm.
+
+    Three ticks go for the answers to what was sent before and after the stall, one behind the other.
+    """
+    return min((c.limits.stale_fault_ticks - 3) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3 / 3.0)
+
+
+def follows(c: Configuration, wn: float, at_s: float, for_s: float) -> float:
+    """Return the acceleration of a leg, m/s^2, that leaves it within its following error.
+
+    e'' + 2 wn e' + wn^2 e = a peaks at a / wn^2, and after a short a of T s at a T / (wn 2.718). Before the
+    law has taken over, a leg goes on at a T.
+    """
+    engaged_s = 0.1 + c.engage.force_ramp_s + c.engage.brake_release_s + c.engage.blend_s
+    peak_s2 = min(1.0 / wn**2, for_s / (wn * e))
+    if at_s < engaged_s:
+        peak_s2 = for_s * (for_s + engaged_s - at_s)
+    return FOLLOWS * c.limits.following_error_m / peak_s2
+
+
+def loads_of(
+    c: Configuration, path: Trajectory, generator: np.random.Generator, end_s: float
+) -> list[WrenchStep | PayloadStep]:
+    """Return steps of any time, direction and size, which accelerate a leg at home by no more than stated.
+
+    The longer one lasts, the smaller it has to be: where the law cannot answer it within its limits the
+    platform does not follow, and that is no false alarm. The law answers a T at first with 2 wn a T.
+    """
+    assert isinstance(c.controller, InverseDynamicsSettings)
+    wn = float(np.max(c.controller.wn_rad_s))
+    platform = build_platform(c.platform)
+    home = pose_arrays(c.platform.home)
+    J = jacobian(platform, *home)
+    legs = J @ np.linalg.inv(Model(platform, leg_spin=c.platform.leg_spin).mass_matrix(*home))
+    poses = [path.sample(share * (path.duration_s or 0.0)) for share in np.linspace(0.0, 1.0, 101)]
+    forces = [np.linalg.inv(jacobian(platform, pose.p, pose.R).T) for pose in poses]
+    steps: list[WrenchStep | PayloadStep] = []
+    t = generator.uniform(0.0, 0.3)
+    while t < end_s:
+        for_s = float(np.exp(generator.uniform(np.log(4e-3), np.log(1.0))))
+        load = _unit_load(generator, J)
+        a_m_s2 = min(c.monitor.disturbance_m_s2, follows(c, wn, t, for_s))
+        force_N = ANSWERS * c.limits.force_window_N / min(1.0, 2.0 * wn * for_s)
+        w = _wrench(load)
+        size = min(a_m_s2 / np.abs(legs @ w).max(), force_N / max(np.abs(f @ w).max() for f in forces))
+        size *= 1.0 if generator.random() < 0.5 else generator.uniform()
+        steps.append(_scaled(load, float(size), t, for_s))
+        t += for_s + generator.uniform(3.0, 7.0) / wn
+    return steps
+
+
+def _unit_load(generator: np.random.Generator, J: Array) -> WrenchStep | PayloadStep:
+    """Return 1 kg somewhere on the platform, or a wrench along an axis, or one like any forces of the legs."""
+    kind = generator.integers(3)
+    if kind == 0:
+        x, y = generator.uniform(-0.3, 0.3, 2)
+        return PayloadStep(mass_kg=1.0, position_m=(x, y, 0.0))
+    w = J.T @ generator.standard_normal(6)
+    if kind == 1:
+        w = np.eye(6)[generator.integers(6)] * generator.choice([-1.0, 1.0])
+    return WrenchStep(force_N=(w[0], w[1], w[2]), moment_N_m=(w[3], w[4], w[5]))
+
+
+def _wrench(load: WrenchStep | PayloadStep) -> Array:
+    """Return the wrench (6,) N, N m of a load at home, base frame."""
+    if isinstance(load, WrenchStep):
+        return np.array([*load.force_N, *load.moment_N_m])
+    weight = load.mass_kg * np.array(STANDARD_GRAVITY)
+    return np.array([*weight, *np.cross(load.position_m, weight)])
+
+
+def _scaled(
+    load: WrenchStep | PayloadStep, size: float, at_s: float, for_s: float
+) -> WrenchStep | PayloadStep:
+    """Return a load so many times as large, for some time."""
+    when: dict[str, Any] = {"at_s": at_s, "for_s": for_s}
+    if isinstance(load, WrenchStep):
+        w = size * _wrench(load)
+        return WrenchStep(force_N=(w[0], w[1], w[2]), moment_N_m=(w[3], w[4], w[5]), **when)
+    return PayloadStep(mass_kg=size * load.mass_kg, position_m=load.position_m, **when)
+
+
+def run(name: str, seed: int, end_s: float | None) -> tuple[Ending, int]:
+    """Run a shipped configuration with loads and stalls to its end, or a stop; return that and the stalls."""
+    c, generator = load(name), np.random.default_rng([seed, SHIPPED.index(name)])
+    rate = c.loop.rate_Hz
+    moves = c.plant is not None and isinstance(c.plant.model, StewartPlant)
+    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
+    path = cycle.parts.trajectory
+    loads = loads_of(c, path, generator, 60.0 if end_s is None else end_s) if moves else []
+    nodes, plant = build_nodes(c, FaultPlan(loads, seed))
+    timing = None if c.bus.layout == "ideal" else BitTiming.of(c.bus)
+    stalling = Stalling(
+        cycle, nodes, timing, c.loop.window_s(rate),
+        generator=generator, every_s=200.0 / rate, longest_ns=round(1e9 * longest_stall_s(c)),
+    )  # fmt: skip
+    try:
+        ending = stalling.run(end_s, partial(assert_calm, name, seed))
+    finally:
+        plant.close()
+    return ending, stalling.stalls
+
+
+def assert_calm(name: str, seed: int, _inp: object, _opening: object, out: Any) -> None:
+    """Assert that a tick neither faults nor doubts a leg."""
+    row = out.row
+    if row["legs_doubted"] or row["faults"]:
+        seen = {
+            key: row[key]
+            for key in ("tick", "mode", "faults", "legs_doubted", "doubt", "doubt_value", "doubt_limit")
+        }
+        pytest.fail(f"{name}, seed {seed}: {seen}")
+
+
+@pytest.mark.parametrize("name", ["virtual", "lab"])
+def test_loads_and_stalls_alarm_nobody_for_a_while(name):
+    ending, stalls = run(name, 0, 5.0)
+    assert ending.success, ending
+    assert stalls > 5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("minute", range(10))
+@pytest.mark.parametrize("name", VIRTUAL)
+def test_loads_and_stalls_alarm_nobody_for_ten_minutes(name, minute):
+    """One run after the other, with engaging and parking, until the minute is over."""
+    ticks, seed = 0, 1000 * (minute + 1)
+    while ticks < 60.0 * load(name).loop.rate_Hz:
+        ending, _ = run(name, seed, None)
+        assert ending.success, f"{name}, seed {seed}: {ending}"
+        ticks += ending.ticks
+        seed += 1

@@ -1,0 +1,121 @@
+"""A drive that does not obey, on made-up ticks of the book's platform at home: both sides of each limit."""
+
+import numpy as np
+import pytest
+
+from drivers.tick_columns import new_record
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.loop.obedience import Obedience
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+
+LEGS = pytest.mark.parametrize("leg", range(6))
+SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def home():
+    c = load("virtual")
+    platform = build_platform(c.platform)
+    return Model(platform), *pose_arrays(c.platform.home), jacobian(platform, *pose_arrays(c.platform.home))
+
+
+class Watch:
+    def __init__(self, home):
+        self.model, self.p, self.R, self.J = home
+        self.obedience = Obedience(self.model, 1000.0)
+
+    def __call__(self, rates, tau, age=()):
+        tick = new_record()
+        tick["rate"], tick["age"], tick["p"], tick["R"], tick["J"] = rates, 0, self.p, self.R, self.J
+        tick["age"][list(age)] = 1
+        return self.obedience.watch(tick, np.asarray(tau, float))
+
+
+@pytest.fixture
+def watch(home):
+    return Watch(home)
+
+
+def only(leg, value):
+    six = np.zeros(6)
+    six[leg] = value
+    return six
+
+
+def of_force(home, leg, faster):
+    """Return rates of all legs after a force along one of them has made that one faster, m/s."""
+    model, p, R, J = home
+    twist = np.linalg.solve(model.mass_matrix(p, R), J[leg])
+    return J @ twist * faster / (J @ twist)[leg]
+
+
+@LEGS
+@SIGNS
+@pytest.mark.parametrize(("faster", "refused"), [(0.099, False), (0.101, True)])
+def test_a_leg_that_gets_faster_against_its_force_by_that_alone_gets_none(
+    watch, home, leg, sign, faster, refused
+):
+    start = np.full(6, sign)
+    assert not watch(start, -start)
+    assert watch(start + of_force(home, leg, sign * faster), -start) is refused
+    assert watch.obedience.refused == (leg if refused else None)
+
+
+@LEGS
+def test_on_closed_brakes_that_leg_moves_alone(watch, leg):
+    assert not watch(only(leg, 0.5), only(leg, -1.0))
+    assert watch(only(leg, 0.61), only(leg, -1.0))
+
+
+@pytest.mark.parametrize(("others", "refused"), [(0.013, True), (0.05, False)])
+def test_a_load_moves_the_legs_in_another_proportion(watch, others, refused):
+    """Beside one by 0.1: five by x leave 5 x^2 / (0.1^2 + 5 x^2), 0.28^2 and 0.75^2."""
+    tau = np.full(6, -1.0)
+    change = np.full(6, others * 1.01)
+    change[2] = 0.101
+    watch(np.full(6, 0.5), tau)
+    assert watch(0.5 + change, tau) is refused
+
+
+def test_a_push_on_the_platform_refuses_nobody(watch, home):
+    model, p, R, J = home
+    twist = np.linalg.solve(model.mass_matrix(p, R), [0, 0, -20e3, 0, 0, 0])
+    watch(np.zeros(6), np.zeros(6))
+    for ms in range(1, 20):
+        rates = J @ twist * 1e-3 * ms
+        assert not watch(rates, -rates)
+
+
+@SIGNS
+def test_it_counts_what_has_changed_within_20_ms(watch, sign):
+    tau = only(3, -sign)
+    for speed in np.arange(0.0, 0.4, 0.0052):
+        assert not watch(only(3, sign * speed), tau)
+    assert watch.obedience.refused is None
+    for speed in np.arange(0.4, 0.6, 0.0054):
+        watch(only(3, sign * speed), tau)
+    assert watch.obedience.refused == 3
+
+
+def test_a_leg_that_moves_with_its_force_or_is_not_heard_is_no_sign(watch):
+    for speed in (0.1, 0.5, 0.9):
+        assert not watch(only(1, speed), only(1, 1.0))
+        assert not watch(only(4, speed), only(4, -1.0), age=(4,))
+
+
+def test_one_is_refused_until_a_reset(watch):
+    watch(only(2, 0.1), only(2, -1.0))
+    assert watch(only(2, 0.3), only(2, -1.0))
+    assert not watch(only(5, 0.9), only(5, -1.0)), "one cause is the sparsest"
+    assert watch.obedience.refused == 2
+    watch.obedience.reset()
+    assert watch.obedience.refused is None
+
+
+def test_what_was_before_a_fault_does_not_count(watch):
+    watch(only(5, 0.1), only(5, -1.0))
+    watch.obedience.forget()
+    assert not watch(only(5, 0.9), only(5, -1.0))
+    assert watch(only(5, 1.1), only(5, -1.0))

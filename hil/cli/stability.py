@@ -1,10 +1,28 @@
 """`hil stability`."""
 
+from math import isfinite, nan
 from pathlib import Path
 
 import click
 
 from hil.cli.shared import NOT_NEGATIVE, FiniteRange, configuration_argument, finish_lines, load, reporting
+
+Point = tuple[float, float, float]
+
+
+def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[float, Point] | None:
+    """Return kg and m of `230kg@0.5,0.3,0.5`; without a place, of the origin. Raises BadParameter."""
+    if value is None:
+        return None
+    mass, _, place = value.partition("@")
+    try:
+        kg = float(mass.strip().removesuffix("kg"))
+        x, y, z = (float(part) for part in (place or "0,0,0").split(","))
+    except ValueError:
+        kg = x = y = z = nan
+    if not (isfinite(kg + x + y + z) and kg >= 0.0):
+        raise click.BadParameter(f"{value!r}, allowed: a mass in kg and its place in m, as 230kg@0.5,0.3,0.5")
+    return kg, (x, y, z)
 
 
 @click.command()
@@ -32,25 +50,37 @@ from hil.cli.shared import NOT_NEGATIVE, FiniteRange, configuration_argument, fi
     metavar="SHARE",
     help="Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %.",
 )
+@click.option(
+    "--payload",
+    callback=mass_at,
+    metavar="KG@X,Y,Z",
+    help="A mass on the platform that the law does not know of, and its place in m: 230kg@0.5,0.3,0.5.",
+)
 @reporting
 def command(
-    configuration: str, force: float, torque: float, model_error: float, json_file: Path | None
+    configuration: str,
+    force: float,
+    torque: float,
+    model_error: float,
+    payload: tuple[float, Point] | None,
+    json_file: Path | None,
 ) -> None:
     """Say what is proven of the law of CONFIGURATION, by which function, and under which conditions.
 
     \b
-    proven        a Lyapunov function, its conditions checked along the reference
+    proven        its conditions are checked here, for the loop as it is sampled, held and late
     conditional   proven if the conditions listed hold; they are not checked here
     not proven    no theorem applies; says nothing against the law
     unstable      refuted: an eigenvalue of the sampled loop lies outside the unit circle
 
     \b
     Laws that linearise the robot (inverse dynamics in joint and pose space, without H):
-      V = x^T P x from the Lyapunov equation, its decay, and the ultimate bound of the error
-      under the stated load and model error. The load becomes an acceleration of each leg by
-      J M^-1 w along the reference, and the bound is that of the reachable ellipsoid.
+      eigenvalues of the sampled, held, late loop, and the ultimate bound of the error by its
+      peak gains and small gain: of delay along the reference, of stale J and M, of the stated
+      payload and model error, and of the load, which is J M^-1 w of an axis. Beside it
+      V = x^T P x of the loop without delay.
     Sliding mode and robust inverse dynamics: the reaching condition, the boundary layer, the
-      time to it; from section uncertainty, or from the load given here.
+      time to it; from section uncertainty, or from what is given here.
     PD, PD with gravity, feed-forward, Cartesian PD: the energy as V, LaSalle, and the largest
       sublevel set within stroke and away from singularities. For a reference at rest.
     PID: eigenvalues at the reference's start. Designed controllers: those of the sampled loop.
@@ -60,6 +90,7 @@ def command(
     Examples:
       hil stability                                      the default configuration
       hil stability virtual --disturbance-force 10000    and 10 kN that nobody measures
+      hil stability virtual --payload 230kg@0.5,0.3,0.5  and a load that the law is not told of
       hil stability my.yaml --disturbance-force 2000 --model-error 0.1 --json proof.json
 
     \b
@@ -73,6 +104,13 @@ def command(
     loaded = load(configuration)
     with console.status("looking for a proof"):
         from hil.app.stability.command import assess, shown
+        from hil.app.stability.subject import NO_PAYLOAD, Payload
 
-        summary = assess(loaded, force_N=force, torque_N_m=torque, model_error=model_error)
+        summary = assess(
+            loaded,
+            force_N=force,
+            torque_N_m=torque,
+            model_error=model_error,
+            payload=NO_PAYLOAD if payload is None else Payload(*payload),
+        )
     finish_lines(shown(summary), summary, json_file)

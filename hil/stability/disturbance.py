@@ -33,6 +33,9 @@ from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel
 from hil.stability.energy import displaced
 from hil.trajectory.path import PoseSample
 
+_STEP = 1e-6
+"""Of the differences, m, rad, m/s or rad/s."""
+
 
 class Load(NamedTuple):
     """Stated bound of a wrench that the law does not know; its direction may be any, and change."""
@@ -56,10 +59,18 @@ class Local(NamedTuple):
 
     Gamma: Array
     """(6, 6)."""
+    stale: Array
+    """(6, 6), Gamma of forces that were computed for where the reference was before."""
+    per_force: Array
+    """(6, 6) 1/kg or 1/(kg m), accelerations of the axes per force of the legs."""
     d: Array
     """(6,) m/s^2 or rad/s^2, the largest |d| of each axis."""
     extremes: Array
     """(12, 6), the disturbances at which each axis has its largest and its smallest, friction left out."""
+    by_error: Array
+    """(6, 6) 1/s^2, change of the axes' accelerations per error, while the forces stay."""
+    by_rate: Array
+    """(6, 6) 1/s, likewise per rate."""
     condition: float
     """Of J, lengths made comparable; inf where it is singular."""
 
@@ -72,7 +83,11 @@ class Survey(NamedTuple):
     gamma: float
     """Middle of the smallest and largest diagonal element of Gamma."""
     spread: Array
-    """(6, 6), largest |Gamma - gamma I|."""
+    """(6, 6), largest |Gamma - gamma I| of stale forces."""
+    by_error: Array
+    """(6, 6) 1/s^2, largest change of the axes' accelerations per error, while the forces stay."""
+    by_rate: Array
+    """(6, 6) 1/s, likewise per rate."""
     condition: float
     """Largest."""
 
@@ -90,10 +105,11 @@ class Linearised:
         self.load = load
         self.friction = friction
 
-    def at(self, s: PoseSample, e: Array, de: Array) -> Local:
+    def at(self, s: PoseSample, e: Array, de: Array, stale_s: float = 0.0) -> Local:
         """Return the loop where the reference is `s` and the axes are behind it by e (6,) and de (6,).
 
-        The pose that belongs to an error of the legs is taken to first order, J^-1 e.
+        The pose that belongs to an error of the legs is taken to first order, J^-1 e. stale_s: so old are the
+        pose and the twist of the reference for which the law answers u.
         """
         a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
         J = jacobian_kernel(a, b, s.p, s.R)
@@ -106,16 +122,18 @@ class Linearised:
         J = jacobian_kernel(a, b, p, R)
         condition = condition_kernel(J, self.robot.platform.radius)
         if not np.isfinite(condition):
-            return Local(np.full((6, 6), np.nan), np.full(6, np.inf), np.zeros((12, 6)), np.inf)
-        bias = jacobian_rate_kernel(a, b, p, R, twist) @ twist
+            nothing = np.full((6, 6), np.nan)
+            inf = np.full(6, np.inf)
+            return Local(nothing, nothing, nothing, inf, np.zeros((12, 6)), nothing, nothing, np.inf)
         mobility = np.linalg.inv(mass_matrix_kernel(self.robot.constants, p, R))
         if self.axes == "joint":
             mobility = J @ mobility
         tau = self._tau(p, R, twist, J, demanded)
-        dtwist = forward_dynamics_kernel(self.robot.constants, FULL, p, R, twist, tau, ZERO6)
-        error = (J @ dtwist + bias if self.axes == "joint" else dtwist) - demanded
+        error = self._acceleration(p, R, twist, tau) - demanded
         per_force = mobility @ J.T
-        columns = [self._tau(p, R, twist, J, demanded + axis) - tau for axis in np.eye(6)]
+        before, then = displaced(p, R, -stale_s * s.twist), twist - stale_s * s.dtwist
+        Gamma = per_force @ self._per_demand(p, R, twist, demanded)
+        stale = per_force @ self._per_demand(*before, then, demanded) if stale_s else Gamma
         worst = np.hstack(
             [
                 self.load.force_N * _directions(mobility[:, :3]),
@@ -126,7 +144,51 @@ class Linearised:
         lost = self.friction.viscous_N_s_m * np.abs(J @ twist) + self.friction.coulomb_N
         d = np.abs(error) + np.diagonal(loads) + np.abs(per_force) @ lost
         extremes = np.vstack([error + loads, error - loads])
-        return Local(per_force @ np.column_stack(columns), d, extremes, condition)
+        by_error, by_rate = self._by_state(p, R, twist, tau)
+        return Local(Gamma, stale, per_force, d, extremes, by_error, by_rate, condition)
+
+    def along_reference(self, s: PoseSample) -> tuple[Array, Array]:
+        """Return the law's forces (6,) N without error, and the axes' accelerations per force (6, 6)."""
+        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
+        J = jacobian_kernel(a, b, s.p, s.R)
+        demanded = s.dtwist
+        if self.axes == "joint":
+            demanded = J @ s.dtwist + jacobian_rate_kernel(a, b, s.p, s.R, s.twist) @ s.twist
+        mobility = np.linalg.inv(mass_matrix_kernel(self.robot.constants, s.p, s.R))
+        per_force = (J @ mobility if self.axes == "joint" else mobility) @ J.T
+        return self._tau(s.p, s.R, s.twist, J, demanded), np.asarray(per_force, float)
+
+    def _per_demand(self, p: Array, R: Array, twist: Array, demanded: Array) -> Array:
+        """Return the law's forces (6, 6) per acceleration that is demanded."""
+        J = jacobian_kernel(self.robot.platform.base_joints, self.robot.platform.platform_joints, p, R)
+        base = self._tau(p, R, twist, J, demanded)
+        return np.column_stack([self._tau(p, R, twist, J, demanded + axis) - base for axis in np.eye(6)])
+
+    def _acceleration(self, p: Array, R: Array, twist: Array, tau: Array) -> Array:
+        """Return the accelerations (6,) of the axes under the forces tau (6,) N, unloaded."""
+        dtwist = forward_dynamics_kernel(self.robot.constants, FULL, p, R, twist, tau, ZERO6)
+        if self.axes == "pose":
+            return dtwist
+        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
+        bias = jacobian_rate_kernel(a, b, p, R, twist) @ twist
+        return np.asarray(jacobian_kernel(a, b, p, R) @ dtwist + bias, float)
+
+    def _by_state(self, p: Array, R: Array, twist: Array, tau: Array) -> tuple[Array, Array]:
+        """Return the derivatives (6, 6) of the axes' accelerations by their places, and by their rates."""
+        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
+        J = jacobian_kernel(a, b, p, R)
+        steps = _STEP * (np.linalg.inv(J) if self.axes == "joint" else np.eye(6))
+        rates = J @ twist
+        here = self._acceleration(p, R, twist, tau)
+        by_error, by_rate = np.empty((6, 6)), np.empty((6, 6))
+        for i, x in enumerate(steps.T):
+            at_p, at_R = displaced(p, R, x)
+            there = twist
+            if self.axes == "joint":
+                there = np.asarray(np.linalg.solve(jacobian_kernel(a, b, at_p, at_R), rates), float)
+            by_error[:, i] = (self._acceleration(at_p, at_R, there, tau) - here) / _STEP
+            by_rate[:, i] = (self._acceleration(p, R, twist + x, tau) - here) / _STEP
+        return by_error, by_rate
 
     def _tau(self, p: Array, R: Array, twist: Array, J: Array, demanded: Array) -> Array:
         c, code = self.believed.constants, self.believed.code
@@ -135,31 +197,35 @@ class Linearised:
         return inverse_dynamics_kernel(c, code, p, R, twist, demanded, ZERO6)
 
 
-def along(linearised: Linearised, path: Iterable[PoseSample]) -> list[Local]:
+def along(linearised: Linearised, path: Iterable[PoseSample], stale_s: float = 0.0) -> list[Local]:
     """Return the loop at each sample of a path, without error."""
     still = np.zeros(6)
-    return [linearised.at(s, still, still) for s in path]
+    return [linearised.at(s, still, still, stale_s) for s in path]
 
 
-def around(linearised: Linearised, path: Iterable[PoseSample], errors: Array, rates: Array) -> list[Local]:
+def around(
+    linearised: Linearised, path: Iterable[PoseSample], errors: Array, rates: Array, stale_s: float = 0.0
+) -> list[Local]:
     """Return the loop at each sample of a path under each of the errors (n, 6), with its rate (n, 6) +- 1."""
     return [
-        linearised.at(s, e, sign * de)
+        linearised.at(s, e, sign * de, stale_s)
         for s in path
         for e, de in zip(errors, rates, strict=True)
         for sign in (-1, 1)
     ]
 
 
-def summary(found: list[Local]) -> Survey:
-    """Return what covers all of them."""
-    Gamma = np.array([local.Gamma for local in found])
-    diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
-    gamma = float(diagonal.min() + diagonal.max()) / 2.0
+def summary(found: list[Local], gamma: float | None = None) -> Survey:
+    """Return what covers all of them, by default with the gain in the middle of Gamma's diagonal."""
+    if gamma is None:
+        diagonal = np.diagonal([local.Gamma for local in found], axis1=1, axis2=2)
+        gamma = float(diagonal.min() + diagonal.max()) / 2.0
     return Survey(
         np.max([local.d for local in found], axis=0),
         gamma,
-        np.abs(Gamma - gamma * np.eye(6)).max(axis=0),
+        np.abs(np.array([local.stale for local in found]) - gamma * np.eye(6)).max(axis=0),
+        np.max([np.abs(local.by_error) for local in found], axis=0),
+        np.max([np.abs(local.by_rate) for local in found], axis=0),
         max(local.condition for local in found),
     )
 

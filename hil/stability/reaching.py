@@ -1,30 +1,29 @@
 """Reaching and boundary layers: what sliding mode and the Lyapunov redesign promise, with the figures stated.
 
-Under what the model does not know (hil.stability.disturbance: gamma, |d|) the sliding variable
-s = de + lambda e of a leg obeys
+Under what the model does not know (hil.stability.disturbance: Gamma, |d|) the sliding variables
+s = de + lambda e of the legs obey
 
 ::
 
-    ds/dt = (1 - gamma) lambda de - gamma k sat(s / phi) - d
+    ds/dt = (I - Gamma) lambda de - k Gamma sat(s / phi) - d
 
-- Outside the layer |s| falls by gamma k - |d| at least, and by |1 - gamma| lambda |de| less: the layer is
-  reached.
+- Outside the layer the largest |s| falls by gamma k - |d| at least, gamma the least of Gamma_ii less the rest
+  of its row, and by alpha lambda |de| less, alpha = |Gamma - I| by rows: the layer is reached.
 - Inside, the law is linear, K_P = lambda k / phi and K_D = lambda + k / phi, and so is the loop. |s| stays
-  below its peak gain from d times |d|: where that is no more than phi the layer is never left, and the
-  ultimate bound of the linear loop holds. With gamma = 1 both conditions are one, k >= |d|.
+  below its peak gain from d times |d|, sampled and late (hil.stability.sampled): where that is no more than
+  phi the layer is never left, and the ultimate bound of the linear loop holds. With gamma = 1 and without
+  sampling both conditions are one, k >= |d|.
 
 The Lyapunov redesign has y = de + K_D / 2 e over all legs at once, rho for k, epsilon for phi, and a linear
-part of its own that helps:
+part of its own that helps; gamma is the least eigenvalue of Gamma's symmetric part, alpha its norm less I:
 
 ::
 
-    dy/dt = -(gamma - 1/2) K_D y + ((gamma - 1/2) K_D^2 / 2 - gamma K_P) e - gamma rho y / |y| - d
+    dy/dt = -(Gamma - I/2) K_D y + ((Gamma - I/2) K_D^2 / 2 - Gamma K_P) e - rho Gamma y / |y| - d
 """
 
 from math import inf
 from typing import NamedTuple
-
-from hil.stability.reachable import peak_gain
 
 
 class Reaching(NamedTuple):
@@ -51,35 +50,26 @@ class Reaching(NamedTuple):
 
 
 def sliding(
-    slope: float, k: float, layer: float, *, gamma: float, d: float, linear: tuple[float, float]
+    slope: float, k: float, layer: float, *, gamma: float, alpha: float, d: float, inside: float
 ) -> Reaching:
     """Return what s = de + slope e of a leg does under a correction of up to k m/s^2, linear in its layer.
 
-    gamma: share of what is asked for that the robot does; d: m/s^2, largest disturbance; linear: K_P and
-    K_D inside the layer.
-
-    Raises ModelError where the linear loop is not stable.
+    gamma: share of what is asked for that the robot does at least; alpha: how far it is from all of it; d:
+    m/s^2, largest disturbance; inside: m/s, the largest |s| of the loop that is linear.
     """
     surplus = gamma * k - d
-    room = inf if gamma == 1.0 else surplus / (abs(1.0 - gamma) * slope)
-    return Reaching(surplus, room, _inside(slope, layer, gamma, d, linear), layer)
+    room = inf if alpha <= 1e-9 else surplus / (alpha * slope)
+    return Reaching(surplus, room, inside, layer)
 
 
 def redesign(
-    K_P: float, K_D: float, rho: float, layer: float, *, gamma: float, d: float, linear: tuple[float, float]
+    K_P: float, K_D: float, rho: float, layer: float, *, gamma: float, alpha: float, d: float, inside: float
 ) -> Reaching:
     """Return what y = de + K_D / 2 e of all legs does under a correction of up to rho m/s^2.
 
-    K_P, K_D: of the law outside its layer; the rest as for `sliding`, d over all legs.
-
-    Raises ModelError where the linear loop is not stable.
+    K_P, K_D: of the law outside its layer; the rest as for `sliding`, over all legs.
     """
     surplus = gamma * rho - d + (gamma - 0.5) * K_D * layer
-    coupling = abs((gamma - 0.5) * K_D**2 / 2.0 - gamma * K_P)
+    coupling = abs(K_D**2 / 4.0 - K_P) + alpha * abs(K_D**2 / 2.0 - K_P)
     room = inf if coupling <= 1e-9 * K_P else surplus / coupling
-    return Reaching(surplus, room, _inside(K_D / 2.0, layer, gamma, d, linear), layer)
-
-
-def _inside(slope: float, layer: float, gamma: float, d: float, linear: tuple[float, float]) -> float:
-    K_P, K_D = linear
-    return inf if layer == 0.0 else peak_gain(gamma * K_P, gamma * K_D, slope, 1.0) * d
+    return Reaching(surplus, room, inside, layer)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import ComplexArray
+from drivers.arrays import Array, ComplexArray
 from drivers.errors import ModelError
 from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.stability.sampled_loop import Margins, disturbed, margins, sampled_axis
@@ -38,13 +38,64 @@ class Sampled(NamedTuple):
     """None where the loop is not stable."""
     decay_rate: float
     """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
-    peak_gain: float
-    """s^2, from a disturbing acceleration, held over each period, to |e|; inf where not stable."""
+    loop: LinearSystem
+    """To e, de and u from a disturbing acceleration, held over each period, and from what e is measured wrong
+    by at each sample."""
 
     @property
     def stable(self) -> bool:
         """Tell whether all modes decay."""
         return bool((np.abs(self.poles) < 1.0).all())
+
+    @property
+    def peak_gain(self) -> float:
+        """s^2, from a disturbing acceleration to |e|; inf where not stable."""
+        return float(self.peak_gains()[0])
+
+    def peak_gains(self, slope: float = 0.0) -> Array:
+        """Return the peak gains (4,) to |e| s^2, |de| s, |u| and |de + slope e| s, at each measurement.
+
+        Of every acceleration within its bound, whenever it changes: h(s), its weight a time s before a
+        measurement, is linear in s over each period, so that its area is known. inf where not stable.
+        """
+        if not self.stable:
+            return np.full(4, inf)
+        T = self.loop.period_s
+        assert T is not None
+        to = np.vstack([self.loop.C, self.loop.C[1] + slope * self.loop.C[0]])
+        x = np.zeros((len(self.poles), 2))  # after a period at whose beginning, and end, an impulse acted
+        x[0, 0], x[1] = T, 1.0
+        total = np.zeros(4)
+        for _ in range(self.steps):
+            first, last = np.abs(h := to @ x).T
+            both = first + last
+            same = h[:, 0] * h[:, 1] >= 0.0
+            area = np.where(same, both / 2.0, (first**2 + last**2) / (2.0 * np.where(same, 1.0, both)))
+            total += T * area
+            x = self.loop.A @ x
+        return total
+
+    def impulse_responses(self) -> Array:
+        """Return what e, de and u (n, 3) are at the samples after d = 1 for one period."""
+        x, found = self.loop.B[:, :1], []
+        for _ in range(self.steps):
+            found.append((self.loop.C @ x)[:, 0])
+            x = self.loop.A @ x
+        return np.array(found)
+
+    def measured_gains(self) -> Array:
+        """Return the peak gains (3,) to |e|, |de| and |u| from what e is measured wrong by."""
+        total, x = np.abs(self.loop.D[:, 1]), self.loop.B[:, 1]
+        for _ in range(self.steps):
+            total = total + np.abs(self.loop.C @ x)
+            x = self.loop.A @ x
+        return np.asarray(total, float)
+
+    @property
+    def steps(self) -> int:
+        """Periods after which a stable loop has forgotten an impulse, to a hundred thousandth."""
+        slowest = -np.log(max(np.abs(self.poles).max(), 1e-300))
+        return min(200_000, int(np.ceil(12.0 / slowest)) + len(self.poles))
 
 
 def disturbed_axis(axis: Axis) -> LinearSystem:
@@ -71,30 +122,19 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
     loop = _closed(plant, controller)
     poles = loop.poles()
     radius = float(np.abs(poles).max())
+    decay = -np.log(max(radius, 1e-300)) / axis.period_s
     if radius >= 1.0:
-        return Sampled(poles, None, -np.log(radius) / axis.period_s, inf)
+        return Sampled(poles, None, decay, loop)
     opened = controller.after(plant._replace(B=plant.B[:, :1], D=plant.D[:, :1]))
-    return Sampled(poles, margins(opened), -np.log(max(radius, 1e-300)) / axis.period_s, _peak_gain(loop))
+    return Sampled(poles, margins(opened), decay, loop)
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
-    """Return the loop from d to e: y = [e, de] = -[position, rate]."""
-    A, B, C, D, T = plant
-    zero = np.zeros((1, 1))
-    # Inputs d, u; outputs e, and [e, de] for the controller.
-    swapped = B[:, [1, 0]]
-    return LinearSystem(
-        A, swapped, np.vstack([-C[:1], -C]), np.vstack([np.hstack([zero, zero]), D]), T
-    ).closed_with(controller)
-
-
-def _peak_gain(loop: LinearSystem) -> float:
-    """Return the sum of |h[k]| of a stable loop from d to e, to a ten thousandth."""
-    x, total = loop.B[:, :1], 0.0
-    slowest = -np.log(max(np.abs(loop.poles()).max(), 1e-300))
-    steps = min(200_000, int(np.ceil(12.0 / slowest)) + len(x))
-    A, C = loop.A, loop.C[:1]
-    for _ in range(steps):
-        total += abs((C @ x).item())
-        x = A @ x
-    return total
+    """Return the loop from d and n to e, de and u: y = [e + n, de], e = -position."""
+    A, B, C, _, T = plant
+    # Inputs d, n, u; outputs e, de, u, and y for the controller.
+    inputs = np.column_stack([B[:, 1], np.zeros(len(A)), B[:, 0]])
+    outputs = np.vstack([-C, np.zeros((1, len(A))), -C])
+    through = np.zeros((5, 3))
+    through[2, 2] = through[3, 1] = 1.0
+    return LinearSystem(A, inputs, outputs, through, T).closed_with(controller)

@@ -2,17 +2,22 @@
 
 ::
 
-    e'' + Gamma (K_D de + K_P e) = -d      (hil.stability.disturbance)
+    e'' + Gamma u = -d      (hil.stability.disturbance), u = controller([e, de]), sampled, held and late
 
-- Gamma = gamma I: six axes with the gains gamma K_P and gamma K_D, |e_i| <= error_gain_i max |d_i| by the
-  reachable ellipsoid of each (hil.stability.error_dynamics).
-- What Gamma differs from gamma I by is a disturbance of its own, S |u|, S = max |Gamma - gamma I|. With g_i
-  the peak gain from d_i to u_i, |d + (Gamma - gamma I) u| <= (I - S diag(g))^-1 |d|, if all eigenvalues of
-  the non-negative S diag(g) are below 1 (small gain; C. A. Desoer and M. Vidyasagar, Feedback Systems, 1975).
+- Gamma = gamma I: six axes, each with the loop that runs (hil.stability.sampled), |e_i| <= g_e,i max |d_i|
+  with the peak gain g_e of that loop, which some disturbance attains.
+- What Gamma differs from gamma I by is a disturbance of its own, S |u|, S = max |Gamma - gamma I|; Gamma is
+  that of the pose which the force meets, by the law's model at the pose for which it was computed, T ago.
+- The forces that hold the reference are those of T ago, too. What that costs along the reference is known
+  (hil.stability.lateness). Off the reference they miss by what place and rate change within T,
+  T (S_e |de| + S_v |e''|), S_e and S_v the derivatives of the acceleration under constant forces.
+- So d' <= d + S |u| + T (S_e |de| + S_v (|u| + d')) with |u| <= g_u d' + u of being late, and likewise de.
+  Of non-negative matrices whose eigenvalues are below 1 that has a least solution, which bounds d' (small
+  gain; C. A. Desoer and M. Vidyasagar, Feedback Systems, 1975).
 - d and Gamma are those of where the robot is, not of where it should be. So they are taken in a tube around
   the reference, too, which is enlarged until the bound that follows is no larger than the tube: what begins
   without error can then not leave it. The errors that occur are convolutions of the disturbances that
-  occur. Where all axes have the same gains, they are in error_gain times the convex hull of these, and its
+  occur. Where all axes have the same gains, they are in the gain times the convex hull of these, and its
   extremes along the reference are the tube; else it is the box |e_i| <= bound_i. Both are looked at in
   their corners at the worst instants, to first order: a survey, no enclosure.
 """
@@ -23,9 +28,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from hil.stability.disturbance import Linearised, Survey, along, around, summary
-from hil.stability.error_dynamics import Certificate, certificate
-from hil.stability.reachable import peak_gain
+from hil.stability.disturbance import Linearised, Local, Survey, around, summary
+from hil.stability.lateness import Late
+from hil.stability.sampled import Sampled
 from hil.trajectory.path import PoseSample
 
 ROUNDS = 12
@@ -37,53 +42,78 @@ INSTANTS = 5
 _SIGNS = np.array([[1.0 if k >> i & 1 else -1.0 for i in range(6)] for k in range(64)])
 
 
+class Extra(NamedTuple):
+    """What is known by its size alone, beside load and model."""
+
+    d: Array
+    """(6,) m/s^2 or rad/s^2, stated: of each axis by itself, any at any time."""
+    pushed: Array
+    """(6,) m/s^2 or rad/s^2, by what pushes one leg now and then."""
+    alpha: float
+    """Share of the largest |u| that the robot may add to any axis: the norm of Gamma - I."""
+    error: Array
+    """(6,) m or rad, what the encoders' steps cost, the last reading included."""
+    effort: Array
+    """(6,) m/s^2 or rad/s^2 of u, likewise."""
+
+
 class Ultimate(NamedTuple):
     """What holds along a reference, of each axis."""
 
-    certificate: Certificate
-    """Of the gains that the robot really has, gamma K_P and gamma K_D."""
     gamma: float
     exact: bool
-    """Whether Gamma = gamma I, so that the certificate's decay is the robot's."""
+    """Whether Gamma = gamma I at the poses for which the forces are computed."""
     d: Array
-    """(6,) m/s^2 or rad/s^2, all that disturbs the axis."""
+    """(6,) m/s^2 or rad/s^2, all that disturbs the axis beside being late."""
     error: Array
     """(6,) m or rad: |e| never exceeds it from a start without error, and from anywhere near in the end."""
     rate: Array
     """(6,) m/s or rad/s, likewise."""
-    least_error: Array
-    """(6,) m or rad, what some disturbance of this size brings about: no bound for all is smaller."""
+    late: Array
+    """(6,) m or rad, the part of it that being late makes along the reference."""
+    late_rate: Array
+    """(6,) m/s or rad/s, likewise."""
     condition: float
     """Of J, the largest in the tube."""
 
 
 def ultimate(
-    linearised: Linearised, path: Sequence[PoseSample], K_P: Array, K_D: Array, *, condition: float
+    linearised: Linearised,
+    path: Sequence[PoseSample],
+    found_along: list[Local],
+    loops: Sequence[Sampled],
+    late: Late,
+    extra: Extra,
+    *,
+    condition: float,
 ) -> Ultimate | str:
-    """Return the bound along a path sampled in `path`, K_P (6,) 1/s^2 and K_D (6,) 1/s; or why there is none.
+    """Return the bound along a path sampled in `path`; or why there is none.
 
+    found_along: the robot at each of its samples. loops: of each axis, with the gain of their survey.
     condition: of J, what the tube may not exceed.
     """
-    found_along = along(linearised, path)
     reference = summary(found_along)
     worst = {int(np.argmax([local.d[i] for local in found_along])) for i in range(6)}
     samples = [path[k] for k in sorted(worst)]
     every = max(1, len(path) // INSTANTS)
     extremes = np.vstack([local.extremes for local in found_along[::every]])
-    equal = len(set(K_P)) == len(set(K_D)) == 1
-    found = _bound(reference, K_P, K_D)
+    gains = np.column_stack([loop.peak_gains()[:3] for loop in loops])
+    equal = bool(np.ptp(gains, axis=1).max() == 0.0) and not extra.d.any()
+    found = _bound(reference, gains, late, extra)
     for _ in range(ROUNDS):
         if isinstance(found, str) or not found.d.max() > 1e-9:
             return found
-        if found.condition > condition:
-            return (
-                f"the bound, {1e3 * found.error.max():.3g} mm or mrad, reaches poses where the condition of "
-                f"J is {found.condition:.3g}, allowed: {condition:g}"
-            )
         shape = _normalised(extremes) if equal else _SIGNS
         before = found
-        tube = around(linearised, samples, 1.02 * before.error * shape, 1.02 * before.rate * shape)
-        found = _bound(_both(reference, summary(tube)), K_P, K_D)
+        errors, rates = 1.02 * before.error * shape, 1.02 * before.rate * shape
+        tube = around(linearised, samples, errors, rates, late.stale_s)
+        survey = _both(reference, summary(tube, reference.gamma))
+        if survey.condition > condition:
+            return (
+                f"the bound, {1e3 * before.error.max():.3g} mm or mrad, reaches poses where the condition of "
+                f"J is {survey.condition:.3g}, allowed: {condition:g}"
+            )
+        found = _bound(survey, gains, late, extra)
         if not isinstance(found, str) and (found.error <= 1.02 * before.error).all():
             return found
     return "the disturbance grows with the error as fast as the law answers it"
@@ -96,31 +126,44 @@ def _normalised(extremes: Array) -> Array:
     return np.asarray(shape, float)
 
 
-def _bound(s: Survey, K_P: Array, K_D: Array) -> Ultimate | str:
-    if not np.isfinite(s.d).all():
-        return "the bound reaches a singularity of J"
+def _bound(s: Survey, gains: Array, late: Late, extra: Extra) -> Ultimate | str:
     if s.gamma <= 0.0:
         return "the believed inertia is so wrong that forces push the wrong way"
-    proved = certificate(s.gamma * K_P, s.gamma * K_D)
-    d, exact = s.d, bool(s.spread.max() <= EXACT)
-    if not exact:
-        pairs = list(zip(proved.K_P, proved.K_D, K_P, K_D, strict=True))
-        g = np.array([peak_gain(*(float(v) for v in pair)) for pair in pairs])
-        loop = s.spread * g
-        size = float(np.abs(np.linalg.eigvals(loop)).max())
-        if size >= 1.0:
-            return (
-                f"the believed inertia differs too much for the gains: small gain {size:.2g}, allowed below 1"
-            )
-        d = np.linalg.solve(np.eye(6) - loop, d)
-    error, rate = proved.error_gain() * d, proved.rate_gain() * d
-    least = np.array([peak_gain(float(p), float(v)) for p, v in zip(proved.K_P, proved.K_D, strict=True)])
-    return Ultimate(proved, s.gamma, exact, d, error, rate, least * d, s.condition)
+    g_e, g_de, g_u = gains
+    T = late.stale_s
+    by_u, by_rate = s.spread + T * s.by_rate, T * s.by_error
+    d = beside = s.d + extra.d + extra.pushed
+    factor = by_u * g_u + by_rate * g_de + T * s.by_rate
+    size = float(np.abs(np.linalg.eigvals(factor)).max()) + extra.alpha * float(g_u.max())
+    if size >= 1.0:
+        return _too_much(size)
+    for _ in range(1000):
+        u, rate = late.effort + extra.effort + g_u * d, late.rate + g_de * d
+        more = beside + by_u @ u + by_rate @ rate + T * s.by_rate @ d + extra.alpha * u.max()
+        grown, d = float(np.max(more - d)), more
+        if grown <= 1e-9 * float(d.max()):
+            break
+    else:
+        return _too_much(size)
+    error, rate = late.error + g_e * d + extra.error, late.rate + g_de * d
+    exact = bool(s.spread.max() <= EXACT)
+    return Ultimate(s.gamma, exact, d, error, rate, late.error, late.rate, s.condition)
+
+
+def _too_much(size: float) -> str:
+    return (
+        "forces computed with another inertia, or for a pose of some time ago, miss by more than the gains "
+        f"bear: small gain {size:.2g}, allowed below 1; a better model, lower gains or less delay"
+    )
 
 
 def _both(a: Survey, b: Survey) -> Survey:
-    """Return what covers both surveys."""
-    gamma = (a.gamma + b.gamma) / 2.0
-    shift = abs(a.gamma - b.gamma) / 2.0
-    spread = np.maximum(a.spread, b.spread) + (shift if shift > 1e-12 else 0.0) * np.eye(6)
-    return Survey(np.maximum(a.d, b.d), gamma, spread, max(a.condition, b.condition))
+    """Return what covers both surveys, of the same gain."""
+    return Survey(
+        np.maximum(a.d, b.d),
+        a.gamma,
+        np.maximum(a.spread, b.spread),
+        np.maximum(a.by_error, b.by_error),
+        np.maximum(a.by_rate, b.by_rate),
+        max(a.condition, b.condition),
+    )

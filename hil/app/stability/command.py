@@ -1,12 +1,13 @@
 """`hil stability CONFIG`: what can be proven of the configured law, with its figures and conditions."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.stability import designed, linearising, spring_models
-from hil.app.stability.subject import Stated, Subject
+from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
 from hil.stability.assessment import Assessment
 from hil.stability.disturbance import Load
@@ -25,6 +26,9 @@ JUDGES: dict[str, Judge] = {
     "state_space": lambda subject, law, _: designed.configured(subject, law),
 }
 """`controller.law` -> what judges it, where another theorem than that of its linear error dynamics does."""
+SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
+"""Laws that are judged with one robot at a time."""
+WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
 
 
 def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False) -> Assessment:
@@ -33,14 +37,21 @@ def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False
     quick: without the search for the largest sublevel set, which costs seconds. Raises ConfigurationError
     where the reference cannot be followed.
     """
-    subject = Subject(c, Stated() if stated is None else stated)
+    stated = Stated() if stated is None else stated
+    subject = Subject(c, stated)
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
+        if stated.payload.mass_kg:
+            return Assessment("not proven", "six uncoupled legs carry no payload", [], [], {})
         if isinstance(c.controller, PDSettings):
             return spring_models.bench(subject, c.controller, c.plant.model)
         return Assessment(
             "not proven", "six uncoupled legs are not the robot of this law's model", [], [], {}
         )
     law = c.controller
+    if law.law in SPRINGS and stated.payload.mass_kg:
+        bare = Subject(c, replace(stated, payload=NO_PAYLOAD))
+        found = [JUDGES[law.law](each, law, quick) for each in (subject, bare)]
+        return min(found, key=lambda each: WORST_FIRST.index(each.status))
     if law.law in JUDGES:
         return JUDGES[law.law](subject, law, quick)
     dynamics = law.error_dynamics()
@@ -52,7 +63,12 @@ def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False
 
 
 def assess(
-    c: Configuration, *, force_N: float = 0.0, torque_N_m: float = 0.0, model_error: float = 0.0
+    c: Configuration,
+    *,
+    force_N: float = 0.0,
+    torque_N_m: float = 0.0,
+    model_error: float = 0.0,
+    payload: Payload = NO_PAYLOAD,
 ) -> dict[str, Any]:
     """Return the summary of `hil stability`; `success` is whether something is proven, if conditionally.
 
@@ -60,13 +76,19 @@ def assess(
     """
     if not 0.0 <= model_error < 1.0:
         raise ConfigurationError(f"--model-error: a share, allowed: 0 to below 1, given: {model_error:g}")
-    found = judge(c, Stated(Load(force_N, torque_N_m), model_error))
+    found = judge(c, Stated(Load(force_N, torque_N_m), model_error, payload))
     return {
         "success": found.status in {"proven", "conditional"},
         "kind": "stability",
         "configuration": c.source,
         "law": c.controller.law,
-        "stated": {"force_N": force_N, "torque_N_m": torque_N_m, "model_error": model_error},
+        "stated": {
+            "force_N": force_N,
+            "torque_N_m": torque_N_m,
+            "model_error": model_error,
+            "payload_kg": payload.mass_kg,
+            "payload_at_m": list(payload.at_m),
+        },
         "status": found.status,
         "claim": found.claim,
         "conditions": found.conditions,
@@ -80,7 +102,13 @@ def shown(summary: dict[str, Any]) -> list[str]:
     stated = summary["stated"]
     lines = [f"law {summary['law']}", f"status         {summary['status']}: {summary['claim']}"]
     lines += [f"  if           {condition}" for condition in summary["conditions"]]
-    if any(stated.values()):
+    if stated["payload_kg"]:
+        x, y, z = stated["payload_at_m"]
+        lines.append(
+            f"payload        {stated['payload_kg']:g} kg at ({x:g}, {y:g}, {z:g}) m of the platform or none, "
+            "and the law is not told"
+        )
+    if stated["force_N"] or stated["torque_N_m"] or stated["model_error"]:
         lines.append(
             f"unknown load   {stated['force_N']:g} N and {stated['torque_N_m']:g} N m in any direction, "
             f"masses {100 * stated['model_error']:g} % wrong"

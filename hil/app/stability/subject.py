@@ -1,33 +1,112 @@
 """From a configuration to what the theorems speak of: robot, belief, reference, loop."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
 from hil.config.axis_model import AxisSpace
 from hil.config.model import ModelSettings
+from hil.config.platform import PlatformSettings, PointShape, RigidBodySettings
+from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
-from hil.stability.disturbance import Friction, Linearised, Load
-from hil.stability.sampled import Axis
+from hil.stability.disturbance import Friction, Linearised, Load, Local, along, summary
+from hil.stability.lateness import Late, late, stale_s
+from hil.stability.sampled import Axis, Sampled
+from hil.stability.ultimate import Extra, Ultimate, ultimate
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.path import PoseSample
-from plant_fmu.config import StewartPlant
+from plant_fmu.config import BenchPlant, StewartPlant
 
-SAMPLES = 101
-"""Instants of the reference at which the robot is looked at."""
+SAMPLES, APART_s = 101, 0.02
+"""Least instants of the reference at which the robot is looked at, and their distance on a long one, s."""
+MOST = 501
 
 
 NO_LOAD = Load()
+
+
+class Payload(NamedTuple):
+    """A point mass fixed to the platform."""
+
+    mass_kg: float = 0.0
+    at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """In the platform frame."""
+
+
+NO_PAYLOAD = Payload()
+NO_ERROR = 1e-6
+"""m/s^2 or rad/s^2: a disturbance that is none, of an exact model."""
+SURVEYED = (
+    "what disturbs the loop, delay and stale J and M included, is no more than at the instants and extremes "
+    "looked at: surveyed, not enclosed"
+)
+
+
+class Unknown(NamedTuple):
+    """What a law's own section says that its model does not know."""
+
+    d: float = 0.0
+    """m/s^2, of each leg."""
+    alpha: float = 0.0
+    """Norm of Gamma - I."""
+
+
+NOTHING = Unknown()
+
+
+class Inertia(NamedTuple):
+    """What a wrong inertia makes of the accelerations that a law asks for: Gamma = J M^-1 M_believed J^-1."""
+
+    alpha: float = 0.0
+    """Norm of Gamma - I by rows, largest."""
+    alpha_2: float = 0.0
+    """Spectral norm of Gamma - I, largest."""
+    dominance: float = 1.0
+    """Gamma_ii less the rest of its row, least."""
+    definite: float = 1.0
+    """Eigenvalue of the symmetric part of Gamma, least."""
+
+    @classmethod
+    def of(cls, found: list[Local]) -> Self:
+        """Return what covers all of them."""
+        Gamma = np.array([local.Gamma for local in found])
+        off = Gamma - np.eye(6)
+        diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
+        rest = np.abs(Gamma).sum(axis=2) - np.abs(diagonal)
+        return cls(
+            float(np.abs(off).sum(axis=2).max()),
+            float(np.linalg.norm(off, ord=2, axis=(1, 2)).max()),
+            float((diagonal - rest).min()),
+            float(np.linalg.eigvalsh(0.5 * (Gamma + Gamma.transpose(0, 2, 1))).min()),
+        )
+
+
+class Judged(NamedTuple):
+    """The loop that runs, and what bounds it."""
+
+    loop: Sampled
+    """Of the axis with the least delay margin, or of one that is not stable."""
+    loops: list[Sampled]
+    """Of each axis."""
+    bound: Ultimate | str
+    inertia: Inertia = Inertia()
+    bounds: tuple[tuple[list[Sampled], Ultimate], ...] = ()
+    """Loops and bound at each end of what is stated of the inertia."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +115,14 @@ class Stated:
 
     load: Load = NO_LOAD
     model_error: float = 0.0
-    """alpha: believed masses are off by this share, either way."""
+    """Believed masses are off by this share, either way."""
+    payload: Payload = NO_PAYLOAD
+    """Rides on the platform, all of it or nothing, and the law does not know of it."""
 
     @property
     def nothing(self) -> bool:
         """Tell whether nothing is stated."""
-        return self.load.force_N == self.load.torque_N_m == self.model_error == 0.0
+        return self.load == NO_LOAD and self.model_error == self.payload.mass_kg == 0.0
 
 
 class Subject:
@@ -53,15 +134,51 @@ class Subject:
         self.platform = build_platform(c.platform)
         plant = c.plant.model if c.plant is not None else None
         self.plant = plant if isinstance(plant, StewartPlant) else None
+        self.on_bench = isinstance(plant, BenchPlant)
+        """Six uncoupled legs."""
         reflected = 0.0 if self.plant is None else self.plant.reflected_mass_kg
-        self.robot = Model(self.platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected)
+
+        def robot(platform: Platform) -> Model:
+            return Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected)
+
+        self.robots = [robot(self.platform)]
+        """Without the stated payload, and with it."""
+        if stated.payload.mass_kg:
+            self.robots.append(robot(build_platform(_laden(c.platform, stated.payload))))
         self.path = self._path()
         self.axis = Axis(*loop_delay(c))
+        drives = None if c.plant is None else c.plant.drives
+        self.step_m = 0.0 if drives is None else drives.encoder_resolution_m
+        """Of the encoders."""
+        limits = encoder_limits(c, self.platform, pose_arrays(c.platform.home), c.loop.rate_Hz)
+        self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
+        """By which safety pushes a leg that stands still while others stray."""
+
+    @property
+    def robot(self) -> Model:
+        """The robot with all that is stated to ride on it."""
+        return self.robots[-1]
 
     @property
     def rest(self) -> bool:
         """Tell whether the reference never moves."""
         return len(self.path) == 1
+
+    @property
+    def unseen(self) -> list[str]:
+        """What a proof has to take for granted of robot and reference."""
+        taken = []
+        if self.c.plant is None:
+            taken.append("the robot is as section platform says, its drives have neither friction nor lag")
+        elif self.plant is None:
+            taken.append("the FMU is the robot of section platform, without friction")
+        if isinstance(self.c.reference, LiveReference):
+            taken.append("the reference rests at home: what its motion costs is not in the bound")
+        return taken
+
+    def undisturbed(self, bound: Ultimate) -> bool:
+        """Tell whether nothing brings errors about that were not there at the start, or keeps them."""
+        return self.rest and self.stated.nothing and bound.exact and float(bound.d.max()) <= NO_ERROR
 
     @property
     def delay(self) -> str:
@@ -79,18 +196,77 @@ class Subject:
         return build_model(settings.model_copy(update=bare), self.platform, self.c.platform.leg_spin)
 
     def friction(self, settings: ModelSettings) -> Friction:
-        """Return what the law's friction is wrong by; where the plant is none of ours, nothing is known."""
+        """Return what the law's friction is wrong by; where the plant is none of ours, nothing is known.
+
+        Dry friction holds a leg that stands, and the law answers the rate it had: both may add up.
+        """
         if self.plant is None:
             return Friction(np.zeros(6), np.zeros(6))
         viscous = np.abs(self.plant.viscous_friction_N_s_m - per_leg(settings.viscous_friction_N_s_m))
-        coulomb = np.abs(self.plant.coulomb_friction_N - per_leg(settings.coulomb_friction_N))
+        coulomb = self.plant.coulomb_friction_N + per_leg(settings.coulomb_friction_N)
         return Friction(viscous, coulomb)
 
+    def judged(
+        self,
+        model: ModelSettings,
+        axes: AxisSpace,
+        loops_of: Callable[[float], list[Sampled]],
+        ahead_s: float = 0.0,
+        unknown: Unknown = NOTHING,
+    ) -> Judged:
+        """Return loop and bound of a law with this model, each at its worse end of what is stated.
+
+        loops_of: the loop of each axis with a gain. ahead_s: how far the law looks ahead.
+        """
+        ends: list[tuple[list[Sampled], Ultimate]] = []
+        weakest: list[Sampled] = []
+        seen: list[Local] = []
+        stale = stale_s(self.axis, ahead_s)
+        for linearised in self.linearised(model, axes):
+            found = along(linearised, self.path, stale)
+            seen += found
+            survey = summary(found)
+            loops = loops_of(survey.gamma)
+            least = min(loops, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
+            if not least.stable:
+                return Judged(least, loops, "the loop is not stable")
+            late = self._late(linearised, loops, ahead_s)
+            more = self._unknown(loops, axes, unknown, found)
+            condition = self.c.limits.condition
+            bound = ultimate(linearised, self.path, found, loops, late, more, condition=condition)
+            if isinstance(bound, str):
+                return Judged(least, loops, bound)
+            weakest.append(least)
+            ends.append((loops, bound))
+        loops, bound = max(ends, key=lambda end: float(end[1].error.max()))
+        least = min(weakest, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
+        return Judged(least, loops, bound, Inertia.of(seen), tuple(ends))
+
+    def _late(self, linearised: Linearised, loops: list[Sampled], ahead_s: float) -> Late:
+        """Return what the delays cost along the reference, under a law that looks ahead by `ahead_s`."""
+        if self.rest:
+            return Late.none(stale_s(self.axis, ahead_s))
+        trajectory = build_trajectory(self.c.reference, self.c.platform.home, self.c.folder)
+        return late(linearised, trajectory, span_s(trajectory), self.axis, loops, ahead_s)
+
+    def _unknown(self, loops: list[Sampled], axes: AxisSpace, unknown: Unknown, found: list[Local]) -> Extra:
+        """Return what is stated, what the encoders' steps cost, and the pushes of legs that a load holds."""
+        pushed = np.max([np.abs(local.per_force) @ self.push_N for local in found], axis=0)
+        step = np.full(6, self.step_m)
+        if axes == "pose":
+            J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
+            step = self.step_m * np.max([np.abs(np.linalg.inv(one)).sum(axis=1) for one in J], axis=0)
+        gains = np.array([loop.measured_gains() for loop in loops])
+        if self.stated.nothing and unknown.d == 0.0:
+            pushed = np.zeros(6)
+        d = np.full(6, unknown.d)
+        return Extra(d, pushed, unknown.alpha, (1.0 + gains[:, 0]) * step, gains[:, 2] * step)
+
     def linearised(self, settings: ModelSettings, axes: AxisSpace) -> list[Linearised]:
-        """Return the robot under a law with this model, at each end of the stated model error."""
+        """Return the robot under a law with this model, at each end of what is stated of its inertia."""
         alpha, load, friction = self.stated.model_error, self.stated.load, self.friction(settings)
         believed = [self.believed(settings, scale) for scale in sorted({1.0 - alpha, 1.0 + alpha})]
-        return [Linearised(self.robot, model, axes, load, friction) for model in believed]
+        return [Linearised(robot, model, axes, load, friction) for robot in self.robots for model in believed]
 
     def outside(self, p: Array, R: Array) -> str | None:
         """Say which limit a pose breaks: the soft ends of a leg, or the condition of J."""
@@ -110,8 +286,9 @@ class Subject:
         try:
             trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
             span = span_s(trajectory)
+            count = min(max(SAMPLES, round(span / APART_s)), MOST)
             # Just inside the end, where the path still moves: outside it rests.
-            times = np.linspace(0.0, span * (1 - 1e-12), SAMPLES if span > 0.0 else 1)
+            times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
             path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
         except ConfigurationError:
             raise
@@ -119,3 +296,9 @@ class Subject:
             raise ConfigurationError(f"{c.source}: reference: {error}") from error
         moves = any(np.abs(s.twist).max() > 0.0 or np.abs(s.dtwist).max() > 0.0 for s in path)
         return path if moves else path[:1]
+
+
+def _laden(settings: PlatformSettings, payload: Payload) -> PlatformSettings:
+    body = RigidBodySettings(mass_kg=payload.mass_kg, com_m=payload.at_m, shape=PointShape(type="point"))
+    carried = [*settings.platform.payload, body]
+    return settings.model_copy(update={"platform": settings.platform.model_copy(update={"payload": carried})})

@@ -6,17 +6,12 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from hil.app.stability.subject import Subject
+from hil.app.stability.subject import Judged, Subject
 from hil.config.axis_model import AxisSpace
-from hil.stability.error_dynamics import decay_rate
+from hil.stability.error_dynamics import Certificate, decay_rate
 from hil.stability.reaching import Reaching
 from hil.stability.sampled import Sampled
 from hil.stability.ultimate import Ultimate
-
-
-def beside(subject: Subject) -> str:
-    """Return what the bound of a moving reference does not hold: it is that of a law without sampling."""
-    return "" if subject.rest else ", beside what its sampling costs"
 
 
 def describe(loop: Sampled) -> tuple[list[str], dict[str, Any]]:
@@ -50,43 +45,27 @@ def unstable(subject: Subject, loop: Sampled) -> str:
     )
 
 
-def decay(bound: Ultimate) -> float:
-    """Return the slowest decay of the six axes with the gains that the robot has, 1/s."""
-    proved = bound.certificate
-    return min(decay_rate(float(p), float(d)) for p, d in zip(proved.K_P, proved.K_D, strict=True))
-
-
-def _late(bound: Ultimate, loop: Sampled) -> float:
-    """Return by how much delay and sampling raise the bound: where the late loop's peak gain is above it."""
-    return max(1.0, loop.peak_gain / float(bound.certificate.error_gain().min()))
-
-
-def worst(bound: Ultimate, loop: Sampled, axes: AxisSpace) -> str:
+def worst(bound: Ultimate, axes: AxisSpace) -> str:
     """Return the ultimate bound in words."""
-    error = _late(bound, loop) * bound.error
+    return _size(bound.error, axes)
+
+
+def _size(error: Array, axes: AxisSpace) -> str:
     if axes == "joint":
         return f"{1e3 * error.max():.3g} mm of leg length"
     return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
 
 
-def bound_lines(bound: Ultimate, loop: Sampled, axes: AxisSpace) -> tuple[list[str], dict[str, Any]]:
-    """Return certificate and bound as lines and figures."""
-    proved = bound.certificate
-    late = _late(bound, loop)
+def certificate_lines(proved: Certificate) -> tuple[list[str], dict[str, Any]]:
+    """Return the Lyapunov function of the loop without sampling and delay as lines and figures."""
     P = proved.P[0]
+    slowest = min(decay_rate(float(p), float(d)) for p, d in zip(proved.K_P, proved.K_D, strict=True))
     figures = {
         "K_P_1_s2": proved.K_P.tolist(),
         "K_D_1_s": proved.K_D.tolist(),
         "alpha_1_s": proved.alpha.tolist(),
         "P": proved.P.tolist(),
-        "decay_rate_1_s": decay(bound),
-        "axes": axes,
-        "gamma": bound.gamma,
-        "disturbance": bound.d.tolist(),
-        "ultimate_bound": (late * bound.error).tolist(),
-        "ultimate_rate_bound": (late * bound.rate).tolist(),
-        "least_bound": bound.least_error.tolist(),
-        "condition_max": bound.condition,
+        "decay_rate_1_s": slowest,
     }
     lines = [
         (
@@ -95,23 +74,41 @@ def bound_lines(bound: Ultimate, loop: Sampled, axes: AxisSpace) -> tuple[list[s
         ),
         (
             f"gains          K_P {_range(proved.K_P)} 1/s^2, K_D {_range(proved.K_D)} 1/s; without delay "
-            f"errors die out as exp(-{decay(bound):.3g} t)"
+            f"errors die out as exp(-{slowest:.3g} t)"
         ),
-        f"singularity    condition of J {bound.condition:.2f} at most, along the reference and in the bound",
     ]
+    return lines, figures
+
+
+def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, Any]]:
+    """Return a bound, and what the inertia takes part in it, as lines and figures."""
+    bound, inertia = judged.bound, judged.inertia
+    assert isinstance(bound, Ultimate)
+    figures = {
+        "alpha": inertia.alpha,
+        "axes": axes,
+        "gamma": bound.gamma,
+        "disturbance": bound.d.tolist(),
+        "ultimate_bound": bound.error.tolist(),
+        "ultimate_rate_bound": bound.rate.tolist(),
+        "late": bound.late.tolist(),
+        "condition_max": bound.condition,
+    }
+    lines = [
+        f"singularity    condition of J {bound.condition:.2f} at most, along the reference and in the bound"
+    ]
+    if inertia.alpha > 1e-6:
+        lines.append(
+            f"inertia        |Gamma - I| {inertia.alpha:.3g}, the share of an acceleration asked for that is "
+            "missed, or goes to another axis"
+        )
+    if bound.late.max() > 0.0:
+        lines.append(f"delay          makes {_size(bound.late, axes)} of the bound, along the reference")
     if bound.d.max() > 1e-6:
-        if axes == "joint":
-            lines.append(
-                f"disturbance    {bound.d.max():.3g} m/s^2 of a leg: |e| <= {worst(bound, loop, axes)}; "
-                f"some disturbance gets to {1e3 * bound.least_error.max():.3g} mm"
-            )
-        else:
-            lines.append(
-                f"disturbance    {bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2: "
-                f"|e| <= {worst(bound, loop, axes)}"
-            )
-        if late > 1.0:
-            lines.append(f"delay          raises the bound by {100 * (late - 1):.0f} %, included")
+        size = f"{bound.d.max():.3g} m/s^2 of a leg"
+        if axes == "pose":
+            size = f"{bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2"
+        lines.append(f"disturbance    {size}: with the rest |e| <= {worst(bound, axes)}")
     return lines, figures
 
 

@@ -37,8 +37,12 @@ def test_the_command_writes_controller_bounds_and_picture(tmp_path):
         ("inertia: 0.2", "inertia: 1.0", "less than 1"),
         ("[0.5, 2.0]", "[2.0, 0.5]", "transport_ms goes from 2 to 0.5, allowed: from less to more"),
         ("transport_ms: 1.25", "transport_ms: 2.5", "nominal.transport_ms: 2.5, allowed: within"),
-        ("peak_m: 4.0e-3", "peak_m: 4.0e-4", "mu is not below"),
-        ("low_m: 3.0e-5", "low_m: 2.16e-5", "mu is 1.009, the worst at 0.00216 rad/s"),  # far below the grid
+        ("peak_m: 4.6e-3", "peak_m: 4.6e-4", "mu is not below"),
+        (
+            "low_m: 3.45e-5",
+            "low_m: 2.484e-5",
+            "mu is 1.009, the worst at 0.00216 rad/s",
+        ),  # far below the grid
         ("rate_Hz: 1000", "rate_Hz: 1.0e-3", "look for a wrong unit"),
     ],
 )

@@ -9,9 +9,10 @@ from hil.app.configuration.platform import build_platform
 from hil.config.model import ModelSettings
 from hil.control.model import build_model
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian
+from hil.robot.kinematics import jacobian, jacobian_rate
 from hil.stability.disturbance import Friction, Linearised, Load, Survey
-from hil.stability.ultimate import _bound
+from hil.stability.lateness import Late
+from hil.stability.ultimate import Extra, _bound
 from hil.trajectory.path import PoseSample
 
 STILL = np.zeros(6)
@@ -54,11 +55,57 @@ def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
     t = np.linspace(0.0, 2.0, 200_001)
     _, h = impulse(([40.0, 400.0], [1.0, 40.0, 400.0]), T=t)
     g = float(np.trapezoid(np.abs(h), t))
+    gains = np.array([np.ones(6), np.ones(6), np.full(6, g)])
+    none = Extra(STILL, STILL, 0.0, STILL, STILL)
+
+    def bound(spread):
+        survey = Survey(np.ones(6), 1.0, np.full((6, 6), spread), np.zeros((6, 6)), np.zeros((6, 6)), 1.0)
+        return _bound(survey, gains, Late.none(), none)
+
     for s in (0.02, 0.1):
-        survey = Survey(np.ones(6), 1.0, np.full((6, 6), s), 1.0)
-        found = _bound(survey, np.full(6, 400.0), np.full(6, 40.0))
+        found = bound(s)
         assert not isinstance(found, str)
         np.testing.assert_allclose(found.d, 1.0 / (1.0 - 6.0 * s * g), rtol=1e-4)
-    assert "small gain" in str(
-        _bound(survey._replace(spread=np.full((6, 6), 1.0 / 6.0)), *np.full((2, 6), 40.0))
-    )
+    assert "small gain" in str(bound(1.0 / 6.0))
+
+
+def test_forces_of_a_moment_ago_miss_by_what_place_and_rate_changed_since():
+    """One axis by hand: d' = 1 + T (S_e (r + g_de d') + S_v (u + g_u d' + d')) + alpha (u + g_u d')."""
+    g_e, g_de, g_u, T, S_e, S_v, alpha = 2.0, 3.0, 1.5, 0.01, 4.0, 5.0, 0.1
+    survey = Survey(np.ones(6), 1.0, np.zeros((6, 6)), S_e * np.eye(6), S_v * np.eye(6), 1.0)
+    u, r = 0.7, 0.2
+    late = Late(np.full(6, 0.01), np.full(6, r), np.full(6, u), T)
+    gains = np.outer([g_e, g_de, g_u], np.ones(6))
+    found = _bound(survey, gains, late, Extra(STILL, STILL, alpha, np.full(6, 1e-3), STILL))
+    assert not isinstance(found, str)
+    known = 1.0 + T * (S_e * r + S_v * u) + alpha * u
+    d = known / (1.0 - T * (S_e * g_de + S_v * (g_u + 1.0)) - alpha * g_u)
+    np.testing.assert_allclose(found.d, d, rtol=1e-6)
+    np.testing.assert_allclose(found.error, 0.01 + g_e * d + 1e-3, rtol=1e-6)
+
+
+@pytest.mark.parametrize("axes", ["joint", "pose"])
+def test_what_place_and_rate_change_under_constant_forces_is_what_the_robot_does(platform, axes):
+    """The derivative against an exact model's forces: at constant demand they change by the opposite."""
+    robot, loop = linearised(platform, axes)
+    s = PoseSample(HOME.p, HOME.R, np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3]), STILL)
+    found = loop.at(s, STILL, STILL)
+    J = jacobian(platform, s.p, s.R)
+    h = 1e-5
+    tau = robot.inverse_dynamics(*s)
+    accelerations = []
+    for sign in (-1, 1):
+        x = sign * h * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+        dtwist = robot.forward_dynamics(s.p, s.R, s.twist + x, tau)
+        accelerations.append(dtwist)
+    change = (accelerations[1] - accelerations[0]) / (2 * h)
+    if axes == "pose":
+        np.testing.assert_allclose(found.by_rate[:, 1], change, rtol=1e-4, atol=1e-5)
+    else:
+        before, after = (
+            J @ a
+            + jacobian_rate(platform, s.p, s.R, s.twist + sign * h * np.eye(6)[1])
+            @ (s.twist + sign * h * np.eye(6)[1])
+            for sign, a in zip((-1, 1), accelerations, strict=True)
+        )
+        np.testing.assert_allclose(found.by_rate @ J[:, 1], (after - before) / (2 * h), rtol=1e-4, atol=1e-5)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hil.stability.reachable import peak_gain
 from hil.stability.reaching import redesign, sliding
 
 SLOPE, K = 30.0, 8.0
@@ -11,9 +12,14 @@ PHI = K / SLOPE
 LINEAR = (SLOPE * K / PHI, SLOPE + K / PHI)
 
 
+def largest(d, gamma=1.0, linear=LINEAR, slope=SLOPE):
+    """Return the largest |s| of the linear loop without sampling."""
+    return d * peak_gain(gamma * linear[0], gamma * linear[1], slope, 1.0)
+
+
 def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance_and_nothing_else():
     for d in (7.9, 8.1):
-        found = sliding(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
+        found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
         assert found.covered is (d < K)
         assert found.inside == pytest.approx(PHI * d / K, rel=1e-9)
         assert found.room == np.inf
@@ -21,7 +27,7 @@ def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance_and_nothing_
 
 def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
     d, s0 = 6.0, 2.0
-    found = sliding(SLOPE, K, PHI, gamma=1.0, d=d, linear=LINEAR)
+    found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
 
     def rate(t, x):
         s = x[1] + SLOPE * x[0]
@@ -38,8 +44,9 @@ def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
 
 def test_a_model_that_is_too_light_needs_more_gain():
     """gamma = 0.8: the linear part of the law is short, too; a disturbance below gamma k may leave the layer."""
-    assert sliding(SLOPE, K, PHI, gamma=0.8, d=5.0, linear=LINEAR).covered
-    close = sliding(SLOPE, K, PHI, gamma=0.8, d=0.8 * K - 1e-3, linear=LINEAR)
+    assert sliding(SLOPE, K, PHI, gamma=0.8, alpha=0.2, d=5.0, inside=largest(5.0, 0.8)).covered
+    d = 0.8 * K - 1e-3
+    close = sliding(SLOPE, K, PHI, gamma=0.8, alpha=0.2, d=d, inside=largest(d, 0.8))
     assert close.surplus > 0.0
     assert not close.covered
 
@@ -55,22 +62,24 @@ def test_inside_is_what_the_worst_disturbance_does():
         middle = x + h / 2 * step @ x
         response[i] = SLOPE * middle[0] + middle[1]
         x = x + h * step @ middle
-    found = sliding(SLOPE, K, PHI, gamma=gamma, d=d, linear=LINEAR)
+    found = sliding(SLOPE, K, PHI, gamma=gamma, alpha=abs(1.0 - gamma), d=d, inside=largest(d, gamma))
     assert found.inside == pytest.approx(d * h * np.abs(response).sum(), rel=1e-3)
 
 
 def test_without_a_layer_there_is_nothing_to_leave():
-    found = sliding(SLOPE, K, 0.0, gamma=1.0, d=5.0, linear=(np.inf, np.inf))
+    found = sliding(SLOPE, K, 0.0, gamma=1.0, alpha=0.0, d=5.0, inside=np.inf)
     assert found.covered
-    assert not sliding(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).covered
-    assert sliding(SLOPE, K, 0.0, gamma=1.0, d=9.0, linear=(np.inf, np.inf)).time_s(1.0) == np.inf
+    assert not sliding(SLOPE, K, 0.0, gamma=1.0, alpha=0.0, d=9.0, inside=np.inf).covered
+    assert sliding(SLOPE, K, 0.0, gamma=1.0, alpha=0.0, d=9.0, inside=np.inf).time_s(1.0) == np.inf
 
 
 def test_the_redesign_reaches_its_layer_with_a_correction_no_larger_than_the_disturbance():
     """Its linear part is what is left: dy/dt = -wn y at the edge, at damping ratio 1."""
     w_n, rho, epsilon = 20.0, 5.0, 0.2
     linear = (w_n**2 + rho / epsilon * w_n, 2 * w_n + rho / epsilon)
-    found = redesign(w_n**2, 2 * w_n, rho, epsilon, gamma=1.0, d=rho, linear=linear)
+    found = redesign(
+        w_n**2, 2 * w_n, rho, epsilon, gamma=1.0, alpha=0.0, d=rho, inside=largest(rho, 1.0, linear, w_n)
+    )
     assert found.surplus == pytest.approx(w_n * epsilon)
     assert found.room == np.inf
     assert found.covered
@@ -80,7 +89,16 @@ def test_the_redesign_bears_less_error_the_worse_its_model_is():
     """dy/dt of gamma = 0.8 by hand from e'' = -gamma (K_D de + K_P e + w) - d, at y = epsilon."""
     w_n, rho, epsilon, gamma, d = 20.0, 5.0, 0.2, 0.8, 3.0
     linear = (w_n**2 + rho / epsilon * w_n, 2 * w_n + rho / epsilon)
-    found = redesign(w_n**2, 2 * w_n, rho, epsilon, gamma=gamma, d=d, linear=linear)
+    found = redesign(
+        w_n**2,
+        2 * w_n,
+        rho,
+        epsilon,
+        gamma=gamma,
+        alpha=abs(1.0 - gamma),
+        d=d,
+        inside=largest(d, gamma, linear, w_n),
+    )
     e = -found.room
     de = epsilon - w_n * e
     dy = -gamma * (2 * w_n * de + w_n**2 * e + rho) + d + w_n * de
@@ -89,6 +107,6 @@ def test_the_redesign_bears_less_error_the_worse_its_model_is():
 
 def test_legs_may_be_as_fast_as_what_is_left_of_the_gain_stops():
     """gamma k - d = 3.5 m/s^2 are (1 - gamma) lambda de at 0.7 m/s."""
-    found = sliding(50.0, 5.0, 0.1, gamma=0.9, d=1.0, linear=(2500.0, 100.0))
+    found = sliding(50.0, 5.0, 0.1, gamma=0.9, alpha=0.1, d=1.0, inside=0.02)
     assert found.surplus == pytest.approx(3.5)
     assert found.room == pytest.approx(0.7)

@@ -18,7 +18,7 @@ from hil.stability.sampled_loop import grid
 from hil.synthesis.axis import generalised_plant
 from hil.synthesis.norm import gains, norm
 from hil.synthesis.result import anti_windup
-from hil.synthesis.sampled import sampled_axis
+from hil.synthesis.sampled import sampled_axis, sampled_problem
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -107,6 +107,17 @@ def test_the_norm_of_the_sampled_loop_is_within_a_hundredth_of_gamma(made):
     M = np.stack([W_e * e, W_u * u], axis=1) * into
     assert np.linalg.svd(M, compute_uv=False).max() <= 1.01 * shipped(name).design["gamma"]
     assert legs.closed_with(K).is_stable()
+
+
+def test_all_causes_at_full_amplitude_at_once_are_more_than_gamma_allows_one(made):
+    """In the worst phases at one frequency, shares of the error and of the demand that are allowed: docs/theory/hinf.md."""
+    name, controller, *_, design, axis = made
+    omega = np.geomspace(0.1, 0.99 * pi * 1e3, 3000)
+    shares = np.abs(sampled_problem(design, axis).closed_with(system(shipped(name))).response(omega))
+    alone = np.sqrt((shares**2).sum(axis=1)).max()
+    assert alone < controller.design["gamma"]
+    expected = {"hinf": [1.109, 1.248], "constant_hinf": [1.044, 1.188]}[name]
+    assert shares.sum(axis=2).max(axis=0) == pytest.approx(expected, abs=1e-3)
 
 
 def test_no_pole_is_too_fast_for_the_rate_or_too_slow_for_the_loop(made):

@@ -1,0 +1,216 @@
+"""Printed bounds against disturbances within what was stated, on the bus path: none may exceed, none be far.
+
+Of every law a force of at most `FORCE_N` at the platform's origin is stated, in any direction, at any time. The
+hardest for one leg turns with the sign of its reversed impulse response, along its row of J M^-1 (of a loop
+that leaves its layer: of that along the run, found by repetition); others are square waves around the resonance,
+ramps, or drawn. One follows the other in one run: what is printed holds for
+all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from drivers.signals import Mode
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.stability.command import judge
+from hil.app.stability.linearising import bounded
+from hil.app.stability.subject import Stated, Subject
+from hil.control.law import ErrorDynamics
+from hil.control.sliding_mode import SlidingModeSettings
+from hil.mathematics.rotations import relative_rotation
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from hil.stability.disturbance import Load
+from hil.stability.sampled import Sampled, disturbed_axis
+from plant_fmu.faults.frames import FramesDelay
+from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.plan import FaultPlan
+from tests.loop import unrecorded
+
+FORCE_N = 5000.0
+BEGINS_s = 2.5
+"""After power-up; tracking has begun."""
+COMMAND_ID = 0x110
+"""Of layout `fd`."""
+COMMANDS_LATE_ms = 0.35
+"""By which a gateway delays commands: they then arrive just before the next SYNC, the worst that is allowed for."""
+WIDE = {
+    "following_error_m": 0.1,
+    "force_N": 1e5,
+    "force_step_N": 2e5,
+    "force_window_N": 2e5,
+    "force_limit_N": 1e5,
+}
+LOOKAHEAD = "  delay_compensation: {bus_ms: 0.62, drive_lag_ms: 0.796, hold_ms: 0.5}\n"
+UNCERTAIN = "  uncertainty: {disturbance_m_s2: D}\n"
+REDESIGN = "  law: robust_inverse_dynamics\n  wn_rad_s: 60\n"
+
+
+class Case(NamedTuple):
+    law: str
+    """`D`: the largest acceleration of a leg by the force."""
+    stated: bool = True
+    """Whether `hil stability` is told of the force; else section uncertainty says it."""
+    rest: bool = True
+
+
+def gains(wn, more=""):
+    return f"  law: inverse_dynamics\n  wn_rad_s: {wn}\n{more}"
+
+
+def sliding(rate, more=""):
+    return f"  law: sliding_mode\n  lambda_rad_s: {rate}\n  reaching_m_s2: 1\n{UNCERTAIN}{more}"
+
+
+CASES = {
+    "wn 20": Case(gains(20)),
+    "wn 20 along the path": Case(gains(20), rest=False),
+    "wn 150": Case(gains(150)),
+    "wn 220": Case(gains(220)),
+    "lightly damped": Case(gains(60, "  damping_ratio: 0.15\n")),
+    "different legs": Case(gains([20, 30, 40, 60, 90, 120])),
+    "looks ahead": Case(gains(90, LOOKAHEAD)),
+    "a tenth too light": Case(gains(40, "  model: {inertia_scale: 0.9}\n")),
+    "pose": Case("  law: pose_inverse_dynamics\n  wn_rad_s: 40\n"),
+    "partial linearisation": Case("  law: partial_linearisation\n  wn_rad_s: 40\n", rest=False),
+    "sliding": Case(sliding(92), stated=False),
+    "sliding, told of the force": Case(sliding(92)),
+    "sliding, lambda 240": Case(sliding(240), stated=False),
+    "redesign": Case(f"{REDESIGN}  boundary_layer_m_s: 0.3\n{UNCERTAIN}", stated=False),
+    "redesign, thin layer": Case(f"{REDESIGN}  boundary_layer_m_s: 0.08\n{UNCERTAIN}", stated=False),
+}
+SOME = {"wn 20 along the path", "wn 220", "pose", "sliding, lambda 240"}
+
+
+def test_no_disturbance_within_what_is_stated_exceeds_what_is_printed(name, count, capsys):
+    case = CASES[name]
+    mobility = _mobility()
+    D = float(FORCE_N * np.linalg.norm(mobility[:, :3], axis=1).max())
+    brief = configured(case, D, 10.0)
+    pushes = list(forces(brief, mobility, count))
+    c = configured(case, D, pushes[-1].at_s + 1.0)
+    verdict = judge(c, Stated(Load(FORCE_N)) if case.stated else Stated())
+    assert verdict.status == "conditional", verdict.line
+    bound = np.array(verdict.figures["ultimate_bound"])
+    late = FramesDelay(at_s=0.0, by_ms=COMMANDS_LATE_ms, identifier=COMMAND_ID)
+    summary, rows = unrecorded.run(c, FaultPlan([late, *pushes]))
+    assert summary["success"], summary
+    assert not any(summary["limited_ticks"].values()), "bounds hold away from the limits"
+    rows = rows[rows["mode"] == Mode.TRACKING]
+    if c.controller.axes == "pose":
+        e = np.hstack([rows["p_d"] - rows["p"], [relative_rotation(r["R_d"], r["R"]) for r in rows]])
+    else:
+        e = rows["q_d"] - rows["q"]
+    worst = np.abs(e).max(axis=0)
+    ratio = (bound / worst).min()
+    with capsys.disabled():
+        print(f"\n{name:28} worst {1e3 * worst.max():8.4f} mm, bound / worst {ratio:.3f}", end="")
+    assert (worst <= bound).all()
+    assert ratio <= 3.0
+
+
+def pytest_generate_tests(metafunc):
+    """A slice of each kind in every run of the tests, all of it in the long ones."""
+    if "name" in metafunc.fixturenames:
+        short = [pytest.param(name, 15) for name in sorted(SOME)]
+        long = [pytest.param(name, 200, marks=pytest.mark.long) for name in CASES]
+        metafunc.parametrize(("name", "count"), short + long)
+
+
+def forces(c: Configuration, mobility: Array, count: int) -> Iterator[WrenchStep]:
+    """Yield `count` disturbances, one after the other, as steps of the force."""
+    law = c.controller
+    dynamics = law.error_dynamics()
+    assert isinstance(dynamics, ErrorDynamics)
+    pose = dynamics.pose
+    judged = bounded(Subject(c, Stated()), law, "pose" if pose else "joint", dynamics.K_P, dynamics.K_D)
+    rows = np.linalg.inv(Model(build_platform(c.platform)).mass_matrix(*pose_arrays(c.platform.home)))
+    rows = (rows if pose else mobility)[: 3 if pose else 6, :3]
+    ways = FORCE_N * rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    draw = np.random.default_rng(7)
+    t = BEGINS_s
+    for n in range(count):
+        axis = n % len(ways)
+        loop = judged.loops[axis]
+        lasts = round(min(1.0, max(0.1, 8.0 / loop.decay_rate)), 3)
+        way, ticks = ways[axis] * (-1) ** (n // len(ways)), round(lasts / 1e-3)
+        kind = n // (2 * len(ways)) % 5
+        if kind == 0:  # the hardest: the reversed impulse response
+            pattern = hardest(c, loop, float(np.abs(mobility[axis, :3] @ way)), ticks)
+        elif kind == 1:  # resonant
+            assert loop.margins is not None
+            at = loop.margins.crossover_rad_s * draw.uniform(0.3, 1.5)
+            pattern = np.sign(np.sin(at * 1e-3 * (np.arange(ticks) + 0.5)))
+        elif kind == 2:
+            pattern = np.floor(np.linspace(-10.0, 10.99, ticks)) / 10.0
+        else:  # drawn, in a direction of its own
+            way = draw.normal(size=3)
+            way *= FORCE_N / np.linalg.norm(way)
+            pattern = np.repeat(draw.choice([-1.0, 1.0], ticks), draw.integers(1, 30))[:ticks]
+        edges = np.flatnonzero(np.diff(pattern)) + 1
+        for begin, end in zip([0, *edges], [*edges, ticks], strict=True):
+            if pattern[begin]:
+                at_s, for_s = t + begin * 1e-3, (end - begin) * 1e-3
+                yield WrenchStep(at_s=at_s, for_s=for_s, force_N=tuple(pattern[begin] * way))
+        t += lasts
+
+
+def hardest(c: Configuration, loop: Sampled, d: float, ticks: int) -> Array:
+    """Return the signs (ticks,) of an acceleration d, m/s^2, that drive the loop's last |e| up."""
+    h = loop.impulse_responses()[:, 0]
+    pattern = np.sign(np.resize(np.append(h[:ticks], np.zeros(max(0, ticks - len(h)))), ticks)[::-1])
+    law = c.controller
+    if not isinstance(law, SlidingModeSettings):
+        return pattern
+    A, B, C, _, _ = disturbed_axis(Subject(c, Stated()).axis)
+    dynamics = law.error_dynamics()
+    slope, layer, k = float(np.max(dynamics.slope)), float(dynamics.layer), law.switching_gain
+    draw, found, best = np.random.default_rng(3), pattern, 0.0
+    for repeat in range(40):
+        x, inside = np.zeros(len(A)), []
+        for sign in pattern:
+            e, de = -C @ x
+            inside.append(abs(de + slope * e) < layer)
+            u = slope * de + k * np.clip((de + slope * e) / layer, -1.0, 1.0)
+            x = A @ x + B[:, 0] * u + B[:, 1] * sign * d
+        if abs(C[0] @ x) > best:
+            found, best = pattern.copy(), abs(C[0] @ x)
+        weight, effect = C[0], np.empty(ticks)  # of d at each tick in the last position, along this run
+        for n in reversed(range(ticks)):
+            effect[n] = B[:, 1] @ weight
+            in_layer = k / layer * inside[n]
+            weight = (A - np.outer(B[:, 0], [slope * in_layer, slope + in_layer] @ C)).T @ weight
+        wanted = np.sign(effect) * (np.sign(C[0] @ x) or 1.0)
+        pattern = np.where(draw.random(ticks) < (0.5 if repeat % 3 else 1.0), wanted, pattern)
+    return found
+
+
+def configured(case: Case, D: float, lasts_s: float) -> Configuration:
+    text = load("virtual").text
+    a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
+    text = f"{text[:a]}controller:\n{case.law.replace('_m_s2: D', f'_m_s2: {D!r}')}\n{text[b:]}"
+    if case.rest:
+        a, b = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+        text = f"{text[:a]}reference:\n  type: hold\n  duration_s: {lasts_s}\n\n{text[b:]}"
+    text = text.replace("periods: 10\n", f"periods: {ceil(lasts_s / 2.0)}\n")
+    for key, value in WIDE.items():
+        (line,) = (line for line in text.splitlines() if line.startswith(f"  {key}: "))
+        text = text.replace(line, f"  {key}: {value}")
+    return loads(text, "disturbed.yaml", Path())
+
+
+def _mobility() -> Array:
+    """Return J M^-1 at home (6, 6): accelerations of the legs per wrench."""
+    c = load("virtual")
+    platform = build_platform(c.platform)
+    p, R = pose_arrays(c.platform.home)
+    return np.asarray(jacobian(platform, p, R) @ np.linalg.inv(Model(platform).mass_matrix(p, R)), float)

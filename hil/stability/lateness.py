@@ -22,8 +22,12 @@ from hil.stability.disturbance import Linearised
 from hil.stability.sampled import Axis, Sampled
 from hil.trajectory.path import Trajectory
 
-_SAMPLES = 3000
-"""Of the forces along the reference, at most; between them they change in proportion."""
+_APART_s, _NARROW_s = 4e-3, 1e-5
+"""Of the instants at which the forces along the reference are looked at, at most and at least."""
+_BENT = 2e-4
+"""Of the forces' range, by which they may differ from what is in proportion between two instants."""
+_BLOCK_s = 10.0
+"""Of the reference that is looked at in one go."""
 _PARTS = 8
 """Of a period, at which a disturbance is averaged."""
 _PHASES = (0.0, 0.25, 0.5, 0.75)
@@ -57,42 +61,93 @@ def stale_s(axis: Axis, ahead_s: float) -> float:
 def late(
     linearised: Linearised,
     reference: Trajectory,
-    span_s: float,
+    stretches: Sequence[tuple[float, float]],
     axis: Axis,
     loops: Sequence[Sampled],
     ahead_s: float,
 ) -> Late:
-    """Return what being late costs along `span_s` of a reference, by the response of each axis' loop.
+    """Return what being late costs along stretches of a reference, by the response of each axis' loop.
 
+    stretches: begin and end in s, each from a start without error, and looked at until its end has settled.
     ahead_s: how far the law looks ahead.
     """
     T = axis.period_s
-    end = min(span_s + max(loop.steps for loop in loops) * T, 2.0 * span_s + 1.0)
-    t = np.arange(-T, end, T / _PARTS) + T / (2 * _PARTS)
-    times = np.linspace(t[0] - 0.1, end + 0.1, min(_SAMPLES, len(t)))
-    found = [linearised.along_reference(reference.sample(float(at))) for at in times]
-    tau = np.array([force for force, _ in found])
-    acts = _between(t, times, np.array([matrix for _, matrix in found]))
-    wanted = _between(t, times, tau)
     worst = np.zeros((3, 6))
     responses = [loop.impulse_responses() for loop in loops]
-    for phase in _PHASES:
-        measured = (np.floor((t - axis.transport_s) / T - phase) + phase) * T
-        real = _lagged(_between(measured + ahead_s, times, tau), axis.lag_s, T / _PARTS)
-        d = np.einsum("tij,tj->ti", acts, real - wanted)
-        whole = len(d) // _PARTS * _PARTS
-        d = d[:whole].reshape(-1, _PARTS, 6).mean(axis=1)
-        for i, h in enumerate(responses):
-            answers = fftconvolve(d[:, i, None], h, axes=0)[: len(d)]
-            worst[:, i] = np.maximum(worst[:, i], np.abs(answers).max(axis=0))
+    for begin, end in stretches:
+        settled = end + min(max(loop.steps for loop in loops) * T, end - begin + 1.0)
+        count = int(np.ceil((settled - begin) / T)) + 1
+        at_once = int(np.ceil(_BLOCK_s / T))
+        blocks = [
+            _disturbances(linearised, reference, begin, (k, min(k + at_once, count)), axis, ahead_s)
+            for k in range(0, count, at_once)
+        ]
+        for d in np.concatenate(blocks, axis=1):
+            for i, h in enumerate(responses):
+                answers = fftconvolve(d[:, i, None], h, axes=0)[: len(d)]
+                worst[:, i] = np.maximum(worst[:, i], np.abs(answers).max(axis=0))
     return Late(worst[0], worst[1], worst[2], stale_s(axis, ahead_s))
 
 
+def _disturbances(
+    linearised: Linearised,
+    reference: Trajectory,
+    begin_s: float,
+    periods: tuple[int, int],
+    axis: Axis,
+    ahead_s: float,
+) -> Array:
+    """Return the mean disturbance (phases, n, 6) over each of these periods, the first before `begin_s`."""
+    T = axis.period_s
+    before = int(np.ceil(20.0 * axis.lag_s / T))  # what the lag remembers
+    first, last = periods
+    t = begin_s + T * (np.arange(_PARTS * (last - first + before)) + 0.5) / _PARTS + T * (first - before - 1)
+    aside = axis.transport_s + 2.0 * T + abs(ahead_s)
+    times, tau, matrices = _forces(linearised, reference, t[0] - aside, t[-1] + aside)
+    acts = _between(t, times, matrices)
+    wanted = _between(t, times, tau)
+    d = []
+    for phase in _PHASES:
+        measured = (np.floor((t - begin_s - axis.transport_s) / T - phase) + phase) * T + begin_s
+        real = _lagged(_between(measured + ahead_s, times, tau), axis.lag_s, T / _PARTS)
+        parts = np.einsum("tij,tj->ti", acts, real - wanted)
+        d.append(parts.reshape(-1, _PARTS, 6).mean(axis=1)[before:])
+    return np.array(d)
+
+
+def _forces(
+    linearised: Linearised, reference: Trajectory, low_s: float, high_s: float
+) -> tuple[Array, Array, Array]:
+    """Return instants (n,) s, the law's forces (n, 6) N there and the accelerations per force (n, 6, 6).
+
+    The more of them, the more the forces bend: a jump lies within `_NARROW_s`.
+    """
+
+    def sample(times: Array) -> tuple[Array, Array]:
+        found = [linearised.along_reference(reference.sample(float(at))) for at in times]
+        return np.array([tau for tau, _ in found]), np.array([matrix for _, matrix in found])
+
+    times = np.linspace(low_s, high_s, int(np.ceil((high_s - low_s) / _APART_s)) + 2)
+    tau, matrices = sample(times)
+    allowed = _BENT * max(float(np.ptp(tau, axis=0).max()), 1e-9)
+    left = np.arange(len(times) - 1)  # intervals to be looked at
+    while len(left):
+        middles = 0.5 * (times[left] + times[left + 1])
+        between, each = sample(middles)
+        bent = np.abs(between - 0.5 * (tau[left] + tau[left + 1])).max(axis=1) > allowed
+        bent &= times[left + 1] - times[left] > _NARROW_s
+        places = left + 1 + np.arange(len(left))  # of the middles among all
+        times = np.insert(times, left + 1, middles)
+        tau, matrices = (np.insert(a, left + 1, b, axis=0) for a, b in ((tau, between), (matrices, each)))
+        left = np.sort(np.concatenate([places[bent] - 1, places[bent]]))
+    return times, tau, matrices
+
+
 def _between(t: Array, times: Array, values: Array) -> Array:
-    """Return values (n, ...) at even `times` (n,) for other times t, in proportion; beyond, the nearest."""
-    place = np.clip((t - times[0]) / (times[1] - times[0]), 0.0, len(times) - 1.0)
-    k = np.minimum(place.astype(int), len(times) - 2)
-    share = (place - k).reshape(-1, *[1] * (values.ndim - 1))
+    """Return values (n, ...) at rising `times` (n,) for other times t, in proportion; beyond, the nearest."""
+    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    share = np.clip((t - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1.0 - share) * values[k] + share * values[k + 1], float)
 
 

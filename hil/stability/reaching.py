@@ -8,7 +8,8 @@ s = de + lambda e of the legs obey
     ds/dt = (I - Gamma) lambda de - k Gamma sat(s / phi) - d
 
 - Outside the layer the largest |s| falls by gamma k - |d| at least, gamma the least of Gamma_ii less the rest
-  of its row, and by alpha lambda |de| less, alpha = |Gamma - I| by rows: the layer is reached.
+  of its row, and by alpha lambda |de| less, alpha = |Gamma - I| by rows: the layer is reached. Half of it is
+  left where the legs are off by no more than takes the other half.
 - Inside, the law is linear, K_P = lambda k / phi and K_D = lambda + k / phi, and so is the loop. |s| stays
   below its peak gain from d times |d|, sampled and late (hil.stability.sampled): where that is no more than
   phi the layer is never left, and the ultimate bound of the linear loop holds. With gamma = 1 and without
@@ -30,9 +31,11 @@ class Reaching(NamedTuple):
     """What a law with a boundary layer promises."""
 
     surplus: float
-    """m/s^2, by which s approaches the edge of the layer at least; not above 0: it need not."""
+    """m/s^2, by which s approaches the edge of the layer at least while legs are hardly off; not above 0: it
+    need not."""
     room: float
-    """How much the legs may be off for that: |de| in m/s (sliding mode), |e| in m (redesign)."""
+    """How much the legs may be off for half of that: any |de| in m/s (sliding mode), the norm of e in m
+    (redesign); inf: by anything, for all of it."""
     inside: float
     """m/s, the largest |s| once inside; inf without a layer."""
     layer: float
@@ -46,7 +49,8 @@ class Reaching(NamedTuple):
     def time_s(self, s: float) -> float:
         """Return how long it takes at most from |s| m/s to the layer, within that room; inf for ever."""
         way = max(abs(s) - self.layer, 0.0)
-        return way / self.surplus if self.surplus > 0.0 else inf
+        pace = self.surplus if self.room == inf else 0.5 * self.surplus
+        return way / pace if pace > 0.0 else inf
 
 
 def sliding(
@@ -58,7 +62,7 @@ def sliding(
     m/s^2, largest disturbance; inside: m/s, the largest |s| of the loop that is linear.
     """
     surplus = gamma * k - d
-    room = inf if alpha <= 1e-9 else surplus / (alpha * slope)
+    room = inf if alpha <= 1e-9 else 0.5 * surplus / (alpha * slope)
     return Reaching(surplus, room, inside, layer)
 
 
@@ -71,5 +75,5 @@ def redesign(
     """
     surplus = gamma * rho - d + (gamma - 0.5) * K_D * layer
     coupling = abs(K_D**2 / 4.0 - K_P) + alpha * abs(K_D**2 / 2.0 - K_P)
-    room = inf if coupling <= 1e-9 * K_P else surplus / coupling
+    room = inf if coupling <= 1e-9 * K_P else 0.5 * surplus / coupling
     return Reaching(surplus, room, inside, layer)

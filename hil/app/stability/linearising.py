@@ -79,11 +79,13 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     inside = inf if judged is None else _inside(judged, slope)
     if isinstance(law, SlidingModeSettings):
         k = law.switching_gain
-        name, size, room_unit = "s", float(d.max()), "m/s off their rates"
+        name, size = "s", float(d.max())
+        within = "while no leg is more than {room} m/s off its rate"
         gamma = inertia.dominance
         found = sliding(slope, k, layer, gamma=gamma, alpha=inertia.alpha, d=size, inside=inside)
     else:
-        name, k, room_unit = "y", law.bound, "m off"
+        name, k = "y", law.bound
+        within = "while the root of the legs' summed squares is no more than {room} m off"
         size, inside = float(np.linalg.norm(d)), sqrt(6.0) * inside
         K_P, K_D = (float(gain.max()) for gain in law.gains())
         gamma = inertia.definite
@@ -109,7 +111,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
         )
         return Assessment("not proven", claim, conditions, lines, figures)
     if isfinite(found.room):
-        conditions.append(f"from outside its layer: legs no more than {found.room:.3g} {room_unit}")
+        conditions.append(f"from outside its layer: {within.format(room=f'{found.room:.3g}')}")
     claim = f"{name} reaches its layer"
     if judged is None or not isinstance(judged.bound, Ultimate):
         return Assessment("conditional", claim, conditions, lines, figures)

@@ -35,6 +35,7 @@ from plant_fmu.config import BenchPlant, StewartPlant
 SAMPLES, APART_s = 101, 0.02
 """Least instants of the reference at which the robot is looked at, and their distance on a long one, s."""
 MOST = 501
+GOLDEN = 0.6180339887498949
 
 
 NO_LOAD = Load()
@@ -247,7 +248,11 @@ class Subject:
         if self.rest:
             return Late.none(stale_s(self.axis, ahead_s))
         trajectory = build_trajectory(self.c.reference, self.c.platform.home, self.c.folder)
-        return late(linearised, trajectory, span_s(trajectory), self.axis, loops, ahead_s)
+        span, whole = span_s(trajectory), trajectory.duration_s
+        stretches = [(0.0, span)]
+        if whole is not None and whole > span:
+            stretches.append((max(0.0, whole - 2.0 * span), whole))
+        return late(linearised, trajectory, stretches, self.axis, loops, ahead_s)
 
     def _unknown(self, loops: list[Sampled], axes: AxisSpace, unknown: Unknown, found: list[Local]) -> Extra:
         """Return what is stated, what the encoders' steps cost, and the pushes of legs that a load holds."""
@@ -281,7 +286,7 @@ class Subject:
         return None if number <= limits.condition else f"condition of J {limits.condition:g}"
 
     def _path(self) -> list[PoseSample]:
-        """Return the reference at instants of even distance, one where it rests."""
+        """Return the reference at instants of even distance, or of uneven where few; one where it rests."""
         c = self.c
         try:
             trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
@@ -289,6 +294,8 @@ class Subject:
             count = min(max(SAMPLES, round(span / APART_s)), MOST)
             # Just inside the end, where the path still moves: outside it rests.
             times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
+            if count == MOST:  # what repeats in step with even distances would not be seen
+                times[1:-1] += (np.arange(1, MOST - 1) * GOLDEN % 1.0 - 0.5) * times[1]
             path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
         except ConfigurationError:
             raise

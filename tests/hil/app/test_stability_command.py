@@ -64,7 +64,7 @@ def test_every_law_of_the_table_has_its_judge():
         (f"  law: pid\n{LEGS}  ki_N_m_s: 4e5\n  integral_limit_N: 100\n", True, "not proven", "cannot carry the weight"),
         (f"  law: pid\n{LEGS}  ki_N_m_s: 4e8\n  integral_limit_N: 1e4\n", True, "unstable", "eigenvalue"),
         ("  law: pd\n  kp_N_m: 100\n  kv_N_s_m: 4e4\n", True, "not proven", "stiffen them"),
-        ("  law: inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.206 mm"),
+        ("  law: inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.229 mm"),
         ("  law: inverse_dynamics\n  wn_rad_s: 20\n", True, "proven", "small errors die out, the slowest as exp(-16.7 t)"),
         ("  law: inverse_dynamics\n  wn_rad_s: 500\n", False, "unstable", "1 ms from measurement to force"),
         (f"  law: inverse_dynamics\n  wn_rad_s: 20\n{CONSTANT}", False, "not proven", "another inertia"),
@@ -179,7 +179,7 @@ def test_friction_that_the_law_does_not_know_counts_as_a_disturbance():
 
 def test_the_check_has_a_line_for_it():
     report = inspect(load("virtual"))
-    line = "stability conditional: errors stay below 0.206 mm of leg length along the reference"
+    line = "stability conditional: errors stay below 0.229 mm of leg length along the reference"
     assert line in report.sections["controller"]
     assert report.figures["stability"]["status"] == "conditional"
     bad = inspect(bench("  law: inverse_dynamics\n  wn_rad_s: 500\n"))

@@ -102,11 +102,13 @@ def test_the_redesign_bears_less_error_the_worse_its_model_is():
     e = -found.room
     de = epsilon - w_n * e
     dy = -gamma * (2 * w_n * de + w_n**2 * e + rho) + d + w_n * de
-    assert dy == pytest.approx(0.0, abs=1e-9)
+    assert dy == pytest.approx(-0.5 * found.surplus)
+    assert found.time_s(epsilon - dy) == pytest.approx(1.0)
 
 
 def test_legs_may_be_as_fast_as_what_is_left_of_the_gain_stops():
-    """gamma k - d = 3.5 m/s^2 are (1 - gamma) lambda de at 0.7 m/s."""
+    """gamma k - d = 3.5 m/s^2, half of which is (1 - gamma) lambda de at 0.35 m/s: the other half is sure."""
     found = sliding(50.0, 5.0, 0.1, gamma=0.9, alpha=0.1, d=1.0, inside=0.02)
     assert found.surplus == pytest.approx(3.5)
-    assert found.room == pytest.approx(0.7)
+    assert found.room == pytest.approx(0.35)
+    assert found.time_s(0.1 + 1.75) == pytest.approx(1.0)

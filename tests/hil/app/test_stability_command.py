@@ -68,15 +68,15 @@ def test_every_law_of_the_table_has_its_judge():
         ("  law: inverse_dynamics\n  wn_rad_s: 20\n", True, "proven", "small errors die out, the slowest as exp(-16.7 t)"),
         ("  law: inverse_dynamics\n  wn_rad_s: 500\n", False, "unstable", "1 ms from measurement to force"),
         (f"  law: inverse_dynamics\n  wn_rad_s: 20\n{CONSTANT}", False, "not proven", "another inertia"),
-        (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", False, "conditional", "stay below 0.0164 mm"),
+        (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", False, "conditional", "stay below 0.014 mm"),
         (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", True, "conditional", "small errors die out"),
-        ("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "0.129 mm and 0.00859 deg"),
-        ("  law: partial_linearisation\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.385 mm"),
-        (SLIDING, False, "conditional", "stay below 2.82 mm"),
+        ("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "0.142 mm and 0.00865 deg"),
+        ("  law: partial_linearisation\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.387 mm"),
+        (SLIDING, False, "conditional", "stay below 2.83 mm"),
         (f"{SLIDING}  boundary_layer_m_s: 0\n", False, "conditional", "s reaches its layer"),
         (
             f"  law: robust_inverse_dynamics\n  wn_rad_s: 60\n  boundary_layer_m_s: 0.43\n{UNCERTAIN}",
-            False, "conditional", "stay below 2.56 mm",
+            False, "conditional", "stay below 2.57 mm",
         ),
     ],
 )  # fmt: skip
@@ -128,10 +128,13 @@ def test_a_sliding_gain_that_is_too_small_for_the_load_given_is_not_proven():
 
 
 def test_the_bound_of_partial_linearisation_is_that_of_what_it_leaves_out():
-    """H alone, 0.0839 m/s^2 over wn^2, on top of what the delay makes of weight and inertia."""
-    figures = judge(bench("  law: partial_linearisation\n  wn_rad_s: 20\n")).figures
-    exact = judge(bench("  law: inverse_dynamics\n  wn_rad_s: 20\n")).figures
-    left = max(figures["ultimate_bound"]) - max(exact["ultimate_bound"])
+    """H alone, 0.0839 m/s^2 over wn^2, beside what the delay makes of weight and inertia."""
+
+    def rest(law):
+        figures = judge(bench(f"  law: {law}\n  wn_rad_s: 20\n")).figures
+        return np.max(np.subtract(figures["ultimate_bound"], figures["late"]))
+
+    left = rest("partial_linearisation") - rest("inverse_dynamics")
     assert left == pytest.approx(0.0839 / 400.0, rel=0.15)
 
 
@@ -230,7 +233,7 @@ def test_its_help_teaches_the_verdicts():
 
 
 @pytest.mark.parametrize(
-    ("at", "alpha", "millimetres"), [("230kg@0,0,0", 0.441, 11.3), ("230@0.5,0.3,0.5", 0.571, 36.7)]
+    ("at", "alpha", "millimetres"), [("230kg@0,0,0", 0.441, 11.3), ("230@0.5,0.3,0.5", 0.571, 36.9)]
 )
 def test_a_payload_that_the_law_does_not_know_counts_by_its_inertia_and_its_weight(
     at, alpha, millimetres, tmp_path

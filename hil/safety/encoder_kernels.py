@@ -153,8 +153,8 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
         bound = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], T, share, memory.travel[i])
         left, period = keep * memory.excused[i], limits.period_s
         bound += x[_LATE, i] + left
-        usual = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], period, share, memory.travel[i])
-        memory.excused[i] = excused(left, memory.gaps[i], usual, T, period)
+        calm = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], 0.0, share, memory.travel[i])
+        memory.excused[i] = excused(left, memory.gaps[i], calm, T, period)
         if abs(memory.gaps[i]) > bound:
             doubt_leg(tick, limits, memory, i, _SLIP, memory.gaps[i], bound)
 

@@ -63,10 +63,11 @@ def slip_bound(
 
 
 @helper
-def excused(left: float, total: float, usual: float, T: float, period: float) -> float:
+def excused(left: float, total: float, calm: float, T: float, period: float) -> float:
     """Return what of a sum of gaps, m, is not held against the encoder from the next tick on.
 
     A stall makes a tick of T s long, and what its length explains stays in the sum: `total`, m, as far as
-    that is beyond the bound of a usual tick. left: of what was excused before, m. Calm stalls excuse nothing.
+    that is beyond `calm`, the bound of a tick of no length, for the next one may be short. left: of what was
+    excused before, m. Calm stalls excuse nothing.
     """
-    return max(left, abs(total) - usual) if LONG * period < T else left
+    return max(left, abs(total) - calm) if LONG * period < T else left

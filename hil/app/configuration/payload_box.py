@@ -1,0 +1,76 @@
+"""What may ride on the platform: the corners of the box in which a payload's mass and place lie.
+
+Forces at rest are linear in m and m c: their extremes are at corners. Of what a wrong inertia does to
+accelerations the corners are looked at, and nothing between.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+from hil.app.configuration.platform import rigid_body
+from hil.config.platform import InertiaReference, PayloadSettings, PlatformSettings
+from hil.config.values import Vector3
+
+
+class Corner(NamedTuple):
+    """A platform with one of the payloads that its ranges allow."""
+
+    settings: PlatformSettings
+    words: str
+    """Which payload that is."""
+
+
+def corners(settings: PlatformSettings) -> list[Corner]:
+    """Return the platform with each extreme of the payload that is known by ranges, that of the model first.
+
+    Without ranges it is the only one. Raises GeometryError for a tensor that no body has.
+    """
+    payload = settings.platform.payload
+    ranged = next((k for k, body in enumerate(payload) if body.ranged), None)
+    if ranged is None:
+        return [Corner(settings, "the model's payload")]
+    body = payload[ranged]
+    masses = sorted(set(body.mass_range_kg or (body.mass_kg,)))
+    places = list(
+        product(*(sorted(set(range_m)) for range_m in body.com_range_m or [(x,) for x in body.com_m]))
+    )
+    found = [Corner(settings, "the model's payload")]
+    for mass in masses:
+        for x, y, z in places if mass > 0.0 else places[:1]:
+            moved = _moved(body, mass, (x, y, z))
+            carried = [*payload[:ranged], *moved, *payload[ranged + 1 :]]
+            changed = settings.platform.model_copy(update={"payload": carried})
+            words = shown_ranges(moved[0]) if moved else "no payload"
+            found.append(Corner(settings.model_copy(update={"platform": changed}), words))
+    return found
+
+
+def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSettings]:
+    """Return the body with another mass and place; none of no mass."""
+    if mass == 0.0:
+        return []
+    changes: dict[str, object] = {"mass_kg": mass, "com_m": com, "mass_range_kg": None, "com_range_m": None}
+    if body.shape is None:
+        # about the centre of mass, whatever the given tensor was about
+        bare = body.frame.model_copy(
+            update={"origin_m": (0.0, 0.0, 0.0), "rotation_vector_deg": (0.0, 0.0, 0.0)}
+        )
+        own = rigid_body(body.model_copy(update={"frame": bare}), "platform.payload")
+        scaled = tuple(tuple(float(x) for x in row) for row in own.inertia * (mass / body.mass_kg))
+        changes |= {
+            "inertia_kg_m2": scaled,
+            "inertia_about": InertiaReference(),
+            "products": "negative_integral",
+        }
+    return [body.model_copy(update=changes)]
+
+
+def shown_ranges(body: PayloadSettings) -> str:
+    """Return mass and place of a payload in words, with their ranges."""
+
+    def shown(x: float, within: tuple[float, float] | None) -> str:
+        return f"{x:g}" if within is None else f"{within[0]:g} to {within[1]:g}"
+
+    ranges = body.com_range_m or (None,) * 3
+    place = ", ".join(shown(x, within) for x, within in zip(body.com_m, ranges, strict=True))
+    return f"{shown(body.mass_kg, body.mass_range_kg)} kg at ({place}) m"

@@ -1,0 +1,59 @@
+"""What safety has to allow for a payload that is known by ranges: accelerations and mobility at home."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.payload_box import corners
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.config.monitor import MonitorSettings
+from hil.mathematics.linear_algebra import solve
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+
+
+class UnknownPayload(NamedTuple):
+    """The robot with the model's payload and at each corner of its ranges, at home."""
+
+    mobility: Array
+    """(n, 6, 6) 1/kg, J M^-1 J^T: how forces on the legs accelerate legs."""
+    leg: float
+    """m/s^2, largest acceleration of a leg under the forces that hold the model's payload."""
+    position: float
+    """m/s^2, of one coordinate of the platform's position."""
+    rotation: float
+    """rad/s^2, of one of its rotations."""
+
+    def allowed(self, monitor: MonitorSettings) -> MonitorSettings:
+        """Return the stated disturbances of legs, with what the payload does to them added."""
+        return monitor.model_copy(update={"disturbance_m_s2": monitor.disturbance_m_s2 + self.leg})
+
+    def allowed_of_the_pose(self, monitor: MonitorSettings) -> MonitorSettings:
+        """Return the stated disturbances of a pose, with what the payload does to it added."""
+        update = {
+            "disturbance_m_s2": monitor.disturbance_m_s2 + self.position,
+            "disturbance_rad_s2": monitor.disturbance_rad_s2 + self.rotation,
+        }
+        return monitor.model_copy(update=update)
+
+
+def unknown_payload(c: Configuration) -> UnknownPayload:
+    """Return what a payload within its ranges does; nothing beyond the model where it has none."""
+    home = pose_arrays(c.platform.home)
+    platforms = [build_platform(corner.settings) for corner in corners(c.platform)]
+    models = [Model(platform, leg_spin=c.platform.leg_spin) for platform in platforms]
+    J, G = jacobian(models[0].platform, *home), models[0].gravity(*home)
+    mobility, twists = [], [np.zeros(6)]
+    for model in models:
+        M = model.mass_matrix(*home)
+        moved = [solve(M, leg) for leg in J]
+        mobility.append([[float((row * twist).sum()) for twist in moved] for row in J])
+        if model is not models[0]:
+            twists.append(solve(M, G - model.gravity(*home)))
+    accelerations = np.abs(twists)
+    legs = max(float(abs((leg * twist).sum())) for leg in J for twist in twists)
+    return UnknownPayload(
+        np.array(mobility), legs, float(accelerations[:, :3].max()), float(accelerations[:, 3:].max())
+    )

@@ -1,0 +1,175 @@
+"""A payload known by ranges: its corners, and what model, check, safety and stability make of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.check.command import inspect
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.payload_box import corners
+from hil.app.configuration.platform import build_platform, platform_body, pose_arrays
+from hil.app.encoder_limits import encoder_limits
+from hil.app.stability.command import judge
+from hil.app.unknown_payload import unknown_payload
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from tests.loop import unrecorded
+
+OWN = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"
+POINT = "mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}"
+BOX = POINT + ", mass_range_kg: [0, 80], com_range_m: [[-0.1, 0.2], [0, 0], [0.1, 0.3]]"
+TENSOR = (
+    "mass_kg: 100, com_m: [0.1, 0.2, 0.3], inertia_kg_m2: [[9, 1, 0], [1, 8, 2], [0, 2, 7]], "
+    "products: positive_integral, frame: {origin_m: [0, 0.1, 0.4], rotation_vector_deg: [10, 20, 30]}, "
+    "inertia_about: {rotation_vector_deg: [0, 0, 45]}"
+)
+
+
+def robot(payload="", *, name="virtual", changes=()):
+    """Return a shipped configuration with this payload, as a flow mapping of YAML, or several."""
+    text = load(name).text
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    if payload:
+        bodies = [payload] if isinstance(payload, str) else payload
+        text = text.replace(OWN, OWN + "    payload:\n" + "".join(f"      - {{{body}}}\n" for body in bodies))
+    return loads(text, "carries.yaml", load(name).folder)
+
+
+def carried(mass, x, y, z):
+    return robot(f"mass_kg: {mass}, com_m: [{x}, {y}, {z}], shape: {{type: point}}" if mass else "")
+
+
+CORNERS = [(0, 0, 0, 0), *((80, x, 0, z) for x in (-0.1, 0.2) for z in (0.1, 0.3))]
+
+
+def test_each_corner_is_the_robot_with_that_payload():
+    found = corners(robot(BOX).platform)
+    assert found[0].words == "the model's payload"
+    assert len(found) == 1 + len(CORNERS)
+    for corner, stated in zip(found[1:], CORNERS, strict=True):
+        body, expected = platform_body(corner.settings), platform_body(carried(*stated).platform)
+        assert body.mass == expected.mass
+        np.testing.assert_allclose(body.com, expected.com, atol=1e-15)
+        np.testing.assert_allclose(body.inertia, expected.inertia, rtol=1e-14, atol=1e-12)
+    assert found[1].words == "no payload"
+    assert found[2].words == "80 kg at (-0.1, 0, 0.1) m"
+
+
+def test_without_ranges_there_is_one_robot_and_nothing_unknown():
+    c = robot(POINT)
+    assert len(corners(c.platform)) == 1
+    assert unknown_payload(c)[1:] == (0.0, 0.0, 0.0)
+
+
+def test_a_tensor_grows_with_the_mass_wherever_it_is_given():
+    nominal = platform_body(robot(TENSOR).platform)
+    same, double = (
+        platform_body(corners(robot(f"{TENSOR}, mass_range_kg: [{low}, {high}]").platform)[k].settings)
+        for low, high, k in ((100, 100, 1), (100, 200, 2))
+    )
+    np.testing.assert_allclose(same.inertia, nominal.inertia, rtol=1e-13)
+    two = platform_body(robot([TENSOR, TENSOR]).platform)
+    assert double.mass == two.mass
+    np.testing.assert_allclose(double.com, two.com, rtol=1e-14)
+    np.testing.assert_allclose(double.inertia, two.inertia, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (f"{POINT}, mass_range_kg: [50, 80]", "mass_kg lies outside its range, allowed: 50 to 80, given: 40"),
+        (
+            f"{POINT}, com_range_m: [[0, 1], [0, 0], [0, 0.1]]",
+            "com_m lies outside its range, allowed: 0 to 0.1",
+        ),
+        (f"{POINT}, mass_range_kg: [80, 0]", "the lower end, then the upper one, given: 80, 0"),
+        (f"{POINT}, mass_range_kg: [-1, 80]", "mass_range_kg"),
+        ("mass_kg: 0, com_m: [0, 0, 0], shape: {type: point}", "mass_kg 0 needs shape and mass_range_kg"),
+        ([f"{POINT}, mass_range_kg: [0, 80]"] * 2, "bodies 0, 1 have ranges, allowed: one body"),
+    ],
+)
+def test_ranges_that_say_nothing_are_refused(payload, words):
+    with pytest.raises(ConfigurationError, match="(?s)" + words.replace("(", r"\(").replace("[", r"\[")):
+        robot(payload)
+
+
+def test_a_payload_that_the_model_does_not_have_has_mass_zero():
+    c = robot("mass_kg: 0, com_m: [0, 0, 0], shape: {type: point}, mass_range_kg: [0, 80]")
+    body, own = platform_body(c.platform), platform_body(robot().platform)
+    assert (body.mass, body.com.tolist(), body.inertia.tolist()) == (
+        own.mass,
+        own.com.tolist(),
+        own.inertia.tolist(),
+    )
+    assert [corner.words for corner in corners(c.platform)[1:]] == ["no payload", "80 kg at (0, 0, 0) m"]
+
+
+def test_check_prints_the_forces_of_every_corner():
+    figures = inspect(robot(BOX)).figures["payload"]
+    alone = [inspect(carried(*stated)).figures for stated in CORNERS]
+    assert figures["force_max_N"] == pytest.approx(
+        max(f["reference"]["force_max_N"] for f in alone), rel=1e-9
+    )
+    assert figures["force_min_N"] == pytest.approx(
+        min(f["reference"]["force_min_N"] for f in alone), rel=1e-9
+    )
+    static = np.array([f["home"]["static_forces_N"] for f in alone])
+    assert figures["static_force_max_N"] == pytest.approx(static.max(), rel=1e-9)
+    assert figures["static_force_min_N"] == pytest.approx(static.min(), rel=1e-9)
+
+
+def test_check_refuses_a_payload_under_which_a_limit_breaks_and_says_which():
+    peak = inspect(robot(POINT)).figures["reference"]["force_max_N"]
+    limit = [(f"force_N: {load('virtual').limits.force_N:.0f}", f"force_N: {peak + 300:.0f}")]
+    with pytest.raises(
+        ConfigurationError, match=r"payload: with 80 kg at .* force above limits.force_N"
+    ) as found:
+        inspect(robot(BOX, changes=limit))
+    assert "no payload" not in str(found.value)
+
+
+def test_safety_allows_for_what_the_payload_does_to_the_legs():
+    """At home the forces for the model's payload move each other one: by forward dynamics of its robot."""
+    c = robot(BOX)
+    home, still = pose_arrays(c.platform.home), np.zeros(6)
+    tau = Model(build_platform(c.platform)).inverse_dynamics(*home, still, still)
+    legs, twists = [], []
+    for stated in CORNERS:
+        platform = build_platform(carried(*stated).platform)
+        twists.append(Model(platform).forward_dynamics(*home, still, tau))
+        legs.append(jacobian(platform, *home) @ twists[-1])
+    unknown = unknown_payload(c)
+    assert unknown.leg == pytest.approx(np.abs(legs).max(), rel=1e-9)
+    assert unknown.position == pytest.approx(np.abs(twists)[:, :3].max(), rel=1e-9)
+    assert unknown.rotation == pytest.approx(np.abs(twists)[:, 3:].max(), rel=1e-9)
+    limits, plain = encoder_limits(c, 1e3), encoder_limits(robot(POINT), 1e3)
+    assert limits.disturbance_m_s2 == pytest.approx(plain.disturbance_m_s2 + unknown.leg)
+    assert (limits.push_N > plain.push_N).all()
+    lightest = encoder_limits(robot(), 1e3)
+    assert (limits.mobility >= lightest.mobility * (1 - 1e-12)).all()
+
+
+def test_the_bound_holds_for_every_corner_and_is_met_by_the_real_loop():
+    c = robot(BOX, changes=[("periods: 10", "periods: 1")])
+    verdict = judge(c)
+    assert verdict.status == "conditional"
+    bound = np.array(verdict.figures["ultimate_bound"])
+    least, largest = verdict.figures["gamma_eigenvalues"]
+    assert 0.9 < least < 1.0 < largest < 1.1
+    ratios = []
+    for stated in CORNERS:
+        summary, rows = unrecorded.run(c, plant_of=carried(*stated))
+        assert summary["success"], summary
+        worst = np.abs(rows["q_d"] - rows["q"]).max(axis=0)
+        assert (worst <= bound).all(), stated
+        ratios.append((bound / worst).min())
+    assert min(ratios) < 4.0
+
+
+def test_a_run_starts_with_it():
+    assert build_cycle(robot(BOX), 1e3, 0.01)

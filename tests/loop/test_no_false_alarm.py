@@ -213,6 +213,13 @@ def test_loads_and_stalls_alarm_nobody_for_a_while(name):
     assert stalls > 5
 
 
+def test_a_short_tick_after_a_long_one_alarms_nobody():
+    """A load during a stall of two periods of 20 ms; the next tick takes 9 ms, and allows less by itself."""
+    ending, stalls = run("vcan50", 7003, 8.0)
+    assert ending.success, ending
+    assert stalls > 1
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("minute", range(10))
 @pytest.mark.parametrize("name", VIRTUAL)

@@ -22,6 +22,7 @@ from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
+from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
 from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
 from hil.config.values import LegSpin, Pose
@@ -148,14 +149,16 @@ def _safety(c: Configuration, platform: Platform, home: tuple[Array, Array], rat
         drive_force_limit=c.drives.force_limit_N,
         on_recorder_loss=c.recording.on_recorder_loss,
         watch=_watch(c, platform, home, rate_Hz),
-        encoders=encoder_limits(c, platform, home, rate_Hz),
+        encoders=encoder_limits(c, rate_Hz),
     )
 
 
 def _watch(c: Configuration, platform: Platform, home: tuple[Array, Array], rate_Hz: float) -> Watch:
     delay = loop_delay(c)
     ticks = ceil(delay.transport_s * c.loop.rate_Hz - 1e-9)
-    return build_watch(c.monitor, c.controller, platform, home, 1.0 / rate_Hz, ticks, delay.lag_s)
+    payload = unknown_payload(c)
+    allowed = payload.allowed_of_the_pose if c.controller.axes == "pose" else payload.allowed
+    return build_watch(allowed(c.monitor), c.controller, platform, home, 1.0 / rate_Hz, ticks, delay.lag_s)
 
 
 def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> ExternalWrench:

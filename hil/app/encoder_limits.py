@@ -4,14 +4,10 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from drivers.arrays import Array
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
-from hil.mathematics.linear_algebra import solve
-from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian
+from hil.app.unknown_payload import unknown_payload
 from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.stillness import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
@@ -30,28 +26,20 @@ LAGS = 3.0
 """Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
 
 
-def mobility(platform: Platform, model: Model, home: tuple[Array, Array]) -> Array:
-    """Return J M^-1 J^T (6, 6) 1/kg: how forces on the legs accelerate legs."""
-    J, M = jacobian(platform, *home), model.mass_matrix(*home)
-    moved = [solve(M, leg) for leg in J]
-    return np.array([[float((row * twist).sum()) for twist in moved] for row in J])
-
-
-def encoder_limits(
-    c: Configuration, platform: Platform, home: tuple[Array, Array], rate_Hz: float
-) -> EncoderLimits:
+def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     """Return what the rules on encoders compare with at a rate of the loop.
 
     Where the pose is fused with a tracker, the filter decides: no encoder is watched here.
     """
-    monitor, period_s = c.monitor, 1.0 / rate_Hz
-    A = mobility(platform, Model(platform, leg_spin=c.platform.leg_spin), home)
+    payload, period_s = unknown_payload(c), 1.0 / rate_Hz
+    monitor, A = payload.allowed(c.monitor), np.abs(payload.mobility).max(axis=0)
+    heaviest = payload.mobility.min(axis=0)
     decided = c.estimation.pose == "fused" and c.sensors.tracker is not None
     delay = loop_delay(c)
     noise_m = length_noise_m(c)
     sticks = friction_N(c) > 0.0
     push = PUSH[sticks] * monitor.disturbance_m_s2
-    push_N = LOOSENS * friction_N(c) + push / np.diag(A)
+    push_N = LOOSENS * friction_N(c) + push / np.diag(heaviest)
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
     ticks, turns = ceil((late_s + seen_s) / period_s), ceil(2.0 * float(push_N.max()) / c.limits.force_step_N)
@@ -62,7 +50,7 @@ def encoder_limits(
         rate_skew_s=1e-6 * monitor.rate_skew_us,
         rate_error=1e-2 * monitor.rate_error_percent,
         disturbance_m_s2=monitor.disturbance_m_s2,
-        mobility=AWAY * np.abs(A),
+        mobility=AWAY * A,
         acting_ticks=ceil((late_s + LAGS * delay.lag_s) / period_s),
         push_N=push_N,
         push_ticks=ticks + max(turns - 1, 0) if sticks else max(ticks, turns),

@@ -145,11 +145,63 @@ class RigidBodySettings(Section):
         return self
 
 
+def _rising(pair: tuple[float, float]) -> tuple[float, float]:
+    if not pair[0] <= pair[1]:
+        raise ValueError(f"allowed: the lower end, then the upper one, given: {pair[0]:g}, {pair[1]:g}")
+    return pair
+
+
+MassRange = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_rising)]
+PlaceRange = Annotated[tuple[float, float], AfterValidator(_rising)]
+
+
+class PayloadSettings(RigidBodySettings):
+    """A body that rides on the platform. The model has its figures; what is not always the same, ranges."""
+
+    mass_kg: NonNegative
+    """0: the model does not have it; then with `shape` and `mass_range_kg`."""
+    mass_range_kg: MassRange | None = None
+    """What the mass may be. Its tensor, or shape, grows with it."""
+    com_range_m: tuple[PlaceRange, PlaceRange, PlaceRange] | None = None
+    """Where the centre of mass may be: from, to, along each axis of the body's frame."""
+
+    @property
+    def ranged(self) -> bool:
+        """Tell whether anything of it is known by a range."""
+        return self.mass_range_kg is not None or self.com_range_m is not None
+
+    @model_validator(mode="after")
+    def _the_model_is_within(self) -> Self:
+        if self.mass_kg == 0.0 and (self.shape is None or self.mass_range_kg is None):
+            raise ValueError("mass_kg 0 needs shape and mass_range_kg, allowed: more than 0 without them")
+        for key, figures, ranges in (
+            ("mass_kg", (self.mass_kg,), (self.mass_range_kg,)),
+            ("com_m", self.com_m, self.com_range_m or (None,) * 3),
+        ):
+            for figure, allowed in zip(figures, ranges, strict=True):
+                if allowed is not None and not allowed[0] <= figure <= allowed[1]:
+                    raise ValueError(
+                        f"{key} lies outside its range, allowed: {allowed[0]:g} to {allowed[1]:g}, given: "
+                        f"{figure:g}"
+                    )
+        return self
+
+
 class BodySettings(RigidBodySettings):
     """The moving platform, and what is mounted on it."""
 
-    payload: list[RigidBodySettings] = []
+    payload: list[PayloadSettings] = []
     """Further bodies; all are put together into one."""
+
+    @model_validator(mode="after")
+    def _one_range(self) -> Self:
+        ranged = [k for k, body in enumerate(self.payload) if body.ranged]
+        if len(ranged) > 1:
+            raise ValueError(
+                f"payload: bodies {', '.join(map(str, ranged))} have ranges, allowed: one body that has; put "
+                "what rides together into one"
+            )
+        return self
 
 
 class LegBodySettings(Section):

@@ -23,7 +23,6 @@ from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
 from hil.app.compose import build_cycle, build_nodes, build_sensors
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.encoder_limits import encoder_limits
 from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
@@ -199,7 +198,7 @@ def test_safety_fills_force_and_certificate_and_looks_neither_at_the_law_nor_at_
     )  # fmt: skip
 
     c = load("virtual")
-    encoders = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), 1e3)
+    encoders = encoder_limits(c, 1e3)
 
     def make_stage():
         return Safety(limits, 0.5, 9.0, 1e3, 1e5, watch=Watch(table, 1), encoders=encoders).judge

@@ -16,12 +16,17 @@ from hil.record.figures import figures
 from plant_fmu.faults.plan import FaultPlan
 
 
-def run(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[dict[str, Any], np.ndarray]:
-    """Run to the end; return the figures of the run, with `success` as `hil sim` has it, and all rows."""
+def run(
+    configuration: Configuration, faults: FaultPlan | None = None, plant_of: Configuration | None = None
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Run to the end; return the figures of the run, with `success` as `hil sim` has it, and all rows.
+
+    plant_of: where drives and plant come from, if they are not those of the configuration.
+    """
     c = configuration
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
-    nodes, plant = build_nodes(c, faults)
+    nodes, plant = build_nodes(plant_of or c, faults)
     try:
         timing = None if bus_budget(c.bus, c.drives, c.sensors, rate) is None else BitTiming.of(c.bus)
         lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(rate))

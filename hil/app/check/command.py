@@ -12,6 +12,7 @@ from hil.app.check.dangers import dangers
 from hil.app.check.encoders import report_encoders
 from hil.app.check.findings import Report
 from hil.app.check.monitor import report_monitor
+from hil.app.check.payload import carried_along, report_payload
 from hil.app.check.pushes import clipped
 from hil.app.check.silence import silence_of
 from hil.app.compose import build_admission, build_protocol, drive_setup
@@ -48,6 +49,7 @@ def inspect(c: Configuration) -> Report:
     report_monitor(report, c)
     report_encoders(report, c)
     _reference(report, c, platform, model)
+    _payload(report, c)
     _permissions(report, c)
     return report
 
@@ -139,7 +141,7 @@ def stopping_distances_m(c: Configuration) -> tuple[float, float]:
     platform = build_platform(c.platform)
     model = Model(platform, leg_spin=c.platform.leg_spin)
     w, _ = _walk_within_limits(c, platform, model)
-    return silence_of(c, platform, model, w).travel_m(w), _controlled_stop_m(c, w)
+    return silence_of(c, w).travel_m(w), _controlled_stop_m(c, w)
 
 
 def _controlled_stop_m(c: Configuration, w: Walk) -> float:
@@ -173,17 +175,26 @@ def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> t
             raise ConfigurationError(_line(c, f"at its start, set-points are refused: {explain(against)}"))
     if found:
         raise ConfigurationError(*(_line(c, f"at t = {v.t:.3f} s: {v.message}") for v in found))
-    limits = encoder_limits(c, platform, pose_arrays(c.platform.home), c.loop.rate_Hz)
+    limits = encoder_limits(c, c.loop.rate_Hz)
     clips = clipped(c, limits, w)
     if clips is not None:
         raise ConfigurationError(_line(c, clips, ("monitor", "friction_N")))
     return w, trajectory.duration_s
 
 
+def _payload(report: Report, c: Configuration) -> None:
+    """Report on a payload known by ranges. Raises ConfigurationError with the limits that it breaks."""
+    found = carried_along(c, build_trajectory(c.reference, c.platform.home, c.folder))
+    broken = [_line(c, text, ("platform", "platform", "payload")) for one in found for text in one.broken]
+    if broken:
+        raise ConfigurationError(*broken)
+    report_payload(report, c, found)
+
+
 def _reference(report: Report, c: Configuration, platform: Platform, model: Model) -> None:
     w, whole = _walk_within_limits(c, platform, model)
     step, swing = _changes(w, 1 / c.loop.rate_Hz)
-    peak, silence = float(np.abs(w.tau).max()), silence_of(c, platform, model, w)
+    peak, silence = float(np.abs(w.tau).max()), silence_of(c, w)
     braked_m = silence.travel_m(w)
     change = f"not seen: {len(w.t)} samples are fewer than ticks"
     if w.every_tick:

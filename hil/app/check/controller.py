@@ -40,6 +40,11 @@ def _stability(report: Report, c: Configuration) -> None:
         "claim": found.claim,
         "conditions": found.conditions,
     }
+    if found.figures.get("coupled_axes_covered") is False:
+        report.warnings.append(
+            "controller.controller_file: it was designed for another inertia than the platform and the ranges"
+            " of its payload have: `hil stability` shows both; design with `--robot`, or state smaller ranges"
+        )
     if found.status == "unstable":
         report.warnings.append(f"controller: {found.claim}")
 

@@ -8,7 +8,6 @@ from drivers.signals import Fault
 from hil.app.check.brakes import brake_dangers
 from hil.app.check.silence import Silence
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.encoder_limits import encoder_limits
 from hil.app.reachability import Walk
 from hil.safety.increments import gap_bound
@@ -67,7 +66,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
 
 def _blind(c: Configuration) -> Iterator[str]:
     """Yield the rules on encoders that the stated noise leaves without effect."""
-    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), c.loop.rate_Hz)
+    limits = encoder_limits(c, c.loop.rate_Hz)
     noise_m, T, following_m = limits.length_noise_m, limits.period_s, c.limits.following_error_m
     jump_m = gap_bound(noise_m, limits.rate_noise_m_s, 2.0 * limits.disturbance_m_s2, T)
     most_m = JUMP_SHARE * (c.platform.length_max_m - c.platform.length_min_m)

@@ -4,7 +4,6 @@ import numpy as np
 
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.encoder_limits import encoder_limits, friction_N
 from hil.safety.encoder_kernels import UNSHARED
 from hil.safety.increments import WINDOW_S, gap_bound, slip_bound
@@ -19,7 +18,7 @@ def report_encoders(report: Report, c: Configuration) -> None:
 
     The limits hold at rest and without a change of force; motion and force widen them.
     """
-    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), c.loop.rate_Hz)
+    limits = encoder_limits(c, c.loop.rate_Hz)
     T, noise_m = 1.0 / c.loop.rate_Hz, limits.length_noise_m
     still = np.zeros(6)
     a = max(acceleration_range(limits.mobility, still, limits.disturbance_m_s2, leg) for leg in range(6))

@@ -2,6 +2,7 @@
 
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
+from hil.app.unknown_payload import unknown_payload
 from hil.stability.monitor import certified
 
 
@@ -13,9 +14,11 @@ def report_monitor(report: Report, c: Configuration) -> None:
         report.sections["controller"].append(f"not monitored: {dynamics}")
         return
     what = {"log": "shows in the log alone", "warn": "warns", "fault": "faults"}[action]
-    unit = f"{c.monitor.disturbance_m_s2:g} m/s^2"
+    payload = unknown_payload(c)
+    allowed = (payload.allowed_of_the_pose if dynamics.pose else payload.allowed)(c.monitor)
+    unit = f"{allowed.disturbance_m_s2:.3g} m/s^2"
     if dynamics.pose:
-        unit += f" or {c.monitor.disturbance_rad_s2:g} rad/s^2"
+        unit += f" or {allowed.disturbance_rad_s2:.3g} rad/s^2"
     report.sections["controller"].append(
         f"monitored: growth of the error beyond what a disturbance of {unit} explains {what}"
     )

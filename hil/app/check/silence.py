@@ -6,10 +6,10 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import pose_arrays
+from hil.app.configuration.payload_box import corners
+from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.reachability import Walk
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
 
 
@@ -49,9 +49,13 @@ class Silence(NamedTuple):
         return speed * self.T + 0.5 * self.a * self.T**2
 
 
-def silence_of(c: Configuration, platform: Platform, model: Model, w: Walk) -> Silence:
-    """Return what silence does to the legs on a walk along the reference."""
+def silence_of(c: Configuration, w: Walk) -> Silence:
+    """Return what silence does to the legs on a walk along the reference, whatever the payload."""
     home, still = pose_arrays(c.platform.home), np.zeros(6)
-    falls = jacobian(platform, *home) @ model.forward_dynamics(*home, still, still)
-    a = max(float(np.abs(w.ddq).max()), float(np.abs(falls).max()))
+    a = float(np.abs(w.ddq).max())
+    for corner in corners(c.platform):
+        platform = build_platform(corner.settings)
+        model = Model(platform, leg_spin=c.platform.leg_spin)
+        falls = jacobian(platform, *home) @ model.forward_dynamics(*home, still, still)
+        a = max(a, float(np.abs(falls).max()))
     return Silence(1e-3 * c.drives.watchdog_ms + c.engage.closing_s, a)

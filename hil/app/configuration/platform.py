@@ -84,7 +84,8 @@ def platform_body(settings: PlatformSettings) -> Body:
     Raises GeometryError as `platform_dict`.
     """
     own = rigid_body(settings.platform, "platform")
-    load = [rigid_body(body, f"platform.payload.{k}") for k, body in enumerate(settings.platform.payload)]
+    carried = [(k, body) for k, body in enumerate(settings.platform.payload) if body.mass_kg > 0.0]
+    load = [rigid_body(body, f"platform.payload.{k}") for k, body in carried]
     return inertia.combine([own, *load]) if load else own
 
 

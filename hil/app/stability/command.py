@@ -1,11 +1,11 @@
 """`hil stability CONFIG`: what can be proven of the configured law, with its figures and conditions."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.payload_box import shown_ranges
 from hil.app.stability import designed, linearising, spring_models
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
@@ -48,10 +48,11 @@ def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False
             "not proven", "six uncoupled legs are not the robot of this law's model", [], [], {}
         )
     law = c.controller
-    if law.law in SPRINGS and stated.payload.mass_kg:
-        bare = Subject(c, replace(stated, payload=NO_PAYLOAD))
-        found = [JUDGES[law.law](each, law, quick) for each in (subject, bare)]
-        return min(found, key=lambda each: WORST_FIRST.index(each.status))
+    if law.law in SPRINGS:
+        each = subject.alone()[::-1]  # what is stated to ride first
+        found = [JUDGES[law.law](one, law, True) for one in each] if len(each) > 1 else []
+        worst = min(range(len(found)), key=lambda k: WORST_FIRST.index(found[k].status), default=0)
+        return JUDGES[law.law](each[worst], law, quick)
     if law.law in JUDGES:
         return JUDGES[law.law](subject, law, quick)
     dynamics = law.error_dynamics()
@@ -77,6 +78,7 @@ def assess(
     if not 0.0 <= model_error < 1.0:
         raise ConfigurationError(f"--model-error: a share, allowed: 0 to below 1, given: {model_error:g}")
     found = judge(c, Stated(Load(force_N, torque_N_m), model_error, payload))
+    ridden = [shown_ranges(body) for body in c.platform.platform.payload if body.ranged]
     return {
         "success": found.status in {"proven", "conditional"},
         "kind": "stability",
@@ -88,6 +90,7 @@ def assess(
             "model_error": model_error,
             "payload_kg": payload.mass_kg,
             "payload_at_m": list(payload.at_m),
+            "payload_ranges": "".join(ridden),
         },
         "status": found.status,
         "claim": found.claim,
@@ -108,6 +111,8 @@ def shown(summary: dict[str, Any]) -> list[str]:
             f"payload        {stated['payload_kg']:g} kg at ({x:g}, {y:g}, {z:g}) m of the platform or none, "
             "and the law is not told"
         )
+    if stated["payload_ranges"]:
+        lines.append(f"payload box    {stated['payload_ranges']}: the model's own, and each corner")
     if stated["force_N"] or stated["torque_N_m"] or stated["model_error"]:
         lines.append(
             f"unknown load   {stated['force_N']:g} N and {stated['torque_N_m']:g} N m in any direction, "

@@ -65,7 +65,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     d, source = np.full(6, size), "section uncertainty"
     judged: Judged | None = None
     if layer > 0.0:
-        if subject.stated.nothing:
+        if subject.nothing:
             judged = bounded(subject, law, "joint", linear_P, linear_D, size, alpha)
         else:
             source = "what is given"
@@ -74,7 +74,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
             return Assessment("unstable", unstable(subject, judged.loop), [], *describe(judged.loop))
         if isinstance(judged.bound, str):
             return Assessment("not proven", f"with what is stated: {judged.bound}", conditions, [], {})
-        if not subject.stated.nothing:
+        if not subject.nothing:
             inertia, d = judged.inertia, np.max([bound.d for _, bound in judged.bounds], axis=0)
     inside = inf if judged is None else _inside(judged, slope)
     if isinstance(law, SlidingModeSettings):

@@ -1,6 +1,7 @@
 """From a configuration to what the theorems speak of: robot, belief, reference, loop."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -9,13 +10,14 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.payload_box import corners
+from hil.app.configuration.platform import build_platform
 from hil.app.encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
 from hil.config.axis_model import AxisSpace
 from hil.config.model import ModelSettings
-from hil.config.platform import PlatformSettings, PointShape, RigidBodySettings
+from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
@@ -81,6 +83,8 @@ class Inertia(NamedTuple):
     """Gamma_ii less the rest of its row, least."""
     definite: float = 1.0
     """Eigenvalue of the symmetric part of Gamma, least."""
+    eigenvalues: tuple[float, float] = (1.0, 1.0)
+    """Of Gamma, least and largest: real, as it is similar to M^-1 M_believed."""
 
     @classmethod
     def of(cls, found: list[Local]) -> Self:
@@ -94,6 +98,7 @@ class Inertia(NamedTuple):
             float(np.linalg.norm(off, ord=2, axis=(1, 2)).max()),
             float((diagonal - rest).min()),
             float(np.linalg.eigvalsh(0.5 * (Gamma + Gamma.transpose(0, 2, 1))).min()),
+            (float((values := np.linalg.eigvals(Gamma).real).min()), float(values.max())),
         )
 
 
@@ -142,23 +147,38 @@ class Subject:
         def robot(platform: Platform) -> Model:
             return Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected)
 
-        self.robots = [robot(self.platform)]
-        """Without the stated payload, and with it."""
+        boxes = [corner.settings for corner in corners(c.platform)]
         if stated.payload.mass_kg:
-            self.robots.append(robot(build_platform(_laden(c.platform, stated.payload))))
+            boxes += [_laden(settings, stated.payload) for settings in boxes]
+        self.robots = [robot(build_platform(settings)) for settings in boxes]
+        """That of the model, those at the corners of its payload's ranges; all these with what is stated."""
         self.path = self._path()
         self.axis = Axis(*loop_delay(c))
         drives = None if c.plant is None else c.plant.drives
         self.step_m = 0.0 if drives is None else drives.encoder_resolution_m
         """Of the encoders."""
-        limits = encoder_limits(c, self.platform, pose_arrays(c.platform.home), c.loop.rate_Hz)
+        limits = encoder_limits(c, c.loop.rate_Hz)
         self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
         """By which safety pushes a leg that stands still while others stray."""
 
     @property
     def robot(self) -> Model:
-        """The robot with all that is stated to ride on it."""
+        """The robot, one of them where its payload varies; see `alone`."""
         return self.robots[-1]
+
+    def alone(self) -> list[Self]:
+        """Return a subject for each robot."""
+        found = []
+        for robot in self.robots:
+            one = copy(self)
+            one.robots = [robot]
+            found.append(one)
+        return found
+
+    @property
+    def nothing(self) -> bool:
+        """Tell whether the law knows the robot and all that acts on it, as far as anybody states it."""
+        return self.stated.nothing and len(self.robots) == 1
 
     @property
     def rest(self) -> bool:
@@ -179,7 +199,7 @@ class Subject:
 
     def undisturbed(self, bound: Ultimate) -> bool:
         """Tell whether nothing brings errors about that were not there at the start, or keeps them."""
-        return self.rest and self.stated.nothing and bound.exact and float(bound.d.max()) <= NO_ERROR
+        return self.rest and self.nothing and bound.exact and float(bound.d.max()) <= NO_ERROR
 
     @property
     def delay(self) -> str:
@@ -262,7 +282,7 @@ class Subject:
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
             step = self.step_m * np.max([np.abs(np.linalg.inv(one)).sum(axis=1) for one in J], axis=0)
         gains = np.array([loop.measured_gains() for loop in loops])
-        if self.stated.nothing and unknown.d == 0.0:
+        if self.nothing and unknown.d == 0.0:
             pushed = np.zeros(6)
         d = np.full(6, unknown.d)
         return Extra(d, pushed, unknown.alpha, (1.0 + gains[:, 0]) * step, gains[:, 2] * step)
@@ -306,6 +326,6 @@ class Subject:
 
 
 def _laden(settings: PlatformSettings, payload: Payload) -> PlatformSettings:
-    body = RigidBodySettings(mass_kg=payload.mass_kg, com_m=payload.at_m, shape=PointShape(type="point"))
+    body = PayloadSettings(mass_kg=payload.mass_kg, com_m=payload.at_m, shape=PointShape(type="point"))
     carried = [*settings.platform.payload, body]
     return settings.model_copy(update={"platform": settings.platform.model_copy(update={"payload": carried})})

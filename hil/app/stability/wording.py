@@ -84,8 +84,10 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
     """Return a bound, and what the inertia takes part in it, as lines and figures."""
     bound, inertia = judged.bound, judged.inertia
     assert isinstance(bound, Ultimate)
+    least, largest = inertia.eigenvalues
     figures = {
         "alpha": inertia.alpha,
+        "gamma_eigenvalues": list(inertia.eigenvalues),
         "axes": axes,
         "gamma": bound.gamma,
         "disturbance": bound.d.tolist(),
@@ -100,7 +102,7 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
     if inertia.alpha > 1e-6:
         lines.append(
             f"inertia        |Gamma - I| {inertia.alpha:.3g}, the share of an acceleration asked for that is "
-            "missed, or goes to another axis"
+            f"missed, or goes to another axis; Gamma's eigenvalues {least:.3g} to {largest:.3g}"
         )
     if bound.late.max() > 0.0:
         lines.append(f"delay          makes {_size(bound.late, axes)} of the bound, along the reference")

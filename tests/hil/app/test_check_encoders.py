@@ -10,7 +10,6 @@ from drivers.arrays import Array
 from drivers.signals import Doubt, DriveState, Mode
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.encoder_limits import encoder_limits, friction_N, length_noise_m
 from hil.safety import Safety
 from tests.hil.encoder_bench import WIDE, six
@@ -43,7 +42,7 @@ def doubt_of(length: Array, rate: Array) -> Doubt:
     The other legs stand still, and the law follows what is read.
     """
     c = load("virtual")
-    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), 1e3)
+    limits = encoder_limits(c, 1e3)
     safety = Safety(
         WIDE, drive_force_limit=1e6, length_min=-1e6, length_max=1e6, rate_Hz=1e3, encoders=limits
     )
@@ -138,5 +137,5 @@ def test_friction_is_what_is_stated_or_known_or_a_share_of_the_rated_force():
 def test_a_filter_with_a_tracker_decides_on_all_legs(more, watched):
     shipped = load("virtual")
     c = loads(shipped.text + "\n" + more, "fused.yaml", shipped.folder)
-    limits = encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), 1e3)
+    limits = encoder_limits(c, 1e3)
     assert limits.watched_legs == watched

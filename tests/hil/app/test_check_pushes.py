@@ -11,7 +11,6 @@ from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect, refuse_unreachable
 from hil.app.check.pushes import clipped
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.encoder_limits import encoder_limits, friction_N
 from hil.app.reachability import Walk
 
@@ -26,7 +25,7 @@ def edited(name, *changes):
 
 
 def limits_of(c):
-    return encoder_limits(c, build_platform(c.platform), pose_arrays(c.platform.home), c.loop.rate_Hz)
+    return encoder_limits(c, c.loop.rate_Hz)
 
 
 def stated(c, friction):

@@ -45,7 +45,12 @@ EXIT = """
     Examples:
       hil design {name} {name} -o controller.yaml
       hil design {name} my.yaml --model axis.yaml -o controller.yaml --plot design.png
+      hil design {name} my.yaml --model axis.yaml --robot robot.yaml -o controller.yaml
       hil design {name} my.yaml --json design.json
+
+    A file of `hil identify` brings the bound of its error: the controller has to stand it at every frequency,
+    and |W T| says how near it comes. With --robot the gain is that of the robot, and the six axes, coupled
+    by what its payload does to the inertia, have to stand it together.
 
     Then `law: state_space` with `controller_file: controller.yaml` in section controller.
 
@@ -68,6 +73,11 @@ def _command(name: str, short: str, text: str) -> click.Command:
         "--model", type=FILE, metavar="AXIS.yaml", help="The axis, from `hil identify`; before DESIGN's own."
     )
     @click.option(
+        "--robot",
+        metavar="CONFIG",
+        help="Stand the coupling of its axes, along its reference, with every payload within its ranges.",
+    )
+    @click.option(
         "-o",
         "--out",
         type=FILE,
@@ -79,7 +89,12 @@ def _command(name: str, short: str, text: str) -> click.Command:
     )
     @reporting
     def command(
-        design: str, model: Path | None, out: Path | None, plot: Path | None, json_file: Path | None
+        design: str,
+        model: Path | None,
+        robot: str | None,
+        out: Path | None,
+        plot: Path | None,
+        json_file: Path | None,
     ) -> None:
         from hil.app.configuration.section_file import check_section_path
         from hil.app.design import command as app
@@ -90,7 +105,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
             check_section_path("-o", out, LinearController)
         picture = None if plot is None else picture_path(".", Path(design).stem, plot)
         with console.status("reading") as status:
-            controller, made, settings, axis = app.run_design(name, design, model, status.update)
+            controller, made, settings, axis = app.run_design(name, design, model, status.update, robot)
         show_lines(app.report(controller))
         if out is not None:
             out.write_text(app.controller_text(controller, design), encoding="utf-8")

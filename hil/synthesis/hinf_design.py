@@ -15,6 +15,7 @@ from hil.config.design import Design, DesignAxis
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import generalised_plant
 from hil.synthesis.hinf import Synthesis, hinf
+from hil.synthesis.multiplicative import Relative, covered
 from hil.synthesis.norm import norm
 from hil.synthesis.result import Judgement, described, judge
 from hil.synthesis.sampled import sampled_problem
@@ -53,12 +54,18 @@ class Designed(NamedTuple):
 
 
 @computable()
-def design_hinf(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
+def design_hinf(
+    design: Design, axis: DesignAxis, progress: Callable[[str], None], measured: Relative | None = None
+) -> Designed:
     """Return the controller of the smallest gamma, within 1.1 of the optimum, that a loop can run.
+
+    measured: what it has to stand beside; the control weight covers it.
 
     Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
     message says which and what would help.
     """
+    if measured is not None:
+        design = covered(design, measured)
     P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
     n_y = len(design.inputs)
     reasons: tuple[str, ...] = ()

@@ -25,6 +25,7 @@ from hil.synthesis.dk import (
 )
 from hil.synthesis.hinf_design import Designed, computable
 from hil.synthesis.mu import lower_bound
+from hil.synthesis.multiplicative import Relative
 from hil.synthesis.norm import norm
 from hil.synthesis.reduction import reduced
 from hil.synthesis.result import SLOW, Judgement, described, judge
@@ -49,8 +50,12 @@ def mu_grid(rate_Hz: float) -> Array:
 
 
 @computable()
-def design_mu(design: Design, axis: DesignAxis, progress: Callable[[str], None]) -> Designed:
+def design_mu(
+    design: Design, axis: DesignAxis, progress: Callable[[str], None], measured: Relative | None = None
+) -> Designed:
     """Return the controller of the least mu that D-K iteration comes to.
+
+    measured: what it has to stand beside, as a block of its own.
 
     Raises SynthesisError: no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
     the message says which and what would help.
@@ -64,7 +69,7 @@ def design_mu(design: Design, axis: DesignAxis, progress: Callable[[str], None])
         raise SynthesisError(
             "lump_lag: true, allowed: false, since the lag is uncertain by itself; or take `hil design hinf`"
         )
-    problem = structured_plant(design, axis, design.uncertainty)
+    problem = structured_plant(design, axis, design.uncertainty, measured)
     start = nominal_controller(problem)
     slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's

@@ -1,7 +1,9 @@
 """The axis whose inertia, delay and drives are known within limits only: M, and Delta around it.
 
-    e'' = -(v + d) / (1 + r delta),  v = gain (1 + W_lag Delta_lag) drive (1 + W_delay Delta_delay) delay u
+    e'' = -(v + d) / (1 + r delta)
+    v = gain (1 + W_lag Delta_lag + W Delta (1 + W_lag Delta_lag)) drive (1 + W_delay Delta_delay) delay u
 
+W Delta is what measured axes differ by from the nominal one, if any were (hil.synthesis.multiplicative).
 delta is the share of the inertia, and enters exactly; the bounds take it for complex. Delay and lag are
 covered at every frequency by a disc around the nominal one, a multiplicative weight (S. Skogestad and
 I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7.4). Delta holds more than the
@@ -19,6 +21,7 @@ from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.mathematics.linear_system import LinearSystem
 from hil.synthesis.axis import drive, pade
 from hil.synthesis.mu import Block
+from hil.synthesis.multiplicative import Relative, cover_system
 from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 from hil.synthesis.wiring import Sum, well_scaled, wired
 
@@ -33,7 +36,8 @@ class Structured(NamedTuple):
 
     plant: LinearSystem
     blocks: list[Block]
-    """Inertia, delay, lag; the last is performance, from [d, noise] to [W_e e, W_u u]."""
+    """Inertia, delay, lag, then what measured axes differ by, if any were; the last is performance, from
+    [d, noise] to [W_e e, W_u u]."""
     n_y: int
 
     @property
@@ -115,7 +119,9 @@ def covers(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> tuple
     return cover(omega, delay, corner), cover(omega, lag_error(omega, ranges.lag_ms, axis.lag_ms), corner)
 
 
-def structured_plant(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> Structured:
+def structured_plant(
+    design: Design, axis: DesignAxis, ranges: UncertaintyRanges, measured: Relative | None = None
+) -> Structured:
     """Return the axis with its uncertainty and its weights.
 
     Raises SynthesisError for an axis or a weight that cannot be used.
@@ -135,9 +141,14 @@ def structured_plant(design: Design, axis: DesignAxis, ranges: UncertaintyRanges
         "z_e": (error_weight(weights.error), {"position": -1.0}),
         "z_u": (control_weight(weights.control, design.rate_Hz), {"u": 1.0}),
     }
-    measured = {"error": "position", "rate_error": "rate"}
-    inputs = ["w_inertia", "w_delay", "w_lag", "d", *(f"n_{name}" for name in names), "u"]
-    y: list[Sum] = [{measured[name]: -1.0, f"n_{name}": W} for name, W in zip(names, W_n, strict=True)]
-    outputs: list[Sum] = [acceleration, {"z_delay": 1.0}, {"z_lag": 1.0}, {"z_e": 1.0}, {"z_u": 1.0}, *y]
-    blocks = [Block(), Block(), Block(), Block(1 + len(names), 2)]
+    causes, effects = ["w_inertia", "w_delay", "w_lag"], [acceleration, {"z_delay": 1.0}, {"z_lag": 1.0}]
+    if measured is not None:
+        parts["z_measured"] = cover_system(measured, design.rate_Hz), {"v": 1.0, "w_lag": 1.0}
+        acceleration["w_measured"] = axis.gain
+        causes, effects = [*causes, "w_measured"], [*effects, {"z_measured": 1.0}]
+    said = {"error": "position", "rate_error": "rate"}
+    inputs = [*causes, "d", *(f"n_{name}" for name in names), "u"]
+    y: list[Sum] = [{said[name]: -1.0, f"n_{name}": W} for name, W in zip(names, W_n, strict=True)]
+    outputs: list[Sum] = [*effects, {"z_e": 1.0}, {"z_u": 1.0}, *y]
+    blocks = [*(Block() for _ in causes), Block(1 + len(names), 2)]
     return Structured(well_scaled(wired(parts, inputs, outputs)), blocks, len(names))

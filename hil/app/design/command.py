@@ -8,16 +8,20 @@ from typing import Any
 import numpy as np
 import yaml
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.app.configuration.section_file import read_section
+from hil.app.design.robot import couplings
+from hil.app.design.robustness import for_the_robot, robustness
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
 from hil.synthesis.hinf_design import Designed, design_hinf
 from hil.synthesis.mu_design import NOTHING, design_mu
+from hil.synthesis.multiplicative import Relative, relative
 from hil.synthesis.result import linear_controller
 
-Method = Callable[[Design, DesignAxis, Callable[[str], None]], Designed]
+Method = Callable[[Design, DesignAxis, Callable[[str], None], Relative | None], Designed]
 
 METHODS: dict[str, Method] = {"hinf": design_hinf, "mu": design_mu}
 """What `hil design` offers, by name."""
@@ -51,8 +55,10 @@ def load_design(source: str) -> tuple[Design, Path]:
     return read_section(path, Design)[0], path
 
 
-def axis_of(design: Design, folder: Path, model: Path | None) -> DesignAxis:
+def axis_of(design: Design, folder: Path, model: Path | None) -> tuple[DesignAxis, Relative | None]:
     """Return the axis of a design: of the file given, of the one that it names, or its own figures.
+
+    And by how much the measured axes differ from it, where they were measured.
 
     Raises ConfigurationError: no axis, one of another space or rate, or six that are not alike.
     """
@@ -63,7 +69,7 @@ def axis_of(design: Design, folder: Path, model: Path | None) -> DesignAxis:
                 "the design has no axis, allowed: its figures in section nominal, or a file of `hil "
                 "identify` in `model` or with --model"
             )
-        return design.nominal
+        return design.nominal, None
     found = read_section(file, AxisModel)[0]
     for key, given, wanted in (("axes", found.axes, design.axes), ("rate_Hz", found.rate_Hz, design.rate_Hz)):
         if given != wanted:
@@ -76,19 +82,28 @@ def axis_of(design: Design, folder: Path, model: Path | None) -> DesignAxis:
             f"{file}: nominal.gain: {listed}, allowed: within {100 * SPREAD:.0f} % of their mean {mean:.3g}, "
             "for one controller serves all six axes; a better model of the robot makes them alike"
         )
-    return DesignAxis(gain=mean, transport_ms=found.nominal.transport_ms, lag_ms=found.nominal.lag_ms)
+    axis = DesignAxis(gain=mean, transport_ms=found.nominal.transport_ms, lag_ms=found.nominal.lag_ms)
+    return axis, relative(found, mean)
 
 
 def run_design(
-    method: str, source: str, model: Path | None, progress: Callable[[str], None]
+    method: str, source: str, model: Path | None, progress: Callable[[str], None], robot: str | None = None
 ) -> tuple[LinearController, Designed, Design, DesignAxis]:
     """Design a controller.
 
+    robot: a configuration whose axes it has to stand coupled, with every payload within its ranges.
     Raises ConfigurationError for files, SynthesisError for what cannot be designed.
     """
     design, path = load_design(source)
-    axis = axis_of(design, path.parent, model)
-    made = METHODS[method](design, axis, progress)
+    axis, measured = axis_of(design, path.parent, model)
+    Gammas: list[Array] = []
+    if robot is not None:
+        progress("the robot along its reference")
+        Gammas = couplings(robot, design.axes)
+        design, axis = for_the_robot(design, axis, Gammas, keep_gain=measured is not None)
+    made = METHODS[method](design, axis, progress, measured)
+    progress("what the measured axes and the robot leave")
+    made = made._replace(figures=made.figures | robustness(design, axis, made, measured, Gammas))
     controller = linear_controller(design, method, made.judged, made.figures)
     return controller, made, design, axis
 
@@ -135,11 +150,30 @@ def report(controller: LinearController) -> list[str]:
         ),
         ("closed loop's poles", f"from {slowest:.1f} rad/s"),
     ]
+    rows += _robust_rows(d)
     headline = (
         f"{len(controller.A)} states for each of six {controller.axes} axes, {controller.rate_Hz:g} Hz, from "
         f"{' and '.join(controller.inputs)}"
     )
     return [headline, *(f"  {name:20}{value}" for name, value in rows), *_remarks(d)]
+
+
+def _robust_rows(design: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return how near the loop comes to what measured axes, and the robot's coupling, make unstable."""
+    rows = []
+
+    def nearest(found: dict[str, float]) -> str:
+        return f"{found['norm']:.3f}, nearest to 1 at {found['at_rad_s'] / (2 * np.pi):.3g} Hz"
+
+    if "measured" in design:
+        rows.append(("|W T|, measured", f"{nearest(design['measured'])}; stable below 1"))
+    if "robot" in design:
+        low, high = design["robot"]["gamma_eigenvalues"]
+        words = f"stable, eigenvalues of Gamma {low:.3g} to {high:.3g}"
+        if "norm" in design["robot"]:
+            words += f"; |W T| {nearest(design['robot'])}"
+        rows.append(("axes together", words))
+    return rows
 
 
 def _remarks(design: dict[str, Any]) -> list[str]:

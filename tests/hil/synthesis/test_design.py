@@ -74,7 +74,7 @@ def test_the_optimum_is_set_by_what_the_loop_can_do_and_not_by_noise_at_rest(mad
 def test_the_shipped_design_serves_an_axis_that_measures_a_little_otherwise(transport_ms, lag_ms):
     design = changed()
     axis = DesignAxis(transport_ms=transport_ms, lag_ms=lag_ms)
-    figures = METHODS["hinf"](design, axis, lambda _: None).figures
+    figures = METHODS["hinf"](design, axis, lambda _: None, None).figures
     assert figures["gamma"] < 1.0
 
 
@@ -190,7 +190,7 @@ def test_a_design_that_cannot_be_is_refused_with_the_reason(changes, says):
     design = changed(**changes)
     assert design.nominal is not None
     with pytest.raises(SynthesisError, match=says):
-        METHODS["hinf"](design, design.nominal, lambda _: None)
+        METHODS["hinf"](design, design.nominal, lambda _: None, None)
 
 
 def test_a_weight_may_be_any_function_of_s():
@@ -200,5 +200,5 @@ def test_a_weight_may_be_any_function_of_s():
     low, peak, b = w.low_m, w.peak_m, w.bandwidth_rad_s
     same = changed(weights__error={"numerator": [1 / peak, b / peak], "denominator": [1, b * low / peak]})
     assert same.nominal is not None
-    found = METHODS["hinf"](same, same.nominal, lambda _: None).figures["gamma_opt"]
+    found = METHODS["hinf"](same, same.nominal, lambda _: None, None).figures["gamma_opt"]
     assert found == pytest.approx(shipped("hinf").design["gamma_opt"], rel=1e-6)

@@ -31,7 +31,8 @@ class FaultPlan:
 class Schedule:
     """When the faults of a plan begin and end in one run.
 
-    Mutable state: when each fault begins, as far as that is known; its chance, and the frames it has seen.
+    Mutable state: when each fault begins, as far as that is known; its chance, and the frames it has seen; the
+    faults that were present when last asked, and from when until when these are the ones.
     """
 
     def __init__(self, plan: FaultPlan, t0_ns: int) -> None:
@@ -43,6 +44,8 @@ class Schedule:
             Passed(np.random.default_rng((plan.seed, getattr(fault, "seed", 0), n)))
             for n, fault in enumerate(plan.faults)
         ]
+        self._present: tuple[tuple[int, Fault], ...] = ()
+        self._from_ns = self._until_ns = 0
 
     @property
     def first_ns(self) -> int:
@@ -65,6 +68,7 @@ class Schedule:
             if fault.mode == mode and self._start_ns[n] == NEVER_NS:
                 self._start_ns[n] = t_ns + round(fault.at_s * 1e9)
                 found = True
+        self._from_ns = self._until_ns = 0
         return found
 
     def edges_ns(self, since_ns: int) -> list[int]:
@@ -76,11 +80,17 @@ class Schedule:
     def _timed(self) -> Iterator[tuple[Fault, int]]:
         return ((f, at) for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at < NEVER_NS)
 
-    def active(self, t_ns: int) -> Iterator[tuple[int, Fault]]:
-        """Yield the faults that are present at an instant, each with its number."""
-        for n, (fault, start_ns) in enumerate(zip(self._plan.faults, self._start_ns, strict=True)):
-            if start_ns <= t_ns < start_ns + fault.lasts_ns:
-                yield n, fault
+    def active(self, t_ns: int) -> tuple[tuple[int, Fault], ...]:
+        """Return the faults that are present at an instant, each with its number."""
+        if not self._from_ns <= t_ns < self._until_ns:
+            spans = [(at, at + f.lasts_ns) for f, at in zip(self._plan.faults, self._start_ns, strict=True)]
+            edges = [edge for span in spans for edge in span]
+            self._from_ns = max((edge for edge in edges if edge <= t_ns), default=t_ns)
+            self._until_ns = min((edge for edge in edges if edge > t_ns), default=NEVER_NS)
+            self._present = tuple(
+                (n, self._plan.faults[n]) for n, (begin, end) in enumerate(spans) if begin <= t_ns < end
+            )
+        return self._present
 
     def present(self, t_ns: int) -> Present:
         """Return the faults of drives and plant at this instant."""

@@ -22,7 +22,7 @@ COMMANDS = {
     "compare": "All control laws on your platform and path; nothing moves.",
     "fmu": "Build the platform's FMU.",
     "calibrate": "Joint positions and length offsets from measured poses.",
-    "identify": "What the loop is like: its axes or its delay, from a run or a log.",
+    "identify": "The loop's axes or delay, from a run or a log; payload and friction.",
     "design": "A robust controller from weights: hinf, mu.",
 }
 """Name -> what it is for, in the order of the help; the module of that name has it as `command`."""

@@ -1,13 +1,88 @@
-"""`hil identify`."""
+"""`hil identify`: the loop from a run or a log, and `hil identify payload`: masses and friction from logs."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, finish_lines, log_option, reporting
+from hil.cli.shared import FILE, NOT_NEGATIVE, finish_lines, log_option, reporting
 
 
-@click.command()
+@click.command("payload")
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
+@click.option(
+    "--reflected",
+    type=NOT_NEGATIVE,
+    metavar="KG",
+    help="Reflected mass of motor and screw in each leg, where it is known; default: it is identified.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=FILE,
+    metavar="FILE",
+    help="Write the block there as YAML; an earlier one is replaced.",
+)
+@reporting
+def payload(
+    logs: tuple[Path, ...], reflected: float | None, out: Path | None, json_file: Path | None
+) -> None:
+    """Find masses, inertia and friction of the robot in logs of ordinary runs.
+
+    Least squares over the leg forces: the ten parameters of the platform with all it carries (mass, first
+    moments, inertia about its origin), and of each leg viscous and Coulomb friction and the reflected mass of
+    its motor (--reflected: given instead). The legs' own masses are taken from section `platform`. What is
+    found is a body: its pseudo-inertia is positive definite.
+
+    Printed are standard errors that count coloured residuals, the condition number, what this motion cannot
+    show (it stays as believed), and how well each log is predicted from the others; of a single log, each
+    half from the other. In the end a block for the configuration: the payload beyond the believed platform,
+    or without one the platform's own figures, and the friction for `controller.model`.
+
+    Any log with motion of all six axes serves. Nothing but gravity may act on the platform: a load that
+    pushes looks like mass. Nothing runs and nothing moves. Guide: docs/guides/identify.md.
+
+    \b
+    Examples:
+      hil identify payload runs/today.mcap
+      hil identify payload runs/a.mcap runs/b.mcap -o payload.yaml
+      hil identify payload runs/today.mcap --reflected 9.9
+
+    \b
+    Exit code:
+      0  identified
+      2  not identified: no log, or too little motion; the message says what
+    """
+    from hil.app.files import write_whole
+    from hil.app.identify import payload_report
+    from hil.app.identify.payload import check_out, identify_payload
+    from hil.app.output import console, show_lines
+
+    if out is not None:
+        check_out(out)
+    with console.status("reading") as status:
+        found = identify_payload(list(logs), reflected, status.update)
+    show_lines(payload_report.report(found))
+    click.echo(f"\n{payload_report.block_text(found)}", nl=False)
+    if out is not None:
+        write_whole(out, payload_report.file_text(found))
+        click.echo(f"\nwritten: {out}")
+    finish_lines((), payload_report.summary(found), json_file)
+
+
+class _OrPayload(click.Command):
+    """A command whose first word may be `payload`, which is a command of its own."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Return the context of the command that the words ask for."""
+        if args and args[0] == payload.name:
+            return payload.make_context(f"{info_name} {payload.name}", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+@click.command(cls=_OrPayload)
 @click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=FILE)
 @click.option(
     "--delay", is_flag=True, help="Only the delay, from the measurement to the force that answers it."
@@ -52,6 +127,8 @@ def command(
 ) -> None:
     """Measure what the loop is like, from a run that excites it or from a log that is there.
 
+    Masses, inertia and friction are found by `hil identify payload LOG...`, which has a help of its own.
+
     Without --delay: the linearised axes, from the acceleration that the law demands of each leg (pose laws:
     of x, y, z and the rotations about them) to where it is. Frequency response with coherence and standard
     deviations, the nominal axis gain exp(-transport s) / (lag s + 1) / s^2 behind the hold, and a bound of
@@ -86,6 +163,7 @@ def command(
       hil identify my.yaml --run --force 800      more force, where friction or noise hides the answer
       hil identify runs/today.mcap                a run that is there already
       hil identify virtual --delay --run --plant --arm    only the delay, in real time
+      hil identify payload runs/today.mcap        masses, inertia and friction of the robot
 
     \b
     Exit code:

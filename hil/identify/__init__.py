@@ -1,1 +1,1 @@
-"""Identification from a log: the delay from command to force, and the linearised axes."""
+"""Identification from a log: the delay from command to force, linearised axes, masses and friction."""

@@ -7,9 +7,11 @@ the one that changes the momentum as observed. The two are compared period by pe
     needed = gain * force(transport, lag) + offset - viscous * rate - coulomb * sgn(rate),
 
 over periods in which the leg slides: a leg that sticks hides any force. Gain, offset and friction of each leg
-absorb the errors of the model; they do not change the time. Transport and lag, common to all legs, minimise
-the sum of squares (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay,
-but only the lag attenuates high frequencies: slow motion gives their sum alone.
+absorb the errors of the model; they do not change the time. Where masses or drives are off, the friction is
+viscous / gain and coulomb / gain in the force that the drive makes: that is what is returned. Transport and
+lag, common to all legs, minimise the sum of squares (separable least squares: Golub and Pereyra, SIAM J.
+Numer. Anal. 10, 1973). Both delay, but only the lag attenuates high frequencies: slow motion gives their sum
+alone.
 
 Standard deviations are those of a delete-a-block jackknife over time (Kuensch, Ann. Statist. 17, 1989), which
 needs neither white nor equal noise.
@@ -75,9 +77,11 @@ class Delay(NamedTuple):
     gain: Array
     """(6,) of each leg: 1 where model and drives agree."""
     viscous: Array
-    """(6,) N s/m beyond the model's."""
+    """(6,) N s/m of the drive's own force, beyond the model's."""
+    viscous_std: Array
     coulomb: Array
-    """(6,) N beyond the model's."""
+    """(6,) N of the drive's own force, beyond the model's."""
+    coulomb_std: Array
     periods: int
     """In which the leg that moved least was used."""
 
@@ -107,7 +111,12 @@ def force_delay(motion: Motion, model: Model) -> Delay:
         transport_std, lag_std = float(_jackknife(samples)), 0.0
         total_std = transport_std
     explained, coefficients = fit.quality(transport, lag, everything)
-    gain, _, viscous, coulomb = coefficients.T
+    gain, _, viscous, coulomb = _of_the_drive(coefficients).T
+    spread = _jackknife(
+        np.array([
+            _of_the_drive(fit.quality(transport, lag, rest)[1]) for rest in _without_blocks(everything)
+        ])
+    )  # fmt: skip
     if not (explained > 0.5 and total_std <= SURE_S):
         raise IdentificationError(
             f"the commands explain {100 * max(explained, 0.0):.0f} % of the varying forces and the delay is "
@@ -116,7 +125,7 @@ def force_delay(motion: Motion, model: Model) -> Delay:
     hold = 0.5 * motion.period_s
     return Delay(
         transport, float(transport_std), lag, float(lag_std), hold, transport + lag + hold, total_std,
-        separable, explained, gain, viscous, coulomb, periods,
+        separable, explained, gain, viscous, spread[:, 2], coulomb, spread[:, 3], periods,
     )  # fmt: skip
 
 
@@ -216,6 +225,13 @@ class _Fit:
             varying += float(((needed - needed.mean()) ** 2).sum())
         explained = 1.0 - float((residuals**2).sum()) / varying
         return explained, coefficients
+
+
+def _of_the_drive(coefficients: Array) -> Array:
+    """Return gain, offset, viscous and coulomb (6, 4) with the frictions as forces that the drive makes."""
+    found = coefficients.copy()
+    found[:, 2:] /= coefficients[:, :1]
+    return found
 
 
 def _without_blocks(use: NDArray[np.intp]) -> list[NDArray[np.intp]]:

@@ -14,6 +14,8 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.section_file import check_section_path, write_section
 from hil.app.identify.delay import (
     Excited,
+    compensation,
+    compensation_lines,
     delay_figures,
     delay_rows,
     exact_model,
@@ -163,6 +165,7 @@ def summary(identified: Identified, path: Path, files: Outputs) -> dict[str, Any
         "picture": str(files.picture),
         "axes": model.axes,
         **delay_figures(fit, 0.5 / model.rate_Hz),
+        "delay_compensation": compensation(fit, 0.5 / model.rate_Hz),
         "gain": fit.gain.tolist(),
         "gain_std": fit.gain_std.tolist(),
         "coherent_lines": coherent,
@@ -200,4 +203,5 @@ def report(result: dict[str, Any], model: AxisModel) -> list[str]:
             "coupling is not in the bound there. `hil identify CONFIG` moves each by itself; "
             "more --force drowns friction."
         )
-    return [*lines, f"model    {result['model']}", f"picture  {result['picture']}"]
+    lines += [f"model    {result['model']}", f"picture  {result['picture']}"]
+    return [*lines, *compensation_lines(result["delay_compensation"])]

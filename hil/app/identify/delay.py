@@ -25,6 +25,7 @@ from hil.identify.delay import Delay, Motion, force_delay
 from hil.identify.excitation import delay_excitation
 from hil.record.mcap_file import MAGIC
 from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import COULOMB, VISCOUS
 
 DURATION_S = 4.0
 FORCE_SHARE = 0.02
@@ -151,8 +152,10 @@ def delay_of_log(path: Path) -> dict[str, Any]:
     """
     recorded = recorded_run(path)
     motion = motion_of(recorded.rows, 1.0 / recorded.rate_Hz)
-    delay = force_delay(motion, exact_model(recorded.configuration))
-    return {"success": True, "kind": "identify", "log": str(path)} | summary(delay)
+    model = exact_model(recorded.configuration)
+    delay = force_delay(motion, model)
+    found = summary(delay) | {"friction": friction_block(delay, model)}
+    return {"success": True, "kind": "identify", "log": str(path)} | found
 
 
 def summary(delay: Delay) -> dict[str, Any]:
@@ -163,14 +166,42 @@ def summary(delay: Delay) -> dict[str, Any]:
         "explained_percent": 100.0 * delay.explained,
         "gain": delay.gain.tolist(),
         "viscous_friction_N_s_m": delay.viscous.tolist(),
+        "viscous_friction_std_N_s_m": delay.viscous_std.tolist(),
         "coulomb_friction_N": delay.coulomb.tolist(),
+        "coulomb_friction_std_N": delay.coulomb_std.tolist(),
         "periods": delay.periods,
-        "delay_compensation": {
-            "bus_ms": round(1e3 * delay.transport_s, 4),
-            "drive_lag_ms": round(1e3 * delay.lag_s, 4),
-            "hold_ms": round(1e3 * delay.hold_s, 4),
-        },
+        "delay_compensation": compensation(delay, delay.hold_s),
     }
+
+
+def compensation(found: Delay | Fit, hold_s: float) -> dict[str, float]:
+    """Return the keys of section `controller.delay_compensation`."""
+    return {
+        "bus_ms": round(1e3 * found.transport_s, 4),
+        "drive_lag_ms": round(1e3 * found.lag_s, 4),
+        "hold_ms": round(1e3 * hold_s, 4),
+    }
+
+
+def compensation_lines(keys: dict[str, float]) -> list[str]:
+    """Return them as the lines to paste."""
+    values = ", ".join(f"{key}: {value:g}" for key, value in keys.items())
+    return ["", "controller:", f"  delay_compensation: {{{values}}}"]
+
+
+def friction_block(delay: Delay, model: Model) -> dict[str, list[float]]:
+    """Return keys of `controller.model`: friction of the model and beyond it, where that is surely there.
+
+    No key unless all six legs show more than three standard deviations: a leg alone may be a model error.
+    """
+    found = {}
+    for key, value, std, at in (
+        ("viscous_friction_N_s_m", delay.viscous, delay.viscous_std, VISCOUS),
+        ("coulomb_friction_N", delay.coulomb, delay.coulomb_std, COULOMB),
+    ):
+        if (value > 3.0 * std).all():
+            found[key] = [float(f"{x:.4g}") for x in model.constants[at : at + 6] + value]
+    return found
 
 
 def delay_figures(found: Delay | Fit, hold_s: float) -> dict[str, float]:
@@ -219,8 +250,12 @@ def report(result: dict[str, Any]) -> list[str]:
         lines.append(
             f"A leg's force is {100 * worst:.0f} % off the model's: wrong masses, or the scale of its drive."
         )
-    values = ", ".join(f"{key}: {value:g}" for key, value in result["delay_compensation"].items())
-    return [*lines, "", "controller:", f"  delay_compensation: {{{values}}}"]
+    block = compensation_lines(result["delay_compensation"])
+    if result["friction"]:
+        lines.append("Friction of the drives, beside what the model has, is in the block below.")
+        rows = [f"    {key}: {value}" for key, value in result["friction"].items()]
+        block += ["  model:", *rows]
+    return [*lines, *block]
 
 
 def run_for(

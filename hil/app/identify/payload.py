@@ -1,0 +1,206 @@
+"""`hil identify payload`: masses, inertia and friction from logs of ordinary runs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ConfigurationError, HilError, IdentificationError, LogError
+from drivers.signals import DriveState
+from hil.app.configuration.configuration import Configuration
+from hil.app.identify.delay import exact_model, recorded_run
+from hil.app.loop_delay import loop_delay
+from hil.identify.consistent import Consistent, consistent
+from hil.identify.delay import mean_forces
+from hil.identify.least_squares import Estimate, halves, prediction_error, solve, unknowns_scale
+from hil.identify.leg_equations import COLUMNS, COULOMB, REFLECTED, VISCOUS, Equations, equations_of, joined
+from hil.identify.leg_motion import LegSignals
+from hil.identify.rigid_body import SIZE, parameters_of
+from hil.robot.dynamics import Model
+
+SURE = 3.0
+"""Standard errors from which a difference counts."""
+LEAST_PAYLOAD = 2e-3
+"""Of the platform's mass; what is lighter is no payload but an error of the platform's figures."""
+HIDDEN = 0.1
+"""Share of an unknown in hidden directions from which it is said not to be shown."""
+HALVES = ("first half", "second half")
+
+
+class Source(NamedTuple):
+    """One log as equations."""
+
+    path: Path
+    configuration: Configuration
+    model: Model
+    equations: Equations
+    reported: bool
+    """Forces are those that the drives report; else those that were sent, delayed."""
+    seconds: float
+    """With open brakes."""
+
+
+class Found(NamedTuple):
+    """What the logs say of platform, payload and drives."""
+
+    sources: list[Source]
+    believed: Array
+    """(29,)."""
+    estimate: Estimate
+    whole: Consistent
+    """Platform with all that it carries."""
+    payload: Consistent | None
+    """Platform and a payload that is a body by itself; None where nothing is carried that is not known."""
+    reflected_given: bool
+    rms_believed_N: float
+    held_out: dict[str, tuple[float, float]]
+    """By log, or half of the log: rms in N by a fit to the others, and as believed."""
+
+    @property
+    def split(self) -> bool:
+        """Whether the difference to the platform is printed as a payload."""
+        return self.payload is not None and self.payload.shift <= SURE
+
+    @property
+    def theta(self) -> Array:
+        """(29,) what is printed."""
+        return self.payload.theta if self.payload is not None and self.split else self.whole.theta
+
+
+def identify_payload(
+    paths: list[Path], reflected_kg: float | None, progress: Callable[[str], None] = lambda _: None
+) -> Found:
+    """Return what logs of `hil run` or `hil sim` say of masses and friction.
+
+    `reflected_kg` of each leg, where it is known; else it is identified. Raises LogError for what is no such
+    log, IdentificationError where the logs do not hold enough or are of different platforms; each names it.
+    """
+    sources = []
+    for path in paths:
+        progress(f"reading {path.name}")
+        sources.append(_source(path, reflected_kg))
+    first = sources[0]
+    for other in sources[1:]:
+        if other.configuration.platform != first.configuration.platform:
+            raise IdentificationError(
+                f"{other.path}: its section platform is not that of {first.path}; identify each by itself"
+            )
+    progress("least squares")
+    platform = first.model.platform
+    believed = _believed(first, reflected_kg)
+    scale, free = unknowns_scale(platform), reflected_kg is None
+    try:
+        estimate = solve(joined([s.equations for s in sources]), believed, scale, reflected=free)
+    except IdentificationError as error:
+        raise IdentificationError(f"{', '.join(str(s.path) for s in sources)}: {error}") from None
+    carrier = believed[:SIZE]
+    more = float(estimate.theta[0] - carrier[0])
+    carried = more > max(SURE * float(estimate.std[0]), LEAST_PAYLOAD * carrier[0])
+    progress("physical consistency")
+    whole = consistent(estimate, platform.radius)
+    payload = consistent(estimate, platform.radius, carrier) if carried else None
+    progress("held-out logs")
+    held_out = _held_out(sources, believed, scale, reflected=free)
+    rms = prediction_error(joined([s.equations for s in sources]), believed)
+    return Found(sources, believed, estimate, whole, payload, not free, rms, held_out)
+
+
+def _source(path: Path, reflected_kg: float | None) -> Source:
+    recorded = recorded_run(path)
+    c, rows, period = recorded.configuration, recorded.rows, 1.0 / recorded.rate_Hz
+    ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
+    source = np.searchsorted(rows["tick"], ticks, side="right") - 1
+    there = np.asarray(rows["tick"][source] == ticks)
+    rows = rows[source]
+    running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
+    if not running.any():
+        raise LogError(f"{path}: the brakes were never open in this log: nothing moved")
+    reported = bool(rows["drive_force"].any())
+    if reported:
+        force = np.asarray(rows["drive_force"], np.float64)
+    else:
+        delay = loop_delay(c)
+        mean = mean_forces(np.ascontiguousarray(rows["tau"]), period, delay.transport_s, delay.lag_s)
+        # of the periods before and after each tick
+        force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
+    good = there & running & (rows["age"] == 0).all(axis=1) & np.isfinite(rows["p"]).all(axis=1)
+    good &= np.isfinite(force).all(axis=1)
+    signals = LegSignals(
+        period,
+        np.ascontiguousarray(rows["q"]),
+        force,
+        np.ascontiguousarray(rows["p"]),
+        np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3),
+        good,
+    )
+    model = exact_model(c)
+    given = None if reflected_kg is None else np.full(6, reflected_kg)
+    try:
+        equations = equations_of(model, signals, given)
+    except HilError as error:
+        raise type(error)(f"{path}: {error}") from None
+    return Source(path, c, model, equations, reported, float(running.sum()) * period)
+
+
+def _believed(source: Source, reflected_kg: float | None) -> Array:
+    """Return what the controller believes (29,); reflected masses that are given stand in no column: 0."""
+    b = source.configuration.controller.believed
+    theta = np.zeros(COLUMNS)
+    theta[:SIZE] = parameters_of(source.model.platform.platform)
+    if b is not None:
+        theta[VISCOUS : VISCOUS + 6], theta[COULOMB : COULOMB + 6] = (
+            b.viscous_friction_N_s_m,
+            b.coulomb_friction_N,
+        )
+        if reflected_kg is None:
+            theta[REFLECTED:] = b.reflected_mass_kg
+    return theta
+
+
+def _held_out(
+    sources: list[Source], believed: Array, scale: Array, *, reflected: bool
+) -> dict[str, tuple[float, float]]:
+    """Return how well each log, or half of the only one, is predicted from the others."""
+    if len(sources) > 1:
+        names = [str(s.path) for s in sources]
+        parts = [s.equations for s in sources]
+    else:
+        names, parts = list(HALVES), halves(sources[0].equations)
+    found = {}
+    for k, (name, part) in enumerate(zip(names, parts, strict=True)):
+        try:
+            fit = solve(joined(parts[:k] + parts[k + 1 :]), believed, scale, reflected=reflected)
+        except IdentificationError:
+            continue
+        if len(part.y):
+            found[name] = prediction_error(part, fit.theta), prediction_error(part, believed)
+    return found
+
+
+def check_out(path: Path) -> None:
+    """Refuse a file that could not be written in the end, or that is none of ours.
+
+    Raises ConfigurationError.
+    """
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"-o {path}: there is no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise ConfigurationError(f"-o {path}: is a folder; name a file")
+    if path.exists() and not path.read_bytes().startswith(REMARK.encode()):
+        raise ConfigurationError(
+            f"-o {path}: exists, was not made by hil identify payload and is not overwritten; name another"
+        )
+
+
+REMARK = "# Made by hil identify payload: paste into the configuration, in the place of these keys.\n"
+
+
+def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
+    """Return value and standard error (6,) of the drives' parts, by their key in `controller.model`."""
+    places = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB}
+    if not found.reflected_given:
+        places["reflected_mass_kg"] = REFLECTED
+    std = found.estimate.std
+    return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, at in places.items()}

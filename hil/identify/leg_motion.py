@@ -1,0 +1,155 @@
+"""Motion of the platform from leg lengths alone, differentiated without phase, and forces smoothed alike.
+
+A smooth bell of finite length slides over the lengths. Its derivatives slide in place of the signal's (M.
+Shinbrot, Trans. ASME 79, 1957): lengths, rates, accelerations and forces go through one and the same filter,
+so that none is late against another (M. Gautier, Proc. IEEE ICRA 1997), and each value has been made of a
+known stretch of ticks only.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from drivers.arrays import Array, Flags
+from hil.robot.geometry import Platform
+from hil.robot.kinematics_kernels import forward_kinematics_kernel
+
+SMOOTHING_S = 0.01
+"""Half length of the bell: long enough for the encoders' steps, short enough that the pose hardly changes
+under it: the filtered force is compared with the force at the filtered pose."""
+FEWEST_TICKS = 4
+"""At least, or its samples would not do for its derivatives."""
+TOLERANCE_m = 1e-11
+
+
+class LegSignals(NamedTuple):
+    """What a log holds of six legs, one row a tick, all ticks in a row."""
+
+    period_s: float
+    length: Array
+    """(n, 6) m."""
+    force: Array
+    """(n, 6) N at the instant of the length, > 0 extends."""
+    p: Array
+    """(n, 3) m, R (n, 3, 3): poses from which forward kinematics begins."""
+    R: Array
+    good: Flags
+    """(n,): brakes open, all legs fresh."""
+
+
+class PlatformMotion(NamedTuple):
+    """Platform and legs at the ticks of a log; only `good` ones count."""
+
+    R: Array
+    """(n, 3, 3), x_base = p + R x_platform."""
+    p: Array
+    """(n, 3) m."""
+    J: Array
+    """(n, 6, 6), dq = J twist."""
+    twist: Array
+    """(n, 6) m/s, rad/s, base frame."""
+    dtwist: Array
+    """(n, 6)."""
+    dq: Array
+    """(n, 6) m/s."""
+    ddq: Array
+    """(n, 6) m/s^2."""
+    force: Array
+    """(n, 6) N."""
+    dforce: Array
+    """(n, 6) N/s, its rate."""
+    good: Flags
+    """(n,): nothing under the bell is missing."""
+
+
+class Bell(NamedTuple):
+    """A filter (1 - x^2)^4 of unit area, -1 < x < 1, and the first two derivatives of what it makes."""
+
+    half: int
+    """Ticks to either side."""
+    value: Array
+    first: Array
+    second: Array
+
+
+def half_ticks(period_s: float) -> int:
+    """Return half the length of the bell that smooths the lengths, ticks."""
+    return max(FEWEST_TICKS, round(SMOOTHING_S / period_s))
+
+
+def bell(half: int, period_s: float) -> Bell:
+    """Return the filter that reaches `half` ticks to either side.
+
+    Sampled, its derivatives are made exact again for parabolas: a second derivative of lengths of some metres
+    that leaves 1e-4 of them in is worth nothing.
+    """
+    x = np.arange(-half, half + 1) / half
+    u, t = 1.0 - x * x, half * period_s * x
+    w = u**4 / (u**4).sum()
+    first = x * u**3
+    second = (48.0 * x * x * u**2 - 8.0 * u**3) / w.sum()
+    second -= second.sum() * w
+    return Bell(half, w, first / (first @ t), 2.0 * second / (second @ (t * t)))
+
+
+def smooth(weights: Array, x: Array) -> Array:
+    """Return sum_k weights_k x_{n+k} for x (n, m); zero where the weights reach beyond the ends."""
+    half = len(weights) // 2
+    y = np.zeros_like(x)
+    if len(x) >= len(weights):
+        y[half : len(x) - half] = sliding_window_view(x, len(weights), axis=0) @ weights
+    return y
+
+
+def all_under(half: int, good: Flags) -> Flags:
+    """Return where every tick up to `half` to either side is good; x (n,) or (n, m)."""
+    inside = np.zeros_like(good)
+    if len(good) > 2 * half:
+        inside[half : len(good) - half] = sliding_window_view(good, 2 * half + 1, axis=0).all(axis=-1)
+    return inside
+
+
+def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
+    """Return pose, twist and acceleration at every tick, of the smoothed lengths; forces smoothed alike.
+
+    Forward kinematics begins at the logged poses; where it does not get to the lengths, the tick is not good.
+    """
+    b = bell(half_ticks(signals.period_s), signals.period_s)
+    good = all_under(b.half, signals.good)
+    length = np.where(signals.good[:, None], signals.length, 0.0)
+    q, dq, ddq = (smooth(w, length) for w in (b.value, b.first, b.second))
+    tau = np.where(signals.good[:, None], signals.force, 0.0)
+    force, dforce = smooth(b.value, tau), smooth(b.first, tau)
+    p, R = signals.p.copy(), signals.R.copy()
+    for k in np.flatnonzero(good):
+        p[k], R[k], _, _, residual, _ = forward_kinematics_kernel(
+            platform.base_joints, platform.platform_joints, q[k], p[k], R[k], TOLERANCE_m, 20
+        )
+        good[k] = residual <= TOLERANCE_m
+    p[~good], R[~good] = 0.0, np.eye(3)
+    twist, dtwist, J = np.zeros_like(q), np.zeros_like(q), np.tile(np.eye(6), (len(q), 1, 1))
+    if good.any():
+        twist[good], dtwist[good], J[good] = leg_to_platform(platform, p[good], R[good], dq[good], ddq[good])
+    return PlatformMotion(R, p, J, twist, dtwist, dq, ddq, force, dforce, good)
+
+
+def leg_to_platform(
+    platform: Platform, p: Array, R: Array, dq: Array, ddq: Array
+) -> tuple[Array, Array, Array]:
+    """Return twist (n, 6), its rate (n, 6) and J (n, 6, 6) of leg rates and accelerations at n poses.
+
+    J twist = dq and J dtwist = ddq - s.(w x (w x r)) - (|u|^2 - dq^2) / l: velocity u of the platform
+    joint at r from the origin, l ds = u - dq s (J.-P. Merlet, Parallel Robots, 2nd ed., 2006, ch. 5).
+    """
+    r = np.einsum("nij,kj->nki", R, platform.platform_joints)
+    leg = p[:, None] + r - platform.base_joints
+    l = np.linalg.norm(leg, axis=2, keepdims=True)
+    s = leg / l
+    J = np.concatenate([s, np.cross(r, s)], axis=2)
+    twist = np.linalg.solve(J, dq[:, :, None])[:, :, 0]
+    w = np.broadcast_to(twist[:, None, 3:], r.shape)
+    u = twist[:, None, :3] + np.cross(w, r)
+    turning = (s * np.cross(w, np.cross(w, r))).sum(axis=2) + ((u * u).sum(axis=2) - dq**2) / l[:, :, 0]
+    dtwist = np.linalg.solve(J, (ddq - turning)[:, :, None])[:, :, 0]
+    return twist, dtwist, J

@@ -1,0 +1,120 @@
+"""A rigid body as ten parameters: what its motion takes, and which ten numbers a body can have.
+
+theta = [m, m c, I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]: mass, first moments and inertia about the platform's
+origin, platform axes. Force and moment are linear in them (C. G. Atkeson, C. H. An and J. M. Hollerbach,
+Int. J. Robotics Research 5(3), 1986). A body has them if and only if its pseudo-inertia is positive definite
+(P. M. Wensing, S. Kim and J.-J. E. Slotine, IEEE Robotics and Automation Letters 3(1), 2018).
+"""
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.robot.geometry import Body
+from hil.robot.inertia import steiner
+
+NAMES = ("mass", "m x", "m y", "m z", "I_xx", "I_yy", "I_zz", "I_xy", "I_xz", "I_yz")
+UNITS = ("kg", "kg m", "kg m", "kg m", *6 * ("kg m^2",))
+SIZE = len(NAMES)
+_TENSOR = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+"""Which of the six elements stands where in the tensor."""
+
+
+def tensor(elements: Array) -> Array:
+    """Return the inertia (3, 3) kg m^2 of [I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]."""
+    I: Array = elements[_TENSOR]
+    return I
+
+
+def parameters_of(body: Body) -> Array:
+    """Return theta (10,) of a body in platform axes."""
+    I = body.inertia + steiner(body.mass, body.com)
+    return np.array([
+        body.mass, *(body.mass * body.com), I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
+    ])  # fmt: skip
+
+
+def body_of(theta: Array) -> Body:
+    """Return the body of theta (10,), mass > 0: its inertia is about its centre of mass."""
+    m = float(theta[0])
+    c = theta[1:4] / m
+    return Body(m, c, tensor(theta[4:]) - steiner(m, c))
+
+
+def pseudo_inertia(theta: Array) -> Array:
+    """Return [[tr(I)/2 1 - I, m c], [m c^T, m]], (4, 4): the integral of [x; 1] [x; 1]^T dm."""
+    I = tensor(theta[4:])
+    P = np.empty((4, 4))
+    P[:3, :3] = 0.5 * np.trace(I) * np.eye(3) - I
+    P[:3, 3] = P[3, :3] = theta[1:4]
+    P[3, 3] = theta[0]
+    return P
+
+
+def from_pseudo_inertia(P: Array) -> Array:
+    """Return theta (10,) of a pseudo-inertia (4, 4): I = tr(S) 1 - S, S its upper left block."""
+    I = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
+    return np.array([P[3, 3], *P[:3, 3], I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
+
+
+def from_log_cholesky(x: Array) -> Array:
+    """Return theta (10,) of [a, d1, d2, d3, s12, s23, s13, t1, t2, t3]: any ten numbers make a body.
+
+    The pseudo-inertia is U U^T with U = exp(a) [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3],
+    [0, 0, 0, 1]] (C. Rucker and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022).
+    """
+    a, d1, d2, d3, s12, s23, s13, t1, t2, t3 = x
+    U = np.diag(np.exp([d1, d2, d3, 0.0]))
+    U[0, 1:], U[1, 2:], U[2, 3] = (s12, s13, t1), (s23, t2), t3
+    return from_pseudo_inertia(np.exp(2.0 * a) * (U @ U.T))
+
+
+def log_cholesky(theta: Array) -> Array:
+    """Return the ten numbers of `from_log_cholesky`. Raises LinAlgError where theta is no body."""
+    turned = np.linalg.cholesky(pseudo_inertia(theta)[::-1, ::-1])
+    U = turned[::-1, ::-1]  # upper triangular, U U^T as wanted
+    u = U / U[3, 3]
+    d = np.log(np.diag(u)[:3])
+    return np.array([np.log(U[3, 3]), *d, u[0, 1], u[1, 2], u[0, 2], u[0, 3], u[1, 3], u[2, 3]])
+
+
+def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
+    """Return Y (n, 6, 10): Y theta is force and moment about the platform's origin that move the body.
+
+    F = m (dv - g) + dw x h + w x (w x h), N = I dw + w x I w + h x (dv - g), h = m c (Newton, Euler), each in
+    platform axes and turned by R into those of the base.
+
+    Parameters
+    ----------
+    R : (n, 3, 3), x_base = p + R x_platform.
+    twist, dtwist : (n, 6) m/s, rad/s and their rates, base frame, of the platform's origin.
+    gravity : (3,) m/s^2, base frame.
+    """
+    a = np.einsum("nji,nj->ni", R, dtwist[:, :3] - gravity)
+    w = np.einsum("nji,nj->ni", R, twist[:, 3:])
+    dw = np.einsum("nji,nj->ni", R, dtwist[:, 3:])
+    W = _cross(w)
+    Y = np.zeros((len(R), 6, SIZE))
+    Y[:, :3, 0] = a
+    Y[:, :3, 1:4] = _cross(dw) + W @ W
+    Y[:, 3:, 1:4] = -_cross(a)
+    Y[:, 3:, 4:] = _inertia_times(dw) + W @ _inertia_times(w)
+    Y[:, :3] = R @ Y[:, :3]
+    Y[:, 3:] = R @ Y[:, 3:]
+    return Y
+
+
+def _cross(x: Array) -> Array:
+    """Return the matrices (n, 3, 3) of x cross."""
+    S = np.zeros((len(x), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
+    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = x[:, 2], -x[:, 1], x[:, 0]
+    return S
+
+
+def _inertia_times(x: Array) -> Array:
+    """Return L (n, 3, 6) with L elements = I x."""
+    L = np.zeros((len(x), 3, 6))
+    for row in range(3):
+        for column in range(3):
+            L[:, row, _TENSOR[row, column]] = x[:, column]
+    return L

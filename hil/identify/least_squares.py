@@ -23,7 +23,7 @@ WEIGHT = 9.81
 """m/s^2: makes a mass a force of common size; no gravity of a model."""
 FAINT = 0.3
 """Of the platform's own size: a standard deviation above says that nothing is known."""
-SERIES = 24
+SERIES = 16
 """Terms of the cosine series."""
 FEWEST_SAMPLES = 100
 ROUNDS = 3
@@ -133,7 +133,7 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
     """Return the covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
 
     A^-1 (mean over j of L_j L_j^T) A^-1, A = Z^T Z, L_j = sqrt(2) sum_t cos(pi j (t - 1/2) / n) s_t with the
-    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 24. Rows as many as unknowns are
+    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 16. Rows as many as unknowns are
     taken off: m / (m - k).
     """
     m, k = Z.shape

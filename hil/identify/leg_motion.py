@@ -15,7 +15,7 @@ from drivers.arrays import Array, Flags
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import forward_kinematics_kernel
 
-SMOOTHING_S = 0.01
+SMOOTHING_S = 0.015
 """Half length of the bell: long enough for the encoders' steps, short enough that the pose hardly changes
 under it: the filtered force is compared with the force at the filtered pose."""
 FEWEST_TICKS = 4
@@ -64,7 +64,7 @@ class PlatformMotion(NamedTuple):
 
 
 class Bell(NamedTuple):
-    """A filter (1 - x^2)^4 of unit area, -1 < x < 1, and the first two derivatives of what it makes."""
+    """A smooth filter of finite length, and the first two derivatives of what it makes."""
 
     half: int
     """Ticks to either side."""
@@ -81,16 +81,25 @@ def half_ticks(period_s: float) -> int:
 def bell(half: int, period_s: float) -> Bell:
     """Return the filter that reaches `half` ticks to either side.
 
-    Sampled, its derivatives are made exact again for parabolas: a second derivative of lengths of some metres
-    that leaves 1e-4 of them in is worth nothing.
+    With u = 1 - x^2 it is u^4 (a + b x^2), its derivatives u^3 (a x + b x^3) and u^2 (a + b x^2 + c x^4).
+    What is left free makes each exact for polynomials up to the third degree, sampled as it is: a filter
+    that bends no parabola leaves nonlinear functions of the lengths where they are.
     """
     x = np.arange(-half, half + 1) / half
     u, t = 1.0 - x * x, half * period_s * x
-    w = u**4 / (u**4).sum()
-    first = x * u**3
-    second = (48.0 * x * x * u**2 - 8.0 * u**3) / w.sum()
-    second -= second.sum() * w
-    return Bell(half, w, first / (first @ t), 2.0 * second / (second @ (t * t)))
+    value = _with_moments([u**4, u**4 * x**2], t, {0: 1.0, 2: 0.0})
+    first = _with_moments([u**3 * x, u**3 * x**3], t, {1: 1.0, 3: 0.0})
+    second = _with_moments([u**2, u**2 * x**2, u**2 * x**4], t, {0: 0.0, 2: 2.0, 4: 0.0})
+    return Bell(half, value, first, second)
+
+
+def _with_moments(basis: list[Array], t: Array, moments: dict[int, float]) -> Array:
+    """Return the sum of the basis functions whose sums over t^k are the moments."""
+    B = np.array(basis)
+    scaled = t / t[-1]
+    A = np.array([B @ scaled**k for k in moments])
+    wanted = [value / t[-1] ** k for k, value in moments.items()]
+    return np.asarray(np.linalg.solve(A, wanted) @ B, np.float64)
 
 
 def smooth(weights: Array, x: Array) -> Array:

@@ -53,7 +53,8 @@ class Found(NamedTuple):
     """Platform with all that it carries."""
     payload: Consistent | None
     """Platform and a payload that is a body by itself; None where nothing is carried that is not known."""
-    reflected_given: bool
+    reflected_kg: float | None
+    """Of each leg, where it was given; None: identified."""
     rms_believed_N: float
     held_out: dict[str, tuple[float, float]]
     """By log, or half of the log: rms in N by a fit to the others, and as believed."""
@@ -104,7 +105,7 @@ def identify_payload(
     progress("held-out logs")
     held_out = _held_out(sources, believed, scale, reflected=free)
     rms = prediction_error(joined([s.equations for s in sources]), believed)
-    return Found(sources, believed, estimate, whole, payload, not free, rms, held_out)
+    return Found(sources, believed, estimate, whole, payload, reflected_kg, rms, held_out)
 
 
 def _source(path: Path, reflected_kg: float | None) -> Source:
@@ -200,7 +201,7 @@ REMARK = "# Made by hil identify payload: paste into the configuration, in the p
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
     """Return value and standard error (6,) of the drives' parts, by their key in `controller.model`."""
     places = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB}
-    if not found.reflected_given:
+    if found.reflected_kg is None:
         places["reflected_mass_kg"] = REFLECTED
     std = found.estimate.std
     return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, at in places.items()}

@@ -31,6 +31,8 @@ def block(found: Found) -> dict[str, Any]:
     believed = c.controller.believed
     if believed is not None:
         model: dict[str, Any] = {key: _drives(value, std) for key, (value, std) in drives_of(found).items()}
+        if found.reflected_kg is not None:
+            model["reflected_mass_kg"] = 6 * [found.reflected_kg]
         if believed.inertia_scale != 1.0:
             model["inertia_scale"] = 1.0
         result["controller"] = {"model": model}
@@ -112,7 +114,7 @@ def summary(found: Found) -> dict[str, Any]:
         "payload": payload,
         **{key: value.tolist() for key, (value, _) in drives_of(found).items()},
         **{f"{key}_std": std.tolist() for key, (_, std) in drives_of(found).items()},
-        "reflected_mass": "given" if found.reflected_given else "identified",
+        "reflected_mass": "identified" if found.reflected_kg is None else "given",
         "late_ms": 1e3 * float(found.theta[LATE]),
         "late_std_ms": 1e3 * float(e.std[LATE]),
         "condition": e.condition,
@@ -156,8 +158,8 @@ def report(found: Found) -> list[str]:
     for key, (value, std) in drives_of(found).items():
         figures = ", ".join(f"{v:.2f} +- {2.0 * s:.2g}" for v, s in zip(value, std, strict=True))
         lines.append(f"  {words[key]}: {figures}")
-    if found.reflected_given:
-        lines.append("  reflected mass: given, not identified")
+    if found.reflected_kg is not None:
+        lines.append(f"  reflected mass: {found.reflected_kg:g} kg each, given, not identified")
     lines.append(
         f"Forces are {1e3 * found.theta[LATE]:.3f} +- {2e3 * e.std[LATE]:.2g} ms late against the lengths"
     )

@@ -1,0 +1,252 @@
+"""Payload and friction that the controller does not know, found in the logs of its runs on the bus path.
+
+configs/virtual.yaml carries 230 kg at (0.5, 0.3, 0.5) m, encoders of 1 um; configs/lab.yaml has friction and
+motor inertia that its controller's model lacks. The plant's physics is code of its own.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from drivers.signals import Mode
+from hil.app.configuration.configuration import load
+from hil.app.identify.payload import identify_payload
+from hil.app.identify.payload_report import block
+from hil.app.sim.command import simulate
+from hil.cli import main
+from hil.record.log import Log
+from plant_fmu.faults.encoder import EncoderNoise
+from plant_fmu.faults.plan import FaultPlan
+from tests.loop import laden
+
+AXES = {
+    "x_m": (0.08, 0.5),
+    "y_m": (0.08, 0.7),
+    "z_m": (0.06, 0.9),
+    "rx_deg": (5, 0.8),
+    "ry_deg": (5, 1.1),
+    "rz_deg": (5, 1.3),
+}
+MOTION = {
+    "type": "sinusoids",
+    "duration_s": 20,
+    "ramp_s": 2,
+    "components": [{"axis": k, "amplitude": a, "frequency_Hz": f} for k, (a, f) in AXES.items()],
+}
+"""All six axes, each at a frequency of its own; small enough for a law that is 20 % off."""
+MASS, COM, SIZE_m = 230.0, np.array([0.5, 0.3, 0.5]), np.array([0.4, 0.6, 0.5])
+PAYLOAD = {"mass_kg": MASS, "com_m": COM.tolist(), "shape": {"type": "box", "size_m": SIZE_m.tolist()}}
+LADEN = {"platform": {"platform": {"payload": [PAYLOAD]}}}
+
+
+def truth():
+    """Return inertia (3, 3) of platform and payload about the platform's origin, from the book and a box."""
+    a, b, c = SIZE_m**2
+    box = MASS / 12.0 * np.diag([b + c, a + c, a + b])
+    return np.diag([570.0, 285.0, 285.0]) + box + MASS * (COM @ COM * np.eye(3) - np.outer(COM, COM))
+
+
+def virtual():
+    """Return the bench with that motion; the law that knows no payload may stray by 0.1 m."""
+    return laden.changed(load("virtual"), reference=MOTION, limits={"following_error_m": 0.1})
+
+
+def identify(*arguments):
+    return CliRunner(env={"COLUMNS": "160"}).invoke(main, ["identify", "payload", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The logs: a.mcap with the payload, free.mcap without, lab.mcap."""
+    made = tmp_path_factory.mktemp("payload")
+    laden.run(virtual(), laden.changed(virtual(), **LADEN), made / "a.mcap")
+    laden.run(virtual(), virtual(), made / "free.mcap")
+    assert simulate(load("lab"), log=made / "lab.mcap", check_replay=False)["success"]
+    return made
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return identify_payload([folder / "a.mcap"], None)
+
+
+def tensor(theta):
+    xx, yy, zz, xy, xz, yz = theta[4:10]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def test_mass_place_and_inertia_of_an_unknown_payload(found, capsys):
+    mass, moment = found.theta[0] - 1150.0, found.theta[1:4]
+    off = np.abs(tensor(found.theta) - truth()).max() / truth().max()
+    each = np.abs(tensor(found.theta) / truth() - 1.0).max()
+    moments = np.abs(moment / (MASS * COM) - 1.0).max()
+    with capsys.disabled():
+        print(
+            f"\npayload {mass:.3f} kg ({100 * (mass / MASS - 1):+.4f} %), first moments within "
+            f"{100 * moments:.3f} %, inertia within {100 * each:.3f} % of each element"
+        )
+    assert mass == pytest.approx(MASS, rel=0.005)
+    assert moments < 0.02
+    assert off < 0.02
+    assert each < 0.1
+
+
+def test_the_errors_are_a_few_standard_errors(found):
+    """No more than the smoothing adds, which no residual shows."""
+    I = truth()
+    body = [1150.0 + MASS, *(MASS * COM), *np.diag(I), I[0, 1], I[0, 2], I[1, 2]]
+    error = np.abs(found.theta[:10] - body)
+    assert (error < 6.0 * found.estimate.std[:10]).all(), error / found.estimate.std[:10]
+    assert (found.estimate.std[:10] < 1e-3 * np.abs(body)).all()
+
+
+def test_the_held_out_halves_are_predicted_as_well_as_fitted(found):
+    rms = np.sqrt(np.mean(found.estimate.residual_N**2))
+    assert set(found.held_out) == {"first half", "second half"}
+    for ours, believed in found.held_out.values():
+        assert ours < 2.0 * rms
+        assert believed > 100.0 * ours
+
+
+def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tmp_path, capsys):
+    """On the book's path: inverse dynamics that knows the identified payload, against the one without payload."""
+    book = laden.changed(load("virtual"), reference={"periods": 1})
+    heavy = laden.changed(book, **LADEN)
+
+    def peak_mm(controller, plant, name):
+        laden.run(controller, plant, tmp_path / name)
+        rows = Log.open(tmp_path / name).rows()
+        rows = rows[rows["mode"] == Mode.TRACKING]
+        return 1e3 * float(np.abs(rows["q_d"] - rows["q"]).max())
+
+    empty = peak_mm(book, book, "empty.mcap")
+    fed = peak_mm(laden.changed(book, **block(found)), heavy, "fed.mcap")
+    unknown = peak_mm(laden.changed(book, limits={"following_error_m": 0.1}), heavy, "unknown.mcap")
+    with capsys.disabled():
+        print(f"\npeak leg error: {empty:.3f} mm empty, {fed:.3f} mm identified, {unknown:.1f} mm unknown")
+    assert fed <= 1.3 * empty
+    assert unknown > 20.0 * empty
+
+
+def test_friction_of_every_leg_of_the_lab_bench(folder, capsys):
+    summary = folder / "lab.json"
+    result = identify(folder / "lab.mcap", "--json", summary)
+    assert result.exit_code == 0, result.output
+    lab = json.loads(summary.read_text())
+    with capsys.disabled():
+        print(f"\nviscous {lab['viscous_friction_N_s_m']}, Coulomb {lab['coulomb_friction_N']}")
+    assert lab["viscous_friction_N_s_m"] == pytest.approx([200.0] * 6, rel=0.05)
+    assert lab["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
+    assert lab["reflected_mass_kg"] == pytest.approx([9.9] * 6, rel=0.05)
+    assert lab["reflected_mass"] == "identified"
+    assert lab["payload"] is None
+    assert lab["platform"]["mass_kg"] == pytest.approx(300.0, rel=1e-3)
+    model = lab["block"]["controller"]["model"]
+    assert model["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
+    assert "reflected mass, kg, identified" in result.stdout
+
+
+def test_a_reflected_mass_that_is_given_is_said_to_be_given(folder):
+    result = identify(folder / "lab.mcap", "--reflected", 9.9, "--json", folder / "given.json")
+    assert result.exit_code == 0, result.output
+    given = json.loads((folder / "given.json").read_text())
+    assert given["reflected_mass"] == "given"
+    assert "reflected mass: 9.9 kg each, given, not identified" in result.stdout
+    assert given["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
+    assert given["block"]["controller"]["model"]["reflected_mass_kg"] == [9.9] * 6
+
+
+def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder, monkeypatch, capsys):
+    """Layout classic has no room for them. The bound of the delay, 1 ms, is 0.5 ms too long, and is found out.
+
+    Encoders are latched 0.025 ms before the grid on which rates and forces are.
+    """
+    rows = Log.rows
+
+    def silent(log):
+        found = rows(log).copy()
+        found["drive_force"] = 0.0
+        return found
+
+    monkeypatch.setattr(Log, "rows", silent)
+    found = identify_payload([folder / "a.mcap"], None)
+    assert not found.sources[0].reported
+    late_ms = 1e3 * found.theta[22]
+    with capsys.disabled():
+        print(f"\nfrom commands: payload {found.theta[0] - 1150.0:.2f} kg, late by {late_ms:.3f} ms")
+    assert late_ms == pytest.approx(0.475, abs=0.02)
+    assert found.theta[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
+    assert np.abs(tensor(found.theta) - truth()).max() < 0.02 * truth().max()
+
+
+def test_an_empty_platform_gets_no_payload_but_its_own_ten_parameters(folder, tmp_path):
+    result = identify(folder / "free.mcap", "-o", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
+    assert result.exit_code == 0, result.output
+    assert "No payload beyond the platform's own masses" in result.stdout
+    written = yaml.safe_load((tmp_path / "b.yaml").read_text())
+    platform = written["platform"]["platform"]
+    assert platform["mass_kg"] == pytest.approx(1150.0, rel=1e-4)
+    assert np.diag(platform["inertia_kg_m2"]) == pytest.approx([570.0, 285.0, 285.0], rel=1e-3)
+    laden.changed(load("virtual"), **written)  # it is a configuration
+
+
+def test_the_file_and_the_refusals(folder, tmp_path):
+    out = tmp_path / "block.yaml"
+    result = identify(folder / "a.mcap", "-o", out)
+    assert result.exit_code == 0, result.output
+    body = yaml.safe_load(out.read_text())["platform"]["platform"]["payload"][0]
+    assert body["mass_kg"] == pytest.approx(MASS, rel=0.005)
+    assert identify(folder / "a.mcap", "-o", out).exit_code == 0, "its own earlier file is replaced"
+    other = tmp_path / "mine.yaml"
+    other.write_text("name: mine\n")
+    for arguments, said in (
+        ((folder / "a.mcap", "-o", other), "is not overwritten"),
+        ((folder / "a.mcap", folder / "lab.mcap"), "its section platform is not that of"),
+        ((folder / "none.mcap",), "none.mcap"),
+        ((other,), "mine.yaml"),
+    ):
+        result = identify(*arguments)
+        assert result.exit_code == 2, result.output
+        assert said in result.stderr
+    assert other.read_text() == "name: mine\n"
+
+
+def test_two_logs_predict_each_other(folder, tmp_path):
+    laden.run(
+        laden.changed(virtual(), reference={**MOTION, "duration_s": 10}),
+        laden.changed(virtual(), **LADEN),
+        tmp_path / "b.mcap",
+    )
+    found = identify_payload([folder / "a.mcap", tmp_path / "b.mcap"], None)
+    assert set(found.held_out) == {str(folder / "a.mcap"), str(tmp_path / "b.mcap")}
+    assert max(ours for ours, _ in found.held_out.values()) < 3.0
+    assert found.theta[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
+
+
+@pytest.mark.long
+def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path, capsys):
+    """White noise of 2 um on every encoder, in the closed loop, 16 seeds."""
+    c = laden.changed(virtual(), reference={**MOTION, "duration_s": 14})
+    plant = laden.changed(c, **LADEN)
+    theta, std = [], []
+    for seed in range(16):
+        noise = [EncoderNoise(leg=leg, at_s=0.0, sigma_m=2e-6, seed=6 * seed + leg) for leg in range(6)]
+        path = tmp_path / f"{seed}.mcap"
+        laden.run(c, plant, path, FaultPlan(noise))
+        found = identify_payload([path], None)
+        theta.append(found.theta)
+        std.append(found.estimate.std)
+        path.unlink()
+    ratio = np.sqrt(np.mean(np.square(std), axis=0)) / np.std(theta, axis=0, ddof=1)
+    with capsys.disabled():
+        print(
+            f"\nstandard error over spread: {ratio.min():.2f} .. {ratio.max():.2f}, median {np.median(ratio):.2f}"
+        )
+    assert ratio.min() > 0.5
+    assert ratio.max() < 2.0
+    assert np.mean(theta, axis=0)[0] - 1150.0 == pytest.approx(MASS, rel=0.005)

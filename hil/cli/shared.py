@@ -102,7 +102,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
-    given = (arguments.get(name) for name in ("configuration", "log", "salvage", "picture", "model"))
+    given = (arguments.get(name) for name in ("configuration", "log", "salvage", "picture", "model", "out"))
     return [Path(file) for file in given if file is not None]
 
 

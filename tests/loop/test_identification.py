@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from drivers.arrays import Rows
@@ -154,3 +155,7 @@ def test_a_log_gives_the_file_the_picture_and_the_report(joint, tmp_path):
     assert summary["total_ms"] == pytest.approx(TOTAL_MS, abs=0.05)
     assert "slope of the phase" in result.stdout
     assert str(file) in result.stdout
+    block = yaml.safe_load(result.stdout[result.stdout.index("controller:") :])["controller"][
+        "delay_compensation"
+    ]
+    assert sum(block.values()) == pytest.approx(TOTAL_MS, abs=0.05)

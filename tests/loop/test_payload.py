@@ -14,13 +14,14 @@ import yaml
 from click.testing import CliRunner
 
 from drivers.signals import Mode
-from hil.app.configuration.configuration import load
+from hil.app.configuration.configuration import load, loads
 from hil.app.identify.payload import identify_payload
 from hil.app.identify.payload_report import block
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.record.log import Log
 from plant_fmu.faults.encoder import EncoderNoise
+from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop import laden
 
@@ -202,11 +203,19 @@ def test_the_file_and_the_refusals(folder, tmp_path):
     body = yaml.safe_load(out.read_text())["platform"]["platform"]["payload"][0]
     assert body["mass_kg"] == pytest.approx(MASS, rel=0.005)
     assert identify(folder / "a.mcap", "-o", out).exit_code == 0, "its own earlier file is replaced"
+    still = tmp_path / "still.mcap"
+    rest = laden.changed(load("virtual"), reference={"type": "hold", "duration_s": 0.3})
+    simulate(rest, log=still, check_replay=False)
+    springs = tmp_path / "springs.mcap"
+    simulate(load("bench"), log=springs, check_replay=False)
     other = tmp_path / "mine.yaml"
     other.write_text("name: mine\n")
     for arguments, said in (
         ((folder / "a.mcap", "-o", other), "is not overwritten"),
         ((folder / "a.mcap", folder / "lab.mcap"), "its section platform is not that of"),
+        ((still,), "too little motion"),
+        ((springs,), "this is another robot"),
+        ((folder / "a.mcap", folder / "a.mcap"), "the same log twice"),
         ((folder / "none.mcap",), "none.mcap"),
         ((other,), "mine.yaml"),
     ):
@@ -214,6 +223,55 @@ def test_the_file_and_the_refusals(folder, tmp_path):
         assert result.exit_code == 2, result.output
         assert said in result.stderr
     assert other.read_text() == "name: mine\n"
+
+
+def test_what_no_payload_explains_is_printed_as_the_platforms_own_figures(folder, tmp_path):
+    """50 kg more and less inertia than believed: no body on top of the platform takes inertia away."""
+    own = {"mass_kg": 1200, "com_m": [0, 0, 0.05], "inertia_kg_m2": [[400, 0, 0], [0, 250, 0], [0, 0, 260]]}
+    laden.run(virtual(), laden.changed(virtual(), platform={"platform": own}), tmp_path / "a.mcap")
+    result = identify(tmp_path / "a.mcap", "--json", tmp_path / "a.json")
+    assert result.exit_code == 0, result.output
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert "no payload alone explains the rest" in result.stdout
+    assert found["payload"] is None
+    assert found["payload_alone_is_a_body"] is False
+    platform = found["block"]["platform"]["platform"]
+    assert platform["mass_kg"] == pytest.approx(1200.0, rel=1e-4)
+    assert platform["com_m"] == pytest.approx([0.0, 0.0, 0.05], abs=1e-4)
+    assert np.diag(platform["inertia_kg_m2"]) == pytest.approx([400.0, 250.0, 260.0], rel=1e-3)
+
+
+def test_a_payload_that_is_known_stays_in_the_list(tmp_path):
+    """The block replaces the list: what was in it is there, and what is new behind it."""
+    known = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
+    c = laden.changed(virtual(), platform={"platform": {"payload": [known]}})
+    laden.run(c, laden.changed(c, platform={"platform": {"payload": [known, PAYLOAD]}}), tmp_path / "a.mcap")
+    first, second = block(identify_payload([tmp_path / "a.mcap"], None))["platform"]["platform"]["payload"]
+    assert first == known
+    assert second["mass_kg"] == pytest.approx(MASS, rel=0.005)
+    assert second["com_m"] == pytest.approx(COM, abs=0.005)
+
+
+def test_a_load_that_moves_with_nothing_is_doubted_aloud(folder, tmp_path):
+    """A push that comes and goes is no mass: the residual says so."""
+    steps = [
+        WrenchStep(at_s=float(t), for_s=0.5, force_N=(4000.0, 0.0, 0.0)) for t in range(5, 20)
+    ]  # fmt: skip
+    laden.run(virtual(), virtual(), tmp_path / "a.mcap", FaultPlan(steps))
+    pushed, quiet = identify(tmp_path / "a.mcap"), identify(folder / "free.mcap")
+    assert pushed.exit_code == 0, pushed.output
+    assert "a load on the platform" in pushed.stdout
+    assert "a load on the platform" not in quiet.stdout
+
+
+def test_a_law_without_a_model_gets_no_section_for_one(folder, tmp_path):
+    found = identify_payload([folder / "lab.mcap"], None)
+    document = yaml.safe_load(load("lab").text)
+    document["monitor"] = {"action": "log"}
+    document["controller"] = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
+    source = found.sources[0]._replace(configuration=loads(yaml.safe_dump(document), "pd.yaml", tmp_path))
+    assert set(block(found._replace(sources=[source]))) == {"platform"}
+    assert set(block(found)) == {"platform", "controller"}
 
 
 def test_two_logs_predict_each_other(folder, tmp_path):

@@ -26,6 +26,8 @@ LEAST_PAYLOAD = 2e-3
 """Of the platform's mass; what is lighter is no payload but an error of the platform's figures."""
 HIDDEN = 0.1
 """Share of an unknown in hidden directions from which it is said not to be shown."""
+WRONG = 0.3
+"""Residual, of the leg forces, from which nothing is printed."""
 HALVES = ("first half", "second half")
 
 
@@ -56,6 +58,8 @@ class Found(NamedTuple):
     reflected_kg: float | None
     """Of each leg, where it was given; None: identified."""
     rms_believed_N: float
+    rms_force_N: float
+    """Of the leg forces less what the legs themselves take."""
     held_out: dict[str, tuple[float, float]]
     """By log, or half of the log: rms in N by a fit to the others, and as believed."""
 
@@ -78,6 +82,8 @@ def identify_payload(
     `reflected_kg` of each leg, where it is known; else it is identified. Raises LogError for what is no such
     log, IdentificationError where the logs do not hold enough or are of different platforms; each names it.
     """
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
     sources = []
     for path in paths:
         progress(f"reading {path.name}")
@@ -92,8 +98,11 @@ def identify_payload(
     platform = first.model.platform
     believed = _believed(first, reflected_kg)
     scale, free = unknowns_scale(platform), reflected_kg is None
+    together = joined([s.equations for s in sources])
     try:
-        estimate = solve(joined([s.equations for s in sources]), believed, scale, reflected=free)
+        estimate = solve(together, believed, scale, reflected=free)
+        rms = prediction_error(together, believed), prediction_error(together, np.zeros(COLUMNS))
+        _refuse_nonsense(estimate, rms[1])
     except IdentificationError as error:
         raise IdentificationError(f"{', '.join(str(s.path) for s in sources)}: {error}") from None
     carrier = believed[:SIZE]
@@ -104,20 +113,19 @@ def identify_payload(
     payload = consistent(estimate, platform.radius, carrier) if carried else None
     progress("held-out logs")
     held_out = _held_out(sources, believed, scale, reflected=free)
-    rms = prediction_error(joined([s.equations for s in sources]), believed)
-    return Found(sources, believed, estimate, whole, payload, reflected_kg, rms, held_out)
+    return Found(sources, believed, estimate, whole, payload, reflected_kg, *rms, held_out)
 
 
 def _source(path: Path, reflected_kg: float | None) -> Source:
     recorded = recorded_run(path)
     c, rows, period = recorded.configuration, recorded.rows, 1.0 / recorded.rate_Hz
+    if not (rows["drive_state"] == DriveState.RUN).all(axis=1).any():
+        raise LogError(f"{path}: the brakes were never open in this log: nothing moved")
     ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
     source = np.searchsorted(rows["tick"], ticks, side="right") - 1
     there = np.asarray(rows["tick"][source] == ticks)
     rows = rows[source]
     running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
-    if not running.any():
-        raise LogError(f"{path}: the brakes were never open in this log: nothing moved")
     reported = bool(rows["drive_force"].any())
     if reported:
         force = np.asarray(rows["drive_force"], np.float64)
@@ -158,6 +166,17 @@ def _believed(source: Source, reflected_kg: float | None) -> Array:
         if reflected_kg is None:
             theta[REFLECTED:] = b.reflected_mass_kg
     return theta
+
+
+def _refuse_nonsense(estimate: Estimate, rms_force_N: float) -> None:
+    """Raise IdentificationError for what is no platform on six legs."""
+    left = float(np.sqrt(np.mean(estimate.residual_N**2))) / rms_force_N
+    if left > WRONG or not estimate.theta[0] > 0.0:
+        raise IdentificationError(
+            f"a platform of {estimate.theta[0]:.4g} kg leaves {100.0 * left:.0f} % of the leg forces "
+            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; this is another robot than that of "
+            "section platform, or something pushes it"
+        )
 
 
 def _held_out(

@@ -14,6 +14,9 @@ from hil.robot.geometry import Body
 DIGITS = 1e-7
 """Of the largest element: figures are rounded to that, and a tensor is kept as far from being none."""
 
+POOR = 0.05
+"""Residual, of the leg forces, from which the figures are doubted."""
+
 
 def block(found: Found) -> dict[str, Any]:
     """Return the keys to paste: payload or platform, and the drives' part of the law's model."""
@@ -123,6 +126,7 @@ def summary(found: Found) -> dict[str, Any]:
         "payload_alone_is_a_body": None if found.payload is None else found.payload.smallest > 0.0,
         "residual_N": e.residual_N.tolist(),
         "believed_residual_N": found.rms_believed_N,
+        "forces_N": found.rms_force_N,
         "held_out_N": {name: list(pair) for name, pair in found.held_out.items()},
         "block": block(found),
     }
@@ -170,6 +174,12 @@ def report(found: Found) -> list[str]:
             for name, (r, b) in found.held_out.items()
         )
     )
+    if rms > POOR * found.rms_force_N:
+        lines.append(
+            f"That is {100.0 * rms / found.rms_force_N:.0f} % of the forces, {100.0 * POOR:g} % are common: "
+            "another robot than the model's, a load on the platform, or drives that do not make the "
+            "force they report"
+        )
     hidden = unseen(found)
     lines.append(
         f"Condition number {e.condition:.3g}; "

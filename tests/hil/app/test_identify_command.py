@@ -5,10 +5,13 @@ from math import pi
 from pathlib import Path
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from hil.app.configuration.configuration import load
+from hil.app.identify.delay import excited
 from hil.cli import main
+from tests.loop import laden
 
 TRANSPORT_MS = 0.5
 """Rates latched 0.1 ms after the tick, force from 0.6 ms on, on the plant's grid of 0.1 ms."""
@@ -101,6 +104,35 @@ def test_friction_and_masses_that_the_model_does_not_know_do_not_move_it(tmp_pat
     assert found["total_ms"] == pytest.approx(TRANSPORT_MS + 1e3 / (2 * pi * 200.0) + HOLD_MS, abs=0.05)
     assert found["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.15)
     assert "off the model's" in result.stdout
+
+
+def test_friction_is_that_of_the_drive_though_the_platform_is_heavier_than_the_model(tmp_path):
+    """A fifth more mass than believed: gains of 0.83, which would make 12.5 N of 15 N."""
+    c = load("virtual")
+    load_kg = {"mass_kg": 230.0, "com_m": [0.0, 0.0, 0.0], "shape": {"type": "sphere", "radius_m": 1.1}}
+    drives = {"coulomb_friction_N": 15.0, "viscous_friction_N_s_m": 300.0}
+    controller = excited(c, None, None).configuration
+    plant = laden.changed(
+        controller,
+        platform={"platform": {"payload": [load_kg]}},
+        plant={"model": {**drives, "type": "stewart", "force_bandwidth_Hz": 200.0}},
+    )
+    log, summary = tmp_path / "a.mcap", tmp_path / "a.json"
+    laden.run(controller, plant, log)
+    result = identify(log, "--delay", "--json", summary)
+    assert result.exit_code == 0, result.output
+    found = json.loads(summary.read_text())
+    assert found["gain"] == pytest.approx([0.84] * 6, abs=0.02)
+    assert found["coulomb_friction_N"] == pytest.approx([15.0] * 6, abs=0.5)
+    assert found["viscous_friction_N_s_m"] == pytest.approx([300.0] * 6, rel=0.15)
+    block = yaml.safe_load(result.stdout[result.stdout.index("controller:") :])["controller"]
+    assert block["model"]["coulomb_friction_N"] == pytest.approx(found["coulomb_friction_N"], rel=1e-3)
+    assert block["delay_compensation"] == found["delay_compensation"]
+
+
+def test_a_plant_without_friction_gets_no_friction_in_its_block(measured):
+    assert measured[200.0][2]["friction"] == {}
+    assert "model:" not in measured[200.0][0].stdout
 
 
 def test_a_log_of_a_held_platform_is_refused(tmp_path):

@@ -154,6 +154,7 @@ def test_a_held_out_half_is_predicted_as_well_as_the_half_that_was_fitted(laden)
 def test_logs_are_joined_without_mixing_their_instants(laden):
     e = equations_of(Model(PLATFORM), laden, None)
     both = joined([e, e])
+    assert both.sample[len(e.y)] > both.sample[len(e.y) - 1]
     assert len(np.unique(both.sample)) == 2 * len(np.unique(e.sample))
     one, two = solve(e, BELIEVED, SCALE, reflected=True), solve(both, BELIEVED, SCALE, reflected=True)
     np.testing.assert_allclose(two.theta, one.theta, rtol=0, atol=1e-6 * SCALE.max())
@@ -216,6 +217,29 @@ def test_a_body_is_left_as_it_is(laden):
 
 
 # -- standard errors -----------------------------------------------------------------------------------------
+
+
+def test_a_leg_with_a_noisy_drive_does_not_spoil_what_the_others_say(laden):
+    """500 N on leg 0: it counts by its residual, next to nothing."""
+    force = laden.force.copy()
+    force[:, 0] += np.random.default_rng(7).normal(0.0, 500.0, len(force))
+    quiet, loud = fitted(laden), fitted(laden._replace(force=force))
+    assert loud.residual_N[0] > 30.0 * quiet.residual_N[0]
+    assert loud.theta[0] == pytest.approx(quiet.theta[0], abs=0.03)
+    assert loud.theta[4:SIZE] == pytest.approx(quiet.theta[4:SIZE], abs=0.3)
+
+
+def test_white_residuals_give_the_textbook_variance():
+    """sigma^2 (Z^T Z)^-1, on average over many series."""
+    rng, n = np.random.default_rng(10), 2000
+    Z = np.column_stack([np.sin(0.05 * np.arange(n)), np.cos(0.08 * np.arange(n))])
+    hat = Z @ np.linalg.pinv(Z)
+    said = []
+    for _ in range(150):
+        noise = rng.normal(0.0, 3.0, n)
+        said.append(np.diag(coloured_covariance(Z, noise - hat @ noise, np.arange(n))))
+    expected = np.diag(9.0 * np.linalg.inv(Z.T @ Z))
+    assert np.mean(said, axis=0) / expected == pytest.approx([1.0, 1.0], abs=0.1)
 
 
 def test_coloured_residuals_count_at_the_frequency_of_the_regressor():

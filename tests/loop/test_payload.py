@@ -264,6 +264,15 @@ def test_a_load_that_moves_with_nothing_is_doubted_aloud(folder, tmp_path):
     assert "a load on the platform" not in quiet.stdout
 
 
+def test_a_controller_that_scales_its_masses_does_not_scale_the_legs_of_the_fit(tmp_path):
+    """Legs are those of section platform; the block takes the scale back."""
+    c = laden.changed(load("lab"), controller={"model": {"inertia_scale": 0.9}})
+    laden.run(c, c, tmp_path / "a.mcap")
+    found = identify_payload([tmp_path / "a.mcap"], None)
+    assert found.theta[0] == pytest.approx(300.0, rel=1e-3)
+    assert block(found)["controller"]["model"]["inertia_scale"] == 1.0
+
+
 def test_a_law_without_a_model_gets_no_section_for_one(folder, tmp_path):
     found = identify_payload([folder / "lab.mcap"], None)
     document = yaml.safe_load(load("lab").text)

@@ -10,8 +10,11 @@ from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError, IdentificationError, LogError
 from drivers.signals import DriveState
 from hil.app.configuration.configuration import Configuration
-from hil.app.identify.delay import exact_model, recorded_run
+from hil.app.configuration.platform import build_platform
+from hil.app.identify.delay import recorded_run
 from hil.app.loop_delay import loop_delay
+from hil.config.model import ModelSettings
+from hil.control.model import build_model
 from hil.identify.consistent import Consistent, consistent
 from hil.identify.delay import mean_forces
 from hil.identify.least_squares import Estimate, halves, prediction_error, solve, unknowns_scale
@@ -144,13 +147,20 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
         np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3),
         good,
     )
-    model = exact_model(c)
+    model = _model(c)
     given = None if reflected_kg is None else np.full(6, reflected_kg)
     try:
         equations = equations_of(model, signals, given)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None
     return Source(path, c, model, equations, reported, float(running.sum()) * period)
+
+
+def _model(c: Configuration) -> Model:
+    """Return the robot of section `platform`, to its figures: its legs and joints count."""
+    believed = c.controller.believed or ModelSettings()
+    exact = ModelSettings(sliding_speed_m_s=believed.sliding_speed_m_s)
+    return build_model(exact, build_platform(c.platform), c.platform.leg_spin)
 
 
 def _believed(source: Source, reflected_kg: float | None) -> Array:

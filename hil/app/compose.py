@@ -21,6 +21,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import encoder_limits
+from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
@@ -191,7 +192,10 @@ def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> PoseFusion 
 
     settings = c.estimation.fusion
     model = build_model(settings.model, platform, c.platform.leg_spin)
-    estimator = FusedEstimator(platform, model, settings, c.sensors.tracker, c.sensors.imu, 1.0 / rate_Hz)
+    sensors = c.sensors
+    estimator = FusedEstimator(
+        platform, model, settings, leg_errors(c), sensors.tracker, sensors.imu, 1.0 / rate_Hz
+    )
     return PoseFusion(estimator, settings)
 
 

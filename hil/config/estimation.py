@@ -15,16 +15,23 @@ class FusionSettings(Section):
 
     model: ModelSettings = ModelSettings()
     """Turns leg forces into the acceleration that carries the pose from tick to tick."""
-    length_std_m: Positive = 3e-7
-    """Noise of a leg length, one standard deviation; at least an encoder step divided by sqrt(12)."""
-    rate_std_m_s: Positive = 1e-3
-    """Noise of a leg rate. A rate latched 50 us beside its length is off by 0.5 mm/s at 10 m/s^2."""
+    length_std_m: Positive | None = None
+    """Noise of a leg length, one standard deviation. Default: the steps of the virtual plant's encoders and
+    of the feedback, each divided by sqrt(12); without a plant monitor.length_noise_m divided by sqrt(12)."""
+    rate_std_m_s: Positive | None = None
+    """Noise of a leg rate. Default: monitor.rate_noise_m_s divided by sqrt(12). Skew and scale of the rates
+    come on top: monitor.rate_skew_us and rate_error_percent, each divided by sqrt(3)."""
     latch_std_us: NonNegative = 0.0
     """How far the instants at which the drives latch are from even, beyond the known lateness of a tick."""
     acceleration_noise_m_s2_sqrtHz: Positive = 0.01
     """Density of what the model's linear acceleration is wrong by, as white noise."""
     angular_acceleration_noise_rad_s2_sqrtHz: Positive = 0.01
     """The same of the angular acceleration."""
+    leg_force_std_N: NonNegative | None = None
+    """Force along a leg that neither model nor drives know, root of its mean square: friction, inertia of
+    motor and screw. Default: friction as for monitor.friction_N, less that of the model. 0: there is none."""
+    leg_force_time_ms: Positive = 100.0
+    """Correlation time of that force. Dry friction that turns r times a second has 500 / r."""
     gate_std: Annotated[float, Field(ge=3)] = 6.0
     """A measurement further from its prediction than this many standard deviations is left out."""
     encoder_slip_m: Positive = 2e-4

@@ -34,7 +34,8 @@ from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_kernels import fill_estimate, rerun_kernel
-from hil.estimation.fusion_predict import accelerate_kernel
+from hil.estimation.fusion_noise import LegErrors, pack_noise
+from hil.estimation.fusion_predict import accelerate_kernel, forces_at
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
@@ -49,6 +50,8 @@ STANDING_m_s = 5e-3
 """On shut brakes no leg is faster that stands."""
 SILENT_SAMPLES = 5
 """A sensor that misses so many samples in a row is missed."""
+_BIAS_STD = (0.05, 0.5)
+"""rad/s and m/s^2, of an IMU whose biases nobody has seen."""
 _START_STD = (1e-3, 1e-2, 1e-3, 1e-3)
 """Pose m and rad, linear and angular rate of a platform at rest whose legs have just been heard."""
 
@@ -77,6 +80,7 @@ class FusedEstimator:
     Parameters
     ----------
     model : carries the pose on.
+    legs : what encoders and drives are wrong by.
     tracker, imu : the configured ones, with their standard deviations; None where there is none.
     """
 
@@ -85,6 +89,7 @@ class FusedEstimator:
         platform: Platform,
         model: Model,
         settings: FusionSettings,
+        legs: LegErrors,
         tracker: TrackerSettings | None,
         imu: ImuSettings | None,
         period_s: float,
@@ -95,9 +100,9 @@ class FusedEstimator:
         self._model = model
         self._period_s = period_s
         self._slip = settings.encoder_slip_m
-        self._noise = _noise(settings, tracker, imu, platform.gravity)
+        self._noise = pack_noise(settings, legs, tracker, imu, platform.gravity)
         biased = imu is not None and settings.imu_biases
-        n = 18 if biased else 12
+        n = 12 + 6 * int(biased) + 6 * int(legs.force_std_N > 0.0)
         oldest_s = max(tracker.latency_max_ms * 1e-3 if tracker else 0.0, 2.0 / imu.rate_Hz if imu else 0.0)
         size = ceil(oldest_s / period_s) + 3
         self._states = np.zeros((size, k.STATE))
@@ -123,8 +128,11 @@ class FusedEstimator:
         for block, std in enumerate(_START_STD):
             for i in range(3):
                 P[3 * block + i, 3 * block + i] = std * std
-        for i in range(12, len(P)):
-            P[i, i] = 0.05**2 if i < 15 else 0.5**2
+        forces = forces_at(len(P), self._noise) or len(P)
+        for i in range(12, forces):
+            P[i, i] = _BIAS_STD[(i - 12) // 3] ** 2
+        for i in range(forces, len(P)):
+            P[i, i] = self._noise[k.LEG_FORCE_VARIANCE]
         self._tau: Array | None = None
         self._left_out = [0] * LEGS
         self._against = [0] * LEGS
@@ -290,26 +298,3 @@ def _write_imu(u: Array, share: float, sample: Sample) -> None:
     u[k.IMU] = 1.0
     u[k.IMU_AT] = share
     u[k.GYRO : k.GYRO + 6] = sample.values
-
-
-def _noise(
-    s: FusionSettings, tracker: TrackerSettings | None, imu: ImuSettings | None, gravity: Array
-) -> Array:
-    """Return the constants of the kernels: variances, densities, gate, gravity."""
-    c = np.zeros(k.NOISE)
-    c[k.Q_V] = s.acceleration_noise_m_s2_sqrtHz**2
-    c[k.Q_W] = s.angular_acceleration_noise_rad_s2_sqrtHz**2
-    c[k.R_LENGTH] = s.length_std_m**2
-    c[k.R_RATE] = s.rate_std_m_s**2
-    if tracker is not None:
-        c[k.R_POSITION] = tracker.position_std_m**2
-        c[k.R_ROTATION] = np.deg2rad(tracker.orientation_std_deg) ** 2
-    c[k.LATCH] = (s.latch_std_us * 1e-6) ** 2
-    c[k.GATE] = s.gate_std**2
-    if imu is not None:
-        c[k.R_GYRO] = imu.angular_rate_std_rad_s**2
-        c[k.R_FORCE] = imu.specific_force_std_m_s2**2
-        c[k.Q_GYRO_BIAS] = s.gyro_bias_walk_rad_s_sqrts**2
-        c[k.Q_FORCE_BIAS] = s.accelerometer_bias_walk_m_s2_sqrts**2
-    c[k.GRAVITY : k.GRAVITY + 3] = gravity
-    return c

@@ -3,10 +3,10 @@
 All measurements are processed one number at a time, so nothing is inverted; every update of P is Joseph's
 (Bucy and Joseph, 1968), which keeps P symmetric and positive whatever the gain.
 
-State x (24,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 and accelerometer 21..23. Error
-(n,), n = 12 or 18: dp, dtheta, dv, domega, biases; p = p + dp, R = exp(dtheta) R: all in the base frame
-(the global perturbation of Sola, Deray and Atchuthan, A micro Lie theory, 2018), biases in the platform
-frame.
+State x (30,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 and accelerometer 21..23, leg
+forces that the model does not know 24..29. Error (n,), n = 12, 18 or 24: dp, dtheta, dv, domega, biases where
+the IMU has some, leg forces where there are some; p = p + dp, R = exp(dtheta) R: all in the base frame (the
+global perturbation of Sola, Deray and Atchuthan, A micro Lie theory, 2018), biases in the platform frame.
 """
 
 from typing import Any
@@ -28,7 +28,15 @@ from drivers.compiled.compiler import (
 from drivers.tick_columns import TICK, part
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_predict import predict, rotation_of
-from hil.estimation.fusion_update import beyond, correct, leg_rows, take, update_gyro, update_tracker
+from hil.estimation.fusion_update import (
+    beyond,
+    correct,
+    leg_rows,
+    rate_variance,
+    take,
+    update_gyro,
+    update_tracker,
+)
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor
 from hil.mathematics.vectors import row
 from hil.robot.kinematics_kernels import lengths_and_jacobian
@@ -77,10 +85,10 @@ def interval(
         if u[k.USED + i] != 0.0:
             l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
             take(P, h, c[k.R_LENGTH] + rate * rate * c[k.LATCH], u[k.LENGTH + i] - l, dx, K, Ph)
-            take(P, g, c[k.R_RATE], u[k.RATE + i] - rate, dx, K, Ph)
+            take(P, g, rate_variance(x, u, c, g, rate), u[k.RATE + i] - rate, dx, K, Ph)
     if u[k.IMU] != 0.0:
         update_gyro(x, P, u, c, dx, h, K, Ph)
-    correct(x, dx)
+    correct(x, c, dx)
 
 
 @kernel(MATRIX, MATRIX, VECTOR, OUT_MATRIX, OUT_MATRIX, OUT_CUBE, INTEGER, INTEGER)

@@ -1,7 +1,7 @@
 """Where the state, an interval and the noise of the filter of `hil.estimation.fusion` keep what they hold."""
 
-STATE = 24
-TWIST, GYRO_BIAS, FORCE_BIAS = 12, 18, 21
+STATE = 30
+TWIST, GYRO_BIAS, FORCE_BIAS, LEG_FORCE = 12, 18, 21, 24
 
 # One interval, from the tick before to this one: what was measured, and what was decided about it.
 T = 0
@@ -29,16 +29,20 @@ TRACKER_INNOVATION = 55
 """6: measured less predicted pose, m and rad."""
 GRADIENT = 61
 """(6, 6): how the model's acceleration changes with dp, dtheta."""
-INTERVAL = 97
+INFLUENCE = 97
+"""(6, 6): M^-1 J^T, how forces along the legs accelerate the platform; 0 on brakes."""
+INTERVAL = 133
 
 # Noise: variances of one sample, densities of what is white in time.
 (
     Q_V, Q_W, R_LENGTH, R_RATE, R_POSITION, R_ROTATION, GATE, R_GYRO, R_FORCE, Q_GYRO_BIAS, Q_FORCE_BIAS,
-    LATCH, GRAVITY,
-) = range(13)  # fmt: skip
-"""GATE is the square of the allowed number of standard deviations; LATCH the variance of the
-instant of latching, s^2; GRAVITY the first of three, m/s^2."""
-NOISE = 16
+    LATCH, RATE_SKEW, RATE_SCALE, LEG_FORCE_VARIANCE, LEG_FORCE_TIME, BIASED, GRAVITY,
+) = range(18)  # fmt: skip
+"""GATE is the square of the allowed number of standard deviations; LATCH and RATE_SKEW variances of the
+instants of latching a length and of a rate beside it, s^2; RATE_SCALE that of the share of a rate that is
+wrong; LEG_FORCE_VARIANCE N^2, 0 without these states; LEG_FORCE_TIME s; BIASED 1 with the biases of an IMU;
+GRAVITY the first of three, m/s^2."""
+NOISE = 21
 
 DIFFERENCE = 1e-6
 """m or rad: step of the gradient."""

@@ -1,10 +1,13 @@
 """The filter's prediction: state and covariance over a part of an interval."""
 
+import numpy as np
+
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kernel
 from hil.estimation import fusion_layout as k
+from hil.mathematics.linear_algebra import lu_factor, lu_solve
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale, sub
-from hil.robot.dynamics_kernels import forward_dynamics_kernel
+from hil.robot.dynamics_kernels import fill_jacobian, forward_dynamics_kernel, model_inertia
 
 
 @helper
@@ -29,6 +32,60 @@ def rotation_of(x: Array) -> Array:
 
 
 @helper
+def forces_at(n: int, c: Array) -> int:
+    """Return where the error of n numbers has its six leg forces; 0 where it has none."""
+    return n - 6 if c[k.LEG_FORCE_VARIANCE] > 0.0 else 0
+
+
+@helper
+def acceleration(x: Array, u: Array, c: Array) -> tuple[Vector, Vector]:
+    """Return dv and domega of an interval: the model's, and that of the leg forces it does not know."""
+    a, turn = at(u, k.DTWIST), at(u, k.DTWIST + 3)
+    if c[k.LEG_FORCE_VARIANCE] > 0.0:
+        for leg in range(6):
+            at_leg = k.INFLUENCE + leg
+            f = x[k.LEG_FORCE + leg]
+            a = add(a, scale(f, (u[at_leg], u[at_leg + 6], u[at_leg + 12])))
+            turn = add(turn, scale(f, (u[at_leg + 18], u[at_leg + 24], u[at_leg + 30])))
+    return a, turn
+
+
+@helper
+def add_force_noise(P: Array, forces: int, q: float) -> None:
+    """Add the variance q (N^2) to that of each of the leg forces."""
+    for i in range(forces, forces + 6):
+        P[i, i] += q
+
+
+@helper
+def carry(P: Array, F: Array, W: Array) -> None:
+    """Replace the upper half of P by that of F P F^T, row by row and past the zeros of F. W is scratch."""
+    n = P.shape[0]
+    multiply(F, P, W)
+    for i in range(n):
+        for j in range(n):
+            P[j, i] = W[i, j]
+    multiply(F, P, W)
+    for i in range(n):
+        for j in range(i, n):
+            P[i, j] = W[j, i]
+
+
+@helper
+def multiply(A: Array, B: Array, C: Array) -> None:
+    """Fill C = A B, all (n, n)."""
+    n = A.shape[0]
+    for i in range(n):
+        for j in range(n):
+            C[i, j] = 0.0
+        for m in range(n):
+            factor = A[i, m]
+            if factor != 0.0:
+                for j in range(n):
+                    C[i, j] += factor * B[m, j]
+
+
+@helper
 def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: Array, W: Array) -> None:
     """Carry x and P on by dt (s) in place, with the acceleration of the interval u. F, W (n, n) are scratch.
 
@@ -37,9 +94,14 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
     """
     n = P.shape[0]
     R = rotation_of(x)
-    a = at(u, k.DTWIST)
-    turn = at(u, k.DTWIST + 3)
+    a, turn = acceleration(x, u, c)
     w = at(x, k.TWIST + 3)
+    forces = forces_at(n, c)
+    stays, q_leg = 1.0, 0.0
+    if forces:
+        stays = np.exp(-dt / c[k.LEG_FORCE_TIME])
+        q_leg = fade * c[k.LEG_FORCE_VARIANCE] * (1.0 - stays * stays)
+        add_force_noise(P, forces, 0.5 * q_leg)
     q_v = c[k.Q_V]
     F[:, :] = 0.0
     for i in range(n):
@@ -49,7 +111,7 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
         share = q_v / u[k.T]
         share = share / (share + c[k.R_FORCE])
         f = at(u, k.FORCE)
-        if n > 12:
+        if c[k.BIASED] != 0.0:
             f = sub(f, at(x, k.FORCE_BIAS))
         f = rotate(R, f)
         a = add(a, scale(share, sub(add(f, at(c, k.GRAVITY)), a)))
@@ -57,7 +119,7 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
         gain = share * dt  # dv changes by dtheta x f share dt
         F[6, 4], F[6, 5], F[7, 3] = gain * f[2], -gain * f[1], -gain * f[2]
         F[7, 5], F[8, 3], F[8, 4] = gain * f[0], gain * f[1], -gain * f[0]
-        if n > 12:
+        if c[k.BIASED] != 0.0:
             for i in range(3):
                 for j in range(3):
                     F[6 + i, 15 + j] = -gain * R[i, j]
@@ -65,6 +127,8 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
         kept = dt * (1.0 - share) if i < 3 else dt
         for j in range(6):
             F[6 + i, j] += kept * u[k.GRADIENT + 6 * i + j]
+            if forces:
+                F[6 + i, forces + j] = kept * u[k.INFLUENCE + 6 * i + j]
     for i in range(3):
         for j in range(n):
             if j != 6 + i:
@@ -83,19 +147,16 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
             F[3 + i, j] = 0.5 * dt * F[9 + i, j]
             F[3 + i, 9 + j] = dt * (e[i] + B * once[i] + C * twice[i])  # its left Jacobian
         F[j, 6 + j] = dt
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for m in range(n):
-                total += F[i, m] * P[m, j]
-            W[i, j] = total
-    for i in range(n):
-        for j in range(i, n):
-            total = 0.0
-            for m in range(n):
-                total += W[i, m] * F[j, m]
-            P[i, j] = total
-    add_process_noise(P, q_v * fade, c[k.Q_W] * fade, c[k.Q_GYRO_BIAS], c[k.Q_FORCE_BIAS], dt)
+    for j in range(6 if forces else 0):
+        F[forces + j, forces + j] = stays
+        for i in range(3):
+            F[3 + i, forces + j] = 0.5 * dt * F[9 + i, forces + j]
+    carry(P, F, W)
+    if forces:
+        add_force_noise(P, forces, 0.5 * q_leg)
+    add_process_noise(P, c, q_v * fade, c[k.Q_W] * fade, dt)
+    for i in range(6):
+        x[k.LEG_FORCE + i] *= stays
     for i in range(3):
         x[i] += dt * (x[k.TWIST + i] + 0.5 * dt * a[i])
         x[k.TWIST + i] += dt * a[i]
@@ -104,7 +165,7 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
 
 
 @helper
-def add_process_noise(P: Array, q_v: float, q_w: float, q_gyro: float, q_force: float, dt: float) -> None:
+def add_process_noise(P: Array, c: Array, q_v: float, q_w: float, dt: float) -> None:
     """Add the noise of white accelerations and bias drifts over dt to P, and mirror its upper half."""
     n = P.shape[0]
     for i in range(3):
@@ -112,9 +173,9 @@ def add_process_noise(P: Array, q_v: float, q_w: float, q_gyro: float, q_force: 
             P[at_pose, at_pose] += q * dt * dt * dt / 3.0
             P[at_pose, at_rate] += q * dt * dt / 2.0
             P[at_rate, at_rate] += q * dt
-        if n > 12:
-            P[12 + i, 12 + i] += q_gyro * dt
-            P[15 + i, 15 + i] += q_force * dt
+        if c[k.BIASED] != 0.0:
+            P[12 + i, 12 + i] += c[k.Q_GYRO_BIAS] * dt
+            P[15 + i, 15 + i] += c[k.Q_FORCE_BIAS] * dt
     for i in range(n):
         for j in range(i):
             P[i, j] = P[j, i]
@@ -132,9 +193,23 @@ def variance_of(P: Array, h: Array) -> float:
     return total
 
 
+@helper
+def fill_influence(constants: Array, code: int, p: Array, R: Array, u: Array) -> None:
+    """Fill INFLUENCE of u: M^-1 J^T of the model at a pose."""
+    J, M, LU, order = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty(6, np.int64)
+    moved = np.zeros(6)
+    fill_jacobian(constants, code, p, R, J)
+    model_inertia(constants, code, p, R, M)
+    if lu_factor(M, LU, order):
+        for leg in range(6):
+            lu_solve(LU, order, J[leg], moved)
+            for i in range(6):
+                u[k.INFLUENCE + 6 * i + leg] = moved[i]
+
+
 @kernel(VECTOR, INTEGER, VECTOR, VECTOR, VECTOR, OUT_VECTOR)
 def accelerate_kernel(constants: Array, code: int, x: Array, tau: Array, wrench: Array, u: Array) -> None:
-    """Fill DTWIST and GRADIENT of u: the model's acceleration for forces tau (6,) N, its pose gradient.
+    """Fill DTWIST, GRADIENT and INFLUENCE of u: its acceleration for forces tau (6,) N, gradients.
 
     A platform on legs that are given forces is an inverted pendulum: an error in a direction that no leg sees
     grows by itself, about as fast as a tracker of 1 mm and 200 Hz corrects it. Forward differences.
@@ -156,3 +231,4 @@ def accelerate_kernel(constants: Array, code: int, x: Array, tau: Array, wrench:
         moved = forward_dynamics_kernel(constants, code, pj, Rj, twist, tau, wrench)
         for i in range(6):
             u[k.GRADIENT + 6 * i + j] = (moved[i] - there[i]) / k.DIFFERENCE
+    fill_influence(constants, code, p, R, u)

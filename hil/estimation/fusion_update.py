@@ -5,7 +5,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from hil.estimation import fusion_layout as k
-from hil.estimation.fusion_predict import exp_step, rotation_of, variance_of
+from hil.estimation.fusion_predict import acceleration, exp_step, forces_at, rotation_of, variance_of
 from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
 from hil.robot.kinematics_kernels import leg
@@ -20,11 +20,11 @@ def take(P: Array, h: Array, r: float, innovation: float, dx: Array, K: Array, P
     n = P.shape[0]
     s = r
     predicted = 0.0
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += P[i, j] * h[j]
-        Ph[i] = total
+    Ph[:] = 0.0
+    for j in range(n):
+        if h[j] != 0.0:
+            for i in range(n):
+                Ph[i] += h[j] * P[j, i]
     for i in range(n):
         s += h[i] * Ph[i]
         predicted += h[i] * dx[i]
@@ -46,15 +46,18 @@ def take(P: Array, h: Array, r: float, innovation: float, dx: Array, K: Array, P
 
 
 @helper
-def correct(x: Array, dx: Array) -> None:
+def correct(x: Array, c: Array, dx: Array) -> None:
     """Apply the correction dx (n,) to x, and clear it."""
     for i in range(3):
         x[i] += dx[i]
         x[k.TWIST + i] += dx[6 + i]
         x[k.TWIST + 3 + i] += dx[9 + i]
-        if dx.shape[0] > 12:
+        if c[k.BIASED] != 0.0:
             x[k.GYRO_BIAS + i] += dx[12 + i]
             x[k.FORCE_BIAS + i] += dx[15 + i]
+    forces = forces_at(dx.shape[0], c)
+    for i in range(6 if forces else 0):
+        x[k.LEG_FORCE + i] += dx[forces + i]
     R = rotation_of(x)
     exp_step(R, at(dx, 3))
     orthonormalise(R)
@@ -91,6 +94,18 @@ def leg_rows(a: Vector, b: Vector, x: Array, h: Array, g: Array) -> tuple[float,
 
 
 @helper
+def rate_variance(x: Array, u: Array, c: Array, g: Array, rate: float) -> float:
+    """Return the variance of a measured leg rate: its noise, its skew beside the length, its scale.
+
+    With the row g of the rate, its gradient in pose and twist, the leg accelerates by g . [twist; dtwist].
+    """
+    dv, dw = acceleration(x, u, c)
+    ddq = dot(at(g, 0), at(x, k.TWIST)) + dot(at(g, 3), at(x, k.TWIST + 3)) + dot(at(g, 6), dv)
+    ddq += dot(at(g, 9), dw)
+    return float(c[k.R_RATE] + c[k.RATE_SKEW] * ddq * ddq + c[k.RATE_SCALE] * rate * rate)
+
+
+@helper
 def beyond(a: Array, b: Array, x: Array, P: Array, u: Array, c: Array, h: Array, g: Array) -> tuple[int, int]:
     """Return how many legs contradict the prediction, and the last of them; fill INNOVATION of u."""
     count = 0
@@ -102,7 +117,7 @@ def beyond(a: Array, b: Array, x: Array, P: Array, u: Array, c: Array, h: Array,
             continue
         spread = variance_of(P, h) + c[k.R_LENGTH] + rate * rate * c[k.LATCH]
         far = u[k.INNOVATION + i] ** 2 > c[k.GATE] * spread
-        fast = (u[k.RATE + i] - rate) ** 2 > c[k.GATE] * (variance_of(P, g) + c[k.R_RATE])
+        fast = (u[k.RATE + i] - rate) ** 2 > c[k.GATE] * (variance_of(P, g) + rate_variance(x, u, c, g, rate))
         if far or fast:
             count += 1
             last = i
@@ -134,7 +149,7 @@ def update_tracker(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, 
         h[:] = 0.0
         h[i] = 1.0
         take(P, h, c[k.R_POSITION] if i < 3 else c[k.R_ROTATION], u[k.TRACKER_INNOVATION + i], dx, K, Ph)
-    correct(x, dx)
+    correct(x, c, dx)
 
 
 @helper
@@ -146,7 +161,8 @@ def update_gyro(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: 
     R = rotation_of(x)
     w = at(x, k.TWIST + 3)
     left = (1.0 - u[k.IMU_AT]) * u[k.T]
-    expected = rotate_back(R, sub(w, scale(left, at(u, k.DTWIST + 3))))
+    _, turn = acceleration(x, u, c)
+    expected = rotate_back(R, sub(w, scale(left, turn)))
     for i in range(3):
         column = (R[0, i], R[1, i], R[2, i])
         turned = cross(column, w)  # column . (omega x dtheta) = dtheta . (column x omega)
@@ -155,7 +171,7 @@ def update_gyro(x: Array, P: Array, u: Array, c: Array, dx: Array, h: Array, K: 
         for j in range(3):
             h[3 + j] = turned[j]
             h[9 + j] = column[j]
-        if P.shape[0] > 12:
+        if c[k.BIASED] != 0.0:
             h[12 + i] = 1.0
             bias = x[k.GYRO_BIAS + i]
         take(P, h, c[k.R_GYRO], u[k.GYRO + i] - expected[i] - bias, dx, K, Ph)

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.sensors import Readings, Sample
+from drivers.signals import DriveState
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation.fused_pose import PoseFusion
 from hil.estimation.fusion import LEFT_OUT_TICKS, SLIP_TICKS, FusedEstimator
+from hil.estimation.fusion_noise import LegErrors
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from tests.records import altered, record_of
@@ -26,12 +28,12 @@ T = 1e-3
 MS = 1_000_000
 ZERO = np.zeros(6)
 LOOSE = FusionSettings(
-    length_std_m=1e-4,
-    rate_std_m_s=1e-2,
     acceleration_noise_m_s2_sqrtHz=0.5,
     angular_acceleration_noise_rad_s2_sqrtHz=0.4,
     gate_std=50.0,
 )
+LOOSE_LEGS = LegErrors(length_std_m=1e-4, rate_std_m_s=1e-2)
+LEGS = LegErrors(length_std_m=3e-7, rate_std_m_s=1e-3)
 TRACKER = TrackerSettings(position_std_m=2e-3, orientation_std_deg=0.1)
 ROTATION_STD = np.deg2rad(0.1)
 
@@ -60,7 +62,7 @@ class Truth:
 
     def measure(self, *, noise: float = 1.0) -> Record:
         q, dq = legs(self.p, self.R, self.twist)
-        s, normal = self.settings, self.chance.standard_normal
+        s, normal = LOOSE_LEGS, self.chance.standard_normal
         return measurement(q + noise * s.length_std_m * normal(6), dq + noise * s.rate_std_m_s * normal(6))
 
     def track(self, tick: int, offset_s: float) -> Sample:
@@ -83,8 +85,8 @@ def measurement(q, dq, *, lost=()) -> Record:
     return record_of(length=q, rate=dq, age=[9 * (leg in lost) for leg in range(6)])
 
 
-def estimator(settings=LOOSE, tracker=TRACKER, imu=None, start=None):
-    found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, tracker, imu, T)
+def estimator(settings=LOOSE, errors=LOOSE_LEGS, start=None):
+    found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, TRACKER, None, T)
     truth = start or Truth(0)
     found.start(0, 0, truth.p, truth.R.as_matrix())
     return found
@@ -210,7 +212,7 @@ def test_it_is_the_plain_filter_with_a_leg_lost_and_a_tracker_between_ticks():
             return np.concatenate((l[kept], dl[kept]))
 
         z = np.concatenate((m["length"][kept], m["rate"][kept]))
-        plain.update(both, z, np.repeat([LOOSE.length_std_m, LOOSE.rate_std_m_s], len(kept)) ** 2)
+        plain.update(both, z, np.repeat([LOOSE_LEGS.length_std_m, LOOSE_LEGS.rate_std_m_s], len(kept)) ** 2)
         P = found._covariances[found._newest]
         scale = np.sqrt(np.outer(plain.P.diagonal(), plain.P.diagonal()))
         assert np.abs((P - plain.P) / scale).max() < 1e-5
@@ -294,9 +296,8 @@ def test_a_sample_older_than_the_memory_or_stamped_ahead_is_passed_over():
 def test_missed_ticks_and_a_late_loop_are_taken_into_account():
     truth = Truth(6, LOOSE.model_copy(update={"acceleration_noise_m_s2_sqrtHz": 1e-9}))
     truth.twist = np.array([0.5, 0.2, 0, 0, 0, 0])
-    tight = LOOSE.model_copy(update={"length_std_m": 1e-6, "gate_std": 6.0})
-    found = FusedEstimator(PLATFORM, Model(PLATFORM), tight, TRACKER, None, T)
-    found.start(0, 0, truth.p, truth.R.as_matrix())
+    tight = LOOSE.model_copy(update={"gate_std": 6.0})
+    found = estimator(tight, LOOSE_LEGS._replace(length_std_m=1e-6), start=truth)
     tick = now = 0
     p0 = truth.p
     for k in range(200):
@@ -318,7 +319,7 @@ def test_missed_ticks_and_a_late_loop_are_taken_into_account():
 def settled(settings=None):
     """Return a filter of micrometre legs that has been at rest for a while, and the truth."""
     truth = Truth(7)
-    found = estimator(settings or FusionSettings(), start=truth)
+    found = estimator(settings or FusionSettings(), LEGS, start=truth)
     for tick in range(1, 100):
         update(found, tick, measurement(*legs(truth.p, truth.R, ZERO)))
     return found, truth
@@ -375,7 +376,7 @@ def test_a_silent_and_a_blind_leg_are_lost_and_come_back():
 def test_an_age_that_may_be_lost_does_not_count_and_a_leg_that_is_not_used_makes_errors_estimates():
     settings = FusionSettings(may_lose_legs=[2])
     truth = Truth(7)
-    found = PoseFusion(FusedEstimator(PLATFORM, Model(PLATFORM), settings, TRACKER, None, T), settings)
+    found = PoseFusion(FusedEstimator(PLATFORM, Model(PLATFORM), settings, LEGS, TRACKER, None, T), settings)
     found.start(0, 0, truth.p, truth.R.as_matrix())
     for tick, lost, ages, unseen in (
         (1, (), [0] * 6, 0),
@@ -419,7 +420,7 @@ def test_a_tracker_sample_that_is_far_off_is_refused():
 def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
     imu = ImuSettings(rate_Hz=1000.0)
     truth = Truth(8)
-    found = FusedEstimator(PLATFORM, Model(PLATFORM), LOOSE, TRACKER, imu, T)
+    found = FusedEstimator(PLATFORM, Model(PLATFORM), LOOSE, LOOSE_LEGS, TRACKER, imu, T)
     found.start(0, 0, truth.p, truth.R.as_matrix())
     gyro_bias, force_bias = np.array([0.02, -0.01, 0.03]), np.array([0.1, 0.2, -0.1])
     for tick in range(1, 1500):
@@ -440,3 +441,97 @@ def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
     for tick in range(1, 200):
         alone = update(without, tick, truth.measure())
     assert fused["pose_std"][:3].max() < alone["pose_std"][:3].max()
+
+
+# -- forces and rates that are wrong -----------------------------------------------------------------------------
+
+
+class Driven:
+    """A platform on its drives, about rest at its pose, with a force along each leg that nobody reports."""
+
+    def __init__(self, unknown) -> None:
+        start = Truth(0)
+        self.p, self.R, self.twist = start.p, start.R, ZERO
+        self.model = Model(PLATFORM)
+        self.unknown = np.array(unknown, float)
+        self.dtwist = ZERO
+        self.hold = self.model.inverse_dynamics(self.p, self.R.as_matrix(), ZERO, ZERO)
+
+    def step(self, tau) -> None:
+        n = 20
+        for _ in range(n):
+            acting = np.asarray(tau) + self.unknown
+            self.dtwist = self.model.forward_dynamics(self.p, self.R.as_matrix(), self.twist, acting)
+            dt = T / n
+            self.p = self.p + dt * self.twist[:3] + dt * dt / 2 * self.dtwist[:3]
+            self.R = Rotation.from_rotvec(dt * self.twist[3:] + dt * dt / 2 * self.dtwist[3:]) * self.R
+            self.twist = self.twist + dt * self.dtwist
+
+    def measure(self, tau, *, skew_s=0.0, scale=1.0) -> Record:
+        q, _ = legs(self.p, self.R, self.twist)
+        there = Rotation.from_rotvec(skew_s * self.twist[3:]) * self.R
+        _, dq = legs(self.p + skew_s * self.twist[:3], there, self.twist + skew_s * self.dtwist)
+        return altered(measurement(q, scale * dq), drive_force=tau, drive_state=[DriveState.RUN] * 6)
+
+
+FORCED = LEGS._replace(force_std_N=500.0)
+
+
+def test_a_force_along_a_leg_that_nobody_reports_is_found():
+    truth = Driven([0, 0, 400.0, 0, 0, -250.0])
+    found = estimator(FusionSettings(), FORCED, start=truth)
+    for tick in range(1, 60):
+        truth.step(truth.hold)
+        fused = update(found, tick, truth.measure(truth.hold))
+        assert all(fused.used)
+    x, P = found._states[found._newest], found._covariances[found._newest]
+    std = np.sqrt(P.diagonal()[12:])
+    assert std.max() < 200.0, "of 500 N before anything was measured"
+    assert np.abs((x[24:] - truth.unknown) / std).max() < 3
+    e = error(fused, truth)
+    assert e @ np.linalg.solve(P[:12, :12], e) / 12 < 2
+
+
+def test_unknown_forces_and_the_biases_of_an_imu_are_told_apart():
+    truth = Driven([300.0, 0, 0, -300.0, 0, 0])
+    imu = ImuSettings(rate_Hz=1000.0)
+    found = FusedEstimator(PLATFORM, Model(PLATFORM), FusionSettings(), FORCED, TRACKER, imu, T)
+    found.start(0, 0, truth.p, truth.R.as_matrix())
+    gyro_bias = np.array([0.02, -0.01, 0.03])
+    for tick in range(1, 200):
+        truth.step(truth.hold)
+        w = truth.R.inv().apply(truth.twist[3:]) + gyro_bias
+        f = truth.R.inv().apply(truth.dtwist[:3] - PLATFORM.gravity)
+        sample = Sample(tick - 1, 0.999e-3, (*w, *f))
+        Fused(found, tick, altered(truth.measure(truth.hold)), Readings(imu=(sample,)))
+    x, P = found._states[found._newest], found._covariances[found._newest]
+    std = np.sqrt(P.diagonal())
+    assert np.abs(x[18:21] - gyro_bias).max() < 3 * std[12:15].max() < 3e-3
+    assert np.abs((x[24:] - truth.unknown) / std[18:]).max() < 3
+
+
+@pytest.mark.parametrize(
+    ("off", "stated"),
+    [({"skew_s": 50e-6}, {"rate_skew_std_s": 50e-6}), ({"scale": 1.01}, {"rate_scale_std": 0.01})],
+)
+def test_a_rate_that_is_wrong_by_what_is_stated_leaves_no_leg_out_and_no_twist_beyond_its_deviation(
+    off, stated
+):
+    """A leg pushes with 10 kN for 60 ms. Noise of the rates: 10 um/s, in both filters."""
+    quiet = LEGS._replace(rate_std_m_s=1e-5)
+    beyond = []
+    for errors in (quiet._replace(**stated), quiet):
+        truth = Driven([0.0] * 6)
+        found = estimator(FusionSettings(), errors, start=truth)
+        tau = truth.hold + np.array([10e3, 0, 0, 0, 0, 0])
+        worst = 0.0
+        for tick in range(1, 60):
+            truth.step(tau)
+            fused = update(found, tick, truth.measure(tau, **off))
+            P = found._covariances[found._newest]
+            e = error(fused, truth)[6:]
+            if tick > 5:
+                worst = max(worst, e @ np.linalg.solve(P[6:12, 6:12], e) / 6)
+        beyond.append(worst)
+    assert beyond[0] < 2
+    assert beyond[1] > 20

@@ -30,6 +30,7 @@ from hil.config.limits import LimitSettings
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.fused_pose import PoseFusion
 from hil.estimation.fusion import FusedEstimator
+from hil.estimation.fusion_noise import LegErrors
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.pose import Estimator
 from hil.estimation.predictor import Predictor
@@ -155,7 +156,9 @@ def fusion():
     """A filter with a tracker that has begun on the book's path."""
     settings = FusionSettings(may_lose_legs=[5])
     first, tracker = sample(BOOK["states"][4]), TrackerSettings()
-    found = PoseFusion(FusedEstimator(PLATFORM, Model(PLATFORM), settings, tracker, None, 1e-3), settings)
+    errors = LegErrors(length_std_m=3e-7, rate_std_m_s=1e-3)
+    estimator = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, tracker, None, 1e-3)
+    found = PoseFusion(estimator, settings)
     found.start(-1, -MS, first.p, first.R)
     return found
 

@@ -54,12 +54,9 @@ def interval(
     believed; later ones, for a sample that came late, keep to it.
     """
     n = P.shape[0]
-    F = work[0:n, 0:n]
-    W = work[n : 2 * n, 0:n]
-    dx, h, g, K, Ph = (
-        work[2 * n, 0:n], work[2 * n + 1, 0:n], work[2 * n + 2, 0:n], work[2 * n + 3, 0:n], work[2 * n + 4,
-        0:n]
-    )  # fmt: skip
+    F, W = work[0:n], work[n : 2 * n]
+    dx, h, g, K, Ph = work[2 * n], work[2 * n + 1], work[2 * n + 2], work[2 * n + 3], work[2 * n + 4]
+    bent = work[2 * n + 5 : 2 * n + 7]
     dx[:] = 0.0
     new = u[k.TRACKER] == k.UNDECIDED
     for fades in range(k.FADES + 1):
@@ -73,7 +70,7 @@ def interval(
             predict(x, P, u, c, done, u[k.FADE], F, W)
             update_tracker(x, P, u, c, dx, h, K, Ph)
         predict(x, P, u, c, u[k.T] - done, u[k.FADE], F, W)
-        count, last = beyond(a, b, x, P, u, c, h, g)
+        count, last = beyond(a, b, x, P, u, c, h, g, bent, F, W)
         if u[k.DECIDED] != 0.0 or count == 0 or fades == k.FADES:
             break
         if count == 1 and u[k.USED + last] < k.KEPT:
@@ -84,7 +81,8 @@ def interval(
     for i in range(6):
         if u[k.USED + i] != 0.0:
             l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
-            take(P, h, c[k.R_LENGTH] + rate * rate * c[k.LATCH], u[k.LENGTH + i] - l, dx, K, Ph)
+            r = c[k.R_LENGTH] + bent[1, i] + rate * rate * c[k.LATCH]
+            take(P, h, r, u[k.LENGTH + i] - l - bent[0, i], dx, K, Ph)
             take(P, g, rate_variance(x, u, c, g, rate), u[k.RATE + i] - rate, dx, K, Ph)
     if u[k.IMU] != 0.0:
         update_gyro(x, P, u, c, dx, h, K, Ph)
@@ -101,7 +99,7 @@ def rerun_kernel(
     """
     size = intervals.shape[0]
     n = covariances.shape[1]
-    work = np.empty((2 * n + 5, n))
+    work = np.empty((2 * n + 7, n))
     for i in range(count):
         now = (first + i) % size
         x0, P0 = states[(now + size - 1) % size], covariances[(now + size - 1) % size]

@@ -188,8 +188,10 @@ def variance_of(P: Array, h: Array) -> float:
     total = 0.0
     for i in range(n):
         if h[i] != 0.0:
+            row = 0.0
             for j in range(n):
-                total += h[i] * P[i, j] * h[j]
+                row += P[i, j] * h[j]
+            total += h[i] * row
     return total
 
 

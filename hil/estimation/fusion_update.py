@@ -10,6 +10,9 @@ from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
 from hil.robot.kinematics_kernels import leg
 
+NOTHING = 1e-8
+"""A bend whose square is less than this share of the variance of a length is left out."""
+
 
 @helper
 def take(P: Array, h: Array, r: float, innovation: float, dx: Array, K: Array, Ph: Array) -> None:
@@ -34,11 +37,11 @@ def take(P: Array, h: Array, r: float, innovation: float, dx: Array, K: Array, P
     for i in range(n):
         for j in range(n):
             P[i, j] -= K[i] * Ph[j]
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += P[i, j] * h[j]
-        Ph[i] = total
+    Ph[:] = 0.0
+    for j in range(n):
+        if h[j] != 0.0:
+            for i in range(n):
+                Ph[i] += P[i, j] * h[j]
     for i in range(n):
         for j in range(i, n):
             P[i, j] += (r * K[i] - Ph[i]) * K[j]
@@ -106,17 +109,74 @@ def rate_variance(x: Array, u: Array, c: Array, g: Array, rate: float) -> float:
 
 
 @helper
-def beyond(a: Array, b: Array, x: Array, P: Array, u: Array, c: Array, h: Array, g: Array) -> tuple[int, int]:
-    """Return how many legs contradict the prediction, and the last of them; fill INNOVATION of u."""
+def bend(
+    b: Vector, x: Array, P: Array, c: Array, h: Array, l: float, N: Array, W: Array
+) -> tuple[float, float]:
+    """Return mean and variance of what a length differs from its tangent h, over the pose's covariance.
+
+    With N the second derivative of the length by dp and dtheta: tr(N P) / 2 and tr(N P N P) / 2 (Bar-Shalom,
+    Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 10.3). With d_i how the
+    joint moves, e_i or e_i x r: N_ij = (d_i . d_j - h_i h_j) / l, and of the rotation s_i r_j, made
+    symmetric, less s . r on the diagonal. N, W are scratch. 0 where it is nothing beside a length's noise.
+    """
+    s = at(h, 0)
+    r = rotate(rotation_of(x), b)
+    reach = P[0, 0] + P[1, 1] + P[2, 2] + dot(r, r) * (P[3, 3] + P[4, 4] + P[5, 5])
+    if reach * reach < NOTHING * l * l * c[k.R_LENGTH]:
+        return 0.0, 0.0
+    for i in range(6):
+        e = (1.0 if i % 3 == 0 else 0.0, 1.0 if i % 3 == 1 else 0.0, 1.0 if i % 3 == 2 else 0.0)
+        W[i, 0], W[i, 1], W[i, 2] = e if i < 3 else cross(e, r)
+    for i in range(6):
+        for j in range(6):
+            N[i, j] = (dot(row(W, i), row(W, j)) - h[i] * h[j]) / l
+            if i > 2 and j > 2:
+                N[i, j] += 0.5 * (s[i - 3] * r[j - 3] + s[j - 3] * r[i - 3])
+                if i == j:
+                    N[i, j] -= dot(s, r)
+    for i in range(6):
+        for j in range(6):
+            W[i, j] = 0.0
+            for m in range(6):
+                W[i, j] += N[i, m] * P[m, j]
+    mean, variance = 0.0, 0.0
+    for i in range(6):
+        mean += 0.5 * W[i, i]
+        for j in range(6):
+            variance += 0.5 * W[i, j] * W[j, i]
+    return mean, variance
+
+
+@helper
+def beyond(
+    a: Array,
+    b: Array,
+    x: Array,
+    P: Array,
+    u: Array,
+    c: Array,
+    h: Array,
+    g: Array,
+    bent: Array,
+    N: Array,
+    W: Array,
+) -> tuple[int, int]:
+    """Return how many legs contradict the prediction, and the last of them; fill INNOVATION of u and bent.
+
+    bent (2, >= 6): mean and variance of `bend`. N, W are scratch.
+    """
     count = 0
     last = 0
     for i in range(6):
         l, rate = leg_rows(row(a, i), row(b, i), x, h, g)
         u[k.INNOVATION + i] = u[k.LENGTH + i] - l
+        mean, variance = bend(row(b, i), x, P, c, h, l, N, W)
+        bent[0, i] = mean
+        bent[1, i] = variance
         if u[k.USED + i] == 0.0:
             continue
-        spread = variance_of(P, h) + c[k.R_LENGTH] + rate * rate * c[k.LATCH]
-        far = u[k.INNOVATION + i] ** 2 > c[k.GATE] * spread
+        spread = variance_of(P, h) + c[k.R_LENGTH] + variance + rate * rate * c[k.LATCH]
+        far = (u[k.INNOVATION + i] - mean) ** 2 > c[k.GATE] * spread
         fast = (u[k.RATE + i] - rate) ** 2 > c[k.GATE] * (variance_of(P, g) + rate_variance(x, u, c, g, rate))
         if far or fast:
             count += 1

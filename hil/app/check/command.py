@@ -11,6 +11,7 @@ from hil.app.check.controller import report_controller
 from hil.app.check.dangers import dangers
 from hil.app.check.encoders import report_encoders
 from hil.app.check.findings import Report
+from hil.app.check.fusion import report_fusion
 from hil.app.check.monitor import report_monitor
 from hil.app.check.payload import carried_along, report_payload
 from hil.app.check.pushes import clipped
@@ -48,6 +49,7 @@ def inspect(c: Configuration) -> Report:
     report_controller(report, c)
     report_monitor(report, c)
     report_encoders(report, c)
+    report_fusion(report, c)
     _reference(report, c, platform, model)
     _payload(report, c)
     _permissions(report, c)

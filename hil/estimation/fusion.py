@@ -3,12 +3,12 @@
 Equations of one interval: `hil.estimation.fusion_kernels`.
 
 The state is pose and twist, with an IMU its biases, and where there is some the force along each leg that
-neither model nor drives know: friction, inertia of motor and screw. It is carried from tick to tick by the acceleration that
-the model gives for the forces which the drives report, at their own latching: the command of the tick before
-would miss what the force loop and the bus do to it (1.1 ms at 1 kHz), the reference would miss every
-disturbance and the law's own corrections. A drive that is silent is taken at its last command. On the brakes
-there is no acceleration: no leg is doubted while they stop the platform, and once all legs that are heard are
-at rest, so is the platform, in the direction that a lost leg leaves open, too.
+neither model nor drives know: friction, inertia of motor and screw. It is carried from tick to tick by the
+acceleration that the model gives for the forces which the drives report, at their own latching: the command
+of the tick before would miss what the force loop and the bus do to it (1.1 ms at 1 kHz), the reference would
+miss every disturbance and the law's own corrections. A drive that is silent is taken at its last command. On
+the brakes there is no acceleration: no leg is doubted while they stop the platform, and once all legs that
+are heard are at rest, so is the platform, in the direction that a lost leg leaves open, too.
 
 Each leg gives length and rate. What contradicts the prediction is left out, leg by leg; where two legs do so
 at once it is the prediction that was wrong, and the process noise of that interval is raised until it is

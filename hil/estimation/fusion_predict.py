@@ -86,43 +86,37 @@ def multiply(A: Array, B: Array, C: Array) -> None:
 
 
 @helper
-def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: Array, W: Array) -> None:
-    """Carry x and P on by dt (s) in place, with the acceleration of the interval u. F, W (n, n) are scratch.
+def weigh(x: Array, u: Array, c: Array, a: Vector, dt: float, F: Array) -> tuple[Vector, float]:
+    """Return the linear acceleration of the interval u and the IMU's share in it, a being the model's.
 
-    Where the interval has a specific force f, the acceleration is the mean of the model's and R (f - bias) +
-    g, weighted by the inverse of their variances: two measurements of one acceleration.
+    The mean of a and R (f - bias) + g, weighted by the inverse of their variances: two measurements of one
+    acceleration. Fills what it changes of F: dv changes by dtheta x f share dt.
     """
-    n = P.shape[0]
+    if u[k.IMU] == 0.0 or u[k.T] <= 0.0:
+        return a, 0.0
     R = rotation_of(x)
-    a, turn = acceleration(x, u, c)
-    w = at(x, k.TWIST + 3)
-    forces = forces_at(n, c)
-    stays, q_leg = 1.0, 0.0
-    if forces:
-        stays = np.exp(-dt / c[k.LEG_FORCE_TIME])
-        q_leg = fade * c[k.LEG_FORCE_VARIANCE] * (1.0 - stays * stays)
-        add_force_noise(P, forces, 0.5 * q_leg)
-    q_v = c[k.Q_V]
-    F[:, :] = 0.0
-    for i in range(n):
-        F[i, i] = 1.0
-    share = 0.0
-    if u[k.IMU] != 0.0 and u[k.T] > 0.0:
-        share = q_v / u[k.T]
-        share = share / (share + c[k.R_FORCE])
-        f = at(u, k.FORCE)
-        if c[k.BIASED] != 0.0:
-            f = sub(f, at(x, k.FORCE_BIAS))
-        f = rotate(R, f)
-        a = add(a, scale(share, sub(add(f, at(c, k.GRAVITY)), a)))
-        q_v *= 1.0 - share
-        gain = share * dt  # dv changes by dtheta x f share dt
-        F[6, 4], F[6, 5], F[7, 3] = gain * f[2], -gain * f[1], -gain * f[2]
-        F[7, 5], F[8, 3], F[8, 4] = gain * f[0], gain * f[1], -gain * f[0]
-        if c[k.BIASED] != 0.0:
-            for i in range(3):
-                for j in range(3):
-                    F[6 + i, 15 + j] = -gain * R[i, j]
+    share = c[k.Q_V] / u[k.T]
+    share = share / (share + c[k.R_FORCE])
+    f = at(u, k.FORCE)
+    if c[k.BIASED] != 0.0:
+        f = sub(f, at(x, k.FORCE_BIAS))
+    f = rotate(R, f)
+    gain = share * dt
+    F[6, 4], F[6, 5], F[7, 3] = gain * f[2], -gain * f[1], -gain * f[2]
+    F[7, 5], F[8, 3], F[8, 4] = gain * f[0], gain * f[1], -gain * f[0]
+    if c[k.BIASED] != 0.0:
+        for i in range(3):
+            for j in range(3):
+                F[6 + i, 15 + j] = -gain * R[i, j]
+    return add(a, scale(share, sub(add(f, at(c, k.GRAVITY)), a))), share
+
+
+@helper
+def fill_transition(
+    u: Array, dt: float, share: float, phi: Vector, forces: int, stays: float, F: Array
+) -> None:
+    """Fill what is left of F: gradients of the model's acceleration, rotation by phi, decay of leg forces."""
+    n = F.shape[0]
     for i in range(6):
         kept = dt * (1.0 - share) if i < 3 else dt
         for j in range(6):
@@ -133,7 +127,6 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
         for j in range(n):
             if j != 6 + i:
                 F[i, j] += 0.5 * dt * F[6 + i, j]
-    phi = add(scale(dt, w), scale(0.5 * dt * dt, turn))
     y = dot(phi, phi)
     A = 1.0 - y / 6.0 + y * y / 120.0
     B = 0.5 - y / 24.0 + y * y / 720.0
@@ -151,17 +144,40 @@ def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: A
         F[forces + j, forces + j] = stays
         for i in range(3):
             F[3 + i, forces + j] = 0.5 * dt * F[9 + i, forces + j]
+
+
+@helper
+def predict(x: Array, P: Array, u: Array, c: Array, dt: float, fade: float, F: Array, W: Array) -> None:
+    """Carry x and P on by dt (s) in place, with the acceleration of the interval u. F, W (n, n) are scratch.
+
+    The noise of the leg forces comes in two halves, before and after.
+    """
+    n = P.shape[0]
+    w = at(x, k.TWIST + 3)
+    forces = forces_at(n, c)
+    stays, q_leg = 1.0, 0.0
+    if forces:
+        stays = np.exp(-dt / c[k.LEG_FORCE_TIME])
+        q_leg = fade * c[k.LEG_FORCE_VARIANCE] * (1.0 - stays * stays)
+        add_force_noise(P, forces, 0.5 * q_leg)
+    F[:, :] = 0.0
+    for i in range(n):
+        F[i, i] = 1.0
+    a, turn = acceleration(x, u, c)
+    a, share = weigh(x, u, c, a, dt, F)
+    phi = add(scale(dt, w), scale(0.5 * dt * dt, turn))
+    fill_transition(u, dt, share, phi, forces, stays, F)
     carry(P, F, W)
     if forces:
         add_force_noise(P, forces, 0.5 * q_leg)
-    add_process_noise(P, c, q_v * fade, c[k.Q_W] * fade, dt)
+    add_process_noise(P, c, c[k.Q_V] * (1.0 - share) * fade, c[k.Q_W] * fade, dt)
     for i in range(6):
         x[k.LEG_FORCE + i] *= stays
     for i in range(3):
         x[i] += dt * (x[k.TWIST + i] + 0.5 * dt * a[i])
         x[k.TWIST + i] += dt * a[i]
         x[k.TWIST + 3 + i] += dt * turn[i]
-    exp_step(R, phi)
+    exp_step(rotation_of(x), phi)
 
 
 @helper

@@ -31,8 +31,8 @@ class FaultPlan:
 class Schedule:
     """When the faults of a plan begin and end in one run.
 
-    Mutable state: when each fault begins, as far as that is known; its chance, and the frames it has seen; the
-    faults that were present when last asked, and from when until when these are the ones.
+    Mutable state: when each fault begins, as far as that is known; its chance, and the frames it has seen;
+    the faults that were present when last asked, and from when until when these are the ones.
     """
 
     def __init__(self, plan: FaultPlan, t0_ns: int) -> None:

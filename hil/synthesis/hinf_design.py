@@ -27,6 +27,12 @@ CLOSE = 1.01
 """The norm may exceed gamma by this factor: what sampling, hold and the rational delay may cost."""
 
 
+RAISED = (
+    ". The control weight was raised to cover what the measured axes differ by: a measurement with more force, "
+    "to higher frequencies, bounds less"
+)
+
+
 @contextmanager
 def computable() -> Iterator[None]:
     """Refuse numbers at which the algebra inside gives up, or warns: SciPy does near a singular matrix.
@@ -64,6 +70,7 @@ def design_hinf(
     Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
     message says which and what would help.
     """
+    asked = design.weights.control
     if measured is not None:
         design = covered(design, measured)
     P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
@@ -73,7 +80,8 @@ def design_hinf(
         progress(f"gamma at {ratio:.2f} of the optimum")
         found = hinf(P, n_y, 1, ratio)
         if found.gamma > 1.0:
-            _refuse_weights(P.closed_with(found.K), found, reasons, design.inputs)
+            raised = "" if design.weights.control is asked else RAISED
+            _refuse_weights(P.closed_with(found.K), found, reasons, design.inputs, raised)
         judged = judge(design, axis, found.K)
         reasons = judged.reasons
         if reasons:
@@ -102,9 +110,9 @@ def channels(closed: LinearSystem, inputs: Sequence[str]) -> dict[str, float]:
 
 
 def _refuse_weights(
-    closed: LinearSystem, found: Synthesis, reasons: tuple[str, ...], inputs: Sequence[str]
+    closed: LinearSystem, found: Synthesis, reasons: tuple[str, ...], inputs: Sequence[str], raised: str
 ) -> None:
-    """Say that the weights ask too much, and which of them."""
+    """Say that the weights ask too much, and which of them; raised: what was made of them before."""
     if reasons:
         raise SynthesisError(
             f"gamma below 1 is reached, {found.gamma_opt:.3g} at best, but by no controller that can run: "
@@ -116,6 +124,7 @@ def _refuse_weights(
     raise SynthesisError(
         f"no controller does what the weights ask: gamma is {best:.3g} at best, allowed: below 1. "
         f"Of 1 take: {named}. Allow more error or more control, or state less disturbance, noise or delay"
+        f"{raised}"
     )
 
 

@@ -102,7 +102,6 @@ def run_design(
         Gammas = couplings(robot, design.axes)
         design, axis = for_the_robot(design, axis, Gammas, keep_gain=measured is not None)
     made = METHODS[method](design, axis, progress, measured)
-    progress("what the measured axes and the robot leave")
     made = made._replace(figures=made.figures | robustness(design, axis, made, measured, Gammas))
     controller = linear_controller(design, method, made.judged, made.figures)
     return controller, made, design, axis

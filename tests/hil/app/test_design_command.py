@@ -29,7 +29,7 @@ def axis_file(folder, **changes):
         "axes": "joint",
         "rate_Hz": 1000,
         "nominal": {"gain": [1.0] * 5 + [1.1], "transport_ms": 0.45, "lag_ms": 0.7},
-        "uncertainty": {"frequency_Hz": [1, 10], "bound": [0.1, 0.2]},
+        "uncertainty": {"frequency_Hz": [1, 100], "bound": [0.05, 0.2]},
         "measured": [measured] * 6,
     }
     nominal = changes.pop("nominal", {})
@@ -58,6 +58,13 @@ def test_an_identified_axis_goes_before_the_designs_own(tmp_path):
     axis = read_controller(out).design["axis"]
     assert axis["transport_ms"] == 0.45
     assert axis["gain"] == pytest.approx(1.1 ** (1 / 6))
+
+
+def test_a_measurement_that_bounds_little_is_named_where_the_weights_cannot_be_met(tmp_path):
+    file = axis_file(tmp_path, uncertainty={"frequency_Hz": [1, 10], "bound": [0.1, 0.3]})
+    done = design("hinf", "--model", file)
+    assert done.exit_code == 2
+    assert "raised to cover what the measured axes differ by" in " ".join(done.output.split())
 
 
 @pytest.mark.parametrize(

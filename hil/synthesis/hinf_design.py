@@ -28,8 +28,8 @@ CLOSE = 1.01
 
 
 RAISED = (
-    ". The control weight was raised to cover what the measured axes differ by: a measurement with more force, "
-    "to higher frequencies, bounds less"
+    ". The control weight was raised to cover what the measured axes differ by: measure with more force, to "
+    "higher frequencies"
 )
 
 

@@ -75,7 +75,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
     @click.option(
         "--robot",
         metavar="CONFIG",
-        help="Stand the coupling of its axes, along its reference, with every payload within its ranges.",
+        help="Stand the coupling of its axes, along its reference, at every corner of its payload's ranges.",
     )
     @click.option(
         "-o",

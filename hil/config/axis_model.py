@@ -28,7 +28,7 @@ class UncertaintyProfile(Section):
 
     frequency_Hz: Annotated[list[Positive], Field(min_length=2)]
     """Rising."""
-    bound: Annotated[list[NonNegative], Field(min_length=2)]
+    bound: Annotated[list[Positive], Field(min_length=2)]
 
     @model_validator(mode="after")
     def _a_function(self) -> Self:

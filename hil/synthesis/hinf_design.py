@@ -72,7 +72,7 @@ def design_hinf(
     """
     asked = design.weights.control
     if measured is not None:
-        design = covered(design, measured)
+        design = covered(design, measured, axis.gain)
     P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
     n_y = len(design.inputs)
     reasons: tuple[str, ...] = ()

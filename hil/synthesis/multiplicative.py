@@ -94,15 +94,16 @@ def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
     return best[1]
 
 
-def covered(design: Design, measured: Relative) -> Design:
-    """Return the design with a control weight that covers the uncertainty, too: |W_u W_d| >= w.
+def covered(design: Design, measured: Relative, gain: float) -> Design:
+    """Return the design with a control weight that covers the uncertainty, too: |W_u W_d| >= gain w.
 
-    W_u T W_d is a path of the problem: where gamma is below 1, so is |w T|.
+    W_u T W_d / gain is a path of the problem, over what lag and drive leave of it, which is no more than 1:
+    where gamma is below 1, so is |w T|.
     """
     omega = frequencies(design.rate_Hz)
     amplitude = float(disturbance_weight(design).D[0, 0])
     asked = np.abs(control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0])
-    least = measured.at(omega) / amplitude
+    least = gain * measured.at(omega) / amplitude
     if (asked >= least).all():
         return design
     weight = cover(omega, np.maximum(asked, least), CORNER * pi * design.rate_Hz)

@@ -59,6 +59,7 @@ def test_encoders_a_doubt_stays_as_it_was_until_the_run_waits_anew():
     assert bench.faults == Fault.NONE
     assert not bench.memory("gaps").any()
     assert not bench.memory("travel").any()
+    assert not bench.memory("excused").any()
     assert doubted(bench.tick(jump=six(-2.0, 1), mode=Mode.IDLE), Doubt.JUMP, 1, -2.0, CREEP)
 
 

@@ -53,8 +53,9 @@ def report_payload(report: Report, c: Configuration, found: list[Carried]) -> No
     report.sections[f"payload {shown_ranges(body)}"] = [
         f"static forces  {static.min():.0f} to {static.max():.0f} N at home",
         f"leg forces     {forces.min():.0f} to {forces.max():.0f} N (limit {c.limits.force_N:g})",
-        f"acceleration   up to {unknown.leg:.3g} m/s^2 of a leg under forces for the model's payload: safety",
-        f"               adds it to monitor.disturbance_m_s2 {c.monitor.disturbance_m_s2:g}",
+        f"acceleration   up to {unknown.leg:.3g} m/s^2 of a leg under forces for the model's payload,",
+        f"               {unknown.position:.3g} m/s^2, {unknown.rotation:.3g} rad/s^2 of the pose: rules on",
+        "               encoders, and the monitor, add it to the disturbances of section monitor",
     ]
     report.figures["payload"] = {
         "static_force_min_N": float(static.min()),

@@ -37,6 +37,8 @@ def corners(settings: PlatformSettings) -> list[Corner]:
     found = [Corner(settings, "the model's payload")]
     for mass in masses:
         for x, y, z in places if mass > 0.0 else places[:1]:
+            if mass == body.mass_kg and (mass == 0.0 or (x, y, z) == body.com_m):
+                continue  # the model's own
             moved = _moved(body, mass, (x, y, z))
             carried = [*payload[:ranged], *moved, *payload[ranged + 1 :]]
             changed = settings.platform.model_copy(update={"payload": carried})

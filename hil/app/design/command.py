@@ -99,7 +99,7 @@ def run_design(
     Gammas: list[Array] = []
     if robot is not None:
         progress("the robot along its reference")
-        Gammas = couplings(robot, design.axes)
+        Gammas = couplings(robot, design.axes, design.rate_Hz)
         design, axis = for_the_robot(design, axis, Gammas, keep_gain=measured is not None)
     made = METHODS[method](design, axis, progress, measured)
     made = made._replace(figures=made.figures | robustness(design, axis, made, measured, Gammas))

@@ -5,26 +5,45 @@ from math import isclose
 import numpy as np
 
 from drivers.arrays import Array
-from hil.app.configuration.configuration import load
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.stability.subject import Stated, Subject
 from hil.config.axis_model import AxisSpace
 from hil.config.model import ModelSettings
 from hil.stability.disturbance import along
+from plant_fmu.config import BenchPlant
 
 POSES = 25
 """Of the reference, at each corner of the payload's ranges."""
 
 
-def couplings(configuration: str, axes: AxisSpace) -> list[Array]:
+def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array]:
     """Return Gamma (6, 6) along a configuration's reference, at each corner of its payload's ranges.
 
-    Raises ConfigurationError.
+    Raises ConfigurationError: no robot, or another loop than the design's.
     """
     c = load(configuration)
+    _refuse_another_loop(c, axes, rate_Hz)
     subject = Subject(c, Stated())
     path = subject.path[:: max(1, len(subject.path) // POSES)]
     model = c.controller.believed or ModelSettings()
     return [local.Gamma for robot in subject.linearised(model, axes) for local in along(robot, path, 0.0)]
+
+
+def _refuse_another_loop(c: Configuration, axes: AxisSpace, rate_Hz: float) -> None:
+    if c.plant is not None and isinstance(c.plant.model, BenchPlant):
+        raise ConfigurationError(
+            f"{c.source}: plant.model: six uncoupled legs, allowed with --robot: a configuration of the robot"
+        )
+    if c.loop.rate_Hz != rate_Hz:
+        raise ConfigurationError(
+            f"{c.source}: loop.rate_Hz: {c.loop.rate_Hz:g}, allowed: that of the design, {rate_Hz:g}"
+        )
+    if c.controller.axes not in (None, axes):
+        raise ConfigurationError(
+            f"{c.source}: controller.law {c.controller.law}: axes {c.controller.axes}, allowed: those of the "
+            f"design, {axes}"
+        )
 
 
 def eigenvalues(Gammas: list[Array]) -> tuple[float, float]:

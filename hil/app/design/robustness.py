@@ -18,7 +18,9 @@ def for_the_robot(
 ) -> tuple[Design, DesignAxis]:
     """Return design and axis with the inertia of a robot: the middle gain unless measured, and its range."""
     least, largest = eigenvalues(Gammas)
-    if not keep_gain:
+    if keep_gain:  # what was measured with the model's payload, and what the model says
+        least, largest = min(least, axis.gain * least), max(largest, axis.gain * largest)
+    else:
         axis = axis.model_copy(update={"gain": middle(least, largest)})
     share = share_of_inertia(axis.gain, least, largest)
     if share >= 1.0:
@@ -47,6 +49,8 @@ def robustness(
         _refuse(alone, "the measured axes")
     if Gammas:
         scaled = [Gamma / axis.gain for Gamma in Gammas]
+        if measured is not None:
+            scaled += Gammas  # times the gain that was measured
         least, largest = eigenvalues(Gammas)
         figures["robot"] = {"gamma_eigenvalues": [least, largest]}
         _refuse_unstable(design, axis, made, scaled)
@@ -75,6 +79,6 @@ def _refuse_unstable(design: Design, axis: DesignAxis, made: Designed, Gammas: l
         if not legs.closed_with(made.judged.sampled).is_stable():
             raise SynthesisError(
                 f"the coupled loop is unstable where Gamma has an eigenvalue of {value * axis.gain:.3g}, "
-                "allowed: stable along the robot's reference with every payload; take `hil design mu`, or "
+                "allowed: stable along the robot's reference at every corner; take `hil design mu`, or "
                 "state smaller ranges"
             )

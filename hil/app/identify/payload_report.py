@@ -6,6 +6,7 @@ import numpy as np
 import yaml
 
 from drivers.arrays import Array
+from hil.app.configuration.payload_box import shown_ranges
 from hil.app.identify.payload import HIDDEN, REMARK, SURE, Found, drives_of
 from hil.identify.leg_equations import LATE
 from hil.identify.rigid_body import NAMES, SIZE, UNITS, body_of, from_pseudo_inertia, pseudo_inertia
@@ -206,7 +207,8 @@ def _physics(found: Found) -> list[str]:
             f"body is printed, {found.whole.shift:.1f} standard errors away"
         )
     if found.payload is None:
-        return [*lines, "No payload beyond the platform's own masses; its ten parameters follow"]
+        words = "No payload beyond what section platform has; the ten parameters of all of it follow"
+        return [*lines, words, *_ranges_lost(found)]
     if found.split:
         body = body_of(found.theta[:SIZE] - found.believed[:SIZE])
         x, y, z = body.com
@@ -216,11 +218,34 @@ def _physics(found: Found) -> list[str]:
                 "By least squares alone the difference to the platform is no body; the nearest payload is "
                 f"printed, {found.payload.shift:.1f} standard errors away"
             )
-        return lines
+        return [*lines, *_ranges_doubled(found)]
     more = found.theta[0] - found.believed[0]
     lines.append(
         f"{more:.2f} kg more than believed, but no payload alone explains the rest (the nearest one is "
         f"{found.payload.shift:.1f} standard errors away, allowed: {SURE:g}): the figures of the platform "
         "itself are off, and all ten parameters follow"
     )
-    return lines
+    return [*lines, *_ranges_lost(found)]
+
+
+def _ranged(found: Found) -> list[str]:
+    settings = found.sources[0].configuration.platform.platform
+    return [shown_ranges(body) for body in settings.payload if body.ranged]
+
+
+def _ranges_lost(found: Found) -> list[str]:
+    """Say that a payload's ranges are not in a block of the whole platform."""
+    return [
+        f"The block has no payload: state the ranges of {words} anew beside it, or check, stability and "
+        "safety allow for them no longer"
+        for words in _ranged(found)
+    ]
+
+
+def _ranges_doubled(found: Found) -> list[str]:
+    """Say that what was found may be the payload that is known by ranges."""
+    return [
+        f"The payload known by ranges, {words}, stays in the block, and this one comes on top: if it is that "
+        "very payload, give it the sum as mass_kg and com_m instead"
+        for words in _ranged(found)
+    ]

@@ -76,6 +76,9 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
             return Assessment("not proven", f"with what is stated: {judged.bound}", conditions, [], {})
         if not subject.nothing:
             inertia, d = judged.inertia, np.max([bound.d for _, bound in judged.bounds], axis=0)
+    elif not subject.nothing:
+        claim = "without a boundary layer nothing but section uncertainty is judged: give boundary_layer_m_s"
+        return Assessment("not proven", claim, conditions, [], {})
     inside = inf if judged is None else _inside(judged, slope)
     if isinstance(law, SlidingModeSettings):
         k = law.switching_gain

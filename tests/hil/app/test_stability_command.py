@@ -312,3 +312,13 @@ def test_a_payload_that_is_none_is_refused(given):
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", given])
     assert done.exit_code == 2
     assert "allowed: a mass in kg and its place in m" in done.output
+
+
+def test_without_a_layer_nothing_that_is_stated_beside_the_section_is_judged():
+    law = (
+        "  law: sliding_mode\n  lambda_rad_s: 40\n  reaching_m_s2: 3\n  boundary_layer_m_s: 0\n"
+        "  uncertainty: {disturbance_m_s2: 15}\n"
+    )
+    assert judge(bench(law)).status == "conditional"
+    found = judge(bench(law), Stated(Load(1e6)))
+    assert (found.status, "nothing but section uncertainty" in found.claim) == ("not proven", True)

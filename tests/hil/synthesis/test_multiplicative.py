@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import SynthesisError
+from drivers.errors import ConfigurationError, SynthesisError
 from hil.app.configuration.section_file import read_section
 from hil.app.design.command import axis_of, load_design, report, run_design
 from hil.config.axis_model import AxisModel
@@ -14,7 +14,7 @@ from hil.synthesis.hinf_design import design_hinf
 from hil.synthesis.mu_design import design_mu
 from hil.synthesis.multiplicative import Relative, cover, covered, frequencies, relative, single, together
 from hil.synthesis.sampled import loop_gain, sampled_axis
-from hil.synthesis.weights import rational
+from hil.synthesis.weights import control_weight, rational
 from tests.hil.synthesis.test_coupling import gamma
 
 RATE_HZ = 1000.0
@@ -113,7 +113,7 @@ def test_a_control_weight_that_does_not_cover_is_raised_and_then_the_loop_stands
     wild = profile((1, 0.1), (40, 0.9), (100, 2.5))
     before = single(wild, loop(design_hinf(design, axis, lambda _: None), axis, design), RATE_HZ)
     assert before.norm > 1
-    raised = covered(design, wild)
+    raised = covered(design, wild, 1.0)
     assert raised.weights.control != design.weights.control
     weights = design.weights
     error = weights.error.model_copy(update={"low_m": 2e-3, "peak_m": 3e-2, "bandwidth_rad_s": 10.0})
@@ -125,7 +125,7 @@ def test_a_control_weight_that_does_not_cover_is_raised_and_then_the_loop_stands
 
 def test_a_weight_that_covers_stays_what_it_is():
     design, _ = load_design("hinf")
-    assert covered(design, profile((1, 0.04), (100, 0.09))) is design
+    assert covered(design, profile((1, 0.04), (100, 0.09)), 1.0) is design
 
 
 def test_mu_takes_it_as_a_block_of_its_own():
@@ -166,3 +166,30 @@ def test_an_axis_in_figures_brings_none():
     design, path = load_design("hinf")
     assert axis_of(design, path.parent, None) == (design.nominal, None)
     assert isinstance(design.nominal, DesignAxis)
+
+
+def test_a_gain_that_was_measured_counts_in_the_coupled_loop_too(file):
+    """Gamma = I: six axes of the measured gain are no nearer to the edge, and no farther, than one."""
+    gains = [1.25] * 6
+    file.write_text((AXES + 6 * ONE).replace(str(GAINS), str(gains)))
+    design = run_design("hinf", "hinf", file, lambda _: None, "virtual")[0].design
+    assert design["robot"]["norm"] == pytest.approx(design["measured"]["norm"], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("robot", "says"),
+    [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: that of the design, 1000")],
+)
+def test_a_robot_of_another_loop_is_refused(robot, says):
+    with pytest.raises(ConfigurationError, match=says):
+        run_design("hinf", "hinf", None, lambda _: None, robot)
+
+
+def test_the_cover_counts_the_gain_of_the_axis():
+    """d to u is T over the gain: the same uncertainty of an axis of twice the gain needs twice the weight."""
+    design, _ = load_design("hinf")
+    omega = frequencies(RATE_HZ)
+    w = profile((1, 0.1), (100, 0.9))
+    for gain in (0.5, 2.0):
+        weight = control_weight(covered(design, w, gain).weights.control, RATE_HZ).response(omega)[:, 0, 0]
+        assert (np.abs(weight) * 13.0 >= gain * w.at(omega) * (1 - 1e-9)).all()

@@ -317,3 +317,12 @@ def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path
     assert ratio.min() > 0.5
     assert ratio.max() < 2.0
     assert np.mean(theta, axis=0)[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
+
+
+def test_of_a_motion_along_one_axis_the_body_is_not_to_be_pasted(tmp_path):
+    heave = {"components": [{"axis": "z_m", "amplitude": 0.05, "frequency_Hz": 0.8}], "duration_s": 10}
+    c = laden.changed(load("lab"), reference=heave)
+    laden.run(c, c, tmp_path / "heave.mcap")
+    words = " ".join(identify(tmp_path / "heave.mcap").stdout.split())
+    assert "not shown about the platform's origin: I_xx" in words
+    assert "Do not paste the body of the block" in words

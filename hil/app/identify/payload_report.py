@@ -185,11 +185,16 @@ def report(found: Found) -> list[str]:
     lines.append(
         f"Condition number {e.condition:.3g}; "
         + (
-            f"not shown, kept as believed: {', '.join(hidden)}"
+            f"not shown about the platform's origin: {', '.join(hidden)}"
             if hidden
             else "the motion shows every unknown"
         )
     )
+    if hidden:
+        lines.append(
+            "Do not paste the body of the block: beside what a motion does not show, what it hardly shows "
+            "may be wrong by far more than its error. Log motion along and about all three axes"
+        )
     return [*lines, *_physics(found)]
 
 

@@ -37,7 +37,8 @@ def payload(
     Printed are standard errors that count coloured residuals, the condition number, what this motion cannot
     show (it stays as believed), and how well each log is predicted from the others; of a single log, each
     half from the other. In the end a block for the configuration: the payload beyond the believed platform,
-    or without one the platform's own figures, and the friction for `controller.model`.
+    or the platform's own figures, where they are others than those believed, and the friction for
+    `controller.model`.
 
     Any log with motion of all six axes serves. Nothing but gravity may act on the platform: a load that
     pushes looks like mass. Nothing runs and nothing moves. Guide: docs/guides/identify.md.
@@ -54,18 +55,19 @@ def payload(
       2  not identified: no log, or too little motion; the message says what
     """
     from hil.app.files import write_whole
-    from hil.app.identify import payload_report
-    from hil.app.identify.payload import check_out, identify_payload
+    from hil.app.identify import payload_block, payload_report
+    from hil.app.identify.payload import identify_payload
     from hil.app.output import console, show_lines
 
     if out is not None:
-        check_out(out)
+        payload_block.check_out(out)
     with console.status("reading") as status:
         found = identify_payload(list(logs), reflected, status.update)
     show_lines(payload_report.report(found))
-    click.echo(f"\n{payload_report.block_text(found)}", nl=False)
+    block = payload_block.block_text(found)
+    click.echo(f"\n{block}" if block else "Nothing to paste", nl=not block)
     if out is not None:
-        write_whole(out, payload_report.file_text(found))
+        write_whole(out, payload_block.file_text(found))
         click.echo(f"\nwritten: {out}")
     finish_lines((), payload_report.summary(found), json_file)
 

@@ -31,7 +31,7 @@ class Consistent(NamedTuple):
     """Smallest eigenvalue of the pseudo-inertia that least squares alone gave, lengths in radii, kg; <= 0: no
     body has it, and `theta` is another one."""
     shift: float
-    """Largest change of a parameter of the body for that, in standard errors."""
+    """Largest change for that along a direction that the motion shows, in standard errors."""
 
 
 def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) -> Consistent:
@@ -76,8 +76,15 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
     end[:4] = FARTHEST  # a, d1, d2, d3
     fit = least_squares(residual, begin, bounds=(-end, end), x_scale="jac", max_nfev=500)
     theta = theta_of(fit.x)
-    std = np.maximum(estimate.std[:SIZE], 1e-12 * scale[:SIZE])
-    return Consistent(theta, smallest, float((np.abs(theta - estimate.theta)[:SIZE] / std).max()))
+    return Consistent(theta, smallest, _shift(estimate, theta))
+
+
+def _shift(estimate: Estimate, theta: Array) -> float:
+    """Return how far theta (29,) is off, in standard errors of the directions that the motion shows."""
+    to_shown = estimate.shown.T / estimate.scale
+    variance = np.diag(to_shown @ estimate.covariance @ to_shown.T)
+    change = np.abs(to_shown @ (theta - estimate.theta))
+    return float((change / np.sqrt(np.maximum(variance, 1e-24))).max(initial=0.0))
 
 
 def _nearest(theta: Array) -> Array:

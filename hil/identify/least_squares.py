@@ -1,8 +1,10 @@
 """Weighted least squares of leg forces, what a motion cannot show, and standard errors of coloured residuals.
 
-Each leg counts by the variance of its residual. Unknowns are measured in the size of the platform itself; a
-direction among them whose standard deviation would exceed FAINT of that size is not shown by the motion and
-keeps what is believed.
+Each leg counts by the variance of its residual. Unknowns are measured in the size of the platform itself. A
+direction among them keeps what is believed, not shown by the motion, where its standard deviation would
+exceed FAINT of that size, or where the errors of reading the lengths make more than DROWNED of what the
+equations hold of it: least squares takes them for motion, and is wrong by any number of standard errors
+(W. A. Fuller, Measurement Error Models, 1987, ch. 1).
 
 Residuals are coloured: filtered noise, and a model that is nearly right. Standard errors follow from their
 products with the regressors, in the cosine series of lowest frequencies over the whole log, which do not leak
@@ -23,6 +25,9 @@ WEIGHT = 9.81
 """m/s^2: makes a mass a force of common size; no gravity of a model."""
 FAINT = 0.3
 """Of the platform's own size: a standard deviation above says that nothing is known."""
+DROWNED = 0.1
+"""Share of errors, rms, in a regressor from which it shows nothing; its square is the share of a parameter
+that is lost."""
 SERIES = 16
 """Terms of the cosine series."""
 FEWEST_SAMPLES = 100
@@ -92,12 +97,12 @@ def solve(equations: Equations, believed: Array, scale: Array, *, reflected: boo
             f"encoders, in {count.min()} samples, allowed: at least {FEWEST_SAMPLES}; log a longer motion"
         )
     free = np.arange(COLUMNS) < (COLUMNS if reflected else REFLECTED)
-    X = equations.A * scale
+    X, noise = equations.A * scale, equations.noise * scale
     rest = equations.y - equations.A @ believed
     weight = np.ones(6)
     for _ in range(ROUNDS):
         w = weight[equations.leg]
-        shown, hidden = _directions(X[:, free] * w[:, None], free)
+        shown, hidden = _directions(X[:, free] * w[:, None], noise[:, free] * w[:, None], free)
         Z = (X @ shown) * w[:, None]
         z = np.linalg.lstsq(Z, rest * w, rcond=None)[0]
         theta = believed + scale * (shown @ z)
@@ -117,15 +122,15 @@ def solve(equations: Equations, believed: Array, scale: Array, *, reflected: boo
     )  # fmt: skip
 
 
-def _directions(X: Array, free: Flags) -> tuple[Array, Array]:
+def _directions(X: Array, noise: Array, free: Flags) -> tuple[Array, Array]:
     """Return the directions of all unknowns that weighted equations show, and do not; columns, orthonormal.
 
-    X (m, n) has a residual of unit variance.
+    X (m, n) has a residual of unit variance; noise (m, n) is its error.
     """
     _, s, Vt = np.linalg.svd(X, full_matrices=False)
     V = np.zeros((len(free), int(free.sum())))
     V[free] = Vt.T
-    seen = s * FAINT > 1.0
+    seen = (s * FAINT > 1.0) & (np.linalg.norm(noise @ Vt.T, axis=0) < DROWNED * s)
     return V[:, seen], V[:, ~seen]
 
 

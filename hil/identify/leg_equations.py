@@ -16,10 +16,20 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import ZERO6, Array, Flags, Ints
-from hil.identify.leg_motion import LegSignals, all_under, bell, half_ticks, platform_motion, smooth
+from hil.identify.leg_motion import (
+    LegSignals,
+    PlatformMotion,
+    all_under,
+    bell,
+    half_ticks,
+    platform_motion,
+    reading_errors,
+    smooth,
+)
 from hil.identify.rigid_body import SIZE, regressor
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
 
 VISCOUS, COULOMB, REFLECTED = SIZE, SIZE + 6, SIZE + 13
 """First columns of the drives' parts, one column a leg; the platform's ten stand before."""
@@ -38,6 +48,8 @@ class Equations(NamedTuple):
     forces are late, s; reflected mass of each leg."""
     y: Array
     """(m,) N."""
+    noise: Array
+    """(m, 29): what A changes by where each length is read with one more error of its own size."""
     leg: Ints
     """(m,) 0..5."""
     sample: Ints
@@ -45,7 +57,7 @@ class Equations(NamedTuple):
 
     def part(self, which: Flags) -> "Equations":
         """Return some of the rows."""
-        return Equations(self.A[which], self.y[which], self.leg[which], self.sample[which])
+        return Equations(self.A[which], self.y[which], self.noise[which], self.leg[which], self.sample[which])
 
 
 def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> Equations:
@@ -68,25 +80,43 @@ def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> 
         needed[k] -= kernels.inverse_dynamics_kernel(
             c, kernels.FULL, motion.p[k], motion.R[k], motion.twist[k], motion.dtwist[k], ZERO6
         )
-    n = len(needed)
-    A = np.zeros((n, 6, COLUMNS))
-    Y = regressor(motion.R, motion.twist, motion.dtwist, model.platform.gravity)
+    half = half_ticks(signals.period_s)
+    wide = bell(WIDER * half, signals.period_s)
+    fast = np.abs(motion.dq) > max(float(c[kernels.SLIDING_SPEED]), 1e-6)
+    one_way = all_under(wide.half, fast & (motion.dq > 0.0)) | all_under(wide.half, fast & (motion.dq < 0.0))
+    usable = one_way & all_under(wide.half, motion.good)[:, None]
+    usable &= (np.arange(len(needed)) % half == 0)[:, None]
+    again = _read_again(signals)
+    A, B = (
+        smooth(wide.value, x.reshape(len(x), -1)).reshape(x.shape)
+        for x in (
+            _columns(model.platform, m, reflected) for m in (motion, platform_motion(model.platform, again))
+        )
+    )
+    at, legs = np.nonzero(usable)
+    return Equations(
+        A[at, legs], smooth(wide.value, needed)[at, legs], B[at, legs] - A[at, legs],
+        legs.astype(np.int64), at.astype(np.int64),
+    )  # fmt: skip
+
+
+def _columns(platform: Platform, motion: PlatformMotion, reflected: Array | None) -> Array:
+    """Return A (n, 6, 29) at every tick."""
+    A = np.zeros((len(motion.p), 6, COLUMNS))
+    Y = regressor(motion.R, motion.twist, motion.dtwist, platform.gravity)
     A[:, :, :SIZE] = np.linalg.solve(motion.J.transpose(0, 2, 1), Y)
     for leg in range(6):
         A[:, leg, VISCOUS + leg] = motion.dq[:, leg]
         A[:, leg, COULOMB + leg] = np.sign(motion.dq[:, leg])
         A[:, leg, LATE] = -motion.dforce[:, leg]
         A[:, leg, REFLECTED + leg] = motion.ddq[:, leg] if reflected is None else 0.0
-    half = half_ticks(signals.period_s)
-    wide = bell(WIDER * half, signals.period_s)
-    fast = np.abs(motion.dq) > max(float(c[kernels.SLIDING_SPEED]), 1e-6)
-    one_way = all_under(wide.half, fast & (motion.dq > 0.0)) | all_under(wide.half, fast & (motion.dq < 0.0))
-    usable = one_way & all_under(wide.half, motion.good)[:, None]
-    A = smooth(wide.value, A.reshape(n, -1)).reshape(A.shape)
-    needed = smooth(wide.value, needed)
-    usable &= (np.arange(n) % half == 0)[:, None]
-    at, legs = np.nonzero(usable)
-    return Equations(A[at, legs], needed[at, legs], legs.astype(np.int64), at.astype(np.int64))
+    return A
+
+
+def _read_again(signals: LegSignals) -> LegSignals:
+    """Return the log with one more error on each length; the same ones for the same log."""
+    error = np.random.default_rng(0).standard_normal(signals.length.shape)
+    return signals._replace(length=signals.length + reading_errors(signals) * error)
 
 
 def joined(logs: list[Equations]) -> Equations:
@@ -95,5 +125,5 @@ def joined(logs: list[Equations]) -> Equations:
     for each in logs:
         samples.append(each.sample + begun)
         begun += int(each.sample.max(initial=-1)) + 1
-    A, y, leg = (np.concatenate([each[k] for each in logs]) for k in range(3))
-    return Equations(A, y, leg, np.concatenate(samples))
+    A, y, noise, leg = (np.concatenate([each[k] for each in logs]) for k in range(4))
+    return Equations(A, y, noise, leg, np.concatenate(samples))

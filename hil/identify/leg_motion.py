@@ -6,6 +6,7 @@ so that none is late against another (M. Gautier, Proc. IEEE ICRA 1997), and eac
 known stretch of ticks only.
 """
 
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ under it: the filtered force is compared with the force at the filtered pose."""
 FEWEST_TICKS = 4
 """At least, or its samples would not do for its derivatives."""
 TOLERANCE_m = 1e-11
+DIFFERENCES = 6
+"""Order of the differences that leave of lengths the noise alone."""
 
 
 class LegSignals(NamedTuple):
@@ -115,8 +118,13 @@ def all_under(half: int, good: Flags) -> Flags:
     """Return where every tick up to `half` to either side is good; x (n,) or (n, m)."""
     inside = np.zeros_like(good)
     if len(good) > 2 * half:
-        inside[half : len(good) - half] = sliding_window_view(good, 2 * half + 1, axis=0).all(axis=-1)
+        inside[half : len(good) - half] = all_good(2 * half + 1, good)
     return inside
+
+
+def all_good(count: int, good: Flags) -> Flags:
+    """Return for each stretch of so many ticks whether all of it is good; x (n,) or (n, m)."""
+    return np.asarray(sliding_window_view(good, count, axis=0).all(axis=-1), np.bool_)
 
 
 def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
@@ -141,6 +149,15 @@ def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
     if good.any():
         twist[good], dtwist[good], J[good] = leg_to_platform(platform, p[good], R[good], dq[good], ddq[good])
     return PlatformMotion(R, p, J, twist, dtwist, dq, ddq, force, dforce, good)
+
+
+def reading_errors(signals: LegSignals) -> Array:
+    """Return the standard deviation (6,) m of what one reading of a length has beside the motion.
+
+    From the sixth differences, in which a motion of a few hertz is nothing and white noise counts 924 times.
+    """
+    d = np.diff(signals.length, DIFFERENCES, axis=0)[all_good(DIFFERENCES + 1, signals.good)]
+    return np.sqrt(np.mean(d**2, axis=0) / comb(2 * DIFFERENCES, DIFFERENCES)) if len(d) else np.zeros(6)
 
 
 def leg_to_platform(

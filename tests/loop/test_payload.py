@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.identify.payload import identify_payload
-from hil.app.identify.payload_report import block
+from hil.app.identify.payload_block import block
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.record.log import Log
@@ -185,15 +185,52 @@ def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder
     assert np.abs(tensor(found.theta) - truth()).max() < 0.02 * truth().max()
 
 
-def test_an_empty_platform_gets_no_payload_but_its_own_ten_parameters(folder, tmp_path):
+def test_an_empty_platform_keeps_its_exact_figures(folder, tmp_path):
+    """What is as believed, within the errors, does not take the place of what is known exactly."""
     result = identify(folder / "free.mcap", "-o", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
     assert result.exit_code == 0, result.output
     assert "No payload beyond what section platform has" in result.stdout
+    assert "The block leaves the body out: it is that of section platform" in result.stdout
+    found = json.loads((tmp_path / "b.json").read_text())
+    assert found["platform"]["mass_kg"] == pytest.approx(1150.0, rel=1e-4)
+    assert np.diag(found["platform"]["inertia_kg_m2"]) == pytest.approx([570.0, 285.0, 285.0], rel=1e-3)
     written = yaml.safe_load((tmp_path / "b.yaml").read_text())
-    platform = written["platform"]["platform"]
-    assert platform["mass_kg"] == pytest.approx(1150.0, rel=1e-4)
-    assert np.diag(platform["inertia_kg_m2"]) == pytest.approx([570.0, 285.0, 285.0], rel=1e-3)
+    assert set(written) == {"controller"}
     laden.changed(load("virtual"), **written)  # it is a configuration
+
+
+@pytest.mark.parametrize("reach", [240.0, 100.0])
+def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(tmp_path, reach):
+    """Its ranges stay, in its own frame, and hold what was found."""
+    fixed = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
+    frame = {"origin_m": [0.1, 0.0, 0.2], "rotation_vector_deg": [0.0, 0.0, 90.0]}
+    ranged = {
+        "mass_kg": 0.0,
+        "mass_range_kg": [0.0, reach],
+        "com_m": [0.0, 0.0, 0.3],
+        "com_range_m": [[-0.4, 0.4], [-0.5, 0.4], [0.2, 0.4]],
+        "shape": {"type": "box", "size_m": [0.3, 0.3, 0.3]},
+        "frame": frame,
+    }
+    c = laden.changed(virtual(), platform={"platform": {"payload": [ranged, fixed]}})
+    laden.run(c, laden.changed(c, platform={"platform": {"payload": [PAYLOAD, fixed]}}), tmp_path / "a.mcap")
+    result = identify(tmp_path / "a.mcap", "-o", tmp_path / "b.yaml")
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.stdout.split())
+    assert "The block has it in the place of 0 to " in words
+    assert ("wide enough for it now" in words) == (reach < MASS)
+    written = yaml.safe_load((tmp_path / "b.yaml").read_text())
+    first, second = written["platform"]["platform"]["payload"]
+    assert first == fixed
+    assert second["frame"] == frame
+    assert second["mass_kg"] == pytest.approx(MASS, rel=0.005)
+    assert second["com_m"] == pytest.approx([0.3, -0.4, 0.3], abs=0.005)
+    assert second["mass_range_kg"] == [0.0, max(reach, second["mass_kg"])]
+    assert second["com_range_m"] == ranged["com_range_m"]
+    a, b, c_ = SIZE_m**2
+    own = MASS / 12.0 * np.diag([a + c_, b + c_, a + b])  # its x axis is y of the platform
+    assert np.abs(np.array(second["inertia_kg_m2"]) - own).max() < 1.0
+    laden.changed(c, **written)
 
 
 def test_the_file_and_the_refusals(folder, tmp_path):
@@ -319,10 +356,22 @@ def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path
     assert np.mean(theta, axis=0)[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
 
 
-def test_of_a_motion_along_one_axis_the_body_is_not_to_be_pasted(tmp_path):
-    heave = {"components": [{"axis": "z_m", "amplitude": 0.05, "frequency_Hz": 0.8}], "duration_s": 10}
-    c = laden.changed(load("lab"), reference=heave)
-    laden.run(c, c, tmp_path / "heave.mcap")
-    words = " ".join(identify(tmp_path / "heave.mcap").stdout.split())
-    assert "not shown about the platform's origin: I_xx" in words
-    assert "Do not paste the body of the block" in words
+@pytest.mark.parametrize("axis", ["z_m", "x_m"])
+def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for_motion(tmp_path, axis):
+    """They tilt the platform by micrometres, and least squares would find an inertia in that: m z 12 of its
+    standard errors off. What shows is right, the rest stays as believed, and no body is offered."""
+    line = {"components": [{"axis": axis, "amplitude": 0.05, "frequency_Hz": 0.8}], "duration_s": 10}
+    c = laden.changed(load("lab"), reference=line)
+    laden.run(c, c, tmp_path / "line.mcap")
+    result = identify(tmp_path / "line.mcap", "--json", tmp_path / "line.json")
+    found = json.loads((tmp_path / "line.json").read_text())
+    assert {"I_xx", "I_zz", "I_xz"} <= set(found["not_shown"])
+    assert "mass" not in found["not_shown"]
+    for name, value in found["parameters"].items():
+        size = 300.0 if name == "mass" else 68.0 if name.startswith("m ") else 38.0
+        assert value == pytest.approx(found["parameters_believed"][name], abs=2e-3 * size), name
+    assert found["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
+    assert "platform" not in found["block"]
+    assert "The block leaves the body out, this motion does not show all of it" in " ".join(
+        result.stdout.split()
+    )

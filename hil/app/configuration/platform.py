@@ -114,6 +114,11 @@ def rigid_body(settings: RigidBodySettings, where: str) -> Body:
     return Body(settings.mass_kg, com + np.array(frame.origin_m), I)
 
 
+def frame_axes(frame: Frame) -> tuple[Array, Array]:
+    """Return R (3, 3) and the origin (3,) m of a body's frame: x_platform = origin + R x."""
+    return _rotation(frame.rotation_vector_deg), np.array(frame.origin_m, float)
+
+
 def _shape(shape: Shape, mass: float) -> Array:
     if isinstance(shape, BoxShape):
         return inertia.box(mass, shape.size_m)

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import ConfigurationError, HilError, IdentificationError, LogError
+from drivers.errors import HilError, IdentificationError, LogError
 from drivers.signals import DriveState
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform
+from hil.app.configuration.platform import build_platform, platform_body
 from hil.app.identify.delay import recorded_run
 from hil.app.loop_delay import loop_delay
 from hil.config.model import ModelSettings
+from hil.config.platform import PayloadSettings
 from hil.control.model import build_model
 from hil.identify.consistent import Consistent, consistent
 from hil.identify.delay import mean_forces
@@ -53,6 +54,8 @@ class Found(NamedTuple):
     sources: list[Source]
     believed: Array
     """(29,)."""
+    carrier: Array
+    """(10,): what is believed without the payload that is known by ranges."""
     estimate: Estimate
     whole: Consistent
     """Platform with all that it carries."""
@@ -68,7 +71,7 @@ class Found(NamedTuple):
 
     @property
     def split(self) -> bool:
-        """Whether the difference to the platform is printed as a payload."""
+        """Whether the difference to the carrier is printed as a payload."""
         return self.payload is not None and self.payload.shift <= SURE
 
     @property
@@ -108,7 +111,7 @@ def identify_payload(
         _refuse_nonsense(estimate, rms[1])
     except IdentificationError as error:
         raise IdentificationError(f"{', '.join(str(s.path) for s in sources)}: {error}") from None
-    carrier = believed[:SIZE]
+    carrier = _carrier(first)
     more = float(estimate.theta[0] - carrier[0])
     carried = more > max(SURE * float(estimate.std[0]), LEAST_PAYLOAD * carrier[0])
     progress("physical consistency")
@@ -116,7 +119,7 @@ def identify_payload(
     payload = consistent(estimate, platform.radius, carrier) if carried else None
     progress("held-out logs")
     held_out = _held_out(sources, believed, scale, reflected=free)
-    return Found(sources, believed, estimate, whole, payload, reflected_kg, *rms, held_out)
+    return Found(sources, believed, carrier, estimate, whole, payload, reflected_kg, *rms, held_out)
 
 
 def _source(path: Path, reflected_kg: float | None) -> Source:
@@ -178,6 +181,19 @@ def _believed(source: Source, reflected_kg: float | None) -> Array:
     return theta
 
 
+def ranged_body(c: Configuration) -> PayloadSettings | None:
+    """Return the payload that is known by ranges."""
+    return next((body for body in c.platform.platform.payload if body.ranged), None)
+
+
+def _carrier(source: Source) -> Array:
+    """Return the parameters (10,) of the platform without the payload that is known by ranges."""
+    settings = source.configuration.platform
+    fixed = [body for body in settings.platform.payload if not body.ranged]
+    bare = settings.platform.model_copy(update={"payload": fixed})
+    return parameters_of(platform_body(settings.model_copy(update={"platform": bare})))
+
+
 def _refuse_nonsense(estimate: Estimate, rms_force_N: float) -> None:
     """Raise IdentificationError for what is no platform on six legs."""
     left = float(np.sqrt(np.mean(estimate.residual_N**2))) / rms_force_N
@@ -209,28 +225,15 @@ def _held_out(
     return found
 
 
-def check_out(path: Path) -> None:
-    """Refuse a file that could not be written in the end, or that is none of ours.
-
-    Raises ConfigurationError.
-    """
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"-o {path}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise ConfigurationError(f"-o {path}: is a folder; name a file")
-    if path.exists() and not path.read_bytes().startswith(REMARK.encode()):
-        raise ConfigurationError(
-            f"-o {path}: exists, was not made by hil identify payload and is not overwritten; name another"
-        )
-
-
-REMARK = "# Made by hil identify payload: paste into the configuration, in the place of these keys.\n"
+DRIVES = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB, "reflected_mass_kg": REFLECTED}
+"""First columns of the drives' parts, by their key in `controller.model`."""
 
 
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
-    """Return value and standard error (6,) of the drives' parts, by their key in `controller.model`."""
-    places = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB}
-    if found.reflected_kg is None:
-        places["reflected_mass_kg"] = REFLECTED
+    """Return value and standard error (6,) of the drives' parts, by key; not of reflected masses if given."""
     std = found.estimate.std
-    return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, at in places.items()}
+    return {
+        key: (found.theta[at : at + 6], std[at : at + 6])
+        for key, at in DRIVES.items()
+        if key != "reflected_mass_kg" or found.reflected_kg is None
+    }

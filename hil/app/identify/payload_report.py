@@ -1,89 +1,19 @@
-"""What `hil identify payload` prints, and the block for the configuration."""
+"""What `hil identify payload` prints beside the block."""
 
 from typing import Any
 
 import numpy as np
-import yaml
 
-from drivers.arrays import Array
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.identify.payload import HIDDEN, REMARK, SURE, Found, drives_of
+from hil.app.identify.payload import HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
+from hil.app.identify.payload_block import block, body_differs, body_shown
+from hil.config.platform import PayloadSettings
 from hil.identify.leg_equations import LATE
-from hil.identify.rigid_body import NAMES, SIZE, UNITS, body_of, from_pseudo_inertia, pseudo_inertia
+from hil.identify.rigid_body import NAMES, SIZE, UNITS, body_of
 from hil.robot.geometry import Body
-
-DIGITS = 1e-7
-"""Of the largest element: figures are rounded to that, and a tensor is kept as far from being none."""
 
 POOR = 0.05
 """Residual, of the leg forces, from which the figures are doubted."""
-
-
-def block(found: Found) -> dict[str, Any]:
-    """Return the keys to paste: payload or platform, and the drives' part of the law's model."""
-    c = found.sources[0].configuration
-    settings = c.platform.platform
-    carrier = found.believed[:SIZE]
-    if found.split:
-        known = [b.model_dump(mode="json", exclude_defaults=True) for b in settings.payload]
-        body: dict[str, Any] = {"payload": [*known, body_keys(found.theta[:SIZE] - carrier)]}
-    else:
-        body = body_keys(found.theta[:SIZE])
-        if settings.payload:
-            body["payload"] = []
-    result: dict[str, Any] = {"platform": {"platform": body}}
-    believed = c.controller.believed
-    if believed is not None:
-        model: dict[str, Any] = {key: _drives(value, std) for key, (value, std) in drives_of(found).items()}
-        if found.reflected_kg is not None:
-            model["reflected_mass_kg"] = 6 * [found.reflected_kg]
-        if believed.inertia_scale != 1.0:
-            model["inertia_scale"] = 1.0
-        result["controller"] = {"model": model}
-    return result
-
-
-def body_keys(theta: Array) -> dict[str, Any]:
-    """Return mass_kg, com_m and inertia_kg_m2 of a body, rounded so that it stays one."""
-    body = body_of(_thickened(theta))
-    inertia = _rounded(body.inertia)
-    return {
-        "mass_kg": float(f"{body.mass:.7g}"),
-        "com_m": [round(float(x), 7) for x in body.com],
-        "inertia_kg_m2": inertia.tolist(),
-    }
-
-
-def _thickened(theta: Array) -> Array:
-    """Return theta whose body is not thinner than the rounding about its centre of mass."""
-    body = body_of(theta)
-    values, vectors = np.linalg.eigh(0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia)
-    values = np.maximum(values, 10.0 * DIGITS * max(float(values.max()), DIGITS))
-    P = pseudo_inertia(theta)
-    P[:3, :3] = vectors @ np.diag(values) @ vectors.T + body.mass * np.outer(body.com, body.com)
-    return from_pseudo_inertia(P)
-
-
-def _rounded(x: Array) -> Array:
-    unit = 10.0 ** np.floor(np.log10(DIGITS * np.abs(x).max()))
-    rounded = np.round(np.round(x / unit) * unit, 12)
-    return np.asarray(0.5 * (rounded + rounded.T) + 0.0, np.float64)
-
-
-def _drives(value: Array, std: Array) -> list[float]:
-    """Return what a configuration takes: not negative, and nothing that is within two standard errors."""
-    return [float(f"{v:.5g}") if v > 2.0 * s else 0.0 for v, s in zip(value, std, strict=True)]
-
-
-def block_text(found: Found) -> str:
-    """Return the block as YAML."""
-    return yaml.safe_dump(block(found), sort_keys=False, default_flow_style=None, width=110)
-
-
-def file_text(found: Found) -> str:
-    """Return the file of `-o`."""
-    logs = "".join(f"# {s.path}\n" for s in found.sources)
-    return REMARK + logs + block_text(found)
 
 
 def unseen(found: Found) -> list[str]:
@@ -103,7 +33,7 @@ def summary(found: Found) -> dict[str, Any]:
     body = body_of(found.theta[:SIZE])
     payload = None
     if found.split:
-        payload = _plain(body_of(found.theta[:SIZE] - found.believed[:SIZE]))
+        payload = _plain(body_of(found.theta[:SIZE] - found.carrier))
     return {
         "success": True,
         "kind": "identify",
@@ -149,11 +79,8 @@ def report(found: Found) -> list[str]:
         "Platform with all it carries, about its origin (+- two standard errors):",
     ]
     for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True)):
-        off = " not shown" if e.unknown[k] > HIDDEN else ""
-        lines.append(
-            f"  {name:5} {found.theta[k]:11.3f} +- {2.0 * e.std[k]:<8.2g} {unit:7} "
-            f"believed {found.believed[k]:.3f}{off}"
-        )
+        error = f"+- {2.0 * e.std[k]:<8.2g}" if e.unknown[k] <= HIDDEN else "not shown  "
+        lines.append(f"  {name:5} {found.theta[k]:11.3f} {error} {unit:7} believed {found.believed[k]:.3f}")
     lines.append("Drives, leg 0 to 5:")
     words = {
         "viscous_friction_N_s_m": "viscous friction, N s/m",
@@ -190,11 +117,6 @@ def report(found: Found) -> list[str]:
             else "the motion shows every unknown"
         )
     )
-    if hidden:
-        lines.append(
-            "Do not paste the body of the block: beside what a motion does not show, what it hardly shows "
-            "may be wrong by far more than its error. Log motion along and about all three axes"
-        )
     return [*lines, *_physics(found)]
 
 
@@ -205,52 +127,61 @@ def _forces(found: Found) -> str:
 
 
 def _physics(found: Found) -> list[str]:
+    """Return what body that is, and what the block makes of it."""
     lines = []
     if found.whole.smallest <= 0.0:
         lines.append(
             "Least squares alone gave what no body has (pseudo-inertia not positive definite); the nearest "
             f"body is printed, {found.whole.shift:.1f} standard errors away"
         )
+    c = found.sources[0].configuration
+    ranged = ranged_body(c)
+    carrier = "section platform" if ranged is None else "section platform without the one known by ranges"
     if found.payload is None:
-        words = "No payload beyond what section platform has; the ten parameters of all of it follow"
-        return [*lines, words, *_ranges_lost(found)]
-    if found.split:
-        body = body_of(found.theta[:SIZE] - found.believed[:SIZE])
+        lines.append(f"No payload beyond what {carrier} has")
+    elif found.split:
+        body = body_of(found.theta[:SIZE] - found.carrier)
         x, y, z = body.com
         lines.append(f"Payload {body.mass:.2f} kg at ({x:.4f}, {y:.4f}, {z:.4f}) m of the platform")
         if found.payload.smallest <= 0.0:
             lines.append(
-                "By least squares alone the difference to the platform is no body; the nearest payload is "
+                f"By least squares alone the difference to {carrier} is no body; the nearest payload is "
                 f"printed, {found.payload.shift:.1f} standard errors away"
             )
-        return [*lines, *_ranges_doubled(found)]
-    more = found.theta[0] - found.believed[0]
-    lines.append(
-        f"{more:.2f} kg more than believed, but no payload alone explains the rest (the nearest one is "
-        f"{found.payload.shift:.1f} standard errors away, allowed: {SURE:g}): the figures of the platform "
-        "itself are off, and all ten parameters follow"
-    )
-    return [*lines, *_ranges_lost(found)]
+    else:
+        lines.append(
+            f"{found.theta[0] - found.carrier[0]:.2f} kg more than {carrier}, but no payload alone explains "
+            f"the rest (the nearest one is {found.payload.shift:.1f} standard errors away, allowed: "
+            f"{SURE:g}): the figures of the platform itself are off"
+        )
+    return [*lines, _in_block(found, ranged)]
 
 
-def _ranged(found: Found) -> list[str]:
-    settings = found.sources[0].configuration.platform.platform
-    return [shown_ranges(body) for body in settings.payload if body.ranged]
-
-
-def _ranges_lost(found: Found) -> list[str]:
-    """Say that a payload's ranges are not in a block of the whole platform."""
-    return [
-        f"The block has no payload: state the ranges of {words} anew beside it, or check, stability and "
-        "safety allow for them no longer"
-        for words in _ranged(found)
-    ]
-
-
-def _ranges_doubled(found: Found) -> list[str]:
-    """Say that what was found may be the payload that is known by ranges."""
-    return [
-        f"The payload known by ranges, {words}, stays in the block, and this one comes on top: if it is that "
-        "very payload, give it the sum as mass_kg and com_m instead"
-        for words in _ranged(found)
-    ]
+def _in_block(found: Found, ranged: PayloadSettings | None) -> str:
+    """Return what the block has of the body, and why."""
+    if not body_shown(found):
+        return (
+            "The block leaves the body out, this motion does not show all of it: log motion along and about "
+            "all three axes"
+        )
+    if not body_differs(found):
+        return (
+            f"The block leaves the body out: it is that of section platform within {SURE:g} standard errors "
+            f"or {100.0 * LEAST_PAYLOAD:g} % of the platform's size"
+        )
+    if found.split and ranged is not None:
+        words = f"The block has it in the place of {shown_ranges(ranged)}; its ranges stay"
+        wide = block(found)["platform"]["platform"]["payload"][-1]
+        before = ranged.model_dump(mode="json")
+        if any(wide[key] != before[key] for key in ("mass_range_kg", "com_range_m") if key in wide):
+            words += ", wide enough for it now: was the range wrong, or is this another payload?"
+        return words
+    if found.split:
+        return "The block has it as one more body"
+    words = "The block has the ten parameters of all of it"
+    if ranged is not None:
+        words += (
+            f", and no payload: state the ranges of {shown_ranges(ranged)} anew beside it, or check, "
+            "stability and safety allow for them no longer"
+        )
+    return words

@@ -58,6 +58,8 @@ class Violation(NamedTuple):
 
     t: float
     message: str
+    limit: str
+    """Which one, whatever the leg and its figure."""
 
 
 def span_s(trajectory: Trajectory) -> float:
@@ -165,8 +167,9 @@ def _singularity(w: Walk, limit: float) -> Violation | None:
     t = float(w.t[k])
     if turned[k] or not np.isfinite(w.condition[k]):
         text = "the path goes through a singularity of J, where no leg forces can hold the platform"
-        return Violation(t, text)
-    return Violation(t, f"condition of J above limits.condition {limit:g}: {w.condition[k]:.1f}")
+        return Violation(t, text, text)
+    text = f"condition of J above limits.condition {limit:g}"
+    return Violation(t, f"{text}: {w.condition[k]:.1f}", text)
 
 
 def window_swing(forces: Array, ticks: int) -> Array:
@@ -184,4 +187,4 @@ def _first(w: Walk, bad: Flags, value: Array, text: str, unit: str) -> Violation
         return None
     k = int(np.argmax(rows))
     leg = int(np.argmax(bad[k]))
-    return Violation(float(w.t[k]), f"leg {leg}: {text}: {value[k, leg]:.6g} {unit}")
+    return Violation(float(w.t[k]), f"leg {leg}: {text}: {value[k, leg]:.6g} {unit}", text)

@@ -31,9 +31,12 @@ def command(configuration: str, json_file: Path | None) -> None:
 
     try:
         loaded = load(configuration)
-        from hil.app.check.command import inspect
+        from hil.app.output import console
 
-        report = inspect(loaded)
+        with console.status("along the reference, with all that may ride on it"):
+            from hil.app.check.command import inspect
+
+            report = inspect(loaded)
     except ConfigurationError as error:
         if json_file is not None:
             from hil.app.output import write_json

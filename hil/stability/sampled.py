@@ -83,11 +83,12 @@ class Sampled(NamedTuple):
             x = self.loop.A @ x
         return np.array(found)
 
-    def measured_gains(self) -> Array:
-        """Return the peak gains (3,) to |e|, |de| and |u| from what e is measured wrong by."""
-        total, x = np.abs(self.loop.D[:, 1]), self.loop.B[:, 1]
+    def measured_gains(self, slope: float = 0.0) -> Array:
+        """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by."""
+        rows = np.vstack([np.eye(3), [slope, 1.0, 0.0]])
+        to, total, x = rows @ self.loop.C, np.abs(rows @ self.loop.D[:, 1]), self.loop.B[:, 1]
         for _ in range(self.steps):
-            total = total + np.abs(self.loop.C @ x)
+            total = total + np.abs(to @ x)
             x = self.loop.A @ x
         return np.asarray(total, float)
 

@@ -23,11 +23,13 @@
 """
 
 from collections.abc import Sequence
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
+from hil.config.axis_model import AxisSpace
 from hil.stability.disturbance import Linearised, Local, Survey, around, summary
 from hil.stability.lateness import Late
 from hil.stability.sampled import Sampled
@@ -65,6 +67,8 @@ class Ultimate(NamedTuple):
     """Whether Gamma = gamma I at the poses for which the forces are computed."""
     d: Array
     """(6,) m/s^2 or rad/s^2, all that disturbs the axis beside being late."""
+    pushed: Array
+    """(6,) m/s^2 or rad/s^2, the part of it by pushes of single legs."""
     error: Array
     """(6,) m or rad: |e| never exceeds it from a start without error, and from anywhere near in the end."""
     rate: Array
@@ -110,7 +114,7 @@ def ultimate(
         survey = _both(reference, summary(tube, reference.gamma))
         if survey.condition > condition:
             return (
-                f"the bound, {1e3 * before.error.max():.3g} mm or mrad, reaches poses where the condition of "
+                f"the bound, {in_words(before.error, linearised.axes)}, reaches poses where the condition of "
                 f"J is {survey.condition:.3g}, allowed: {condition:g}"
             )
         found = _bound(survey, gains, late, extra)
@@ -147,13 +151,21 @@ def _bound(s: Survey, gains: Array, late: Late, extra: Extra) -> Ultimate | str:
         return _too_much(size)
     error, rate = late.error + g_e * d + extra.error, late.rate + g_de * d
     exact = bool(s.spread.max() <= EXACT)
-    return Ultimate(s.gamma, exact, d, error, rate, late.error, late.rate, s.condition)
+    return Ultimate(s.gamma, exact, d, extra.pushed, error, rate, late.error, late.rate, s.condition)
+
+
+def in_words(error: Array, axes: AxisSpace) -> str:
+    """Return the largest of errors (6,) of the axes, m and rad."""
+    if axes == "joint":
+        return f"{1e3 * error.max():.3g} mm of leg length"
+    return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
 
 
 def _too_much(size: float) -> str:
+    shown = f"{ceil(1e3 * size) / 1e3:g}" if size >= 1.0 else "almost 1"
     return (
         "forces computed with another inertia, or for a pose of some time ago, miss by more than the gains "
-        f"bear: small gain {size:.2g}, allowed below 1; a better model, lower gains or less delay"
+        f"bear: small gain {shown}, allowed below 1; a better model, lower gains or less delay"
     )
 
 

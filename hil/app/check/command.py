@@ -13,7 +13,7 @@ from hil.app.check.encoders import report_encoders
 from hil.app.check.findings import Report
 from hil.app.check.fusion import report_fusion
 from hil.app.check.monitor import report_monitor
-from hil.app.check.payload import carried_along, report_payload
+from hil.app.check.payload import broken_by, carried_along, report_payload
 from hil.app.check.pushes import clipped
 from hil.app.check.silence import silence_of
 from hil.app.compose import build_admission, build_protocol, drive_setup
@@ -187,7 +187,7 @@ def _walk_within_limits(c: Configuration, platform: Platform, model: Model) -> t
 def _payload(report: Report, c: Configuration) -> None:
     """Report on a payload known by ranges. Raises ConfigurationError with the limits that it breaks."""
     found = carried_along(c, build_trajectory(c.reference, c.platform.home, c.folder))
-    broken = [_line(c, text, ("platform", "platform", "payload")) for one in found for text in one.broken]
+    broken = [_line(c, text, ("platform", "platform", "payload")) for text in broken_by(found)]
     if broken:
         raise ConfigurationError(*broken)
     report_payload(report, c, found)

@@ -9,7 +9,7 @@ from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import corners, shown_ranges
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.reachability import Walk, span_s, violations, walk
+from hil.app.reachability import Violation, Walk, span_s, violations, walk
 from hil.app.unknown_payload import unknown_payload
 from hil.robot.dynamics import Model
 from hil.trajectory.path import Trajectory
@@ -22,7 +22,7 @@ class Carried(NamedTuple):
     static: Array
     """(6,) N, what holds the robot at home."""
     walk: Walk
-    broken: list[str]
+    broken: list[Violation]
     """Limits that it breaks, each with its first instant."""
 
 
@@ -34,12 +34,26 @@ def carried_along(c: Configuration, trajectory: Trajectory) -> list[Carried]:
         platform = build_platform(corner.settings)
         model = Model(platform, leg_spin=c.platform.leg_spin)
         w = walk(platform, model, trajectory, span_s(trajectory), period, c.plant)
-        broken = [
-            f"with {corner.words} at t = {v.t:.3f} s: {v.message}"
-            for v in violations(w, c.platform, c.limits, period)
-        ]
+        broken = violations(w, c.platform, c.limits, period)
         found.append(Carried(corner.words, model.inverse_dynamics(*home, still, still), w, broken))
     return found
+
+
+def broken_by(found: list[Carried]) -> list[str]:
+    """Return each limit that a payload breaks, in words, by the one that breaks it first."""
+    by_limit: dict[str, list[tuple[Violation, str]]] = {}
+    for one in found:
+        for violation in one.broken:
+            by_limit.setdefault(violation.limit, []).append((violation, one.words))
+    lines = []
+    for all_of in by_limit.values():
+        first, words = min(all_of)
+        more = f" and {len(all_of) - 1} other corners of the ranges" if len(all_of) > 1 else ""
+        lines.append(
+            f"with {words}{more}, at t = {first.t:.3f} s: {first.message}; narrow mass_range_kg or "
+            "com_range_m, take a gentler reference, or raise the limit if legs and drives bear it"
+        )
+    return lines
 
 
 def report_payload(report: Report, c: Configuration, found: list[Carried]) -> None:

@@ -1,13 +1,14 @@
 """What may ride on the platform: the corners of the box in which a payload's mass and place lie.
 
-Forces at rest are linear in m and m c: their extremes are at corners. Of what a wrong inertia does to
-accelerations the corners are looked at, and nothing between.
+Forces at rest are linear in m and m c: their extremes are at corners. The kinetic energy of a motion is
+convex in c: the most inertia is at a corner, the least may be inside, near the place where the least mass is
+nearest to the centre of mass of all the rest. That place is looked at, too.
 """
 
 from itertools import product
 from typing import NamedTuple
 
-from hil.app.configuration.platform import rigid_body
+from hil.app.configuration.platform import frame_axes, platform_body, rigid_body
 from hil.config.platform import InertiaReference, PayloadSettings, PlatformSettings
 from hil.config.values import Vector3
 
@@ -34,9 +35,11 @@ def corners(settings: PlatformSettings) -> list[Corner]:
     places = list(
         product(*(sorted(set(range_m)) for range_m in body.com_range_m or [(x,) for x in body.com_m]))
     )
+    inner = _nearest(settings, ranged)
     found = [Corner(settings, "the model's payload")]
     for mass in masses:
-        for x, y, z in places if mass > 0.0 else places[:1]:
+        where = places[:1] if mass == 0.0 else [*places, *([inner] if mass == masses[0] else [])]
+        for x, y, z in dict.fromkeys(where):
             if mass == body.mass_kg and (mass == 0.0 or (x, y, z) == body.com_m):
                 continue  # the model's own
             moved = _moved(body, mass, (x, y, z))
@@ -45,6 +48,20 @@ def corners(settings: PlatformSettings) -> list[Corner]:
             words = shown_ranges(moved[0]) if moved else "no payload"
             found.append(Corner(settings.model_copy(update={"platform": changed}), words))
     return found
+
+
+def _nearest(settings: PlatformSettings, ranged: int) -> Vector3:
+    """Return the place within a payload's ranges that is nearest to the centre of mass of all the rest."""
+    payload = settings.platform.payload
+    body, rest = payload[ranged], [*payload[:ranged], *payload[ranged + 1 :]]
+    bare = settings.platform.model_copy(update={"payload": rest})
+    R, origin = frame_axes(body.frame)
+    com = R.T @ (platform_body(settings.model_copy(update={"platform": bare})).com - origin)
+    ranges = body.com_range_m or [(x, x) for x in body.com_m]
+    x, y, z = (
+        min(max(float(one), within[0]), within[1]) for one, within in zip(com, ranges, strict=True)
+    )  # fmt: skip
+    return (x, y, z)
 
 
 def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSettings]:

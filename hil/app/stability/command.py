@@ -6,7 +6,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import designed, linearising, spring_models
+from hil.app.stability import designed, layered, linearising, spring_models
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
 from hil.stability.assessment import Assessment
@@ -21,8 +21,8 @@ JUDGES: dict[str, Judge] = {
     "pd_gravity": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
     "cartesian_pd": lambda subject, law, quick: spring_models.cartesian(subject, law, quick=quick),
     "feedforward_pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
-    "sliding_mode": lambda subject, law, _: linearising.robust(subject, law),
-    "robust_inverse_dynamics": lambda subject, law, _: linearising.robust(subject, law),
+    "sliding_mode": lambda subject, law, _: layered.robust(subject, law),
+    "robust_inverse_dynamics": lambda subject, law, _: layered.robust(subject, law),
     "state_space": lambda subject, law, _: designed.configured(subject, law),
 }
 """`controller.law` -> what judges it, where another theorem than that of its linear error dynamics does."""

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.payload_box import corners
+from hil.app.configuration.payload_box import Corner, corners
 from hil.app.configuration.platform import build_platform
 from hil.app.encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
@@ -113,6 +113,8 @@ class Judged(NamedTuple):
     inertia: Inertia = Inertia()
     bounds: tuple[tuple[list[Sampled], Ultimate], ...] = ()
     """Loops and bound at each end of what is stated of the inertia."""
+    carried: str = ""
+    """With what the bound is the largest, or there is none; nothing where only one thing is carried."""
 
 
 @dataclass(frozen=True)
@@ -147,11 +149,14 @@ class Subject:
         def robot(platform: Platform) -> Model:
             return Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected)
 
-        boxes = [corner.settings for corner in corners(c.platform)]
+        boxes = corners(c.platform)
         if stated.payload.mass_kg:
-            boxes += [_laden(settings, stated.payload) for settings in boxes]
-        self.robots = [robot(build_platform(settings)) for settings in boxes]
+            more = f"the stated {stated.payload.mass_kg:g} kg"
+            boxes += [Corner(_laden(b.settings, stated.payload), f"{b.words} and {more}") for b in boxes]
+        self.robots = [robot(build_platform(box.settings)) for box in boxes]
         """That of the model, those at the corners of its payload's ranges; all these with what is stated."""
+        self.carried = [box.words for box in boxes]
+        """What each of them carries."""
         self.path = self._path()
         self.axis = Axis(*loop_delay(c))
         drives = None if c.plant is None else c.plant.drives
@@ -169,9 +174,9 @@ class Subject:
     def alone(self) -> list[Self]:
         """Return a subject for each robot."""
         found = []
-        for robot in self.robots:
+        for robot, carried in zip(self.robots, self.carried, strict=True):
             one = copy(self)
-            one.robots = [robot]
+            one.robots, one.carried = [robot], [carried]
             found.append(one)
         return found
 
@@ -242,26 +247,37 @@ class Subject:
         ends: list[tuple[list[Sampled], Ultimate]] = []
         weakest: list[Sampled] = []
         seen: list[Local] = []
+        words: list[str] = []
         stale = stale_s(self.axis, ahead_s)
-        for linearised in self.linearised(model, axes):
+        for linearised, carried in self._ends(model, axes):
             found = along(linearised, self.path, stale)
             seen += found
             survey = summary(found)
             loops = loops_of(survey.gamma)
             least = min(loops, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
             if not least.stable:
-                return Judged(least, loops, "the loop is not stable")
+                return Judged(least, loops, f"the loop is not stable{carried}", carried=carried)
             late = self._late(linearised, loops, ahead_s)
             more = self._unknown(loops, axes, unknown, found)
             condition = self.c.limits.condition
             bound = ultimate(linearised, self.path, found, loops, late, more, condition=condition)
             if isinstance(bound, str):
-                return Judged(least, loops, bound)
+                return Judged(least, loops, bound + carried, carried=carried)
             weakest.append(least)
             ends.append((loops, bound))
-        loops, bound = max(ends, key=lambda end: float(end[1].error.max()))
+            words.append(carried)
+        worst = max(range(len(ends)), key=lambda k: float(ends[k][1].error.max()))
+        loops, bound = ends[worst]
         least = min(weakest, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
-        return Judged(least, loops, bound, Inertia.of(seen), tuple(ends))
+        return Judged(least, loops, bound, Inertia.of(seen), tuple(ends), words[worst])
+
+    def _ends(self, model: ModelSettings, axes: AxisSpace) -> list[tuple[Linearised, str]]:
+        """Return `linearised`, each with the words for what it carries where that is not one thing."""
+        robots = self.linearised(model, axes)
+        each = len(robots) // len(self.robots)
+        several = len(self.robots) > 1
+        words = [f", with {words}" if several else "" for words in self.carried for _ in range(each)]
+        return list(zip(robots, words, strict=True))
 
     def _late(self, linearised: Linearised, loops: list[Sampled], ahead_s: float) -> Late:
         """Return what the delays cost along the reference, under a law that looks ahead by `ahead_s`."""

@@ -11,7 +11,7 @@ from hil.config.axis_model import AxisSpace
 from hil.stability.error_dynamics import Certificate, decay_rate
 from hil.stability.reaching import Reaching
 from hil.stability.sampled import Sampled
-from hil.stability.ultimate import Ultimate
+from hil.stability.ultimate import Ultimate, in_words
 
 
 def describe(loop: Sampled) -> tuple[list[str], dict[str, Any]]:
@@ -47,13 +47,7 @@ def unstable(subject: Subject, loop: Sampled) -> str:
 
 def worst(bound: Ultimate, axes: AxisSpace) -> str:
     """Return the ultimate bound in words."""
-    return _size(bound.error, axes)
-
-
-def _size(error: Array, axes: AxisSpace) -> str:
-    if axes == "joint":
-        return f"{1e3 * error.max():.3g} mm of leg length"
-    return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
+    return in_words(bound.error, axes)
 
 
 def certificate_lines(proved: Certificate) -> tuple[list[str], dict[str, Any]]:
@@ -93,6 +87,7 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
         "disturbance": bound.d.tolist(),
         "ultimate_bound": bound.error.tolist(),
         "ultimate_rate_bound": bound.rate.tolist(),
+        "pushed": bound.pushed.tolist(),
         "late": bound.late.tolist(),
         "condition_max": bound.condition,
     }
@@ -105,12 +100,18 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
             f"missed, or goes to another axis; Gamma's eigenvalues {least:.3g} to {largest:.3g}"
         )
     if bound.late.max() > 0.0:
-        lines.append(f"delay          makes {_size(bound.late, axes)} of the bound, along the reference")
+        lines.append(f"delay          makes {in_words(bound.late, axes)} of the bound, along the reference")
     if bound.d.max() > 1e-6:
         size = f"{bound.d.max():.3g} m/s^2 of a leg"
         if axes == "pose":
             size = f"{bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2"
-        lines.append(f"disturbance    {size}: with the rest |e| <= {worst(bound, axes)}")
+        lines.append(f"disturbance    {size}: with the rest |e| <= {worst(bound, axes)}{judged.carried}")
+    if bound.pushed.max() > 1e-6:
+        unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
+        lines.append(
+            f"pushes         {bound.pushed.max():.3g} {unit} of the disturbance are safety's, of legs that "
+            "stand still while others stray"
+        )
     return lines, figures
 
 

@@ -13,6 +13,7 @@ from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, platform_body, pose_arrays
 from hil.app.encoder_limits import encoder_limits
 from hil.app.stability.command import judge
+from hil.app.stability.subject import Stated, Subject
 from hil.app.unknown_payload import unknown_payload
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
@@ -58,6 +59,37 @@ def test_each_corner_is_the_robot_with_that_payload():
         np.testing.assert_allclose(body.inertia, expected.inertia, rtol=1e-14, atol=1e-12)
     assert found[1].words == "no payload"
     assert found[2].words == "80 kg at (-0.1, 0, 0.1) m"
+
+
+def test_the_least_inertia_may_be_inside_the_box_and_is_looked_at():
+    """More than the model has anywhere: Gamma is largest where the least mass rides next to the centre of mass."""
+    heavy = (
+        "mass_kg: 120, com_m: [0.2, 0.1, 0.2], shape: {type: point}, mass_range_kg: [60, 120], "
+        "com_range_m: [[-0.3, 0.3], [-0.2, 0.2], [-0.1, 0.3]]"
+    )
+    c = robot(heavy)
+    subject = Subject(c, Stated())
+    x = np.array([0.0, 0.0, 0.0, 1.0, 0.3, 0.2])
+
+    def energy(model):
+        home = pose_arrays(c.platform.home)
+        return float(x @ model.mass_matrix(*home) @ x)
+
+    rng = np.random.default_rng(4)
+    ranges = c.platform.platform.payload[0].com_range_m
+    somewhere = [
+        Model(build_platform(carried(60.0, *(float(rng.uniform(*r)) for r in ranges)).platform))
+        for _ in range(200)
+    ]
+    least = min(map(energy, somewhere))
+    at_corners = [
+        Model(build_platform(carried(60.0, a, b, d).platform))
+        for a in ranges[0]
+        for b in ranges[1]
+        for d in ranges[2]
+    ]
+    assert least < min(map(energy, at_corners))
+    assert min(map(energy, subject.robots)) <= 1.005 * least
 
 
 def test_without_ranges_there_is_one_robot_and_nothing_unknown():
@@ -136,6 +168,20 @@ def test_check_refuses_a_payload_under_which_a_limit_breaks_and_says_which():
     ) as found:
         inspect(robot(BOX, changes=limit))
     assert "no payload" not in str(found.value)
+    assert "narrow mass_range_kg" in str(found.value)
+    assert str(found.value).count("limits.force_N") == 1, "one line for each limit"
+
+
+def test_what_breaks_a_bound_is_named():
+    """Two tonnes that nobody told the law of; and of less, where the bound is largest."""
+    heavy = POINT + ", mass_range_kg: [0, 2000], com_range_m: [[-0.1, 0.2], [0, 0], [0.1, 0.3]]"
+    refused = judge(robot(heavy))
+    assert refused.status == "not proven"
+    assert ", with 2000 kg at (" in refused.claim
+    lines = judge(robot(BOX)).lines
+    assert any(line.startswith("disturbance") and ", with 80 kg at (" in line for line in lines)
+    assert any(line.startswith("pushes") for line in lines)
+    assert ", with" not in " ".join(judge(robot(POINT)).lines)
 
 
 def test_safety_allows_for_what_the_payload_does_to_the_legs():

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hil.stability.reachable import peak_gain
-from hil.stability.reaching import redesign, sliding
+from hil.stability.reaching import Sector, redesign, sliding
 
 SLOPE, K = 30.0, 8.0
 PHI = K / SLOPE
@@ -112,3 +112,13 @@ def test_legs_may_be_as_fast_as_what_is_left_of_the_gain_stops():
     assert found.surplus == pytest.approx(3.5)
     assert found.room == pytest.approx(0.35)
     assert found.time_s(0.1 + 1.75) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("c", [1.1, 1.5, 2.0, 3.0])
+def test_a_layer_is_a_weaker_gain_and_a_rest_as_far_as_the_sector_reaches(c):
+    sector = Sector.of(K, PHI, c)
+    s = np.linspace(-sector.reach, sector.reach, 100_001)
+    rest = K * np.clip(s / PHI, -1.0, 1.0) - sector.gain * s
+    assert np.abs(rest).max() == pytest.approx(sector.rest, rel=1e-6)
+    beyond = 1.01 * sector.reach
+    assert abs(K - sector.gain * beyond) > sector.rest

@@ -115,6 +115,14 @@ def test_no_disturbance_within_what_is_stated_exceeds_what_is_printed(name, coun
     with capsys.disabled():
         print(f"\n{name:28} worst {1e3 * worst.max():8.4f} mm, bound / worst {ratio:.3f}", end="")
     assert (worst <= bound).all()
+    if "beyond" in verdict.figures:  # without taking the law for linear outside its layer
+        dynamics = c.controller.error_dynamics()
+        assert isinstance(dynamics, ErrorDynamics)
+        slope = float(np.max(dynamics.slope))
+        s = (rows["dq_d"] - rows["dq"]) + slope * (rows["q_d"] - rows["q"])
+        assert np.abs(s).max() <= verdict.figures["beyond"]["inside_m_s"]
+        assert (worst <= np.array(verdict.figures["beyond"]["ultimate_bound"])).all()
+    assert ("beyond" in verdict.figures) == (name == "sliding, lambda 240")
     assert ratio <= 3.0
 
 

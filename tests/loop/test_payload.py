@@ -310,13 +310,13 @@ def test_a_controller_that_scales_its_masses_does_not_scale_the_legs_of_the_fit(
     assert block(found)["controller"]["model"]["inertia_scale"] == 1.0
 
 
-def test_a_law_without_a_model_gets_no_section_for_one(folder, tmp_path):
-    found = identify_payload([folder / "lab.mcap"], None)
-    document = yaml.safe_load(load("lab").text)
+def test_a_law_without_a_model_gets_no_section_for_one(folder, found, tmp_path):
+    source = found.sources[0]
+    document = yaml.safe_load(load("virtual").text)
     document["monitor"] = {"action": "log"}
     document["controller"] = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
-    source = found.sources[0]._replace(configuration=loads(yaml.safe_dump(document), "pd.yaml", tmp_path))
-    assert set(block(found._replace(sources=[source]))) == {"platform"}
+    c = loads(yaml.safe_dump(document), "pd.yaml", tmp_path)
+    assert set(block(found._replace(sources=[source._replace(configuration=c)]))) == {"platform"}
     assert set(block(found)) == {"platform", "controller"}
 
 

@@ -18,6 +18,8 @@ RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
 
 SECTORS = (1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5, 3.0)
 """Times that the gain of a layer is lowered by, where it may be left."""
+HALVINGS = 4
+"""Of the step between the last of them that does not close and the first that does."""
 
 
 class Layered(NamedTuple):
@@ -70,16 +72,30 @@ class Layered(NamedTuple):
 
         alpha: norm of Gamma - I, by rows.
         """
-        layer, found = self.law.error_dynamics().layer, []
-        for c in SECTORS:
-            sector = Sector.of(self.k, layer, c)
-            judged = self.bounded(self.k / layer - sector.gain, (1.0 + alpha) * sector.rest)
-            if not isinstance(judged.bound, Ultimate):
-                continue
-            most = self.inside(judged)
-            if most <= sector.reach:
-                found.append((judged.bound, most))
-        return min(found, key=lambda one: float(one[0].error.max()), default=None)
+        lower = 1.0
+        for c in SECTORS:  # the weaker the gain, the larger the error
+            found = self._closed(c, alpha)
+            if found is not None:
+                break
+            lower = c
+        else:
+            return None
+        upper = c
+        for _ in range(HALVINGS):
+            c = 0.5 * (lower + upper)
+            better = self._closed(c, alpha)
+            lower, upper, found = (lower, c, better) if better is not None else (c, upper, found)
+        return found
+
+    def _closed(self, c: float, alpha: float) -> tuple[Ultimate, float] | None:
+        """Return the bound with the layer's gain over c, and that of |s| or |y|, if its sector holds it."""
+        layer = self.law.error_dynamics().layer
+        sector = Sector.of(self.k, layer, c)
+        judged = self.bounded(self.k / layer - sector.gain, (1.0 + alpha) * sector.rest)
+        if not isinstance(judged.bound, Ultimate):
+            return None
+        most = self.inside(judged)
+        return (judged.bound, most) if most <= sector.reach else None
 
 
 def robust(subject: Subject, law: RobustSettings) -> Assessment:
@@ -112,10 +128,9 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     error, claim = judged.bound.error, f"{one.name} reaches its layer"
     if reaching.covered:
         claim += " and stays there"
-    elif (beyond := one.beyond(alpha)) is not None:
-        error, most = beyond[0].error, beyond[1]
-        claim += f", may leave it up to {most:.3g} m/s and comes back"
     else:
+        more, numbers = _beyond_lines(one, alpha)
+        lines, figures = lines + more, {**figures, **numbers}
         conditions.append(
             f"{one.name} may leave its layer of {reaching.layer:.3g} m/s up to {reaching.inside:.3g} m/s, by "
             "delay or by what the error of the model makes of the law's linear part: there the law is no "
@@ -125,6 +140,19 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     figures["ultimate_bound"] = error.tolist()
     claim += f", errors stay below {1e3 * error.max():.3g} mm of leg length along the reference"
     return Assessment("conditional", claim, [*conditions, SURVEYED], lines, figures)
+
+
+def _beyond_lines(one: Layered, alpha: float) -> tuple[list[str], dict[str, Any]]:
+    """Return what holds without taking the law for linear outside its layer, as lines and figures."""
+    found = one.beyond(alpha)
+    if found is None:
+        return ["beyond layer   nothing is known without that: a wider layer, or more gain"], {}
+    error, most = found[0].error, found[1]
+    line = (
+        f"beyond layer   without taking the law for linear: |{one.name}| below {most:.3g} m/s, errors below "
+        f"{1e3 * error.max():.3g} mm of leg length"
+    )
+    return [line], {"beyond": {"inside_m_s": most, "ultimate_bound": error.tolist()}}
 
 
 def _without_layer(one: Layered, conditions: list[str]) -> Assessment:

@@ -71,6 +71,29 @@ class Column(NamedTuple):
         """Number of elements."""
         return prod(self.shape)
 
+    @property
+    def names(self) -> dict[str, int]:
+        """What its numbers are called, or their bits; empty where they have no names."""
+        if not issubclass(self.type, (IntEnum, IntFlag)):
+            return {}
+        return {str(member.name): int(member) for member in self.type}
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Name of each element, row by row: `tau.leg_3`, `p.z`; the column's own where it is a scalar."""
+        if not self.shape:
+            return (self.name,)
+        places = ("_".join(map(str, place)) for place in np.ndindex(self.shape))
+        return tuple(f"{self.name}.{element}" for element in self.elements or places)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each element, row by row: of `m, rad` the first half are m, the second half rad."""
+        units = tuple(self.unit.split(", "))
+        if not self.shape or self.size % len(units):
+            return (self.unit,) * self.size
+        return tuple(unit for unit in units for _ in range(self.size // len(units)))
+
 
 PER_LEG = tuple(f"leg_{leg}" for leg in range(LEGS))
 XYZ = ("x", "y", "z")

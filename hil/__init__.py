@@ -1,1 +1,61 @@
-"""The controller: geometry, dynamics, control laws, safety, the cycle, recording and replay."""
+"""The controller: geometry, dynamics, control laws, safety, the cycle, recording and replay.
+
+What stands here is stable: `Log` reads a recorded run, `sim` makes one. Nothing is imported before it is
+asked for, so that `import hil` and a log cost no compilation.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drivers.errors import (
+        BusError,
+        ConfigurationError,
+        HilError,
+        LogError,
+        ModelError,
+        PlantError,
+        ProtocolError,
+        RunError,
+    )
+    from drivers.tick_columns import Column
+    from hil.app.simulation import Run, sim
+    from hil.record.log import Event, Log, LoggedFrame, LogStatistics, Tick
+
+__all__ = [
+    "BusError",
+    "Column",
+    "ConfigurationError",
+    "Event",
+    "HilError",
+    "Log",
+    "LogError",
+    "LogStatistics",
+    "LoggedFrame",
+    "ModelError",
+    "PlantError",
+    "ProtocolError",
+    "Run",
+    "RunError",
+    "Tick",
+    "sim",
+]
+
+_HOMES = {
+    "drivers.errors": [name for name in __all__ if name.endswith("Error")],
+    "drivers.tick_columns": ["Column"],
+    "hil.app.simulation": ["Run", "sim"],
+    "hil.record.log": ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"],
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -8,8 +8,6 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from hil.record.row import names_of
-
 
 class Columns(SphinxDirective):
     """Its argument names a tuple of `drivers.tick_columns.Column`."""
@@ -24,7 +22,7 @@ class Columns(SphinxDirective):
             f"| `{c.name}` | {c.type.__name__} | {c.unit} | {', '.join(c.elements)} | {c.meaning} |"
             for c in columns
         ]
-        named = {c.type.__name__: names_of(c) for c in columns if names_of(c)}
+        named = {c.type.__name__: c.names for c in columns if c.names}
         for name, values in named.items():
             lines += ["", f"{name}: " + ", ".join(f"{value} {text}" for text, value in values.items())]
         return self.parse_text_to_nodes("\n".join(lines))

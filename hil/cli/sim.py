@@ -28,6 +28,9 @@ from hil.cli.shared import (
     metavar="FILE",
     help="CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg.",
 )
+@click.option(
+    "--plant-log", is_flag=True, help="Record the plant's truth, too, beside the log: NAME-plant.mcap."
+)
 @reporting
 def command(
     configuration: str,
@@ -35,6 +38,7 @@ def command(
     log: Path | None,
     faults: tuple[str, ...],
     setpoints: Path | None,
+    plant_log: bool,
     json_file: Path | None,
 ) -> None:
     """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
@@ -65,5 +69,12 @@ def command(
 
     loaded = with_faults(loaded, faults)
 
-    summary = simulate(loaded, log=log, duration_s=duration, live=sys.stderr.isatty(), setpoints=setpoints)
+    summary = simulate(
+        loaded,
+        log=log,
+        duration_s=duration,
+        live=sys.stderr.isatty(),
+        setpoints=setpoints,
+        plant_log=plant_log,
+    )
     finish("sim", summary, json_file)

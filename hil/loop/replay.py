@@ -14,7 +14,6 @@ from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
 from hil.record.log import Tick
-from hil.record.row import names_of
 from hil.signals import Operator, TickInput
 
 TOLERANCE = 1e-9
@@ -78,7 +77,7 @@ _INPUT = struct.Struct(f"<{len(INPUT_COLUMNS)}q")
 def other_columns(columns: Sequence[Column]) -> str:
     """Return how the columns of a log differ from RECORDED; empty where a replay can compare them."""
     log, own = (
-        {c.name: (c.kind, c.shape, c.elements, names_of(c)) for c in table} for table in (columns, RECORDED)
+        {c.name: (c.kind, c.shape, c.elements, c.names) for c in table} for table in (columns, RECORDED)
     )
     found = {
         "only the log has": [name for name in log if name not in own],

@@ -61,14 +61,14 @@ class Decoder:
         self._epoch = epoch_ns
         self._row = RowCodec(columns)
 
-    def _of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
+    def messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
         """Return which messages of a table are of a topic."""
         ids = [i for i, channel in self._channels.items() if channel.topic == topic]
         return np.flatnonzero(np.isin(table.channel, ids))
 
     def messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
         """Yield the messages of a topic, parsed by protobuf."""
-        for i in self._of(table, topic).tolist():
+        for i in self.messages_of(table, topic).tolist():
             yield self._protobuf(data, table, i)
 
     def _protobuf(self, data: bytes, table: MessageTable, i: int) -> Any:
@@ -86,7 +86,7 @@ class Decoder:
 
     def rows(self, data: bytes, table: MessageTable) -> Rows:
         """Return the rows in a buffer, in its order."""
-        mine = self._of(table, self._topic)
+        mine = self.messages_of(table, self._topic)
         layout = self._row.layout
         size = layout.template.size
         if len(mine) and (table.length[mine] == size).all():
@@ -106,7 +106,7 @@ class Decoder:
 
     def frames(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
-        mine = self._of(table, CAN)
+        mine = self.messages_of(table, CAN)
         items = np.zeros(len(mine), ITEM)
         buffer = np.frombuffer(data, np.uint8)
         shortest = frame_layout(0, self._bus).payload.itemsize

@@ -1,60 +1,43 @@
-"""Reads a log: configuration, metadata, and the ticks in their order."""
+"""A recorded run: its ticks in their order, its columns, frames and events."""
 
 from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Chunk
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
-from drivers.protocol import BUS, Frame, Received
-from drivers.tick_columns import Column
-from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR, Decoder
-from hil.record.layout import MAX_DATA
-from hil.record.mcap_file import MAGIC
-from hil.record.mcap_read import MessageTable, Record, decompress, records, split
-from hil.record.row import Table, columns_of, columns_of_0_1_0
-from hil.record.schema import CONFIGURATION, IDENTITY, RX, SUMMARY, TX
+from drivers.tick_columns import RECORDED
+from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
+from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
+from hil.record.log_file import LogFile
+from hil.record.row import Table
+from hil.record.schema import SUMMARY
+from hil.record.selection import Selection
 from hil.signals import Operator, SetPoint
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"]
 
 _BATCH, _LOOKAHEAD = 256, 64
 """Ticks read before any is handed out, and how far other writers may have moved a message."""
-_MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
-_FOOTER = 9 + 20 + len(MAGIC)
+_SETTLED_NS = 1_000_000_000
+"""A frame is handed out when one so much later has been read."""
 _LEVELS = {1: "debug", 2: "info", 3: "warning", 4: "error", 5: "error"}
 
 
-Commands = dict[int, list[tuple[int, int, tuple[float, ...]]]]
-"""By tick: index, command and the pose of a set-point."""
-
-
-class Tick(NamedTuple):
-    """One recorded tick."""
-
-    row: np.void
-    """One element of `Log.dtype`."""
-    received: tuple[Received, ...]
-    """In the order consumed."""
-    sent: tuple[Frame, ...]
-    operator: tuple[int, ...]
-    setpoints: tuple[SetPoint, ...] = ()
-
-
-class Event(NamedTuple):
-    """One recorded event."""
-
-    t_ns: int
-    level: str
-    text: str
+PLANT_TOPIC = "/plant"
+"""Topic of a plant's rows."""
 
 
 class LogStatistics(NamedTuple):
@@ -66,83 +49,94 @@ class LogStatistics(NamedTuple):
     dropped: int
     """Ticks that the recorder had to drop."""
     closed: str
-    """`clean`, `producer died`, `salvaged`, or `unknown`."""
+    """`clean`, `producer died`, `salvaged`, `cut`, or `unknown`."""
 
 
-class Log:
-    """A log of ours; open one with `Log.open`."""
+class Log(LogFile):
+    """A run's log: ``Log("run.mcap").frame()``.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.attachments: dict[str, bytes] = {}
-        self._decoder = Decoder(str(path))
+    A log that is cut is read as far as it goes, and `cut` says so. Nothing but metadata and attachments stays
+    in memory; each call reads the file again.
+
+    Parameters
+    ----------
+    path
+        The MCAP file of `hil run`, `hil sim` or `hil plant`.
+    plant
+        The plant's log of the same run; without, the one that `hil run --plant` writes beside it.
+
+    Raises
+    ------
+    LogError
+        No such file, no MCAP, damaged, not written by this product, or cut within its first bytes.
+
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, plant: str | os.PathLike[str] | None = None) -> None:
+        super().__init__(path)
+        beside = self.path.with_name(f"{self.path.stem}-plant{self.path.suffix}")
+        self._plant_path = beside if plant is None else Path(plant)
+
+    def __repr__(self) -> str:
+        return f"Log({str(self.path)!r})"
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Log:
-        """Open a log and read all but its messages.
+        """Open a log that has to be whole.
 
         Raises
         ------
         LogError
-            No such file, no MCAP, cut, damaged, or not written by this product.
+            As the class; and where it is cut.
 
         """
-        log = cls(Path(path))
-        log._check_file()
-        for record in records(log.path, skip=_MESSAGES):
-            log._learn(record)
-        identity = log.metadata.get(IDENTITY, {})
-        if not {"columns", "dtype"} & identity.keys():
-            raise LogError(
-                f"{path}: an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"
-            )
-        try:
-            log.columns = (
-                columns_of(identity["columns"])
-                if "columns" in identity
-                else columns_of_0_1_0(identity["dtype"])
-            )
-            log.topic, log.epoch_ns = identity["topic"], int(identity["epoch_ns"])
-            log.lockstep = identity["mode"] == "lockstep"
-            log.dtype = Table(log.topic, log.columns).dtype
-            log._decoder.expect(log.topic, log.columns, identity["can_channel"], log.epoch_ns)
-        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-            raise LogError(f"{path}: metadata record {IDENTITY!r} cannot be read: {error!r}") from error
+        log = cls(path)
+        if log.cut:
+            raise LogError(f"{path}: {log.cut}")
         return log
 
-    columns: tuple[Column, ...]
-    """Of the rows; without names of elements and numbers where version 0.1.0 wrote the log."""
-    dtype: np.dtype[np.void]
-    """Type of the rows."""
-    topic: str
-    """Topic of the rows: `/tick` or `/plant`."""
-    epoch_ns: int
-    """UTC of t_ns = 0."""
-    lockstep: bool
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Type of the rows."""
+        return Table(self.topic, self.columns).dtype
+
+    @cached_property
+    def origin_ns(self) -> int:
+        """`t_ns` of the first row: where the time `t_s` of a frame begins; 0 without a row."""
+        return next((int(block["t_ns"][0]) for block in self.blocks("t_ns")), 0)
 
     @property
-    def configuration(self) -> str:
-        """Text of the configuration of the run.
+    def plant(self) -> Log:
+        """The plant's log of the same run.
 
         Raises
         ------
         LogError
-            The log has none, or one that is no text.
+            There is none, it cannot be read, or it is none of a plant.
 
         """
-        if CONFIGURATION not in self.attachments:
+        if not self._plant_path.exists():
             raise LogError(
-                f"{self.path}: no attachment {CONFIGURATION}: the configuration of the run is not known"
+                f"{self.path}: {self._plant_path}, the plant's log, does not exist; `hil run --plant` and "
+                "`hil sim --plant-log` write it: name it with Log(path, plant=FILE)"
             )
-        try:
-            return self.attachments[CONFIGURATION].decode()
-        except UnicodeDecodeError as error:
-            raise LogError(f"{self.path}: attachment {CONFIGURATION} is no text: {error}") from error
+        log = Log(self._plant_path)
+        if log.topic != PLANT_TOPIC:
+            raise LogError(f"{log.path}: holds {log.topic}, allowed: a log of a plant, {PLANT_TOPIC}")
+        return log
 
     @property
     def summary(self) -> LogStatistics:
-        """What is in the log, from its index."""
+        """What is in the log: from its index, or counted where it is cut.
+
+        Raises
+        ------
+        LogError
+            The index is damaged.
+
+        """
+        if self.cut:
+            return self._counted()
         try:
             with self.path.open("rb") as file:
                 summary = make_reader(file).get_summary()
@@ -166,11 +160,128 @@ class Log:
             closed=closing.get("closed", "unknown"),
         )
 
-    def rows(self) -> Rows:
-        """Return all rows, in tick order."""
-        parts = [self._decoder.rows(data, table) for data, table in self._buffers()]
-        rows = np.concatenate(parts) if parts else np.zeros(0, self.dtype)
-        return rows[np.argsort(rows["tick"], kind="stable")]
+    def _counted(self) -> LogStatistics:
+        ticks = frames = 0
+        first, last = 1 << 64, 0
+        for _, table in self._buffers():
+            ticks += len(self._decoder.messages_of(table, self.topic))
+            frames += len(self._decoder.messages_of(table, CAN))
+            if len(table.log_time):
+                first, last = min(first, int(table.log_time.min())), max(last, int(table.log_time.max()))
+        return LogStatistics(ticks, frames, max(last - first, 0) * 1e-9, 0, "cut")
+
+    def figures(self) -> dict[str, Any]:
+        """Return the run's figures as its summary has them: errors, forces, wake-ups, faults.
+
+        Raises
+        ------
+        LogError
+            The log is a plant's, or its columns are those of another version.
+
+        """
+        there = {c.name: (c.kind, c.shape) for c in self.columns}
+        other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
+        if other:
+            raise LogError(f"{self.path}: no figures: columns {', '.join(other[:3])} are missing or differ")
+        from hil.record.figures import figures  # noqa: PLC0415 - compiled mathematics
+
+        return figures(self.rows())
+
+    def frame(
+        self,
+        *names: str,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        numbers: bool = False,
+    ) -> pd.DataFrame:
+        """Return columns as a pandas DataFrame, one row a tick, one column a component.
+
+        Parameters
+        ----------
+        names
+            Columns (`tau`) or components (`tau.leg_3`, `p.z`); all of the log where none is given. Those of
+            the plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: what was true when the
+            tick's measurement was latched, nan where the plant has no row of that tick.
+        start_s, stop_s
+            First and last time, s from the first row.
+        numbers
+            Leave the numbers of enumerations and flags; else they are categories by name, flags joined by
+            `|`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Its index `t_s` is the time from the first row in s. `attrs` has `units` and `meanings` by column,
+            `epoch_ns`, the UTC of `t_ns` = 0, and `log`, the file.
+
+        Raises
+        ------
+        LogError
+            No such column, pandas is not installed, or the plant's log is missing or of another run.
+
+        """
+        from hil.record.data_frame import data_frame  # noqa: PLC0415 - pandas: an extra
+
+        return data_frame(self, names, start_s, stop_s, numbers=numbers)
+
+    def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
+        """Return rows in tick order: a structured array (n,), ``rows["tau"]`` is (n, 6).
+
+        Parameters
+        ----------
+        names
+            Columns to read; all where none is given.
+        start_s, stop_s
+            First and last time, s from the first row.
+
+        Raises
+        ------
+        LogError
+            No such column, or the file is damaged.
+
+        """
+        selection = self._selection(names, start_s, stop_s)
+        parts, ticks = [], []
+        for data, table in self._buffers():
+            part = selection.within(self._decoder.rows(data, table))
+            parts.append(selection.of_rows(part))
+            ticks.append(part["tick"])
+        if not parts:
+            return np.zeros(0, selection.dtype)
+        return np.concatenate(parts)[np.argsort(np.concatenate(ticks), kind="stable")]
+
+    def blocks(
+        self, *names: str, start_s: float | None = None, stop_s: float | None = None
+    ) -> Iterator[Rows]:
+        """Yield what `rows` returns in pieces, reading as it goes: for logs that do not fit into memory.
+
+        Raises
+        ------
+        LogError
+            As `rows`; or another program has moved rows too far from their place.
+
+        """
+        selection = self._selection(names, start_s, stop_s)
+        pending, done = np.zeros(0, self.dtype), -1
+        for data, table in self._buffers():
+            pending = np.concatenate((pending, self._decoder.rows(data, table)))
+            if len(pending) < _BATCH:
+                continue
+            pending = self._sorted(pending, np.zeros(0, ITEM), done)
+            ready, pending = pending[:-_LOOKAHEAD], pending[-_LOOKAHEAD:]
+            done = int(ready["tick"][-1])
+            yield selection.of_rows(selection.within(ready))
+        rest = selection.within(self._sorted(pending, np.zeros(0, ITEM), done))
+        if len(rest):
+            yield selection.of_rows(rest)
+
+    def _selection(self, names: Sequence[str], start_s: float | None, stop_s: float | None) -> Selection:
+        selection = Selection.of(self.columns, names, str(self.path))
+        if start_s is not None:
+            selection = selection._replace(first_ns=self.origin_ns + start_s * 1e9)
+        if stop_s is not None:
+            selection = selection._replace(last_ns=self.origin_ns + stop_s * 1e9)
+        return selection
 
     def events(self) -> list[Event]:
         """Return all events, in the order of the file."""
@@ -180,6 +291,29 @@ class Log:
                 t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
                 found.append(Event(t_ns, _LEVELS.get(message.level, "info"), message.message))
         return found
+
+    def can_frames(self) -> Iterator[LoggedFrame]:
+        """Yield the CAN frames in the order of their times, reading as it goes.
+
+        Frames of one time stand in the order of the log. One that was consumed more than a second after it
+        was received comes later than its time.
+
+        Raises
+        ------
+        LogError
+            The file is damaged.
+
+        """
+        pending = np.zeros(0, ITEM)
+        for data, table in self._buffers():
+            pending = np.concatenate((pending, self._decoder.frames(data, table)))
+            if not len(pending):
+                continue
+            pending = pending[np.argsort(pending["t_ns"], kind="stable")]
+            settled = int(np.searchsorted(pending["t_ns"], pending["t_ns"][-1] - _SETTLED_NS))
+            yield from logged(pending[:settled])
+            pending = pending[settled:]
+        yield from logged(pending)
 
     def ticks(self) -> Iterator[Tick]:
         """Yield the ticks in their order, reading as it goes.
@@ -209,9 +343,9 @@ class Log:
             ready, rows = rows[:-_LOOKAHEAD], rows[-_LOOKAHEAD:]
             done = int(ready["tick"][-1])
             mine = items["tick"] <= done
-            yield from _assemble(ready, items[mine], commands)
+            yield from assemble(ready, items[mine], commands)
             items = items[~mine]
-        yield from _assemble(self._sorted(rows, items, done), items, commands)
+        yield from assemble(self._sorted(rows, items, done), items, commands)
 
     def _sorted(self, rows: Rows, items: Rows, done: int) -> Rows:
         """Return rows in tick order; refuse what belongs to ticks up to `done`, already handed out."""
@@ -219,96 +353,3 @@ class Log:
         if len(ticks) and int(ticks.min()) <= done:
             raise LogError(f"{self.path}: messages stand more than {_LOOKAHEAD} ticks out of order")
         return rows[np.argsort(rows["tick"], kind="stable")]
-
-    # reading the container
-    def _check_file(self) -> None:
-        path = self.path
-        try:
-            with path.open("rb") as file:
-                head = file.read(len(MAGIC))
-                size = file.seek(0, os.SEEK_END)
-                file.seek(max(size - len(MAGIC), 0))
-                tail = file.read()
-        except FileNotFoundError:
-            raise LogError(f"{path}: no such file") from None
-        except OSError as error:
-            raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-        if not head:
-            raise LogError(f"{path}: the file is empty")
-        if head != MAGIC[: len(head)] or (len(head) == len(MAGIC) and head != MAGIC):
-            raise LogError(f"{path}: not an MCAP file")
-        if size < len(MAGIC) + _FOOTER or tail != MAGIC:
-            raise LogError(
-                f"{path}: cut at {size} bytes, the end is missing (power loss, or the recorder was killed): "
-                "run `hil replay --salvage` on it to recover what is there"
-            )
-
-    def _learn(self, record: Record) -> None:
-        """Keep what is not a message."""
-        if record.opcode in _MESSAGES:
-            return
-        found = self._parse(record)
-        match type(found).__name__:
-            case "Metadata":
-                self.metadata[found.name] = dict(found.metadata)
-            case "Attachment":
-                self.attachments[found.name] = bytes(found.data)
-            case "Schema" | "Channel":
-                self._decoder.learn(found)
-
-    def _parse(self, record: Record) -> Any:
-        try:
-            if record.complete:
-                return record.parse()
-        except (McapError, struct.error, UnicodeDecodeError) as error:
-            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}") from error
-        raise LogError(f"{self.path}: cut at byte {record.offset}: run `hil replay --salvage` on it")
-
-    def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
-        """Yield buffers of messages: the chunks, or runs of messages that stand outside chunks."""
-        loose: list[bytes] = []
-        for record in records(self.path):
-            if record.opcode == Opcode.MESSAGE:
-                loose.append(record.whole)
-                if len(loose) < 4096:
-                    continue
-            if loose:
-                data, loose = b"".join(loose), []
-                yield data, split(data)[0]
-            if record.opcode == Opcode.CHUNK:
-                chunk: Chunk = self._parse(record)
-                try:
-                    data = decompress(chunk)
-                except LogError as error:
-                    raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}") from error
-                table, others = split(data)
-                for other in others:
-                    self._learn(other)
-                yield data, table
-        if loose:
-            data = b"".join(loose)
-            yield data, split(data)[0]
-
-
-def _assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
-    """Yield the ticks of `rows`, with their items."""
-    items = items[np.lexsort((items["index"], items["direction"], items["tick"]))]
-    width = MAX_DATA
-    data = np.ascontiguousarray(items["data"]).tobytes()
-    starts = range(0, len(data), width)
-    contents = [data[a : a + n] for a, n in zip(starts, items["length"].tolist(), strict=True)]
-    flags = items["flags"] + items["bus"].astype(np.int64) * BUS
-    frames = list(map(Frame, items["id"].tolist(), contents, flags.tolist()))
-    received = list(map(Received, items["t_ns"].tolist(), frames))
-    key = items["tick"] * 4 + items["direction"]
-    wanted = rows["tick"] * 4
-    first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in (RX, TX, TX + 1))
-    for row, tick, a, b, c in zip(rows, rows["tick"].tolist(), first, middle, last, strict=True):
-        tick_received, tick_sent = tuple(received[a:b]), tuple(frames[b:c])
-        if tick not in commands:
-            yield Tick(row, tick_received, tick_sent, ())
-            continue
-        given = sorted(commands[tick])
-        operator = tuple(command for _, command, _ in given if command != Operator.SETPOINT)
-        setpoints = tuple(SetPoint(*pose) for _, command, pose in given if command == Operator.SETPOINT)
-        yield Tick(row, tick_received, tick_sent, operator, setpoints)

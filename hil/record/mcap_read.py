@@ -25,6 +25,7 @@ from hil.record.mcap_file import MAGIC
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQ")
 _CHUNK = struct.Struct("<QQQII")
+_PIECE = 1 << 20
 _READERS: dict[int, Any] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHANNEL: Channel,
@@ -33,6 +34,8 @@ _READERS: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
 }
 OPCODES = frozenset(int(code) for code in Opcode)
+MAX_CHUNK = 1 << 28
+"""Bytes of a chunk when it is unpacked: nothing larger is taken from a log."""
 
 
 class Record(NamedTuple):
@@ -94,15 +97,17 @@ def decompress(chunk: Chunk) -> bytes:
     Raises
     ------
     LogError
-        The chunk is damaged or compressed in a way that MCAP does not define.
+        The chunk is damaged, too large, or compressed in a way that MCAP does not define.
 
     """
-    data = bytes(chunk.data)
+    data, size = bytes(chunk.data), chunk.uncompressed_size
+    if size > MAX_CHUNK:
+        raise LogError(f"a chunk of {size} bytes: at most {MAX_CHUNK} are unpacked")
     try:
         if chunk.compression == "zstd":
-            data = zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.uncompressed_size)
+            data = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
         elif chunk.compression == "lz4":
-            data = lz4.frame.decompress(data)
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
         elif chunk.compression:
             raise LogError(f"a chunk is compressed by {chunk.compression!r}: allowed are zstd, lz4 and none")
     except (zstandard.ZstdError, RuntimeError) as error:
@@ -125,10 +130,14 @@ def decompress_part(content: bytes) -> bytes:
         return data
     if compression != b"zstd" or not data:
         return b""
+    reader = zstandard.ZstdDecompressor().stream_reader(data)
+    parts: list[bytes] = []
     try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        while len(parts) < MAX_CHUNK // _PIECE and (part := reader.read(_PIECE)):
+            parts.append(part)
     except zstandard.ZstdError:
         return b""
+    return b"".join(parts)
 
 
 def split(data: bytes) -> tuple[MessageTable, list[Record]]:

@@ -49,7 +49,7 @@ class Table(NamedTuple):
             if not any(c.name == name and c.kind == "<i8" and not c.shape for c in self.columns):
                 raise ValueError(f"the row needs a scalar integer column {name}")
         for c in self.columns:
-            values = names_of(c)
+            values = c.names
             if len(c.elements) > _MOST_ELEMENTS or (
                 issubclass(c.type, IntFlag) and len(values) > _MOST_ELEMENTS
             ):
@@ -69,13 +69,6 @@ TICKS = Table("/tick", RECORDED)
 """The rows of the controller."""
 
 
-def names_of(column: Column) -> dict[str, int]:
-    """Return what the numbers of a column are called, or its bits; empty where they have no names."""
-    if not issubclass(column.type, (IntEnum, IntFlag)):
-        return {}
-    return {str(member.name): int(member) for member in column.type}
-
-
 def describe(columns: Sequence[Column]) -> str:
     """Return a table of columns as JSON, which `columns_of` reads."""
     return json.dumps(
@@ -84,7 +77,7 @@ def describe(columns: Sequence[Column]) -> str:
                 "name": c.name,
                 "type": c.type.__name__,
                 "flags": issubclass(c.type, IntFlag),
-                "names": names_of(c),
+                "names": c.names,
                 "unit": c.unit,
                 "meaning": c.meaning,
                 "elements": c.elements,
@@ -118,7 +111,7 @@ def columns_of_0_1_0(description: str) -> tuple[Column, ...]:
 def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
     """Yield the fields of the message in their order: name, column, and whether it is its names."""
     for c in columns:
-        named = bool(names_of(c))
+        named = bool(c.names)
         yield (c.name + NUMBER if named else c.name), c, False
         if named:
             yield c.name, c, True
@@ -135,7 +128,7 @@ class RowCodec:
             _lay_out(builder, number, name, c, names=names)
         self.layout = builder.layout()
         self._flags = {
-            c.name: np.array(list(names_of(c).values())) for c in columns if issubclass(c.type, IntFlag)
+            c.name: np.array(list(c.names.values())) for c in columns if issubclass(c.type, IntFlag)
         }
 
     def write(self, rows: Rows, records: Rows) -> None:
@@ -182,7 +175,7 @@ def _values(records: Rows, name: str) -> Any:
 
 def _lay_out(builder: Builder, number: int, name: str, c: Column, *, names: bool) -> None:
     kind, wire_type = ("u1", VARINT) if names else (c.kind, FIXED64)
-    count = len(names_of(c)) if names and issubclass(c.type, IntFlag) else len(c.elements)
+    count = len(c.names) if names and issubclass(c.type, IntFlag) else len(c.elements)
     if count:
         builder.fields_of_message(name, number, kind, count, wire_type)
     elif c.shape:
@@ -205,12 +198,10 @@ def row_schema(table: Table) -> Schema:
         if elements or names:
             nested = message.nested_type.add(name=f"{name}_type")
             if names and issubclass(c.type, IntFlag):
-                elements, kind = tuple(names_of(c)), Type.TYPE_BOOL
+                elements, kind = tuple(c.names), Type.TYPE_BOOL
             elif names:
                 enum = nested.enum_type.add(name="Name")
-                for text, value in sorted(
-                    {**names_of(c), "UNNAMED": UNNAMED}.items(), key=lambda item: item[1]
-                ):
+                for text, value in sorted({**c.names, "UNNAMED": UNNAMED}.items(), key=lambda item: item[1]):
                     enum.value.add(name=text, number=value)
                 kind, type_name = Type.TYPE_ENUM, f".{full_name}.{name}_type.Name"
             for k, element in enumerate(elements, start=1):

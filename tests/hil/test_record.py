@@ -22,7 +22,7 @@ from hil.app.plant_columns import PLANT
 from hil.record import Recording, Scene
 from hil.record.log import Log
 from hil.record.recorder import Histogram
-from hil.record.row import TICKS, Table, columns_of, describe, names_of
+from hil.record.row import TICKS, Table, columns_of, describe
 from hil.record.salvage import salvage
 from hil.record.scene import quaternion
 from tests.hil.rewrite import mcap_summary
@@ -423,7 +423,7 @@ def test_a_table_of_columns_comes_back_from_its_description():
     assert [c._replace(type=int) for c in again] == [c._replace(type=int, part="output") for c in RECORDED]
     for a, b in zip(again, RECORDED, strict=True):
         assert (a.type.__name__, a.kind) == (b.type.__name__, b.kind)
-        assert names_of(a) == names_of(b)
+        assert a.names == b.names
 
 
 def test_the_platform_is_drawn_where_the_row_has_it(tmp_path):

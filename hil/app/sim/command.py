@@ -1,5 +1,6 @@
 """`hil sim`: both ends of the bus in lockstep, in simulated time, as fast as the machine allows."""
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,8 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import closing, log_path, told
+from hil.app.plant import plant_row
+from hil.app.plant_columns import PLANT
 from hil.app.replay import replay_log
 from hil.app.setpoint import require_live
 from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
@@ -61,13 +64,27 @@ class Script:
 def _run(
     lockstep: Lockstep,
     recording: Recording,
+    truth: Recording | None,
     duration_s: float | None,
     setpoints: Callable[[int], tuple[SetPoint, ...]],
 ) -> Ending:
     def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
         recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
 
-    return lockstep.run(duration_s, observe, setpoints, recording.event)
+    def observe_both(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
+        observe(inp, opening, out)
+        assert truth is not None
+        truth.tick(plant_row(inp.tick, lockstep.nodes.snapshot()), (), ())
+
+    return lockstep.run(duration_s, observe if truth is None else observe_both, setpoints, recording.event)
+
+
+def _record_plant(c: Configuration, path: Path) -> Recording:
+    """Start the recorder of the plant's truth: one row for each tick, no frames."""
+    return Recording.start(
+        path, configuration=c.text, table=PLANT, metadata={"kind": "plant"}, lockstep=True,
+        can_channel=c.bus.channel, ring_ticks=c.recording.ring_ticks,
+    )  # fmt: skip
 
 
 def simulate(
@@ -79,11 +96,14 @@ def simulate(
     faults: FaultPlan | None = None,
     live: bool = False,
     setpoints: Path | None = None,
+    plant_log: bool = False,
 ) -> dict[str, Any]:
     """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
 
     `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
-    their times along it. Raises ConfigurationError for what cannot run, PlantError: the plant does not start.
+    their times along it. `plant_log` records the plant's truth beside the log, as `hil plant` does.
+
+    Raises ConfigurationError for what cannot run, PlantError: the plant does not start.
     """
     c = configuration
     c.require("sim")
@@ -99,14 +119,20 @@ def simulate(
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
     path = log_path(c.recording.folder, c.name, log)
+    truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
+    if plant_log:
+        log_path(c.recording.folder, c.name, truth_path)
     nodes, physics = build_nodes(c, faults)
     try:
         lockstep = build_lockstep(c, cycle, nodes)
-        with record(c, cycle, path, "sim", live=live, lockstep=True) as recording, collector_paused():
+        with contextlib.ExitStack() as stack:
+            recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True))
+            truth = stack.enter_context(_record_plant(c, truth_path)) if plant_log else None
+            stack.enter_context(collector_paused())
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
             begun = time.perf_counter()
-            ending = _run(lockstep, recording, duration_s, script or no_setpoints)
+            ending = _run(lockstep, recording, truth, duration_s, script or no_setpoints)
             wall = time.perf_counter() - begun
             if ending.trouble:
                 recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)
@@ -122,6 +148,7 @@ def simulate(
         "story": told(ending),
         "configuration": c.source,
         "log": str(path),
+        **({"plant_log": str(truth_path)} if plant_log else {}),
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),
         "bus_load_percent": None if budget is None else budget.load_percent,

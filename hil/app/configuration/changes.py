@@ -1,0 +1,77 @@
+"""A configuration's text with some values changed, as a new text: what a log carries has to be whole."""
+
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+import yaml
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.yaml_positions import parse
+
+KINDS = ("law", "type")
+"""Keys that say which keys a section has."""
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.2 could read as something else; knows no aliases, which are refused."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        del data
+        return True
+
+
+def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if text.isidentifier() else '"')
+
+
+_Dumper.add_representer(str, _text)
+
+
+def with_changes(text: str, changes: Mapping[str, Any]) -> str:
+    """Return the text of a configuration with changes: section -> value, or a mapping of the keys to change.
+
+    A mapping is merged into the section, key by key; one that names another `law` or `type` than is there
+    replaces it, since the other keys were that one's. None takes a key away: its default holds.
+
+    Raises
+    ------
+    ConfigurationError
+        A value that no YAML file can hold.
+
+    """
+    value = parse(text).value or {}
+    merged = _merged(value, {key: _plain(change, key) for key, change in changes.items()})
+    return yaml.dump(merged, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+
+
+def _merged(there: Any, change: Any) -> Any:
+    if not isinstance(change, dict):
+        return change
+    other = isinstance(there, dict) and any(k in change and change[k] != there.get(k) for k in KINDS)
+    merged = dict(there) if isinstance(there, dict) and not other else {}
+    for key, value in change.items():
+        if value is None:
+            merged.pop(key, None)
+        else:
+            merged[key] = _merged(merged.get(key), value)
+    return merged
+
+
+def _plain(value: Any, place: str) -> Any:
+    """Return a value as YAML has it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner, f"{place}.{key}") for key, inner in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(inner, f"{place}[{k}]") for k, inner in enumerate(value)]
+    if isinstance(value, PurePath):
+        return str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ConfigurationError(
+        f"{place}: {value!r} cannot stand in a configuration; allowed: numbers, text, true and false, lists, "
+        "mappings"
+    )

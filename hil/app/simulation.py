@@ -1,0 +1,94 @@
+"""`hil.sim`: a simulation from Python, with changes to its configuration."""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.app.check.command import refuse_unreachable
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.fault_words import with_faults
+from hil.app.sim.command import simulate
+from hil.record.log import Log
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that is over."""
+
+    log: Log
+    """What was recorded."""
+    summary: dict[str, Any]
+    """What `hil sim --json` writes; keys carry their units."""
+
+    @property
+    def success(self) -> bool:
+        """Whether it parked without a fault, and the log replayed exactly where that was asked for."""
+        return bool(self.summary["success"])
+
+
+def sim(
+    config: str | os.PathLike[str] = "virtual",
+    *,
+    duration_s: float | None = None,
+    log: str | os.PathLike[str] | None = None,
+    plant_log: bool = True,
+    faults: Iterable[str] = (),
+    setpoints: str | os.PathLike[str] | None = None,
+    check_replay: bool = True,
+    **changes: Any,
+) -> Run:
+    """Run both ends of the bus in lockstep, in simulated time, as `hil sim` does.
+
+    Parameters
+    ----------
+    config
+        A YAML file, or the name of a shipped configuration.
+    duration_s
+        Where to stop along the reference, s; then the platform is parked. Default: at its end.
+    log
+        The log file to write; without, a new one in the folder `recording.folder`.
+    plant_log
+        Record the plant's truth beside it, for ``run.log.frame("plant.p")``.
+    faults
+        What goes wrong at the plant, in the words of ``hil sim --fault``.
+    setpoints
+        CSV of poses for a live reference.
+    check_replay
+        Replay the log at the end, and count a difference as a failure.
+    changes
+        Sections of the configuration: ``controller={"wn_rad_s": 25}`` changes this key, a mapping with
+        another `law` or `type` replaces the section, None takes a key away.
+
+    Returns
+    -------
+    Run
+        Its log and its summary; `success` is False for a run that ended in a fault.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration, a change, or a reference out of reach.
+    PlantError
+        The plant does not start.
+    LogError
+        The log exists, or cannot be written.
+
+    """
+    configuration = load(Path(config))
+    if changes:
+        text = with_changes(configuration.text, {"name": configuration.name} | changes)
+        configuration = loads(text, f"{configuration.source} with changes", configuration.folder)
+    configuration.require("sim")
+    refuse_unreachable(configuration)
+    summary = simulate(
+        with_faults(configuration, faults),
+        log=None if log is None else Path(log),
+        duration_s=duration_s,
+        check_replay=check_replay,
+        setpoints=None if setpoints is None else Path(setpoints),
+        plant_log=plant_log,
+    )
+    return Run(Log(summary["log"]), summary)

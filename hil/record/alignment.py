@@ -1,0 +1,53 @@
+"""Which row of the plant's log belongs to which tick: the one of the SYNC that started it."""
+
+import numpy as np
+
+from drivers.arrays import Ints, Rows
+from drivers.errors import LogError
+
+SYNC = ("t_ns", "syncs")
+"""Columns of the plant that tell its SYNCs."""
+SENT = ("t_ns", "lateness_ns")
+"""Columns of the controller that tell when it sent them."""
+CLOCK_NS = 10_000_000_000
+"""The clocks of two logs of one run started at UTC instants that differ by less."""
+
+
+def plant_rows_of(ticks: Rows, plant: Rows) -> Ints:
+    """Return the place of each tick's row in the plant's log, -1 where it has none: (n,).
+
+    A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The row of that SYNC is the nearest one
+    in which `syncs` rises, half a period away at most: the plant steps on a grid of its own. A plant that
+    counts no SYNC is read at its nearest row.
+
+    ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order.
+    """
+    none = np.full(len(ticks), -1, np.int64)
+    rises = np.flatnonzero(np.diff(plant["syncs"], prepend=0) > 0)
+    candidates = rises if len(rises) else np.arange(len(plant))
+    if not len(ticks) or not len(candidates):
+        return none
+    sent = ticks["t_ns"] + ticks["lateness_ns"]
+    t = plant["t_ns"][candidates]
+    right = np.searchsorted(t, sent).clip(0, len(t) - 1)
+    left = (right - 1).clip(0)
+    nearest = np.where(np.abs(t[left] - sent) < np.abs(t[right] - sent), left, right)
+    period = np.median(np.diff(ticks["t_ns"])) if len(ticks) > 1 else np.inf
+    found: Ints = np.where(np.abs(t[nearest] - sent) <= period / 2, candidates[nearest], none)
+    return found
+
+
+def require_one_run(log: str, epoch_ns: int, plant: str, plant_epoch_ns: int, places: Ints) -> None:
+    """Refuse two logs whose clocks or ticks do not fit each other.
+
+    Raises
+    ------
+    LogError
+        They are not of one run.
+
+    """
+    if abs(epoch_ns - plant_epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any()):
+        raise LogError(
+            f"{log}: no tick of it is in {plant}: the plant's log is of another run; name the right one with "
+            "Log(path, plant=FILE)"
+        )

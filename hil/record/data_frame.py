@@ -1,0 +1,137 @@
+"""Rows of a log as a pandas DataFrame: a column for each component, with its unit, numbers by name.
+
+The only importer of pandas, which is an extra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntFlag
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from drivers.arrays import Ints, Rows
+from drivers.errors import LogError
+from drivers.tick_columns import Column
+from hil.record.alignment import SENT, SYNC, plant_rows_of, require_one_run
+from hil.record.selection import Component, components
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PLANT = "plant"
+"""What the names of the plant's columns begin with."""
+
+
+class Readable(Protocol):
+    """What a table is made of: `hil.record.log.Log`."""
+
+    path: Path
+    columns: tuple[Column, ...]
+    epoch_ns: int
+
+    @property
+    def origin_ns(self) -> int:
+        """`t_ns` of the first row."""
+
+    @property
+    def plant(self) -> Readable:
+        """The plant's log of the same run."""
+
+    def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
+        """Return rows in tick order."""
+
+
+def pandas() -> Any:
+    """Return pandas.
+
+    Raises
+    ------
+    LogError
+        It is not installed.
+
+    """
+    try:
+        import pandas as pd  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise LogError(
+            f"a DataFrame needs pandas, which is not installed ({error}): "
+            'pip install "hexapod-hil[analysis]"; Log.rows() gives NumPy arrays without it'
+        ) from error
+    return pd
+
+
+def data_frame(
+    log: Readable, names: Sequence[str], start_s: float | None, stop_s: float | None, *, numbers: bool
+) -> pd.DataFrame:
+    """Return columns of a log, and of its plant's, as `hil.record.log.Log.frame` describes it."""
+    pd = pandas()
+    theirs = [name for name in names if name.split(".")[0] == PLANT]
+    own = [name for name in names if name not in theirs]
+    parts = components(log.columns, own, str(log.path)) if own or not theirs else []
+    wanted = {part.column.name for part in parts} | {"t_ns"} | (set(SENT) if theirs else set())
+    rows = log.rows(*wanted, start_s=start_s, stop_s=stop_s)
+    values: dict[str, Any] = {part.label: part.of(rows) for part in parts}
+    if theirs:
+        more, added = _of_plant(log, rows, [name.partition(".")[2] for name in theirs])
+        values |= added
+        parts += more
+    if not numbers:
+        values |= {part.label: named(part.column, values[part.label]) for part in parts if part.column.names}
+    t_s = pd.Index((rows["t_ns"] - log.origin_ns) * 1e-9, name="t_s")
+    frame = pd.DataFrame(values, index=t_s, copy=False)
+    frame.attrs = attributes(parts) | {"epoch_ns": log.epoch_ns, "log": str(log.path)}
+    assert isinstance(frame, pd.DataFrame)
+    return frame
+
+
+def attributes(parts: Sequence[Component]) -> dict[str, dict[str, str]]:
+    """Return units and meanings by column."""
+    return {
+        "units": {part.label: part.unit for part in parts},
+        "meanings": {part.label: part.column.meaning for part in parts},
+    }
+
+
+def named(column: Column, values: Ints) -> Any:
+    """Return numbers (n,) of a column by name: a pandas Categorical.
+
+    Names of an enumeration stand in their order; flags are joined by `|`, `NONE` where none is set; a number
+    without a name stands as itself. Missing values, nan, stay missing.
+    """
+    pd = pandas()
+    there = np.isfinite(values)
+    found, places = np.unique(values[there].astype(np.int64), return_inverse=True)
+    codes = np.full(len(values), -1, np.int64)
+    if issubclass(column.type, IntFlag):
+        codes[there] = places
+        return pd.Categorical.from_codes(codes, [flags(column.names, n) for n in found.tolist()])
+    categories = {number: name for name, number in column.names.items()}
+    categories |= {n: str(n) for n in found.tolist() if n not in categories}
+    order = {number: k for k, number in enumerate(categories)}
+    codes[there] = np.array([order[n] for n in found.tolist()], np.int64)[places]
+    return pd.Categorical.from_codes(codes, list(categories.values()))
+
+
+def flags(names: Mapping[str, int], number: int) -> str:
+    """Return the names of the bits of a number, joined by `|`; bits without a name as one number."""
+    found = [name for name, bit in names.items() if bit and number & bit == bit]
+    rest = number & ~sum(names.values())
+    return "|".join(found + ([str(rest)] if rest else [])) or "NONE"
+
+
+def _of_plant(log: Readable, rows: Rows, names: Sequence[str]) -> tuple[list[Component], dict[str, Any]]:
+    """Return the plant's components that are named ("": all), and their values at the ticks of `rows`."""
+    plant = log.plant
+    chosen = components(plant.columns, [name for name in names if name], str(plant.path))
+    truth = plant.rows(*({part.column.name for part in chosen} | set(SYNC)))
+    places = plant_rows_of(rows, truth)
+    require_one_run(str(log.path), log.epoch_ns, str(plant.path), plant.epoch_ns, places)
+    values = {}
+    for part in chosen:
+        there = np.full(len(rows), np.nan)
+        there[places >= 0] = part.of(truth)[places[places >= 0]]
+        values[f"{PLANT}.{part.label}"] = there
+    return [part._replace(label=f"{PLANT}.{part.label}") for part in chosen], values

@@ -1,0 +1,106 @@
+"""Which rows and columns of a log are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.errors import LogError
+from drivers.tick_columns import Column
+
+
+class Component(NamedTuple):
+    """One element of a column: a column of its own in a table."""
+
+    label: str
+    """`tau.leg_3`."""
+    unit: str
+    column: Column
+    element: int
+    """Its place in the column, row by row."""
+
+    def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.float64 | np.int64]]:
+        """Return its values (n,) in rows."""
+        values = np.ascontiguousarray(rows[self.column.name])
+        return values.reshape(len(rows), self.column.size)[:, self.element]
+
+
+class Selection(NamedTuple):
+    """Columns, and a span of time."""
+
+    names: tuple[str, ...]
+    """Of the columns; all of them where nothing else is asked for."""
+    dtype: np.dtype[np.void]
+    first_ns: float = -np.inf
+    last_ns: float = np.inf
+
+    @classmethod
+    def of(cls, columns: Sequence[Column], names: Sequence[str], log: str) -> Self:
+        """Return the selection of columns by name, at all times.
+
+        Raises
+        ------
+        LogError
+            No such column; `log` is named in the message.
+
+        """
+        there = {c.name: c for c in columns}
+        unknown = [name for name in names if name not in there]
+        if unknown:
+            raise LogError(f"{log}: {no_column(unknown[0], tuple(there))}")
+        chosen = tuple(dict.fromkeys(names)) or tuple(there)
+        return cls(chosen, np.dtype([(name, there[name].kind, there[name].shape) for name in chosen]))
+
+    def within(self, rows: Rows) -> Rows:
+        """Return the rows of the span."""
+        if self.first_ns == -np.inf and self.last_ns == np.inf:
+            return rows
+        t = rows["t_ns"]
+        return rows[(t >= self.first_ns) & (t <= self.last_ns)]
+
+    def of_rows(self, rows: Rows) -> Rows:
+        """Return rows with these columns alone."""
+        if rows.dtype.names == self.names:
+            return rows
+        found = np.empty(len(rows), self.dtype)
+        for name in self.names:
+            found[name] = rows[name]
+        return found
+
+
+def components(columns: Sequence[Column], names: Sequence[str], log: str) -> list[Component]:
+    """Return the components of columns that are named, whole columns among them; all without a name.
+
+    Raises
+    ------
+    LogError
+        No such column or component; `log` is named in the message.
+
+    """
+    every = {
+        c.name: [
+            Component(label, unit, c, k)
+            for k, (label, unit) in enumerate(zip(c.labels, c.units, strict=True))
+        ]
+        for c in columns
+    }
+    single = {component.label: [component] for parts in every.values() for component in parts}
+    known = single | every
+    found: list[Component] = []
+    for name in names or every:
+        if name not in known:
+            raise LogError(f"{log}: {no_column(name, tuple(known))}")
+        found += [component for component in known[name] if component not in found]
+    return found
+
+
+def no_column(name: str, known: Sequence[str]) -> str:
+    """Say that there is no such column, and which ones were perhaps meant."""
+    near = get_close_matches(name, known, n=3)
+    return f"no column {name!r}; " + (
+        f"did you mean {', '.join(near)}?" if near else f"there are {', '.join(known[:8])} ..."
+    )

@@ -14,6 +14,7 @@ COMMANDS = {
     "plant": "Six emulated drives and the platform, in real time.",
     "sim": "Both ends in lockstep, in simulated time.",
     "replay": "A log's inputs again, compared to the bit.",
+    "export": "A log's frames and columns as files for other tools.",
     "check": "Figures and problems of a configuration; nothing moves.",
     "faults": "Each kind of fault at each moment of a run, with verdicts.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",

@@ -102,8 +102,9 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
-    given = (arguments.get(name) for name in ("configuration", "log", "salvage", "picture", "model", "out"))
-    return [Path(file) for file in given if file is not None]
+    names = ("configuration", "log", "salvage", "picture", "model", "out")
+    given = [arguments[name] for name in names if arguments.get(name) is not None]
+    return [Path(each) for file in given for each in (file if isinstance(file, tuple) else (file,))]
 
 
 def _refuse(message: str) -> None:

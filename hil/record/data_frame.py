@@ -5,7 +5,7 @@ The only importer of pandas, which is an extra.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import IntFlag
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -17,6 +17,7 @@ from drivers.errors import LogError
 from drivers.tick_columns import Column
 from hil.record.alignment import SENT, SYNC, plant_rows_of, require_one_run
 from hil.record.selection import Component, components
+from hil.record.value_names import name_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -104,22 +105,12 @@ def named(column: Column, values: Ints) -> Any:
     pd = pandas()
     there = np.isfinite(values)
     found, places = np.unique(values[there].astype(np.int64), return_inverse=True)
+    names = [name_of(column, number) for number in found.tolist()]
+    categories = names if issubclass(column.type, IntFlag) else list(dict.fromkeys([*column.names, *names]))
+    order = {name: k for k, name in enumerate(categories)}
     codes = np.full(len(values), -1, np.int64)
-    if issubclass(column.type, IntFlag):
-        codes[there] = places
-        return pd.Categorical.from_codes(codes, [flags(column.names, n) for n in found.tolist()])
-    categories = {number: name for name, number in column.names.items()}
-    categories |= {n: str(n) for n in found.tolist() if n not in categories}
-    order = {number: k for k, number in enumerate(categories)}
-    codes[there] = np.array([order[n] for n in found.tolist()], np.int64)[places]
-    return pd.Categorical.from_codes(codes, list(categories.values()))
-
-
-def flags(names: Mapping[str, int], number: int) -> str:
-    """Return the names of the bits of a number, joined by `|`; bits without a name as one number."""
-    found = [name for name, bit in names.items() if bit and number & bit == bit]
-    rest = number & ~sum(names.values())
-    return "|".join(found + ([str(rest)] if rest else [])) or "NONE"
+    codes[there] = np.array([order[name] for name in names], np.int64)[places]
+    return pd.Categorical.from_codes(codes, categories)
 
 
 def _of_plant(log: Readable, rows: Rows, names: Sequence[str]) -> tuple[list[Component], dict[str, Any]]:

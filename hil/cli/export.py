@@ -1,0 +1,63 @@
+"""`hil export`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, finish, reporting
+
+
+@click.command()
+@click.argument("log", type=FILE)
+@click.argument("out", nargs=-1, required=True, type=FILE)
+@click.option(
+    "--start",
+    metavar="TIME",
+    help="UTC of the first tick, ISO 8601; default: the log's own, in simulated time 2000-01-01.",
+)
+@click.option(
+    "--column",
+    "columns",
+    multiple=True,
+    metavar="NAME",
+    help="Only this column (tau) or component (tau.leg_3) in .csv and .parquet; may be repeated.",
+)
+@click.option("--force", is_flag=True, help="Replace files that exist.")
+@reporting
+def command(
+    log: Path,
+    out: tuple[Path, ...],
+    start: str | None,
+    columns: tuple[str, ...],
+    force: bool,
+    json_file: Path | None,
+) -> None:
+    """Write LOG's CAN frames and columns into files that other tools read, each by its ending.
+
+    \b
+      .log .candump  frames as `candump -L` writes them: canplayer, Wireshark, SavvyCAN
+      .asc           frames as Vector's ASCII log (its start is in local time)
+      .blf           frames as Vector's binary log
+      .csv           columns, one for each component, named with its unit
+      .parquet       the same with units and meanings as metadata (needs the extra `analysis`)
+
+    Frames are in the order of their times; a sent frame has the time of its tick. Simulated time
+    begins on 2000-01-01: --start moves the first tick elsewhere. Nothing is overwritten without --force. A
+    log that was cut is exported as far as it goes. Guide: docs/guides/analysis.md.
+
+    \b
+    Examples:
+      hil export runs/today.mcap today.log today.blf
+      hil export sim.mcap sim.asc --start 2026-01-31T12:00:00+01:00
+      hil export runs/today.mcap forces.csv --column tau --column mode
+      hil export runs/today.mcap today.parquet
+
+    \b
+    Exit code:
+      0  written
+      1  written as far as the log goes: it is cut
+      2  not begun: no log, a file that exists, an unknown ending or column; the message says what
+    """
+    from hil.app.export.command import export_log
+
+    finish("export", export_log(log, out, start=start, columns=columns, overwrite=force), json_file)

@@ -17,8 +17,8 @@ def plant_rows_of(ticks: Rows, plant: Rows) -> Ints:
     """Return the place of each tick's row in the plant's log, -1 where it has none: (n,).
 
     A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The row of that SYNC is the nearest one
-    in which `syncs` rises, half a period away at most: the plant steps on a grid of its own. A plant that
-    counts no SYNC is read at its nearest row.
+    in which `syncs` rises, half a period away at most and no other tick's: the plant steps on a grid of its
+    own. A plant that counts no SYNC is read at its nearest row.
 
     ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order.
     """
@@ -29,12 +29,19 @@ def plant_rows_of(ticks: Rows, plant: Rows) -> Ints:
         return none
     sent = ticks["t_ns"] + ticks["lateness_ns"]
     t = plant["t_ns"][candidates]
-    right = np.searchsorted(t, sent).clip(0, len(t) - 1)
-    left = (right - 1).clip(0)
-    nearest = np.where(np.abs(t[left] - sent) < np.abs(t[right] - sent), left, right)
+    row, tick = _nearest(t, sent), _nearest(sent, t)
     period = np.median(np.diff(ticks["t_ns"])) if len(ticks) > 1 else np.inf
-    found: Ints = np.where(np.abs(t[nearest] - sent) <= period / 2, candidates[nearest], none)
+    own = (np.abs(t[row] - sent) <= period / 2) & (tick[row] == np.arange(len(ticks)))
+    found: Ints = np.where(own, candidates[row], none)
     return found
+
+
+def _nearest(there: Ints, wanted: Ints) -> Ints:
+    """Return the place in `there` (m,), which rises, of what is nearest to each of `wanted` (n,): (n,)."""
+    right = np.searchsorted(there, wanted).clip(0, len(there) - 1)
+    left = (right - 1).clip(0)
+    nearest: Ints = np.where(np.abs(there[left] - wanted) < np.abs(there[right] - wanted), left, right)
+    return nearest
 
 
 def require_one_run(log: str, epoch_ns: int, plant: str, plant_epoch_ns: int, places: Ints) -> None:

@@ -200,8 +200,9 @@ class Log(LogFile):
         ----------
         names
             Columns (`tau`) or components (`tau.leg_3`, `p.z`); all of the log where none is given. Those of
-            the plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: what was true when the
-            tick's measurement was latched, nan where the plant has no row of that tick.
+            the plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: what was true at the
+            tick's SYNC, to half an internal step of the plant (`plant.t_ns` is the instant), nan where the
+            plant has no row of that SYNC.
         start_s, stop_s
             First and last time, s from the first row.
         numbers

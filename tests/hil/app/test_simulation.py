@@ -1,0 +1,139 @@
+"""`hil.sim`: a run from Python with a changed configuration, its log, its summary, the plant's truth."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import hil
+from drivers.errors import ConfigurationError, LogError
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.yaml_positions import parse
+from hil.app.replay import replay_log
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sim")
+    return hil.sim(
+        "virtual", duration_s=2.0, log=folder / "a.mcap", controller={"wn_rad_s": 25}, check_replay=False
+    )
+
+
+def test_a_run_has_its_log_and_its_summary(run):
+    assert run.success
+    assert run.summary["final_mode"] == "PARKED"
+    assert str(run.log.path) == run.summary["log"]
+    assert run.log.summary.ticks == run.summary["ticks"]
+    assert run.log.figures()["tracking"] == run.summary["tracking"]
+
+
+def test_the_log_carries_the_changed_configuration_and_replays(run):
+    there, shipped = loads(run.log.configuration), load("virtual")
+    assert there.controller.model_dump() == shipped.controller.model_dump() | {"wn_rad_s": 25.0}
+    assert there.platform == shipped.platform
+    assert there.name == "virtual"
+    assert replay_log(run.log.path)[0].exact
+
+
+def test_the_truth_of_each_tick_is_what_its_encoders_read(run):
+    """The drives answer with the length at the SYNC, in steps of 1 um; the plant's grid is 50 us off at most."""
+    labels = [f"leg_{leg}" for leg in range(6)]
+    frame = run.log.frame("q", "age", "plant.length", "plant.rate", "mode")
+    moving = frame[(frame["mode"] == "TRACKING") & (frame["age.leg_0"] == 0)]
+    assert len(moving) > 300
+    read, true, rate = (
+        moving[[f"{name}.{leg}" for leg in labels]].to_numpy() for name in ("q", "plant.length", "plant.rate")
+    )
+    assert (np.abs(read - true) <= 0.6e-6 + 50e-6 * np.abs(rate)).all()
+    assert np.abs(true[1:] - read[:-1]).max() > 5e-4  # a tick beside the right one would be seen
+
+
+def test_neither_log_is_written_over(run):
+    with pytest.raises(LogError, match="exists and is not overwritten"):
+        hil.sim("virtual", duration_s=0.4, log=run.log.path)
+
+
+def test_faults_and_what_is_no_configuration_are_answered_as_by_the_command(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"controller\.wn_rad_s"):
+        hil.sim("virtual", controller={"wn_rad_s": -1})
+    with pytest.raises(ConfigurationError, match="contoller: unknown"):
+        hil.sim("virtual", contoller={"wn_rad_s": 20})
+    with pytest.raises(ConfigurationError, match="shipped configurations are"):
+        hil.sim("vitrual")
+    lost = hil.sim(
+        "virtual", duration_s=1.5, log=tmp_path / "a.mcap", faults=["drive_silence leg=2 at=0.9"],
+        check_replay=False, plant_log=False,
+    )  # fmt: skip
+    assert not lost.success
+    assert lost.summary["faults"]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+# -- changes -------------------------------------------------------------------------------------------------
+
+TEXT = """
+name: "12:30"
+controller: {law: pd, kp: 1e3, gains: [1, 2.5e-7]}
+loop: {rate_Hz: 1000, note: "no"}
+plant: {model: {type: stewart, friction: 0}, log: true}
+"""
+
+
+def changed(**changes):
+    """What YAML 1.2 reads: PyYAML agrees where text that could be something else is quoted."""
+    return yaml.safe_load(with_changes(TEXT, changes))
+
+
+def test_a_change_touches_its_key_alone():
+    before = yaml.safe_load(TEXT) | {"controller": {"law": "pd", "kp": 1000.0, "gains": [1, 2.5e-7]}}
+    after = changed(loop={"rate_Hz": 500})
+    assert after.pop("loop") == {"rate_Hz": 500, "note": "no"}
+    before.pop("loop")
+    assert after == before
+
+
+def test_another_law_or_type_takes_nothing_over():
+    assert changed(controller={"law": "pid", "ki": 2})["controller"] == {"law": "pid", "ki": 2}
+    assert changed(plant={"model": {"type": "bench"}})["plant"] == {"model": {"type": "bench"}, "log": True}
+    assert changed(controller={"law": "pd", "kp": 2})["controller"] == {
+        "law": "pd",
+        "kp": 2,
+        "gains": [1, 2.5e-7],
+    }
+
+
+def test_none_takes_a_key_away():
+    assert "plant" not in changed(plant=None)
+    assert changed(plant={"log": None})["plant"] == {"model": {"type": "stewart", "friction": 0}}
+
+
+def test_arrays_numbers_and_paths_of_the_usual_libraries_are_taken():
+    after = changed(
+        reference={"points": np.eye(2), "n": np.int64(3), "x": np.float64(0.5), "f": Path("a/b.csv")}
+    )
+    assert after["reference"] == {"points": [[1.0, 0.0], [0.0, 1.0]], "n": 3, "x": 0.5, "f": "a/b.csv"}
+
+
+def test_what_yaml_cannot_hold_is_refused_with_its_place():
+    with pytest.raises(ConfigurationError, match=r"^loop\.a\[1\]: .* cannot stand in a configuration"):
+        changed(loop={"a": [1, object()]})
+
+
+@pytest.mark.parametrize(
+    "text", ["1e3", "no", "12:30", "0x10", "", "null", "- a", "ä: b", "true", "1_000", ".inf"]
+)
+def test_text_stays_text(text):
+    value = parse(with_changes(TEXT, {"description": text})).value
+    assert value is not None
+    assert value["description"] == text
+    assert value["name"] == "12:30"
+
+
+@pytest.mark.parametrize("name", ["virtual", "ideal", "lab", "bench", "socketcan", "vcan50"])
+def test_a_shipped_configuration_stays_what_it_is_without_a_change(name):
+    shipped = load(name)
+    again = loads(with_changes(shipped.text, {}), shipped.source, shipped.folder)
+    assert again.model_dump() == shipped.model_dump()

@@ -1,0 +1,61 @@
+"""What `hil` offers: the list is stable, nothing of it compiles, and type checkers see it."""
+
+import subprocess
+import sys
+
+import pytest
+
+import hil
+from hil.record import Recording
+from tests.hil.samples import random_ticks, record
+
+STABLE = [
+    "BusError", "Column", "ConfigurationError", "Event", "HilError", "Log", "LogError", "LogStatistics",
+    "LoggedFrame", "ModelError", "PlantError", "ProtocolError", "Run", "RunError", "Tick", "sim",
+]  # fmt: skip
+
+
+def test_the_stable_surface_is_this_list():
+    assert hil.__all__ == STABLE
+    assert set(STABLE) <= set(dir(hil))
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_each_name_is_the_thing_of_that_name_and_says_what_it_is(name):
+    thing = getattr(hil, name)
+    assert thing.__name__ == name
+    assert thing.__doc__
+
+
+def test_a_name_that_is_not_there_is_refused():
+    with pytest.raises(AttributeError, match="no attribute 'Lag'"):
+        _ = hil.Lag
+
+
+def test_each_package_says_that_it_is_typed():
+    for package in ("hil", "drivers", "plant_fmu"):
+        home = __import__(package).__path__[0]
+        with open(f"{home}/py.typed") as file:  # noqa: PTH123
+            assert file.read() == ""
+
+
+def test_nothing_is_compiled_to_read_a_log(tmp_path):
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        record(recording, random_ticks(300))
+    script = """
+import sys, hil
+log = hil.Log(sys.argv[1])
+assert log.columns and log.summary.ticks == 300 and log.cut == ""
+assert log.frame("mode", "tau").shape == (300, 7)
+assert len(log.rows()) == sum(len(block) for block in log.blocks()) == 300
+assert sum(1 for _ in log.can_frames()) > 300 and log.events() == [] and len(list(log.ticks())) == 300
+print(sorted({name.split(".")[0] for name in sys.modules} & {"numba", "llvmlite", "scipy", "can", "matplotlib"}))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "a.mcap")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.stdout, done.returncode) == ("[]\n", 0), done.stderr

@@ -32,7 +32,7 @@ lint: venv  ## import contracts, ruff, mypy
 bench: fmu  ## the benchmark: compute per tick, wake-up, latency, recorder, replay, FMU, memory
 	@exec $(BIN)/python -m tools.benchmarks
 
-docs: venv  ## the documentation, to build/docs/index.html; a warning is an error
+docs: fmu  ## the documentation, to build/docs/index.html; a warning is an error
 	@$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
 	@echo "build/docs/index.html"
 

@@ -9,8 +9,8 @@ sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "hexapod-hil"
 project_copyright = "the hexapod-hil authors, Apache-2.0"
-extensions = ["myst_parser", "mathml", "columns"]
-source_suffix = {".md": "markdown"}
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "columns"]
+source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb"}
 exclude_patterns = ["_extensions"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
@@ -18,3 +18,12 @@ html_theme = "furo"
 html_title = "hexapod-hil"
 html_copy_source = False
 nitpicky = True
+nitpick_ignore_regex = [("py:.*", r"(?!hil\.\w+$).*")]  # what is no name of `hil` has no page here
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300

@@ -18,15 +18,18 @@ if TYPE_CHECKING:
         ProtocolError,
         RunError,
     )
+    from drivers.protocol import Frame, Received
     from drivers.tick_columns import Column
     from hil.app.simulation import Run, sim
     from hil.record.log import Event, Log, LoggedFrame, LogStatistics, Tick
+    from hil.signals import SetPoint
 
 __all__ = [
     "BusError",
     "Column",
     "ConfigurationError",
     "Event",
+    "Frame",
     "HilError",
     "Log",
     "LogError",
@@ -35,17 +38,21 @@ __all__ = [
     "ModelError",
     "PlantError",
     "ProtocolError",
+    "Received",
     "Run",
     "RunError",
+    "SetPoint",
     "Tick",
     "sim",
 ]
 
 _HOMES = {
     "drivers.errors": [name for name in __all__ if name.endswith("Error")],
+    "drivers.protocol": ["Frame", "Received"],
     "drivers.tick_columns": ["Column"],
     "hil.app.simulation": ["Run", "sim"],
     "hil.record.log": ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"],
+    "hil.signals": ["SetPoint"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

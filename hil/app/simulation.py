@@ -23,6 +23,9 @@ class Run:
     summary: dict[str, Any]
     """What `hil sim --json` writes; keys carry their units."""
 
+    def __repr__(self) -> str:
+        return f"Run(success={self.success}, log={str(self.log.path)!r})"
+
     @property
     def success(self) -> bool:
         """Whether it parked without a fault, and the log replayed exactly where that was asked for."""

@@ -10,8 +10,8 @@ from hil.record import Recording
 from tests.hil.samples import random_ticks, record
 
 STABLE = [
-    "BusError", "Column", "ConfigurationError", "Event", "HilError", "Log", "LogError", "LogStatistics",
-    "LoggedFrame", "ModelError", "PlantError", "ProtocolError", "Run", "RunError", "Tick", "sim",
+    "BusError", "Column", "ConfigurationError", "Event", "Frame", "HilError", "Log", "LogError", "LogStatistics",
+    "LoggedFrame", "ModelError", "PlantError", "ProtocolError", "Received", "Run", "RunError", "SetPoint", "Tick", "sim",
 ]  # fmt: skip
 
 

@@ -1,0 +1,41 @@
+"""What the page on logs shows can be done: its code runs, in its order, and its commands succeed."""
+
+import re
+import shlex
+from pathlib import Path
+
+from click.testing import CliRunner
+
+import hil
+from hil.cli import main
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/guides/analysis.md").read_text()
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    ran = {"python": 0, "sh": 0}
+    for kind, code in BLOCK.findall(PAGE):
+        ran[kind] += 1
+        if kind == "python":
+            exec(compile(code, "docs/guides/analysis.md", "exec"), names)
+            continue
+        for line in code.splitlines():
+            program, *words = shlex.split(line)
+            assert program == "hil"
+            done = CliRunner().invoke(main, words)
+            assert done.exit_code == 0, (line, done.output)
+    assert ran == {"python": 9, "sh": 1}
+    frame = names["frame"]
+    assert isinstance(frame, hil.LoggedFrame)
+    assert "FEEDBACK" in capsys.readouterr().out.upper()
+    again = names["again"]
+    assert again.attrs["units"]["tau.leg_3"] == "N"  # type: ignore[attr-defined]
+
+
+def test_the_page_of_the_interface_has_every_name_of_it_and_no_other():
+    text = (ROOT / "docs/api/index.md").read_text()
+    assert sorted(re.findall(r"^\.\. auto\w+:: hil\.(\w+)", text, re.MULTILINE)) == sorted(hil.__all__)

@@ -72,7 +72,15 @@ def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
 
 @pytest.mark.parametrize(
     "pattern",
-    ["drivers/legs/legs.dbc", "drivers/sensors.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"],
+    [
+        "hil/py.typed",
+        "drivers/py.typed",
+        "plant_fmu/py.typed",
+        "drivers/legs/legs.dbc",
+        "drivers/sensors.dbc",
+        "configs/*.yaml",
+        "plant_fmu/stewart/sources/*.c",
+    ],
 )
 def test_data_is_inside(wheel, pattern):
     with zipfile.ZipFile(wheel) as archive:

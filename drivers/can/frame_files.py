@@ -28,7 +28,7 @@ class FrameWriter(Protocol):
     """A file of frames being written."""
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Add a frame; times must not fall."""
+        """Add a frame. Its time is not before that of the first."""
 
     def close(self) -> None:
         """Write what is left and close the file."""

@@ -297,7 +297,7 @@ class Log(LogFile):
         """Yield the CAN frames in the order of their times, reading as it goes.
 
         Frames of one time stand in the order of the log. One that was consumed more than a second after it
-        was received comes later than its time.
+        was received may come after later ones.
 
         Raises
         ------

@@ -279,3 +279,10 @@ def test_a_plants_log_has_a_table_but_no_figures(tmp_path):
     assert log.frame("length", "wrench.mz").attrs["units"]["wrench.mz"] == "N m"
     with pytest.raises(LogError, match="no figures"):
         log.figures()
+
+
+def test_a_log_without_a_row_is_an_empty_table_with_all_its_columns(tmp_path):
+    log = Log(written(tmp_path / "a.mcap", []))
+    frame = log.frame()
+    assert frame.shape == (0, ROW.itemsize // 8)
+    assert (log.origin_ns, len(log.rows("q")), list(log.blocks()), list(log.can_frames())) == (0, 0, [], [])

@@ -20,7 +20,7 @@ from pyarrow import parquet
 
 from drivers.can.frame_files import WRITERS
 from drivers.errors import LogError
-from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from hil.app.export.command import export_log, utc_ns
 from hil.cli import main
 from hil.record import Recording
@@ -195,6 +195,24 @@ def test_tshark_reads_the_frames_of_candump(path, tmp_path):
     for (t, identifier, length, data), (t_s, frame, _) in zip(found, recorded(), strict=True):
         assert float(t) == pytest.approx(begin + t_s, abs=1.1e-6, rel=0)
         assert (int(identifier), int(length), bytes.fromhex(data)) == (frame.id, len(frame.data), frame.data)
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_a_frame_that_was_consumed_seconds_late_keeps_its_own_time(tmp_path, ending):
+    late = Received(100_500_000, Frame(0x7AA, b"late"))
+    rows = np.zeros(3000, TICKS[0].row.dtype)
+    rows["tick"], rows["t_ns"] = np.arange(3000), np.arange(3000) * 1_000_000
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        for k, row in enumerate(rows):
+            recording.tick(np.asarray(row), (late,) if k == 2500 else (), (Frame(0x80, b"\x01"),))
+    out = tmp_path / f"a.{ending}"
+    export_log(tmp_path / "a.mcap", [out])
+    found = list(READERS[ending](out))
+    assert len(found) == 3001
+    (odd,) = (message for message in found if message.arbitration_id == 0x7AA)
+    assert odd.timestamp == pytest.approx(SIMULATED + 0.1005, abs=1.1e-6, rel=0)
+    others = [message.timestamp for message in found if message is not odd]
+    np.testing.assert_allclose(others, SIMULATED + np.arange(3000) * 1e-3, atol=1.1e-6, rtol=0)
 
 
 def test_a_log_without_frames_gives_files_that_are_empty_and_can_be_read(tmp_path):

@@ -31,7 +31,9 @@ class Frame(NamedTuple):
     """One CAN frame."""
 
     id: int
+    """Identifier, without flags."""
     data: bytes
+    """What it carries."""
     flags: int = 0
     """Sum of EXTENDED, FD, BRS, ESI, REMOTE, ERROR, and BUS times the index of its bus."""
 
@@ -47,6 +49,7 @@ class Received(NamedTuple):
     t_ns: int
     """ns on the run's monotonic clock."""
     frame: Frame
+    """What was received."""
 
 
 HEAD = struct.Struct("<qIHH")

@@ -51,15 +51,19 @@ class Column(NamedTuple):
     """One column. Each of its elements takes eight bytes."""
 
     part: Part
+    """Which stage fills it; `output` in a log."""
     name: str
+    """As in the field of the log's message."""
     type: type[int | float | IntEnum | IntFlag]
     """int64 or float64; an enumeration names the numbers of an int64, or their bits."""
     unit: str
     """Of its elements; empty for what has none."""
     meaning: str
+    """What it is, in a phrase."""
     elements: tuple[str, ...] = ()
-    """Names of its elements, row by row; none: a scalar."""
+    """Names of its elements, row by row; empty for a scalar."""
     shape: tuple[int, ...] = ()
+    """Of the column within a row; empty for a scalar."""
 
     @property
     def kind(self) -> str:
@@ -80,7 +84,7 @@ class Column(NamedTuple):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Name of each element, row by row: `tau.leg_3`, `p.z`; the column's own where it is a scalar."""
+        """Name of each element, row by row, as `tau.leg_3`, `p.z`; the column's own where it is a scalar."""
         if not self.shape:
             return (self.name,)
         places = ("_".join(map(str, place)) for place in np.ndindex(self.shape))
@@ -88,7 +92,7 @@ class Column(NamedTuple):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each element, row by row: of `m, rad` the first half are m, the second half rad."""
+        """Unit of each element, row by row; of `m, rad` the first half are m, the second half rad."""
         units = tuple(self.unit.split(", "))
         if not self.shape or self.size % len(units):
             return (self.unit,) * self.size

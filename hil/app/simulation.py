@@ -50,7 +50,7 @@ def sim(
     config
         A YAML file, or the name of a shipped configuration.
     duration_s
-        Where to stop along the reference, s; then the platform is parked. Default: at its end.
+        After how many simulated seconds to stop along the reference and park; without, at its end.
     log
         The log file to write; without, a new one in the folder `recording.folder`.
     plant_log

@@ -25,23 +25,29 @@ class Tick(NamedTuple):
     received: tuple[Received, ...]
     """In the order consumed."""
     sent: tuple[Frame, ...]
+    """In the order sent, SYNC first."""
     operator: tuple[int, ...]
+    """Commands of the operator, numbers of `hil.signals.Operator`."""
     setpoints: tuple[SetPoint, ...] = ()
+    """For a live reference, in the order received."""
 
 
 class Event(NamedTuple):
     """One recorded event."""
 
     t_ns: int
+    """On the run's clock."""
     level: str
+    """`debug`, `info`, `warning` or `error`."""
     text: str
+    """What happened."""
 
 
 class LoggedFrame(NamedTuple):
     """One CAN frame of a log."""
 
     t_ns: int
-    """Received: the end of the frame on the wire; sent: the tick. On the run's clock."""
+    """The end of a received frame on the wire, the tick of a sent one; on the run's clock."""
     tick: int
     """Tick that consumed or sent it."""
     sent: bool
@@ -51,6 +57,7 @@ class LoggedFrame(NamedTuple):
     id: int
     """Identifier, without flags."""
     data: bytes
+    """What it carries."""
     flags: int
     """Sum of EXTENDED 1, FD 2, BRS 4, ESI 8, REMOTE 16, ERROR 32."""
 

@@ -44,8 +44,11 @@ class LogStatistics(NamedTuple):
     """What is in a log."""
 
     ticks: int
+    """Rows; of a plant's log, those of the plant."""
     frames: int
+    """CAN frames received and sent."""
     duration_s: float
+    """From the first message to the last, s."""
     dropped: int
     """Ticks that the recorder had to drop."""
     closed: str
@@ -102,7 +105,7 @@ class Log(LogFile):
 
     @cached_property
     def origin_ns(self) -> int:
-        """`t_ns` of the first row: where the time `t_s` of a frame begins; 0 without a row."""
+        """Where the time `t_s` of a frame begins, the `t_ns` of the first row; 0 without a row."""
         return next((int(block["t_ns"][0]) for block in self.blocks("t_ns")), 0)
 
     @property
@@ -127,7 +130,7 @@ class Log(LogFile):
 
     @property
     def summary(self) -> LogStatistics:
-        """What is in the log: from its index, or counted where it is cut.
+        """What is in the log, from its index, or counted where it is cut.
 
         Raises
         ------

@@ -41,15 +41,15 @@ class LogFile:
 
     path: Path
     metadata: dict[str, dict[str, str]]
-    """By name of the record: `hil` (the run), `environment` (the machine), `summary` (its end)."""
+    """Records by name, `hil` (the run), `environment` (the machine) and `summary` (its end) among them."""
     attachments: dict[str, bytes]
-    """By file name: the configuration, the protocol's database, what else replay needs."""
+    """Files by name, those of the configuration, the protocol's database and what else replay needs."""
     cut: str
     """Why the file ends too early; empty for a whole one."""
     columns: tuple[Column, ...]
     """Of the rows; without names of elements and numbers where version 0.1.0 wrote the log."""
     topic: str
-    """Topic of the rows: `/tick` or `/plant`."""
+    """Topic of the rows, `/tick` or `/plant`."""
     can_channel: str
     """Name of the bus."""
     epoch_ns: int

@@ -18,8 +18,8 @@ from hil.record.value_names import name_of
 
 TIME = ("t_s", "s", "time from the first row")
 """Label, unit and meaning of the first column."""
-GROUP = 16_384
-"""Rows that are written together."""
+LINES, GROUP = 1024, 16_384
+"""Rows that are written together: of a CSV file, of a Parquet file."""
 
 
 def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
@@ -35,7 +35,7 @@ def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
-        for rows in _groups(log, parts):
+        for rows in _groups(log, parts, LINES):
             values = [_values(part, rows).tolist() for part in parts]
             writer.writerows(zip(_t_s(log, rows).tolist(), *values, strict=True))
             count += len(rows)
@@ -62,7 +62,7 @@ def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
     schema = _schema(pa, log, parts)
     count = 0
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
-        for rows in _groups(log, parts):
+        for rows in _groups(log, parts, GROUP):
             arrays = [pa.array(_t_s(log, rows))]
             for field, part in zip(list(schema)[1:], parts, strict=True):
                 arrays.append(pa.array(_values(part, rows)).cast(field.type))
@@ -88,12 +88,12 @@ def _schema(pa: Any, log: Log, parts: Sequence[Component]) -> Any:
     return pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps(attributes)})
 
 
-def _groups(log: Log, parts: Sequence[Component]) -> Iterator[Rows]:
-    """Yield the rows that the components need, up to GROUP at a time or a little more."""
+def _groups(log: Log, parts: Sequence[Component], size: int) -> Iterator[Rows]:
+    """Yield the rows that the components need, `size` at a time or a little more."""
     held: list[Rows] = []
     for block in log.blocks("t_ns", *(part.column.name for part in parts)):
         held.append(block)
-        if sum(map(len, held)) >= GROUP:
+        if sum(map(len, held)) >= size:
             yield np.concatenate(held)
             held = []
     if held:

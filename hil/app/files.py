@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import LogError
+from hil.record.mcap_file import MAGIC
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -34,3 +35,30 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def new_file(path: Path, *, force: bool) -> Path:
+    """Return the output file `path`, checked before the work begins.
+
+    Raises LogError: it exists and `force` is not set, is no plain file, or its folder cannot be written.
+    """
+    where = f"--out {path}"
+    if path.is_dir():
+        raise LogError(f"{where}: is a folder; name a file")
+    if os.path.lexists(path) and not force:
+        raise LogError(f"{where}: exists and is not overwritten; name another file, or add --force")
+    if path.is_file() and _begins(path, MAGIC):
+        raise LogError(f"{where}: is a log, and no log is ever overwritten; name another file")
+    if not path.parent.is_dir():
+        raise LogError(f"{where}: there is no folder {path.parent}; make it first")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise LogError(f"{where}: no right to write there; name another file with --out")
+    return path
+
+
+def _begins(path: Path, head: bytes) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(head)) == head
+    except OSError:
+        return False

@@ -188,6 +188,11 @@ def table(summary: dict[str, Any], width: int) -> list[str]:
     return lines
 
 
+def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the figures of a summary as name and value with unit, for a table elsewhere."""
+    return list(_rows(summary, ""))
+
+
 def fold(text: str, width: int) -> list[str]:
     """Break a text between words; a path stays in one piece."""
     return textwrap.wrap(text, max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]

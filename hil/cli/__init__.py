@@ -16,6 +16,8 @@ COMMANDS = {
     "replay": "A log's inputs again, compared to the bit.",
     "check": "Figures and problems of a configuration; nothing moves.",
     "export": "A log's frames and columns as files for other tools.",
+    "report": "One HTML page about a log: what went wrong, or what was left.",
+    "plot": "Columns of logs over time, as PNG or SVG.",
     "faults": "Each kind of fault at each moment of a run, with verdicts.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",
     "setpoint": "Send a live reference somewhere while it runs.",
@@ -64,6 +66,7 @@ def main() -> None:
       hil sim                controller, bus, drives and platform in simulated time
       hil run --plant        the same in real time; moves on Enter, or with --arm
       hil replay LOG         a recorded run again, compared to the bit
+      hil report LOG         a page about it: what went wrong, or what was left of limits
       hil faults             what becomes of every kind of fault, at every moment
 
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,

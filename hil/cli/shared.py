@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
@@ -43,7 +44,13 @@ fault_option = click.option(
 picture_option = click.option(
     "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
 )
+out_option = click.option(
+    "--out", type=FILE, metavar="FILE", help="File to write; an existing one is refused."
+)
+force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
 configuration_argument = click.argument("configuration", default="virtual")
+_REPORTED = frozenset({"run", "sim"})
+"""Kinds of summary whose log `hil report` shows."""
 
 
 def finish(
@@ -58,6 +65,8 @@ def finish(
         for line in summary["story"]["lines"]:
             click.echo(f"  {line}", err=True)
     show(title, summary if shown is None else shown)
+    if summary.get("kind") in _REPORTED and summary.get("log") and summary.get("ticks"):
+        click.echo(f"look at it: hil report {shlex.quote(summary['log'])}")
     finish_lines((), summary, json_file)
 
 

@@ -1,0 +1,1 @@
+"""`hil plot`: columns of logs over time, as a picture."""

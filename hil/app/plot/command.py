@@ -1,0 +1,74 @@
+"""`hil plot`: any column of one log or several, one above the other, into a PNG or SVG file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import LogError
+from hil.app.files import new_file
+from hil.app.log_columns import Signal, seconds, signals
+from hil.app.plot.draw import Curve, draw
+from hil.app.readable import readable
+
+DEFAULT = ("q_d - q", "tau", "mode")
+"""What is drawn where nothing is named."""
+SUFFIXES = (".png", ".svg")
+
+
+def plot(
+    logs: Sequence[Path],
+    columns: Sequence[str] = (),
+    *,
+    out: Path | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Draw columns of logs, one panel a name, and return the summary.
+
+    columns: names as `hil.app.log_columns.signals` takes them. start_s and end_s cut all logs, s since the
+    first tick of each. Every log is drawn over the others, in a line style of its own.
+
+    Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
+    """
+    names = tuple(columns) or DEFAULT
+    path = _path(logs[0], out, force=force)
+    panels: list[list[Curve]] = [[] for _ in names]
+    remarks = []
+    for n, log_path in enumerate(logs):
+        with readable(log_path) as (log, rows, remark):
+            if not len(rows):
+                raise LogError(f"{log_path}: has no tick: nothing to draw")
+            if remark:
+                remarks.append(f"{log_path}: {remark}")
+            t = seconds(rows)
+            kept = (t >= (t[0] if start_s is None else start_s)) & (t <= (t[-1] if end_s is None else end_s))
+            if not kept.any():
+                raise LogError(
+                    f"{log_path}: no tick between --from and --to, allowed: within 0 to {t[-1]:.3f} s"
+                )
+            for panel, name in zip(panels, names, strict=True):
+                panel += [
+                    Curve(_label(log_path, s, several=len(logs) > 1), n, t[kept], s)
+                    for s in signals(log.columns, rows[kept], name)
+                ]
+    draw(names, panels, path, ", ".join(each.name for each in logs))
+    return {
+        "success": True,
+        "kind": "plot",
+        "logs": [str(each) for each in logs],
+        "columns": list(names),
+        "remark": "; ".join(remarks) or None,
+        "picture": str(path),
+    }
+
+
+def _label(path: Path, signal: Signal, *, several: bool) -> str:
+    return f"{path.stem}: {signal.label}" if several else signal.label
+
+
+def _path(log: Path, out: Path | None, *, force: bool) -> Path:
+    path = log.with_name(f"{log.stem}-plot.png") if out is None else out
+    if path.suffix.lower() not in SUFFIXES:
+        raise LogError(f"--out {path}: allowed are the endings {' and '.join(SUFFIXES)}")
+    return new_file(path, force=force)

@@ -1,0 +1,95 @@
+"use strict";
+/* The pose as lines in space: a camera that turns about the middle, drawn on a plain canvas. */
+function makeScene(canvas, given, unpack) {
+  const t = unpack(given.t), p = unpack(given.p), R = unpack(given.R);
+  const pRef = unpack(given.p_d), RRef = unpack(given.R_d), load = unpack(given.load);
+  const base = given.base, joints = given.platform;
+  const around = (points) => {
+    const x = points.reduce((s, q) => s + q[0], 0) / points.length;
+    const y = points.reduce((s, q) => s + q[1], 0) / points.length;
+    return points.map((_, i) => i).sort((i, k) =>
+      Math.atan2(points[i][1] - y, points[i][0] - x) - Math.atan2(points[k][1] - y, points[k][0] - x));
+  };
+  const baseOrder = around(base), topOrder = around(joints);
+  const placed = (points, p, R, k) => points.map((b) => [0, 1, 2].map((i) =>
+    p[3 * k + i] + R[9 * k + 3 * i] * b[0] + R[9 * k + 3 * i + 1] * b[1] + R[9 * k + 3 * i + 2] * b[2]));
+  const all = [...base, ...placed(joints, p, R, 0), ...placed(joints, p, R, t.length - 1)];
+  const middle = [0, 1, 2].map((i) => (Math.min(...all.map((q) => q[i])) + Math.max(...all.map((q) => q[i]))) / 2);
+  const size = Math.max(...all.map((q) => Math.hypot(q[0] - middle[0], q[1] - middle[1], q[2] - middle[2])));
+  let yaw = -0.6, tilt = 0.35, now = t[0];
+
+  function index(time) {
+    let low = 0, high = t.length - 1;
+    while (low < high) {
+      const half = (low + high + 1) >> 1;
+      if (t[half] <= time) low = half; else high = half - 1;
+    }
+    return low;
+  }
+
+  function draw() {
+    const ratio = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
+    canvas.width = w * ratio;
+    canvas.height = h * ratio;
+    const pen = canvas.getContext("2d"), scale = Math.min(0.46 * w, 0.62 * h) / size;
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, w, h);
+    pen.lineCap = pen.lineJoin = "round";
+    const cy = Math.cos(yaw), sy = Math.sin(yaw), ct = Math.cos(tilt), st = Math.sin(tilt);
+    const seen = (q) => {
+      const x = q[0] - middle[0], y = q[1] - middle[1], z = q[2] - middle[2];
+      const depth = -sy * x + cy * y, far = 1 / (1 + 0.12 * (ct * depth - st * z) / size);
+      return [w / 2 + scale * far * (cy * x + sy * y), h / 2 - scale * far * (ct * z + st * depth)];
+    };
+    const line = (points, colour, width, closed, dash) => {
+      pen.beginPath();
+      points.map(seen).forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+      if (closed) pen.closePath();
+      pen.setLineDash(dash || []);
+      pen.strokeStyle = colour;
+      pen.lineWidth = width;
+      pen.stroke();
+    };
+    const k = index(now), tops = placed(joints, p, R, k);
+    line(baseOrder.map((i) => base[i]), "#6b7680", 3, true);
+    if ([0, 1, 2, 3, 4, 5, 6, 7, 8].some((i) => RRef[9 * k + i])) {
+      const there = placed(joints, pRef, RRef, k);
+      line(topOrder.map((i) => there[i]), "#8a94a0", 1.5, true, [5, 5]);
+    }
+    base.forEach((a, i) => line([a, tops[i]], forceColour(load[6 * k + i]), 5));
+    line(topOrder.map((i) => tops[i]), "#1f5fae", 4, true);
+    pen.setLineDash([]);
+    pen.fillStyle = "#1c2733";
+    pen.font = "13px system-ui, sans-serif";
+    base.forEach((a, i) => { const [x, y] = seen(a); pen.fillText(String(i), x + 6, y + 12); });
+    const o = seen(middle), length = 0.25 * size;
+    ["x", "y", "z"].forEach((name, i) => {
+      const end = [0, 1, 2].map((j) => middle[j] + (i === j ? length : 0)), e = seen(end);
+      const at = [34 + (e[0] - o[0]) * 0.6, h - 34 + (e[1] - o[1]) * 0.6];
+      pen.beginPath(); pen.moveTo(34, h - 34); pen.lineTo(at[0], at[1]);
+      pen.lineWidth = 1.5; pen.strokeStyle = "#55626f"; pen.stroke();
+      pen.fillText(name, at[0] + 3, at[1]);
+    });
+  }
+
+  function forceColour(share) {
+    const s = Math.min(Math.sqrt(Math.abs(share || 0)), 1), to = share > 0 ? [214, 96, 10] : [20, 90, 200];
+    return "rgb(" + to.map((c) => Math.round(160 + (c - 160) * s)).join(",") + ")";
+  }
+
+  function turn(right, up) {
+    yaw += right;
+    tilt = Math.max(-1.5, Math.min(1.5, tilt + up));
+    draw();
+  }
+
+  canvas.addEventListener("pointermove", (e) => {
+    if (e.buttons) turn(0.008 * e.movementX, 0.008 * e.movementY);
+  });
+  canvas.addEventListener("pointerdown", (e) => canvas.setPointerCapture(e.pointerId));
+  canvas.addEventListener("keydown", (e) => {
+    const by = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[e.key];
+    if (by) { turn(by[0], by[1]); e.preventDefault(); }
+  });
+  return { draw, show(time) { now = time; draw(); } };
+}

@@ -1,0 +1,93 @@
+"""The loop's own time: how late it woke up, how long it computed, how late the drives answered."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.arrays import Array, Rows
+from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.errors import BusError
+from drivers.protocol import BUS
+from drivers.signals import Warn
+from drivers.tick_columns import COLUMNS
+from hil.app.run.stretching import stretches
+from hil.record.log import Log
+
+PERCENTILES = (50.0, 99.0, 99.9, 100.0)
+
+
+class Traffic(NamedTuple):
+    """What was on the bus, tick by tick."""
+
+    answered_ns: Array
+    """(n,) from the tick's scheduled time to the last frame that it consumed; nan without one."""
+    busy_ns: dict[int, Array]
+    """By bus: (n,) worst-case wire time of a tick's frames, sent and received; empty without a timing."""
+
+
+class Spread(NamedTuple):
+    """Percentiles of one time."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    """At PERCENTILES."""
+
+
+def traffic(log: Log, rows: Rows, timing: BitTiming | None) -> Traffic:
+    """Read the frames of a log. timing: None where frames take no bus time, or nobody knows how much."""
+    n = len(rows)
+    answered = np.full(n, np.nan)
+    busy: dict[int, Array] = {}
+    for k, tick in enumerate(log.ticks()):
+        if tick.received:
+            answered[k] = max(r.t_ns for r in tick.received) - int(tick.row["t_ns"])
+        if timing is None:
+            continue
+        for frame in (*tick.sent, *(r.frame for r in tick.received)):
+            bus = frame.flags // BUS
+            if bus not in busy:
+                busy[bus] = np.zeros(n)
+            try:
+                busy[bus][k] += frame_time_ns(len(frame.data), frame.flags % BUS, timing)
+            except BusError:  # a frame that no bus carries takes no time of it
+                continue
+    return Traffic(answered, busy)
+
+
+def spreads(rows: Rows, answered_ns: Array) -> list[Spread]:
+    """Return the percentiles of wake-up, computing and feedback; none of a time that nobody took."""
+    named = [
+        ("wake-up, late by", "lateness_ns", rows["lateness_ns"]),
+        ("computing of a tick", "compute_ns", rows["compute_ns"][1:]),
+        ("last feedback after the tick's start", "t_ns", answered_ns[np.isfinite(answered_ns)]),
+    ]
+    return [
+        Spread(name, COLUMNS[column].unit, tuple(np.percentile(values, PERCENTILES).tolist()))
+        for name, column, values in named
+        if len(values) and np.any(values)
+    ]
+
+
+def counts(rows: Rows, powered: NDArray[np.bool_]) -> list[tuple[str, int]]:
+    """Return how often the loop or its bus failed to keep time; powered (n,) bool."""
+    age = rows["age"]
+    gaps = np.maximum(np.diff(rows["tick"]) - 1 - rows["skipped"][1:], 0)
+    late = (rows["warnings"] & Warn.LATE) != 0
+    return [
+        ("ticks", len(rows)),
+        (f"late ticks ({Warn.LATE.name})", int(late.sum())),
+        ("stale ticks: a leg's feedback missing while powered", int(((age > 0).any(axis=1) & powered).sum())),
+        ("skipped periods", int(rows["skipped"][1:].sum())),
+        ("frames refused", int(rows["rejected"].sum())),
+        ("frames that the bus did not take", int(rows["sends_failed"].sum())),
+        ("error frames on the bus", int(rows["bus_errors"].sum())),
+        ("ticks that the recorder lost", int(rows["recorder_dropped"].max(initial=0))),
+        ("ticks missing from the log", int(gaps.sum())),
+    ]
+
+
+def stood_still(rows: Rows) -> dict[str, Any]:
+    """Return the stretches of bench time; empty where it never stood still."""
+    return stretches(rows) if rows["stretched_ns"].any() else {}

@@ -1,0 +1,59 @@
+"""`hil plot`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, out_option, reporting
+
+
+@click.command()
+@click.argument("logs", type=FILE, nargs=-1, required=True, metavar="LOG...")
+@click.option(
+    "-c",
+    "--column",
+    "columns",
+    multiple=True,
+    metavar="NAME",
+    help="A panel: column, column.element, or 'one - other'; may be repeated.",
+)
+@click.option(
+    "--from", "start_s", type=NOT_NEGATIVE, metavar="S", help="Begin S seconds after the first tick."
+)
+@click.option("--to", "end_s", type=NOT_NEGATIVE, metavar="S", help="End S seconds after the first tick.")
+@out_option
+@force_option
+@reporting
+def command(
+    logs: tuple[Path, ...],
+    columns: tuple[str, ...],
+    start_s: float | None,
+    end_s: float | None,
+    out: Path | None,
+    force: bool,
+    json_file: Path | None,
+) -> None:
+    """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
+
+    Any log of ours will do, the plant's, too, and one that is cut as far as it goes. Units and names of
+    values come from the log; docs/guides/columns.md lists the columns. Without --column: leg error, force,
+    mode.
+
+    \b
+    Examples:
+      hil plot runs/virtual-20260131T120000.mcap
+      hil plot before.mcap after.mcap -c tau.leg_3 -c "q_d - q" --from 2 --to 3 --out change.svg
+      hil plot fault.mcap -c mode -c faults -c warnings -c lyapunov_share
+
+    The picture goes to --out, else beside the first log, as ...-plot.png. It ends in .png or .svg.
+
+    \b
+    Exit code:
+      0  drawn
+      2  not begun: no such log, column or time, or the file exists and --force is not given
+    """
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")
+    from hil.app.plot.command import plot
+
+    finish("plot", plot(logs, columns, out=out, start_s=start_s, end_s=end_s, force=force), json_file)

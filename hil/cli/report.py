@@ -1,0 +1,37 @@
+"""`hil report`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, finish, force_option, out_option, reporting
+
+
+@click.command()
+@click.argument("log", type=FILE)
+@out_option
+@force_option
+@reporting
+def command(log: Path, out: Path | None, force: bool, json_file: Path | None) -> None:
+    """Write one HTML page about a run: what went wrong, or how much of every limit was left.
+
+    Then tracking by axis and leg, forces, V and its bound where the law has a certificate, modes and faults
+    over time, wake-up and latency, bus load, the pose in 3D that plays. The page is one file that fetches
+    nothing; any browser shows it, without network. A log that is cut is shown as far as it goes, and the page
+    says so.
+
+    \b
+    Examples:
+      hil report runs/virtual-20260131T120000.mcap
+      hil report runs/fault.mcap --out fault.html --force
+
+    LOG comes from `hil run` or `hil sim`. The page goes to --out, else beside the log, as ....html.
+
+    \b
+    Exit code:
+      0  written, whatever it has to say of the run
+      2  not begun: no such log, a log of another kind, or the file exists and --force is not given
+    """
+    from hil.app.report.command import report
+
+    finish("report", report(log, out=out, force=force), json_file)

@@ -1,0 +1,362 @@
+"""What `hil report` finds in a log: margins, peaks, the story of a fault; and logs that are cut or strange."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import LogError
+from drivers.signals import Fault, Mode, Warn
+from drivers.tick_columns import ROW
+from hil.app.configuration.configuration import load
+from hil.app.configuration.fault_words import with_faults
+from hil.app.report import sections
+from hil.app.report.command import report
+from hil.app.report.html import tag
+from hil.app.report.margins import margins
+from hil.app.report.page import as_script
+from hil.app.report.story import told
+from hil.app.report.thin import thin
+from hil.app.report.timeline import lanes, spells
+from hil.app.sim.command import simulate
+from hil.cli import main
+from hil.record.log import Event, Log
+
+RATE_Hz = 1000.0
+OLD = Path(__file__).parents[2] / "data/log_0.1.0.mcap"
+HOSTILE = "</script><script>alert(1)</script>"
+
+
+def rows_of(n, **columns):
+    """Rows of a platform that tracks and rests in mid-stroke, with other columns."""
+    c = load("virtual").platform
+    rows = np.zeros(n, ROW)
+    rows["tick"] = np.arange(n)
+    rows["t_ns"] = 1_000_000 * np.arange(n)
+    rows["mode"] = Mode.TRACKING
+    rows["q"] = rows["q_d"] = (c.length_min_m + c.length_max_m) / 2
+    for name, value in columns.items():
+        rows[name] = value
+    return rows
+
+
+def margin(rows, key, name=""):
+    (found,) = (m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == key and name in m.name)
+    return found
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    simulate(load("virtual"), log=folder / "good.mcap", duration_s=1.0, check_replay=False)
+    faulted = with_faults(load("virtual"), ("encoder_jump leg=3 at=2 by=5e-3",))
+    simulate(faulted, log=folder / "bad.mcap", duration_s=3.0, check_replay=False)
+    return folder
+
+
+# -- margins -------------------------------------------------------------------------------------------------
+
+
+def test_a_margin_names_leg_instant_value_and_limit():
+    rows = rows_of(100)
+    rows["dq"][40, 2] = -1.5
+    limit = load("virtual").limits.speed_m_s
+    found = margin(rows, "limits.speed_m_s")
+    assert (found.leg, found.row, found.value, found.limit, found.unit) == (2, 40, 1.5, limit, "m/s")
+    assert found.used_percent == pytest.approx(150.0 / limit)
+
+
+def test_what_happens_while_a_rule_is_not_judged_is_no_margin():
+    rows = rows_of(100)
+    rows["dq"][70:, 0], rows["dq"][10, 1] = 1.9, 0.5
+    rows["mode"][70:] = Mode.FAULT
+    rows["faults"][70:] = Fault.DRIVE
+    assert margin(rows, "limits.speed_m_s").row == 70, "the tick of the fault still counts"
+    rows["dq"][70, 0] = 0.0
+    found = margin(rows, "limits.speed_m_s")
+    assert (found.row, found.leg) == (10, 1)
+
+
+def test_a_leg_error_is_measured_against_what_its_own_speed_allows():
+    limits = load("virtual").limits
+    rows = rows_of(10)
+    rows["q_d"][3, 0] += 0.9 * limits.following_error_m
+    rows["q_d"][7, 5] += 1.1 * limits.following_error_m
+    rows["dq_d"][7, 5] = -limits.following_error_m / limits.following_error_s
+    found = margin(rows, "limits.following_error_m")
+    assert (found.row, found.leg) == (3, 0), "110 % at rest are 55 % at the speed that doubles the limit"
+    assert found.used_percent == pytest.approx(90.0)
+
+
+def test_the_change_of_force_within_the_window_is_that_of_all_pairs_of_ticks():
+    rng = np.random.default_rng(5)
+    tau = np.cumsum(rng.normal(0.0, 10.0, (900, 6)), axis=0)
+    found = margin(rows_of(900, tau=tau), "limits.force_window_N")
+    pairs = [
+        (abs(tau[k, leg] - tau[j, leg]), k, leg)
+        for leg in range(6)
+        for k in range(900)
+        for j in range(max(0, k - 250), k)
+    ]
+    value, row, leg = max(pairs)
+    assert (found.value, found.row, found.leg) == (pytest.approx(value), row, leg)
+
+
+def test_motion_on_closed_brakes_counts_from_where_a_leg_was_first_heard():
+    rows = rows_of(60)
+    rows["mode"][:30], rows["mode"][50:] = Mode.LOADING, Mode.UNLOADING
+    rows["age"][:5] = 3
+    rows["q"][:5] = 0.0
+    rows["q"][20, 4] += 2e-4
+    rows["q"][30:] += 0.1
+    rows["q"][55, 1] -= 3e-4
+    found = margin(rows, "limits.standstill_m")
+    assert (found.row, found.leg, found.value) == (55, 1, pytest.approx(3e-4))
+
+
+def test_braking_is_judged_towards_the_end_that_a_leg_moves_to():
+    c = load("virtual")
+    soft = c.platform.length_max_m - c.limits.stroke_margin_m
+    rows = rows_of(10)
+    rows["q"][:, 0], rows["q_d"][:, 0] = soft - 0.02, soft - 0.02
+    rows["dq"][2, 0], rows["dq"][6, 0] = 0.4, -0.9
+    found = margin(rows, "limits.deceleration_m_s2")
+    assert (found.row, found.leg) == (2, 0)
+    assert found.limit == pytest.approx((2 * c.limits.deceleration_m_s2 * 0.02) ** 0.5)
+
+
+def test_missed_periods_add_up_until_a_tick_is_on_time():
+    rows = rows_of(20)
+    rows["skipped"][[5, 6, 9]] = (1, 2, 2)
+    assert margin(rows, "limits.missed_stop_ticks").value == 3
+
+
+def test_of_32_ticks_those_with_refused_frames_are_counted():
+    rows = rows_of(200)
+    rows["rejected"][[10, 20, 41, 42, 43, 120]] = 4
+    found = margin(rows, "", "frames were refused")
+    assert (found.value, found.row) == (4, 43), "10 is 33 ticks before 43; 20 to 43 are four"
+
+
+# -- peaks and spells ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at", [0, 1, 4999, 12345, 99_998, 99_999])
+def test_thinning_out_keeps_a_peak_of_one_sample_and_its_place(at):
+    t = np.linspace(0.0, 99.999, 100_000)
+    y, z = np.sin(t), np.full(100_000, np.nan)
+    y[at], z[at] = 50.0, -7.0
+    x, (thin_y, thin_z) = thin(t, [y, z], bins=500)
+    assert len(x) <= 1000
+    assert (np.diff(x) >= 0).all()
+    assert thin_y.max() == 50.0
+    assert abs(x[np.argmax(thin_y)] - t[at]) <= 0.2
+    assert np.nanmin(thin_z) == -7.0
+
+
+def test_few_samples_stay_as_they_are():
+    t = np.arange(10, dtype=np.float64)
+    x, (y,) = thin(t, [t**2], bins=5)
+    assert (x == t).all()
+    assert (y == t**2).all()
+
+
+def test_spells_and_lanes_say_when_a_mode_or_bit_was_there():
+    assert spells(np.array([1, 1, 4, 4, 4, 1])) == [(1, 0, 2), (4, 2, 5), (1, 5, 6)]
+    rows = rows_of(10)
+    rows["warnings"][3:5] = Warn.LATE | Warn.BUS
+    rows["warnings"][7] = Warn.BUS
+    assert [(lane.label, lane.ticks, lane.first) for lane in lanes(rows)] == [
+        ("warnings LATE", 2, 3),
+        ("warnings BUS", 3, 3),
+    ]
+
+
+# -- the story -----------------------------------------------------------------------------------------------
+
+
+def test_the_page_opens_with_leg_value_limit_instant_reaction_and_advice(logs, tmp_path):
+    out = tmp_path / "bad.html"
+    summary = report(logs / "bad.mcap", out=out)
+    assert summary["went_wrong"] == "latched fault ENCODER"
+    text = out.read_text()
+    opening = text[text.index("<main>") : text.index("Smallest margin")]
+    for said in (
+        "ENCODER",
+        ">2.000<",
+        "TRACKING",
+        ">3<",
+        "5 mm",
+        "its encoder jumped",
+        "hil run CONFIG --release",
+    ):
+        assert said in opening, said
+    assert "check encoder, coupling, zero and brake" in opening
+    assert "docs/guides/glossary-of-faults.md#fault-encoder" in opening
+    assert "the brakes were told to close" in opening
+    assert "RUN" in opening
+
+
+def test_a_good_run_opens_with_its_margins(logs, tmp_path):
+    out = tmp_path / "good.html"
+    assert report(logs / "good.mcap", out=out)["went_wrong"] is None
+    text = out.read_text()
+    assert text.index("Parked without a fault") < text.index("Smallest margin") < text.index("Tracking")
+    assert "What went wrong" not in text
+
+
+def test_without_the_end_of_the_log_the_story_comes_from_its_events_and_rows():
+    rows = rows_of(100)
+    rows["mode"][60:], rows["faults"][60:] = Mode.FAULT, Fault.SPEED
+    fields = {
+        "fault": "SPEED",
+        "time_s": 0.06,
+        "leg": 1,
+        "value": 2.5,
+        "limit": 2.0,
+        "unit": "m/s",
+        "next": "look",
+    }
+    events = [Event(60_000_000, "error", "fault SPEED\n" + json.dumps(fields))]
+    found = told({}, events, rows, RATE_Hz)
+    assert (found.findings[0].leg, found.findings[0].value, found.findings[0].limit) == (
+        "1",
+        "2.5 m/s",
+        "2 m/s",
+    )
+    assert found.done == ((0.06, "the drives were told to switch off"),)
+    (bare,) = told({}, [], rows, RATE_Hz).findings
+    assert (bare.fault, bare.time_s, bare.mode) == ("SPEED", 0.06, "TRACKING")
+    assert bare.page.endswith("#fault-speed")
+
+
+@pytest.mark.parametrize(
+    "story",
+    [
+        "",
+        "{",
+        "[]",
+        "7",
+        '{"findings": 3, "done": {}, "drives": "x"}',
+        '{"findings": [null, 1, {"fault": {}}]}',
+        "[" * 9999,
+    ],
+)
+def test_a_story_that_is_none_of_ours_breaks_nothing(story):
+    found = told({"summary": {"story": story}}, [], rows_of(5), RATE_Hz)
+    assert "<" in sections.what_went_wrong(found)
+
+
+def test_texts_of_a_log_are_escaped_wherever_they_stand():
+    finding = dict.fromkeys(
+        ("fault", "mode", "leg", "value", "limit", "unit", "limit_key", "text", "next", "page"), HOSTILE
+    )
+    story = {
+        "findings": [finding],
+        "done": [{"text": HOSTILE, "time_s": 1}],
+        "drives": [{"state": HOSTILE, "age": 2}],
+        "lines": [f"in the end: {HOSTILE}", f"next: {HOSTILE} ({HOSTILE})"],
+    }
+    found = told({"summary": {"story": json.dumps(story), "reason": HOSTILE}}, [], rows_of(5), RATE_Hz)
+    event = Event(0, HOSTILE, HOSTILE)
+    parts = [
+        sections.opening(found, rows_of(5), HOSTILE),
+        sections.what_went_wrong(found),
+        sections.modes(rows_of(5), np.arange(5.0), [event])[-1],
+        sections.limits([], np.arange(5.0), HOSTILE),
+        sections.figures([(HOSTILE, HOSTILE)]),
+        sections.timing([], [], [(HOSTILE, HOSTILE)], {"cpu": HOSTILE}, lockstep=False),
+        tag("p", HOSTILE, title=HOSTILE),
+    ]
+    assert all("&lt;/script&gt;" in part for part in parts)
+    assert not any("<script" in part for part in parts)
+    assert "<" not in as_script({HOSTILE: [HOSTILE]})
+    assert json.loads(as_script({HOSTILE: [HOSTILE]})) == {HOSTILE: [HOSTILE]}
+
+
+# -- logs that are cut or strange ----------------------------------------------------------------------------
+
+
+def test_a_cut_log_is_shown_as_far_as_it_goes_and_the_page_says_so(logs, tmp_path):
+    whole = (logs / "good.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    summary = report(cut)
+    assert "cut or damaged" in summary["remark"]
+    text = cut.with_suffix(".html").read_text()
+    assert "This page shows what is there" in text
+    assert "Parked without a fault" not in text
+    assert sorted(tmp_path.iterdir()) == [cut.with_suffix(".html"), cut], "nothing else is left behind"
+
+
+def test_an_existing_page_stays_unless_force_is_given_and_a_log_stays_in_any_case(logs, tmp_path):
+    out = tmp_path / "page.html"
+    out.write_text("mine")
+    with pytest.raises(LogError, match=r"exists and is not overwritten.*--force"):
+        report(logs / "good.mcap", out=out)
+    assert out.read_text() == "mine"
+    report(logs / "good.mcap", out=out, force=True)
+    assert out.read_text().startswith("<!doctype html>")
+    before = (logs / "bad.mcap").read_bytes()
+    with pytest.raises(LogError, match="no log is ever overwritten"):
+        report(logs / "good.mcap", out=logs / "bad.mcap", force=True)
+    assert (logs / "bad.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [b"", b"no log", b"\x89MCAP0\r\n" + bytes(500)])
+def test_what_is_no_log_is_refused_in_one_message(tmp_path, content):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    result = CliRunner().invoke(main, ["report", str(path)])
+    assert result.exit_code == 2
+    assert result.output.startswith(f"hil: {path}: ")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_log_of_other_columns_is_refused_with_the_version_that_can_read_it(tmp_path):
+    with pytest.raises(LogError, match=r"columns differ.*version.*`hil plot`"):
+        report(OLD, out=tmp_path / "x.html")
+
+
+def test_hil_sim_ends_by_naming_the_report(tmp_path):
+    log = tmp_path / "a run.mcap"
+    result = CliRunner().invoke(main, ["sim", "ideal", "--duration", "0.2", "--log", str(log)])
+    assert result.output.splitlines()[-1] == f"look at it: hil report '{log}'"
+
+
+EXTREMES = {"i": (-(2**63), -1, 2**40, 2**63 - 1), "f": (np.nan, np.inf, -np.inf, 1e308, -1e-310)}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
+    rng = np.random.default_rng(seed)
+
+    def rows(log):
+        found = Log.__dict__["_rows"](log)
+        for name in rng.permutation(found.dtype.names)[: 10 + 10 * seed]:
+            column = found[name]
+            at = rng.random(column.shape) < rng.choice([0.001, 0.3, 1.0])
+            column[at] = rng.choice(np.array(EXTREMES[column.dtype.kind], column.dtype), int(at.sum()))
+        return found
+
+    monkeypatch.setattr(Log, "_rows", Log.rows, raising=False)
+    monkeypatch.setattr(Log, "rows", rows)
+    out = tmp_path / "any.html"
+    report(logs / "bad.mcap", out=out)
+    data = out.read_text().partition('id="data">')[2].partition("</script>")[0]
+    assert {"e_q", "tau", "mode"} & {chart["key"] for chart in json.loads(data)["charts"]}
+
+
+def test_without_its_configuration_a_log_still_tells_what_went_wrong(logs, tmp_path, monkeypatch):
+    monkeypatch.setattr(Log, "configuration", "nonsense: 1\n")
+    out = tmp_path / "bare.html"
+    summary = report(logs / "bad.mcap", out=out)
+    assert "without the configuration there are no limits" in summary["remark"]
+    text = out.read_text()
+    assert "its encoder jumped" in text
+    assert "without the configuration there are no limits" in text
+    assert 'id="scene"' not in text

@@ -372,6 +372,10 @@ def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for
         assert value == pytest.approx(found["parameters_believed"][name], abs=2e-3 * size), name
     assert found["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
     assert "platform" not in found["block"]
+    again = identify_payload([tmp_path / "line.mcap"], None)
+    scaled = laden.changed(c, controller={"model": {"inertia_scale": 0.9}})
+    keys = block(again._replace(sources=[again.sources[0]._replace(configuration=scaled)]))
+    assert "inertia_scale" not in keys["controller"]["model"], "masses that are not shown are not taken back"
     assert "The block leaves the body out, this motion does not show all of it" in " ".join(
         result.stdout.split()
     )

@@ -36,7 +36,7 @@ def block(found: Found) -> dict[str, Any]:
         model = _drives(found)
         if found.reflected_kg is not None:
             model["reflected_mass_kg"] = 6 * [found.reflected_kg]
-        if believed.inertia_scale != 1.0:
+        if believed.inertia_scale != 1.0 and body_shown(found):
             model["inertia_scale"] = 1.0
         result["controller"] = {"model": model}
     return result

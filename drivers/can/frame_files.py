@@ -120,7 +120,8 @@ class BlfWriter:
 
     def __init__(self, path: Path, channel: str) -> None:
         del channel
-        self._writer = BLFWriter(path.open("wb"))
+        self._file = path.open("wb")
+        self._writer = BLFWriter(self._file)
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
         """Add a frame."""
@@ -143,7 +144,8 @@ class BlfWriter:
 
     def close(self) -> None:
         """Write the last container and the header, and close the file."""
-        self._writer.stop()
+        with self._file:  # the writer leaves it open where the disk is full
+            self._writer.stop()
 
 
 def _microseconds(utc_ns: int) -> int:

@@ -13,7 +13,7 @@ from hil.record.mcap_file import MAGIC
 def write_whole(path: Path, text: str) -> None:
     """Write a text file, in the place of an earlier one. Raises OSError."""
     with made_whole(path, overwrite=True) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, encoding="utf-8")
 
 
 @contextlib.contextmanager
@@ -37,23 +37,37 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def new_file(path: Path, *, force: bool) -> Path:
+def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b"") -> Path:
     """Return the output file `path`, checked before the work begins.
 
-    Raises LogError: it exists and `force` is not set, is no plain file, or its folder cannot be written.
+    option: what the file was named with, empty for an argument. A file that begins with `own` is an earlier
+    one of the same command, and is replaced without `force`, too.
+
+    Raises LogError: it exists and `force` is not set, is a log, a folder or a device, or its folder cannot be
+    written.
     """
-    where = f"--out {path}"
+    where = f"{option} {path}".strip()
     if path.is_dir():
         raise LogError(f"{where}: is a folder; name a file")
-    if os.path.lexists(path) and not force:
-        raise LogError(f"{where}: exists and is not overwritten; name another file, or add --force")
+    if path.exists() and not path.is_file():
+        raise LogError(f"{where}: is a device or a pipe, which no file replaces; name a file")
+    if os.path.lexists(path) and not force and not (own and _begins(path, own)):
+        hint = "name another file, or add --force"
+        if own:
+            hint = "no earlier file of this command; name another file"
+        raise LogError(f"{where}: exists and is not overwritten; {hint}")
     if path.is_file() and _begins(path, MAGIC):
         raise LogError(f"{where}: is a log, and no log is ever overwritten; name another file")
     if not path.parent.is_dir():
         raise LogError(f"{where}: there is no folder {path.parent}; make it first")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise LogError(f"{where}: no right to write there; name another file with --out")
+        raise LogError(f"{where}: no right to write there; name another file")
     return path
+
+
+def printable(name: str | os.PathLike[str]) -> str:
+    """Return a name of a file as text that any encoding of UTF-8 takes: bytes that are none become signs."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def _begins(path: Path, head: bytes) -> bool:

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from drivers.errors import LogError
 from drivers.signals import Mode
-from hil.app.files import write_whole
+from hil.app.files import printable, write_whole
 
 if TYPE_CHECKING:
     from hil.loop.run_end import Ending  # its kernels are for who runs
@@ -163,7 +163,7 @@ def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
     headline = Text(f"{title}: {'success' if good else 'failed'}", style="bold green" if good else "bold red")
     out.print(headline)
     for line in table(summary, out.width):
-        out.print(Text(line), soft_wrap=True)
+        out.print(Text(printable(line)), soft_wrap=True)
 
 
 def show_lines(lines: Iterable[str]) -> None:

@@ -54,13 +54,13 @@ def payload(
       0  identified
       2  not identified: no log, or too little motion; the message says what
     """
-    from hil.app.files import write_whole
+    from hil.app.files import new_file, write_whole
     from hil.app.identify import payload_block, payload_report
     from hil.app.identify.payload import identify_payload
     from hil.app.output import console, show_lines
 
     if out is not None:
-        payload_block.check_out(out)
+        new_file(out, force=False, option="-o", own=payload_block.REMARK.encode())
     with console.status("reading") as status:
         found = identify_payload(list(logs), reflected, status.update)
     show_lines(payload_report.report(found))

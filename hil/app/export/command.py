@@ -10,7 +10,7 @@ from typing import Any
 from drivers.errors import LogError
 from hil.app.export.frames import write_frames
 from hil.app.export.signals import write_csv, write_parquet
-from hil.app.files import made_whole
+from hil.app.files import made_whole, new_file
 from hil.record.log import Log
 
 FRAMES = {".log": "candump", ".candump": "candump", ".asc": "asc", ".blf": "blf"}
@@ -65,12 +65,15 @@ def export_log(
     written: dict[str, Any] = {}
     for out in outs:
         ending = out.suffix.lower()
-        with made_whole(out, overwrite=overwrite) as temporary:
-            if ending in SIGNALS:
-                written[str(out)] = {"rows": SIGNALS[ending](log, temporary, columns)}
-            else:
-                frames = write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
-                written[str(out)] = {"format": FRAMES[ending], "frames": frames}
+        try:
+            with made_whole(out, overwrite=overwrite) as temporary:
+                if ending in SIGNALS:
+                    written[str(out)] = {"rows": SIGNALS[ending](log, temporary, columns)}
+                else:
+                    frames = write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
+                    written[str(out)] = {"format": FRAMES[ending], "frames": frames}
+        except OSError as error:
+            raise LogError(f"{out}: cannot be written: {error.strerror or error}") from None
     result: dict[str, Any] = {
         "success": not log.cut,
         "kind": "export",
@@ -99,10 +102,7 @@ def _check(
             raise LogError(f"{out}: the ending says what is written; allowed: {allowed}")
         if out.exists() and out.samefile(path):
             raise LogError(f"{out}: is the log itself; name another file")
-        if out.exists() and not overwrite:
-            raise LogError(f"{out}: exists and is not overwritten; name another file, or add --force")
-        if not out.parent.is_dir():
-            raise LogError(f"{out}: there is no folder {out.parent}; make it first")
+        new_file(out, force=overwrite, option="")
     if len({out.resolve() for out in outs}) < len(outs):
         raise LogError("two of the files are the same one; name each once")
     if start is not None and not any(ending in FRAMES for ending in endings):

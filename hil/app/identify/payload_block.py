@@ -134,18 +134,3 @@ def file_text(found: Found) -> str:
     """Return the file of `-o`."""
     logs = "".join(f"# {s.path}\n" for s in found.sources)
     return REMARK + logs + block_text(found)
-
-
-def check_out(path: Path) -> None:
-    """Refuse a file that could not be written in the end, or that is none of ours.
-
-    Raises ConfigurationError.
-    """
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"-o {path}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise ConfigurationError(f"-o {path}: is a folder; name a file")
-    if path.exists() and not path.read_bytes().startswith(REMARK.encode()):
-        raise ConfigurationError(
-            f"-o {path}: exists, was not made by hil identify payload and is not overwritten; name another"
-        )

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.files import new_file
-from hil.app.log_columns import Signal, seconds, signals
+from hil.app.files import new_file, printable
+from hil.app.log_columns import seconds, signals
 from hil.app.plot.draw import Curve, draw
 from hil.app.readable import readable
 
@@ -34,7 +34,7 @@ def plot(
     names = tuple(columns) or DEFAULT
     path = _path(logs[0], out, force=force)
     panels: list[list[Curve]] = [[] for _ in names]
-    remarks = []
+    shown, remarks = _names(logs), []
     for n, log_path in enumerate(logs):
         with readable(log_path) as (log, rows, remark):
             if not len(rows):
@@ -49,10 +49,10 @@ def plot(
                 )
             for panel, name in zip(panels, names, strict=True):
                 panel += [
-                    Curve(_label(log_path, s, several=len(logs) > 1), n, t[kept], s)
+                    Curve(f"{shown[n]}: {s.label}" if len(logs) > 1 else s.label, n, t[kept], s)
                     for s in signals(log.columns, rows[kept], name)
                 ]
-    draw(names, panels, path, ", ".join(each.name for each in logs))
+    draw(names, panels, path, ", ".join(printable(each.name) for each in logs))
     return {
         "success": True,
         "kind": "plot",
@@ -63,8 +63,10 @@ def plot(
     }
 
 
-def _label(path: Path, signal: Signal, *, several: bool) -> str:
-    return f"{path.stem}: {signal.label}" if several else signal.label
+def _names(logs: Sequence[Path]) -> list[str]:
+    """Return what logs are called in a legend: the stem, or the path where another one has that stem."""
+    stems = [path.stem for path in logs]
+    return [printable(path if stems.count(path.stem) > 1 else path.stem) for path in logs]
 
 
 def _path(log: Path, out: Path | None, *, force: bool) -> Path:

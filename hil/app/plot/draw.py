@@ -1,5 +1,6 @@
 """Curves over time in panels, with Matplotlib."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import LogError
+from hil.app.files import made_whole
 from hil.app.log_columns import Signal
 
 STYLES = ("-", "--", ":", "-.")
@@ -40,19 +42,25 @@ def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, t
         _panel(axes, name, curves)
     every[-1].set_xlabel("s")
     figure.suptitle(title, fontsize="medium", parse_math=False)
+    dated = {"Date": None} if path.suffix.lower() == ".svg" else None
     try:
-        with rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}):  # one log, one file
-            figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
+        with (
+            made_whole(path, overwrite=True) as temporary,
+            rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}),  # one log, one file
+            warnings.catch_warnings(),
+        ):
+            warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name: boxes stand for it
+            figure.savefig(temporary, dpi=110, metadata=dated)
     except OSError as error:
         raise LogError(f"--out {path}: cannot be written: {error.strerror}") from None
 
 
 def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
     units = list(dict.fromkeys(c.signal.unit for c in curves))
-    first = curves[0].signal
+    first = next((c.signal for c in curves if c.signal.names), curves[0].signal)
     axes.set_title(name, fontsize="small", loc="left", parse_math=False)
     axes.grid(alpha=0.3)
-    shown = [_bits(c) for c in curves] if first.flags else [[c] for c in curves]
+    shown = [_bits(c, first) for c in curves] if first.flags else [[c] for c in curves]
     colours: dict[str, str] = {}
     for row in shown:
         for curve in row:
@@ -76,15 +84,15 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
             text.set_parse_math(False)
 
 
-def _bits(curve: Curve) -> list[Curve]:
-    """Return one curve for each bit of flags that is ever set."""
+def _bits(curve: Curve, named: Signal) -> list[Curve]:
+    """Return one curve for each bit of flags that is ever set; its name is that of `named`."""
     values = curve.signal.values.astype(np.int64)
     prefix = curve.label.removesuffix(curve.signal.label)
     return [
         curve._replace(
             label=prefix + text,
-            signal=curve.signal._replace(label=text, values=((values & bit) > 0).astype(np.float64)),
+            signal=named._replace(label=text, values=((values & bit) > 0).astype(np.float64)),
         )
-        for text, bit in curve.signal.names.items()
+        for text, bit in (curve.signal.names or named.names).items()
         if bit and (values & bit).any()
     ]

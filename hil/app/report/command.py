@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Mode
 from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.files import new_file, write_whole
+from hil.app.files import new_file, printable, write_whole
 from hil.app.log_columns import seconds
 from hil.app.output import figure_rows
 from hil.app.readable import Readable, readable
@@ -109,14 +109,14 @@ def _page(
     log, rows, remark = found
     if not len(rows):
         raise LogError(f"{path}: has no tick: nothing to report")
-    t = seconds(rows)
+    t, name = seconds(rows), printable(path.name)
     timing = BitTiming.of(c.bus) if c is not None and c.bus.layout != "ideal" else None
     bus = traffic(log, rows, timing)
     shown = charts(rows, c, bus, rate_Hz)
     powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING) | (rows["mode"] == Mode.HELD)
     moving = None if c is None else scene(rows, t, c)
     body = [
-        tag("header", tag("h1", path.name), tag("p", _subtitle(log, rows, c, rate_Hz))),
+        tag("header", tag("h1", name), tag("p", _subtitle(log, rows, c, rate_Hz))),
         sections.opening(story, rows, remark),
     ]
     body += [sections.what_went_wrong(story)] if story.headline else []
@@ -130,7 +130,7 @@ def _page(
     body += _curves(shown, t, {"Modes, faults and warnings": sections.modes(rows, t, events)})
     body += [certificate, sections.figures(figure_rows(figures(rows)))]
     data = {"charts": drawn(shown, t), "scene": moving, "end": float(t[-1])}
-    return page(f"{path.name}: {story.headline or 'report'}", body, data)
+    return page(f"{name}: {story.headline or 'report'}", body, data)
 
 
 def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> str:

@@ -1,0 +1,118 @@
+"""Files that a command writes: whole or not at all, and in the place of nothing that is not its own."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import LogError
+from hil.app.configuration.configuration import load
+from hil.app.files import made_whole, new_file, printable, write_whole
+from hil.app.identify.payload_block import REMARK
+from hil.app.sim.command import simulate
+from hil.cli import main
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    simulate(load("ideal"), log=path, duration_s=0.1, check_replay=False)
+    return path
+
+
+def hil(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture
+def small_files():
+    """No file may grow beyond 2 kB, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2048, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_device_or_a_pipe_is_never_replaced_by_a_file(tmp_path, force):
+    pipe = tmp_path / "pipe.html"
+    os.mkfifo(pipe)
+    with pytest.raises(LogError, match="is a device or a pipe"):
+        new_file(pipe, force=force)
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_and_a_missing_folder_are_refused(tmp_path, force):
+    with pytest.raises(LogError, match="is a folder"):
+        new_file(tmp_path, force=force)
+    with pytest.raises(LogError, match="there is no folder"):
+        new_file(tmp_path / "no" / "a.html", force=force)
+
+
+def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_path):
+    mine, other = tmp_path / "mine.yaml", tmp_path / "other.yaml"
+    mine.write_text(f"{REMARK}a: 1\n")
+    other.write_text("a: 1\n")
+    assert new_file(mine, force=False, option="-o", own=REMARK.encode()) == mine
+    with pytest.raises(LogError, match="^-o .*other.yaml: exists and is not overwritten; no earlier file"):
+        new_file(other, force=False, option="-o", own=REMARK.encode())
+    with pytest.raises(LogError, match="add --force"):
+        new_file(mine, force=False)
+
+
+@pytest.mark.parametrize("words", [["export"], ["report", "--out"], ["plot", "--out"]], ids=" ".join)
+def test_no_command_writes_over_another_log(path, tmp_path, words):
+    name = {"export": "b.log", "report": "b.html", "plot": "b.png"}[words[0]]
+    shutil.copy(path, tmp_path / name)
+    done = hil(words[0], path, *words[1:], tmp_path / name, "--force")
+    assert (done.exit_code, "no log is ever overwritten" in done.stderr) == (2, True)
+    assert (tmp_path / name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "name", ["a.log", "a.asc", "a.blf", "a.csv", "a.parquet", "a.html", "a.png", "a.svg"]
+)
+def test_a_full_disk_leaves_nothing_behind_and_the_message_names_the_file(path, tmp_path, small_files, name):
+    words = {
+        "html": ["report", path, "--out"],
+        "png": ["plot", path, "--out"],
+        "svg": ["plot", path, "--out"],
+    }
+    out = tmp_path / name
+    done = hil(*words.get(name.partition(".")[2], ["export", path]), out)
+    assert done.exit_code == 2
+    assert f"{out}: cannot be written: " in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_is_utf_8_whatever_the_locale_says(tmp_path, monkeypatch):
+    monkeypatch.setattr("locale.getencoding", lambda: "ascii")
+    write_whole(tmp_path / "a.html", "µ–")
+    assert (tmp_path / "a.html").read_bytes() == "µ–".encode()
+
+
+def test_what_fails_leaves_the_earlier_file(tmp_path):
+    out = tmp_path / "a.csv"
+    out.write_text("old")
+    with pytest.raises(ZeroDivisionError), made_whole(out, overwrite=True) as temporary:
+        temporary.write_text("half")
+        raise ZeroDivisionError
+    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+    assert out.read_text() == "old"
+
+
+def test_a_name_that_is_no_text_is_shown_with_signs_in_its_place(path, tmp_path):
+    odd = tmp_path / os.fsdecode(b"a\xff.mcap")
+    shutil.copy(path, odd)
+    assert printable(odd.name) == "a�.mcap"
+    for words in (["report", odd], ["plot", odd, "-c", "mode"], ["export", odd, tmp_path / "a.log"]):
+        assert hil(*words).exit_code == 0, words
+    assert "<h1>a�.mcap</h1>" in odd.with_suffix(".html").read_text(encoding="utf-8")

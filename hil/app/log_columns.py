@@ -1,6 +1,6 @@
 """Columns of a log by name: values, unit and names of values, from the table that the log carries."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from enum import IntFlag
 from typing import NamedTuple
 
@@ -76,6 +76,12 @@ def _of(columns: Sequence[Column], rows: Rows, name: str) -> list[Signal]:
         for k, part in enumerate(parts)
         if element in ("", part)
     ]
+
+
+def named_columns(names: Iterable[str]) -> set[str]:
+    """Return the columns that names as `signals` takes them stand for."""
+    sides = (side for name in names for side in name.split(DIFFERENCE))
+    return {side.strip().partition(".")[0] for side in sides}
 
 
 def seconds(rows: Rows) -> Array:

@@ -1,7 +1,7 @@
 """A log to look at: whole, or of one that is cut or damaged as far as it goes."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -18,14 +18,16 @@ class Readable(NamedTuple):
 
     log: Log
     rows: Rows
-    """All of it, in tick order."""
+    """In tick order, with the columns that were asked for."""
     remark: str
     """What is missing; empty for a log that its run has closed."""
 
 
 @contextmanager
-def readable(path: Path) -> Iterator[Readable]:
-    """Open a log; of one that is cut or damaged, a copy of what is left, removed at the end.
+def readable(path: Path, columns: Collection[str] = ()) -> Iterator[Readable]:
+    """Open a log; of one that is damaged, a copy of what is left, removed at the end.
+
+    columns: those that are needed, as far as the log has them; none: all.
 
     Raises
     ------
@@ -34,24 +36,29 @@ def readable(path: Path) -> Iterator[Readable]:
 
     """
     with tempfile.TemporaryDirectory(prefix="hil-read-") as folder:
-        remark = ""
         try:
-            log = Log.open(path)
-            rows = log.rows()
+            log = Log(path)
+            rows, remark = _rows(log, columns), _remark(log)
         except LogError as error:
             copy = Path(folder) / "salvaged.mcap"
             try:
                 report = salvage(path, copy)
                 log = Log.open(copy)
-                rows = log.rows()
+                rows = _rows(log, columns)
             except LogError:
                 raise error from None
-            remark = f"the log is cut or damaged; {report.bytes_lost} of {report.bytes_read} bytes are lost"
-        yield Readable(log, rows, remark or _remark(log))
+            remark = f"the log is damaged; {report.bytes_lost} of {report.bytes_read} bytes are lost"
+        yield Readable(log, rows, remark)
+
+
+def _rows(log: Log, columns: Collection[str]) -> Rows:
+    return log.rows(*(column.name for column in log.columns if column.name in columns))
 
 
 def _remark(log: Log) -> str:
-    """Return what a log says itself of what it lacks."""
+    """Return what a log lacks, by its end or by what it says itself."""
+    if log.cut:
+        return f"the log is {log.cut.partition(' (')[0]}"
     salvaged = log.metadata.get(SALVAGE)
     if salvaged is not None:
         return f"the log was salvaged, {salvaged.get('bytes_lost', '?')} bytes of the original are lost"

@@ -21,7 +21,7 @@ from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, log
 from hil.record.log_file import LogFile
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
-from hil.record.selection import Selection
+from hil.record.selection import Selection, joined
 from hil.signals import Operator, SetPoint
 
 if TYPE_CHECKING:
@@ -249,10 +249,12 @@ class Log(LogFile):
         for data, table in self._buffers():
             part = selection.within(self._decoder.rows(data, table))
             parts.append(selection.of_rows(part))
-            ticks.append(part["tick"])
-        if not parts:
-            return np.zeros(0, selection.dtype)
-        return np.concatenate(parts)[np.argsort(np.concatenate(ticks), kind="stable")]
+            ticks.append(part["tick"].copy())  # a view would keep the whole rows
+        order = np.concatenate(ticks) if ticks else np.zeros(0, np.int64)
+        rows = joined(parts, selection.dtype)
+        if (np.diff(order) >= 0).all():
+            return rows
+        return rows[np.argsort(order, kind="stable")]
 
     def blocks(
         self, *names: str, start_s: float | None = None, stop_s: float | None = None
@@ -274,7 +276,9 @@ class Log(LogFile):
             pending = self._sorted(pending, np.zeros(0, ITEM), done)
             ready, pending = pending[:-_LOOKAHEAD], pending[-_LOOKAHEAD:]
             done = int(ready["tick"][-1])
-            yield selection.of_rows(selection.within(ready))
+            within = selection.within(ready)
+            if len(within):
+                yield selection.of_rows(within)
         rest = selection.within(self._sorted(pending, np.zeros(0, ITEM), done))
         if len(rest):
             yield selection.of_rows(rest)

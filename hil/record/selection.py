@@ -72,6 +72,18 @@ class Selection(NamedTuple):
         return found
 
 
+def joined(parts: list[Rows], dtype: np.dtype[np.void]) -> Rows:
+    """Return parts behind each other, and empty their list: each is freed once it has been copied."""
+    rows = np.empty(sum(map(len, parts)), dtype)
+    parts.reverse()
+    at = 0
+    while parts:
+        part = parts.pop()
+        rows[at : at + len(part)] = part
+        at += len(part)
+    return rows
+
+
 def components(columns: Sequence[Column], names: Sequence[str], log: str) -> list[Component]:
     """Return the components of columns that are named, whole columns among them; all without a name.
 

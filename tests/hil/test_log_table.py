@@ -166,6 +166,45 @@ def test_reading_in_pieces_takes_memory_for_a_piece_only(tmp_path):
     assert peak < 0.2 * count * ROW.itemsize
 
 
+def test_a_few_columns_of_a_log_take_memory_for_these_alone(tmp_path):
+    count = 20_000
+    log = Log(written(tmp_path / "a.mcap", random_rows(count)))
+    tracemalloc.start()
+    try:
+        rows = log.rows("q")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(rows) == count
+    assert peak < 0.2 * count * ROW.itemsize
+
+
+def test_all_columns_take_little_more_memory_than_they_need(tmp_path):
+    count = 20_000
+    log = Log(written(tmp_path / "a.mcap", random_rows(count)))
+    tracemalloc.start()
+    try:
+        rows = log.rows()
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(rows) == count
+    assert peak < 2.3 * count * ROW.itemsize
+
+
+def test_rows_that_another_program_has_moved_come_in_tick_order(tmp_path):
+    rows = np.zeros(6, ROW)
+    rows["tick"] = [0, 2, 1, 3, 5, 4]
+    rows["p"][:, 0] = rows["tick"]
+    log = Log(written(tmp_path / "a.mcap", rows))
+    assert log.rows("p")["p"][:, 0].tolist() == log.rows()["tick"].tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_no_piece_of_a_span_is_empty(path):
+    blocks = [len(block) for block in Log(path).blocks("q", start_s=0.7, stop_s=0.71)]
+    assert (min(blocks), sum(blocks)) == (11, 11)
+
+
 def test_frames_come_in_the_order_of_their_times_and_none_is_missing(path):
     expected = []
     for tick in TICKS:

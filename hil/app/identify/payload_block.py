@@ -1,13 +1,11 @@
 """The block for the configuration that `hil identify payload` prints: what is known now, not before."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
 from drivers.arrays import Array
-from drivers.errors import ConfigurationError
 from hil.app.configuration.platform import frame_axes
 from hil.app.identify.payload import DRIVES, HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
 from hil.config.platform import PayloadSettings

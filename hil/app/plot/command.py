@@ -6,7 +6,7 @@ from typing import Any
 
 from drivers.errors import LogError
 from hil.app.files import new_file, printable
-from hil.app.log_columns import seconds, signals
+from hil.app.log_columns import named_columns, seconds, signals
 from hil.app.plot.draw import Curve, draw
 from hil.app.readable import readable
 
@@ -36,7 +36,7 @@ def plot(
     panels: list[list[Curve]] = [[] for _ in names]
     shown, remarks = _names(logs), []
     for n, log_path in enumerate(logs):
-        with readable(log_path) as (log, rows, remark):
+        with readable(log_path, named_columns(names) | {"t_ns"}) as (log, rows, remark):
             if not len(rows):
                 raise LogError(f"{log_path}: has no tick: nothing to draw")
             if remark:

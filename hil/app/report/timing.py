@@ -40,7 +40,7 @@ def traffic(log: Log, rows: Rows, timing: BitTiming | None) -> Traffic:
     n = len(rows)
     answered = np.full(n, np.nan)
     busy: dict[int, Array] = {}
-    for k, tick in enumerate(log.ticks()):
+    for k, tick in zip(range(n), log.ticks(), strict=False):  # a log that is being written has more by now
         if tick.received:
             answered[k] = max(r.t_ns for r in tick.received) - int(tick.row["t_ns"])
         if timing is None:

@@ -6,13 +6,15 @@ import os
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 
 import pytest
 from click.testing import CliRunner
 
 from drivers.errors import LogError
 from hil.app.configuration.configuration import load
-from hil.app.files import made_whole, new_file, printable, write_whole
+from hil.app.files import made_whole, new_file, printable
 from hil.app.identify.payload_block import REMARK
 from hil.app.sim.command import simulate
 from hil.cli import main
@@ -62,7 +64,7 @@ def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_pa
     mine.write_text(f"{REMARK}a: 1\n")
     other.write_text("a: 1\n")
     assert new_file(mine, force=False, option="-o", own=REMARK.encode()) == mine
-    with pytest.raises(LogError, match="^-o .*other.yaml: exists and is not overwritten; no earlier file"):
+    with pytest.raises(LogError, match=r"^-o .*other\.yaml: exists and is not overwritten; no earlier file"):
         new_file(other, force=False, option="-o", own=REMARK.encode())
     with pytest.raises(LogError, match="add --force"):
         new_file(mine, force=False)
@@ -93,18 +95,25 @@ def test_a_full_disk_leaves_nothing_behind_and_the_message_names_the_file(path, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_is_utf_8_whatever_the_locale_says(tmp_path, monkeypatch):
-    monkeypatch.setattr("locale.getencoding", lambda: "ascii")
-    write_whole(tmp_path / "a.html", "µ–")
-    assert (tmp_path / "a.html").read_bytes() == "µ–".encode()
+def test_a_file_is_utf_8_whatever_the_locale_says(tmp_path):
+    out = tmp_path / "a.html"
+    program = f"from pathlib import Path; from hil.app.files import write_whole; write_whole(Path({str(out)!r}), chr(0x2013))"
+    plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    subprocess.run([sys.executable, "-c", program], env=os.environ | plain, check=True)
+    assert out.read_bytes() == "–".encode()
 
 
 def test_what_fails_leaves_the_earlier_file(tmp_path):
     out = tmp_path / "a.csv"
     out.write_text("old")
-    with pytest.raises(ZeroDivisionError), made_whole(out, overwrite=True) as temporary:
-        temporary.write_text("half")
-        raise ZeroDivisionError
+
+    def half():
+        with made_whole(out, overwrite=True) as temporary:
+            temporary.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        half()
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
     assert out.read_text() == "old"
 

@@ -9,11 +9,14 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import LogError
+from drivers.signals import Warn
 from drivers.tick_columns import RECORDED, ROW
 from hil.app.configuration.configuration import load
-from hil.app.log_columns import signals
+from hil.app.log_columns import Signal, named_columns, signals
 from hil.app.output import PNG
 from hil.app.plot.command import plot
+from hil.app.plot.draw import Curve, draw
+from hil.app.readable import readable
 from hil.app.sim.command import simulate
 from hil.cli import main
 
@@ -80,6 +83,28 @@ def test_a_picture_has_units_names_of_values_and_both_logs(logs, tmp_path):
     plot(logs, ("tau.leg_3", "mode", "dq"), out=out)
     said = texts(out)
     assert {"one: tau.leg_3", "two: tau.leg_3", "N", "m/s", "s", "TRACKING", "PARKED"} <= set(said)
+
+
+def test_logs_of_one_name_in_two_folders_are_told_apart(logs, tmp_path):
+    (tmp_path / "one.mcap").write_bytes(logs[1].read_bytes())
+    plot([logs[0], tmp_path / "one.mcap"], ("tick",), out=tmp_path / "x.svg")
+    assert {f"{logs[0]}: tick", f"{tmp_path / 'one.mcap'}: tick"} <= set(texts(tmp_path / "x.svg"))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_flags_of_a_log_without_their_names_stand_beside_those_with_names(tmp_path, order):
+    values = np.array([0.0, float(Warn.LATE), 0.0])
+    named = Signal("warnings", "", values, {str(w.name): int(w) for w in Warn}, flags=True)
+    bare = named._replace(names={}, flags=False)
+    curves = [Curve("new: warnings", 0, values, named), Curve("old: warnings", 1, values, bare)]
+    draw(("warnings",), [curves[::order]], tmp_path / "x.svg", "")
+    assert {"new: LATE", "old: LATE"} <= set(texts(tmp_path / "x.svg"))
+
+
+def test_only_the_columns_that_are_drawn_are_held(logs):
+    assert named_columns(("q_d - q", "tau.leg_3", " mode ")) == {"q_d", "q", "tau", "mode"}
+    with readable(logs[0], {"tau", "t_ns", "nothing"}) as found:
+        assert found.rows.dtype.names == ("t_ns", "tau")
 
 
 def test_the_command_draws_a_difference_as_png(tmp_path, logs):

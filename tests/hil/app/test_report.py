@@ -286,11 +286,36 @@ def test_a_cut_log_is_shown_as_far_as_it_goes_and_the_page_says_so(logs, tmp_pat
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 2 // 3])
     summary = report(cut)
-    assert "cut or damaged" in summary["remark"]
+    assert summary["remark"] == f"the log is cut at {cut.stat().st_size} bytes, the end is missing"
     text = cut.with_suffix(".html").read_text()
     assert "This page shows what is there" in text
     assert "Parked without a fault" not in text
     assert sorted(tmp_path.iterdir()) == [cut.with_suffix(".html"), cut], "nothing else is left behind"
+
+
+def test_a_damaged_log_is_shown_without_the_damaged_part_and_the_page_says_so(logs, tmp_path):
+    content = bytearray((logs / "good.mcap").read_bytes())
+    content[len(content) // 2] ^= 0x10
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(content)
+    summary = report(bad)
+    assert "the log is damaged; " in summary["remark"]
+    assert f" of {len(content)} bytes are lost" in summary["remark"]
+    assert sorted(tmp_path.iterdir()) == [bad.with_suffix(".html"), bad], "nothing else is left behind"
+
+
+def test_a_log_that_is_being_written_meanwhile_is_shown_as_it_was(logs, tmp_path, monkeypatch):
+    whole = (logs / "good.mcap").read_bytes()
+    growing = tmp_path / "growing.mcap"
+    growing.write_bytes(whole[: len(whole) // 2])
+    events = Log.events
+
+    def grown(log):
+        growing.write_bytes(whole)
+        return events(log)
+
+    monkeypatch.setattr(Log, "events", grown)
+    assert "is cut at" in report(growing)["remark"]
 
 
 def test_an_existing_page_stays_unless_force_is_given_and_a_log_stays_in_any_case(logs, tmp_path):

@@ -1,9 +1,11 @@
 """What a run was like: figures and a picture from its recorded rows."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from drivers.signals import Fault, Mode, Warn
@@ -25,7 +27,7 @@ def figures(rows: Rows) -> dict[str, Any]:
         "duration_s": float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0,
         "final_mode": Mode(int(rows["mode"][-1])).name if len(rows) else None,
         "faults": _names(Fault, np.bitwise_or.reduce(rows["faults"])) if len(rows) else [],
-        "tracking": {"ticks": int(tracking.sum())} | errors(rows[tracking]),
+        "tracking": {"ticks": int(tracking.sum())} | errors(_only(rows, tracking, FOLLOWED)),
         "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),
         "limited_ticks": limited_ticks(rows),
         "wake_up_us": _percentiles(rows["lateness_ns"] / 1e3),
@@ -77,6 +79,10 @@ def pose_errors(rows: Rows) -> tuple[Array, Array]:
     return 1e3 * (rows["p_d"] - rows["p"]), np.rad2deg(rotation_errors(rows["R_d"], rows["R"]))
 
 
+FOLLOWED = ("q_d", "q", "p_d", "p", "R_d", "R", "tau", "dq")
+"""Columns of `errors`."""
+
+
 def errors(rows: Rows) -> dict[str, float]:
     """Return the figures of rows that follow a reference: leg error, distance, angle; empty without rows."""
     if not len(rows):
@@ -91,6 +97,14 @@ def errors(rows: Rows) -> dict[str, float]:
         "peak_force_N": float(np.abs(rows["tau"]).max()),
         "peak_leg_rate_m_s": float(np.abs(rows["dq"]).max()),
     }
+
+
+def _only(rows: Rows, where: NDArray[np.bool_], names: Sequence[str]) -> Rows:
+    """Return some columns of some rows: a long run has no room for a copy of all of them."""
+    found = np.empty(int(where.sum()), [(name, rows.dtype[name]) for name in names])
+    for name in names:
+        found[name] = rows[name][where]
+    return found
 
 
 def _percentiles(values: Array) -> dict[str, float]:

@@ -245,13 +245,16 @@ class Log(LogFile):
 
         """
         selection = self._selection(names, start_s, stop_s)
-        parts, ticks = [], []
-        for data, table in self._buffers():
-            part = selection.within(self._decoder.rows(data, table))
-            parts.append(selection.of_rows(part))
-            ticks.append(part["tick"].copy())  # a view would keep the whole rows
+        ticks = []
+
+        def parts() -> Iterator[Rows]:
+            for data, table in self._buffers():
+                part = selection.within(self._decoder.rows(data, table))
+                ticks.append(part["tick"].copy())  # a view would keep the whole rows
+                yield selection.of_rows(part)
+
+        rows = joined(parts(), selection.dtype)
         order = np.concatenate(ticks) if ticks else np.zeros(0, np.int64)
-        rows = joined(parts, selection.dtype)
         if (np.diff(order) >= 0).all():
             return rows
         return rows[np.argsort(order, kind="stable")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import NamedTuple, Self
 
@@ -11,6 +11,9 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
+
+PIECE = 16_384
+"""Rows that are put together while a log is read."""
 
 
 class Component(NamedTuple):
@@ -72,15 +75,26 @@ class Selection(NamedTuple):
         return found
 
 
-def joined(parts: list[Rows], dtype: np.dtype[np.void]) -> Rows:
-    """Return parts behind each other, and empty their list: each is freed once it has been copied."""
-    rows = np.empty(sum(map(len, parts)), dtype)
-    parts.reverse()
+def joined(parts: Iterable[Rows], dtype: np.dtype[np.void]) -> Rows:
+    """Return parts behind each other, with little more memory than the result takes.
+
+    They are put together in pieces that are large enough to go back to the system once they are copied.
+    """
+    pieces: list[Rows] = []
+    held: list[Rows] = []
+    for part in parts:
+        held.append(part)
+        if sum(map(len, held)) >= PIECE:
+            pieces.append(np.concatenate(held))
+            held = []
+    rows = np.empty(sum(map(len, pieces)) + sum(map(len, held)), dtype)
+    pieces = [*held[::-1], *pieces[::-1]]
+    del held
     at = 0
-    while parts:
-        part = parts.pop()
-        rows[at : at + len(part)] = part
-        at += len(part)
+    while pieces:
+        piece = pieces.pop()
+        rows[at : at + len(piece)] = piece
+        at += len(piece)
     return rows
 
 

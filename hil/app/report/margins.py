@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from drivers.arrays import Array, Rows
+from drivers.arrays import Array, Ints, Rows
 from drivers.signals import LEGS, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.configuration.configuration import Configuration
+from hil.app.report.fused import against_m, alone_s, counted_age, is_fused, position_std_m
+from hil.estimation.fusion import SLIP_TICKS
 from hil.safety.bus import OFTEN as DEAD_BUS
 from hil.safety.frames import OFTEN as UNRELIABLE
 from hil.safety.guard import WINDOW_S
@@ -60,6 +62,10 @@ def _all(rows: Rows, c: Configuration, rate_Hz: float) -> Iterator[Margin | None
     follows = (mode >= Mode.RELEASING) & (mode <= Mode.PARKING) & powered
     yield from _forces(rows, c, rate_Hz, powered & well)
     yield from _legs(rows, c, powered, follows)
+    stands = np.isin(mode, _CLOSED) & (well | struck)
+    moved = _moved(rows, stands)
+    name, key = "motion on closed brakes", "limits.standstill_m"
+    yield nearest(name, key, moved, limits.standstill_m, COLUMNS["q"].unit, stands)
     for name, column, limit in (
         ("residual of forward kinematics", "fk_residual", limits.consistency_m),
         ("condition number of J", "condition", limits.condition),
@@ -67,14 +73,15 @@ def _all(rows: Rows, c: Configuration, rate_Hz: float) -> Iterator[Margin | None
         unit = COLUMNS[column].unit
         key = f"limits.{'consistency_m' if column == 'fk_residual' else 'condition'}"
         yield nearest(name, key, rows[column], limit, unit, powered)
-    age, ticks = rows["age"], COLUMNS["age"].unit
+    age, ticks = counted_age(rows, mode, c), COLUMNS["age"].unit
     yield nearest(
         "age of a leg's feedback", "limits.stale_fault_ticks", age, limits.stale_fault_ticks, ticks, powered
     )
+    confirm = c.monitor.confirm_ticks
+    name = f"Lyapunov function, sqrt(V) of an axis over what is allowed, {confirm} ticks in a row"
     share = rows["lyapunov_share"]
-    yield nearest(
-        "Lyapunov function, sqrt(V) of an axis over what is allowed", "monitor", share, 1.0, "1", powered
-    )
+    yield nearest(name, "monitor", _lasting(share, confirm), 1.0, "1", powered & np.isfinite(share))
+    yield from _fused(rows, c, rate_Hz, powered)
     yield from _loop(rows, c, powered)
 
 
@@ -83,17 +90,29 @@ def _forces(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iter
     rated = c.drives.force_limit_N
     key = "limits.force_N" if limits.force_N <= rated else "drives.force_limit_N"
     yield nearest("leg force", key, np.abs(tau), min(limits.force_N, rated), unit, powered)
-    both = powered[1:] & powered[:-1] if len(rows) else powered
-    if both.any():
+    if powered.any():
         step = np.zeros_like(tau)
-        step[1:] = np.abs(np.diff(tau, axis=0)) * both[:, None]
+        step[1:] = np.abs(np.diff(tau, axis=0)) * (np.diff(rows["tick"]) == 1 + rows["skipped"][1:])[:, None]
         limit = limits.force_step_N * c.loop.rate_Hz / rate_Hz  # as `hil.app.compose` has it
         yield nearest("change of force in a tick", "limits.force_step_N", step, limit, unit, powered)
         n = max(2, round(WINDOW_S * rate_Hz) + 1)
-        shift = {"size": n, "axis": 0, "origin": (n - 1) // 2, "mode": "nearest"}
-        change = np.maximum(tau - minimum_filter1d(tau, **shift), maximum_filter1d(tau, **shift) - tau)
+        places, holds = _every_tick(rows["tick"], n)
+        held = tau[holds]
+        low = minimum_filter1d(held, n, axis=0, mode="nearest", origin=(n - 1) // 2)[places]
+        high = maximum_filter1d(held, n, axis=0, mode="nearest", origin=(n - 1) // 2)[places]
+        change = np.maximum(tau - low, high - tau)
         name = f"change of force within {1e3 * WINDOW_S:g} ms"
         yield nearest(name, "limits.force_window_N", change, limits.force_window_N, unit, powered)
+
+
+def _every_tick(tick: Ints, longest: int) -> tuple[Ints, Ints]:
+    """Return the place of each row (n,) among all ticks (m,), and the row at or before each of these.
+
+    A force is held through ticks that were skipped or are not in the log. Gaps count as `longest` at most.
+    """
+    gaps = np.clip(np.diff(tick), 1, longest)
+    places = np.concatenate(([0], np.cumsum(gaps)))
+    return places, np.repeat(np.arange(len(tick)), np.append(gaps, 1))
 
 
 def _legs(rows: Rows, c: Configuration, powered: Mask, follows: Mask) -> Iterator[Margin | None]:
@@ -120,10 +139,6 @@ def _legs(rows: Rows, c: Configuration, powered: Mask, follows: Mask) -> Iterato
         name, key = "leg acceleration of the reference", "limits.acceleration_m_s2"
         unit = COLUMNS["ddq_d"].unit
         yield nearest(name, key, np.abs(rows["ddq_d"]), limits.acceleration_m_s2, unit, follows)
-    stands = np.isin(rows["mode"], _CLOSED)
-    yield nearest(
-        "motion on closed brakes", "limits.standstill_m", _moved(rows, stands), limits.standstill_m, m, stands
-    )
 
 
 def _moved(rows: Rows, stands: Mask) -> Array:
@@ -158,6 +173,28 @@ def _loop(rows: Rows, c: Configuration, powered: Mask) -> Iterator[Margin | None
         yield nearest(
             "bench time that stood still", "limits.stretch_percent", harmful, allowed, unit, powered
         )
+
+
+def _fused(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iterator[Margin | None]:
+    if not is_fused(c):
+        return
+    fusion, key = c.estimation.fusion, "estimation.fusion"
+    m, s = COLUMNS["pose_std"].units[0], COLUMNS["reference_time_s"].unit
+    name, std = "standard deviation of the fused position", position_std_m(rows)
+    yield nearest(name, f"{key}.position_std_max_m", std, fusion.position_std_max_m, m, powered)
+    name, limit = "encoder lost, and no sample of the tracker", 1e-3 * fusion.tracker_gap_max_ms
+    yield nearest(name, f"{key}.tracker_gap_max_ms", alone_s(rows, c, rate_Hz), limit, s, powered)
+    name = f"encoder against the fused pose, {SLIP_TICKS} ticks in a row"
+    off = _lasting(against_m(rows), SLIP_TICKS)
+    yield nearest(name, f"{key}.encoder_slip_m", off, fusion.encoder_slip_m, m, powered)
+
+
+def _lasting(values: Array, ticks: int) -> Array:
+    """Return what values (n,) or (n, 6) did not fall below in the last so many rows; nan counts as 0."""
+    n = min(ticks, len(values) + 1)
+    filled = np.where(np.isnan(values), 0.0, values)
+    least: Array = minimum_filter1d(filled, n, axis=0, origin=(n - 1) // 2, mode="constant")
+    return least
 
 
 def _recent(which: Mask) -> Array:

@@ -142,6 +142,136 @@ def test_of_32_ticks_those_with_refused_frames_are_counted():
     assert (found.value, found.row) == (4, 43), "10 is 33 ticks before 43; 20 to 43 are four"
 
 
+def test_the_tick_in_which_a_brake_gave_way_counts():
+    rows = rows_of(60)
+    rows["mode"][:] = Mode.LOADING
+    rows["q"][40:, 2] += 6e-4
+    rows["mode"][40:], rows["faults"][40:] = Mode.FAULT, Fault.BRAKE
+    rows["q"][41:, 2] += 1.0
+    found = margin(rows, "limits.standstill_m")
+    assert (found.row, found.leg, found.value) == (40, 2, pytest.approx(6e-4))
+
+
+def test_a_force_step_is_one_between_ticks_that_follow_each_other():
+    rows = rows_of(400)
+    rows["tau"][:, 1] = 100.0
+    rows["tau"][200:, 1] = 1000.0
+    rows["tau"][300:, 4] = 50.0
+    rows["tick"][200:] += 40
+    rows["t_ns"] = 1_000_000 * rows["tick"]
+    found = margin(rows, "limits.force_step_N")
+    assert (found.row, found.leg, found.value) == (300, 4, 50.0), "40 lost ticks are no step"
+    rows["skipped"][200] = 40
+    found = margin(rows, "limits.force_step_N")
+    assert (found.row, found.leg, found.value) == (200, 1, 900.0), "a skipped tick holds the force"
+
+
+def test_the_first_force_of_a_run_is_a_step_from_none():
+    rows = rows_of(20)
+    rows["mode"][:10] = Mode.IDLE
+    rows["tau"][10:, 5] = -300.0
+    found = margin(rows, "limits.force_step_N")
+    assert (found.row, found.leg, found.value) == (10, 5, 300.0)
+
+
+def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
+    rows = rows_of(300)
+    rows["tau"][:100, 3] = 700.0
+    rows["tick"][110:] += 500
+    rows["tau"][115:, 3] = 30.0
+    rows["tau"][115:, 0] = 90.0
+    found = margin(rows, "limits.force_window_N")
+    assert (found.row, found.leg, found.value) == (100, 3, 700.0)
+    rows["tau"][100:110, 3] = 700.0 - 7.0 * np.arange(10)
+    rows["tau"][110:, 3] = 600.0
+    rows["tau"][111:, 3] = 575.0
+    assert margin(rows, "limits.force_window_N").value == 90.0, "500 lost ticks are longer than 250 ms"
+
+
+def test_the_certificate_is_used_up_by_what_lasts_and_not_by_one_tick():
+    confirm = load("virtual").monitor.confirm_ticks
+    rows = rows_of(60)
+    rows["lyapunov_share"] = 0.1
+    rows["lyapunov_share"][:3] = np.nan
+    rows["lyapunov_share"][[10, 11, 30, 31, 32]] = [5.0, 5.0, 0.8, 0.7, 0.9]
+    assert confirm == 3
+    found = margin(rows, "monitor")
+    assert (found.value, found.row) == (0.7, 32)
+    rows["lyapunov_share"] = np.nan
+    assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor"]
+
+
+# -- a fused pose --------------------------------------------------------------------------------------------
+
+
+def fused(**settings):
+    c = load("virtual")
+    fusion = c.estimation.fusion.model_copy(update={"may_lose_legs": [1, 4]} | settings)
+    return c.model_copy(
+        update={"estimation": c.estimation.model_copy(update={"pose": "fused", "fusion": fusion})}
+    )
+
+
+def fused_margin(rows, name, c=None, rate_Hz=RATE_Hz):
+    (found,) = (m for m in margins(rows, c or fused(), rate_Hz) if name in m.name)
+    return found
+
+
+def test_without_a_fused_pose_there_is_no_row_of_it():
+    assert not [m for m in margins(rows_of(9), load("virtual"), RATE_Hz) if "fus" in m.key]
+
+
+def test_the_uncertainty_of_a_fused_position_is_that_of_all_three_directions():
+    rows = rows_of(30)
+    rows["pose_std"][12] = [2e-3, 1e-3, 2e-3, 9.0, 9.0, 9.0]
+    found = fused_margin(rows, "standard deviation", fused(position_std_max_m=6e-3))
+    assert (found.row, found.value, found.used_percent) == (12, pytest.approx(3e-3), pytest.approx(50.0))
+
+
+def test_a_lost_encoder_counts_the_time_without_the_tracker():
+    rows = rows_of(100)
+    rows["tracker"][[20, 60]] = 1
+    rows["tracker"][30] = -1
+    rows["legs_lost"][40:90] = 1 << 4
+    found = fused_margin(rows, "tracker", rate_Hz=250.0)
+    assert (found.row, found.value) == (59, pytest.approx(39 / 250.0))
+    rows["legs_lost"][40:90] = 1 << 2
+    assert fused_margin(rows, "tracker").value == 0.0, "leg 2 may not be lost: its own fault comes first"
+
+
+@pytest.mark.parametrize(
+    ("lost", "mode", "faults", "age"),
+    [
+        (1 << 4, Mode.TRACKING, 0, 2),
+        (1 << 3, Mode.TRACKING, 0, 900),
+        (1 << 4 | 1 << 1, Mode.TRACKING, 0, 900),
+        (1 << 4, Mode.UNLOADING, 0, 900),
+        (1 << 4, Mode.FAULT, Fault.STALE, 900),
+    ],
+    ids=["may be lost", "may not", "too many", "proves a brake", "was the fault"],
+)
+def test_the_age_of_a_leg_that_may_be_lost_is_no_margin(lost, mode, faults, age):
+    rows = rows_of(30)
+    rows["age"][10, 0] = 2
+    rows["age"][20] = [900 * (lost >> leg & 1) for leg in range(6)]
+    rows["legs_lost"][20] = lost
+    rows["mode"][20], rows["faults"][20:] = mode, faults
+    assert fused_margin(rows, "age").value == age
+
+
+def test_an_encoder_is_against_the_fused_pose_three_ticks_in_a_row_until_it_has_slipped():
+    rows = rows_of(60)
+    rows["legs_used"] = 0b111111
+    rows["innovation_q"][5] = 1.0
+    rows["legs_used"][20:22] = rows["legs_used"][30:] = 0b011111
+    rows["innovation_q"][20:, 5] = -9e-5
+    rows["innovation_q"][31:34, 5] = 8e-5, -7e-5, 6e-5
+    rows["innovation_q"][34:, 5] = 1.0
+    rows["legs_slipped"][33:] = 1 << 5
+    found = fused_margin(rows, "against the fused pose")
+    assert (found.row, found.leg, found.value) == (32, 5, pytest.approx(7e-5))
+
+
 # -- peaks and spells ----------------------------------------------------------------------------------------
 
 

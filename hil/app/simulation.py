@@ -3,9 +3,11 @@
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import ConfigurationError
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
@@ -38,7 +40,7 @@ def sim(
     duration_s: float | None = None,
     log: str | os.PathLike[str] | None = None,
     plant_log: bool = True,
-    faults: Iterable[str] = (),
+    faults: str | Iterable[str] = (),
     setpoints: str | os.PathLike[str] | None = None,
     check_replay: bool = True,
     **changes: Any,
@@ -56,7 +58,7 @@ def sim(
     plant_log
         Record the plant's truth beside it, for ``run.log.frame("plant.p")``.
     faults
-        What goes wrong at the plant, in the words of ``hil sim --fault``.
+        What goes wrong at the plant, in the words of ``hil sim --fault``: one text a fault.
     setpoints
         CSV of poses for a live reference.
     check_replay
@@ -73,13 +75,17 @@ def sim(
     Raises
     ------
     ConfigurationError
-        The configuration, a change, or a reference out of reach.
+        The configuration, a change, the duration, or a reference out of reach.
     PlantError
         The plant does not start.
     LogError
         The log exists, or cannot be written.
 
     """
+    if duration_s is not None and not 0.0 < duration_s < inf:
+        raise ConfigurationError(
+            f"duration_s {duration_s}: allowed: a number of seconds > 0, None: to the end"
+        )
     configuration = load(Path(config))
     if changes:
         text = with_changes(configuration.text, {"name": configuration.name} | changes)
@@ -87,7 +93,7 @@ def sim(
     configuration.require("sim")
     refuse_unreachable(configuration)
     summary = simulate(
-        with_faults(configuration, faults),
+        with_faults(configuration, (faults,) if isinstance(faults, str) else faults),
         log=None if log is None else Path(log),
         duration_s=duration_s,
         check_replay=check_replay,

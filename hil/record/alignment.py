@@ -1,5 +1,7 @@
 """Which row of the plant's log belongs to which tick: the one of the SYNC that started it."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from drivers.arrays import Ints, Rows
@@ -13,14 +15,15 @@ CLOCK_NS = 10_000_000_000
 """The clocks of two logs of one run started at UTC instants that differ by less."""
 
 
-def plant_rows_of(ticks: Rows, plant: Rows) -> Ints:
+def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> Ints:
     """Return the place of each tick's row in the plant's log, -1 where it has none: (n,).
 
     A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The row of that SYNC is the nearest one
     in which `syncs` rises, half a period away at most and no other tick's: the plant steps on a grid of its
     own. A plant that counts no SYNC is read at its nearest row.
 
-    ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order.
+    ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order;
+    period_ns : of the loop; None: the usual distance of the ticks.
     """
     none = np.full(len(ticks), -1, np.int64)
     rises = np.flatnonzero(np.diff(plant["syncs"], prepend=0) > 0)
@@ -30,8 +33,9 @@ def plant_rows_of(ticks: Rows, plant: Rows) -> Ints:
     sent = ticks["t_ns"] + ticks["lateness_ns"]
     t = plant["t_ns"][candidates]
     row, tick = _nearest(t, sent), _nearest(sent, t)
-    period = np.median(np.diff(ticks["t_ns"])) if len(ticks) > 1 else np.inf
-    own = (np.abs(t[row] - sent) <= period / 2) & (tick[row] == np.arange(len(ticks)))
+    if period_ns is None:
+        period_ns = float(np.median(np.diff(ticks["t_ns"]))) if len(ticks) > 1 else np.inf
+    own = (np.abs(t[row] - sent) <= period_ns / 2) & (tick[row] == np.arange(len(ticks)))
     found: Ints = np.where(own, candidates[row], none)
     return found
 
@@ -44,8 +48,21 @@ def _nearest(there: Ints, wanted: Ints) -> Ints:
     return nearest
 
 
-def require_one_run(log: str, epoch_ns: int, plant: str, plant_epoch_ns: int, places: Ints) -> None:
-    """Refuse two logs whose clocks or ticks do not fit each other.
+class Side(NamedTuple):
+    """What tells whether two logs are of one run."""
+
+    path: str
+    epoch_ns: int
+    lockstep: bool
+    configuration: bytes | None
+    """None where the log has none."""
+
+
+def require_one_run(log: Side, plant: Side, places: Ints) -> None:
+    """Refuse two logs whose clocks, ticks or configurations do not fit each other.
+
+    In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, and both
+    ends have one configuration.
 
     Raises
     ------
@@ -53,8 +70,12 @@ def require_one_run(log: str, epoch_ns: int, plant: str, plant_epoch_ns: int, pl
         They are not of one run.
 
     """
-    if abs(epoch_ns - plant_epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any()):
+    far = abs(log.epoch_ns - plant.epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any())
+    both = log.lockstep and plant.lockstep and None not in (log.configuration, plant.configuration)
+    other = log.lockstep != plant.lockstep or (both and log.configuration != plant.configuration)
+    if far or other:
+        why = "its configuration is another one" if other and not far else f"no tick of {log.path} is in it"
         raise LogError(
-            f"{log}: no tick of it is in {plant}: the plant's log is of another run; name the right one with "
+            f"{log.path}: the plant's log {plant.path} is of another run: {why}; name the right one with "
             "Log(path, plant=FILE)"
         )

@@ -15,7 +15,8 @@ import numpy as np
 from drivers.arrays import Ints, Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record.alignment import SENT, SYNC, plant_rows_of, require_one_run
+from hil.record.alignment import SENT, SYNC, Side, plant_rows_of, require_one_run
+from hil.record.schema import CONFIGURATION, IDENTITY
 from hil.record.selection import Component, components
 from hil.record.value_names import name_of
 
@@ -32,6 +33,9 @@ class Readable(Protocol):
     path: Path
     columns: tuple[Column, ...]
     epoch_ns: int
+    lockstep: bool
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
 
     @property
     def origin_ns(self) -> int:
@@ -76,7 +80,8 @@ def data_frame(
     rows = log.rows(*wanted, start_s=start_s, stop_s=stop_s)
     values: dict[str, Any] = {part.label: part.of(rows) for part in parts}
     if theirs:
-        more, added = _of_plant(log, rows, [name.partition(".")[2] for name in theirs])
+        whole = start_s is None and stop_s is None
+        more, added = _of_plant(log, rows, [name.partition(".")[2] for name in theirs], whole=whole)
         values |= added
         parts += more
     if not numbers:
@@ -113,13 +118,30 @@ def named(column: Column, values: Ints) -> Any:
     return pd.Categorical.from_codes(codes, categories)
 
 
-def _of_plant(log: Readable, rows: Rows, names: Sequence[str]) -> tuple[list[Component], dict[str, Any]]:
-    """Return the plant's components that are named ("": all), and their values at the ticks of `rows`."""
+def _side(log: Readable) -> Side:
+    return Side(str(log.path), log.epoch_ns, log.lockstep, log.attachments.get(CONFIGURATION))
+
+
+def _period_ns(log: Readable) -> float | None:
+    """Return the period of the loop; None where the log does not say it."""
+    try:
+        return 1e9 / float(log.metadata[IDENTITY]["rate_Hz"])
+    except (KeyError, ValueError, ZeroDivisionError):
+        return None
+
+
+def _of_plant(
+    log: Readable, rows: Rows, names: Sequence[str], *, whole: bool
+) -> tuple[list[Component], dict[str, Any]]:
+    """Return the plant's components that are named ("": all), and their values at the ticks of `rows`.
+
+    whole: the rows are all of the log, of which the plant has to have heard one.
+    """
     plant = log.plant
     chosen = components(plant.columns, [name for name in names if name], str(plant.path))
     truth = plant.rows(*({part.column.name for part in chosen} | set(SYNC)))
-    places = plant_rows_of(rows, truth)
-    require_one_run(str(log.path), log.epoch_ns, str(plant.path), plant.epoch_ns, places)
+    places = plant_rows_of(rows, truth, _period_ns(log))
+    require_one_run(_side(log), _side(plant), places if whole else places[:0])
     values = {}
     for part in chosen:
         there = np.full(len(rows), np.nan)

@@ -34,8 +34,8 @@ def path(tmp_path_factory):
     return path
 
 
-def written(path, rows, **options):
-    with Recording.start(path, configuration="", lockstep=True, **options) as recording:
+def written(path, rows, configuration="", **options):
+    with Recording.start(path, configuration=configuration, lockstep=True, **options) as recording:
         for row in rows:
             recording.tick(np.asarray(row), (), ())
     return path
@@ -311,6 +311,26 @@ def test_a_plant_of_another_run_and_a_missing_one_are_refused(tmp_path):
     later = written(tmp_path / "b.mcap", plant_rows([9_000_000_000, 9_001_000_000], [1, 2]), table=PLANT)
     with pytest.raises(LogError, match="is of another run"):
         Log(tmp_path / "a.mcap", plant=later).frame("plant.p")
+
+
+def test_a_single_tick_whose_sync_the_plant_missed_gets_no_neighbours_row(tmp_path):
+    ticks = written(
+        tmp_path / "a.mcap", tick_rows([0, 1_000_000, 2_000_000], 0), metadata={"rate_Hz": 1000.0}
+    )
+    written(tmp_path / "a-plant.mcap", plant_rows([0, 2_000_000], [1, 2]), table=PLANT)
+    log = Log(ticks)
+    assert log.frame("plant.p.z", start_s=0.002, stop_s=0.002)["plant.p.z"].tolist() == [1.0]
+    assert log.frame("plant.p.z")["plant.p.z"].isna().tolist() == [False, True, False]
+    assert np.isnan(log.frame("plant.p.z", start_s=0.001, stop_s=0.001)["plant.p.z"]).tolist() == [True]
+
+
+def test_in_simulated_time_a_plant_of_another_configuration_is_refused(tmp_path):
+    for name, text in (("a", "a: 1\n"), ("b", "a: 2\n")):
+        written(tmp_path / f"{name}.mcap", tick_rows([0, 1_000_000], 0), text)
+        written(tmp_path / f"{name}-plant.mcap", plant_rows([0, 1_000_000], [1, 2]), text, table=PLANT)
+    assert not Log(tmp_path / "a.mcap").frame("plant.p").isna().to_numpy().any()
+    with pytest.raises(LogError, match=r"b-plant\.mcap is of another run: its configuration"):
+        Log(tmp_path / "a.mcap", plant=tmp_path / "b-plant.mcap").frame("plant.p")
 
 
 def test_a_plants_log_has_a_table_but_no_figures(tmp_path):

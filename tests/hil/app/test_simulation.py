@@ -164,3 +164,16 @@ def test_a_shipped_configuration_stays_what_it_is_without_a_change(name):
     shipped = load(name)
     again = loads(with_changes(shipped.text, {}), shipped.source, shipped.folder)
     assert again.model_dump() == shipped.model_dump()
+
+
+@pytest.mark.parametrize("duration_s", [0, -1.0, float("nan"), float("inf")])
+def test_a_duration_that_is_none_is_refused_before_a_log_is_there(tmp_path, duration_s):
+    with pytest.raises(ConfigurationError, match=r"^duration_s .*allowed: a number of seconds > 0"):
+        hil.sim("virtual", duration_s=duration_s, log=tmp_path / "a.mcap")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_fault_may_stand_as_a_text(tmp_path):
+    fault = "encoder_jump leg=3 at=0.9 by=5e-3"
+    run = hil.sim("virtual", duration_s=1.0, log=tmp_path / "a.mcap", plant_log=False, faults=fault)
+    assert run.summary["faults"] == ["ENCODER"]

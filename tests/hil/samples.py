@@ -4,6 +4,7 @@ import numpy as np
 
 from drivers.protocol import BRS, BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
+from hil.record import Recording
 from hil.record.log import Tick
 from hil.signals import SetPoint
 
@@ -50,6 +51,16 @@ def record(recording, ticks):
         recording.tick(
             np.asarray(tick.row), tick.received, tick.sent, tick.operator, setpoints=tick.setpoints
         )
+
+
+def log_of(ticks, folder, configuration="a: 1\n", can_channel="can0"):
+    """Return the path of a log of ticks in a new folder `log`."""
+    path = folder.mktemp("log") / "a.mcap"
+    with Recording.start(
+        path, configuration=configuration, lockstep=True, can_channel=can_channel
+    ) as recording:
+        record(recording, ticks)
+    return path
 
 
 def assert_same(found, expected):

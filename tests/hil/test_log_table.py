@@ -19,7 +19,7 @@ from hil.record.log import Log
 from hil.record.mcap_read import MAX_CHUNK, decompress
 from hil.record.salvage import salvage
 from tests.hil.rewrite import rewrite_log
-from tests.hil.samples import assert_same, random_rows, random_ticks, record
+from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
 
 COUNT = 900
 TICKS = random_ticks(COUNT, seed=21)
@@ -28,10 +28,7 @@ ROWS = np.array([tick.row for tick in TICKS])
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("log") / "a.mcap"
-    with Recording.start(path, configuration="a: 1\n", lockstep=True) as recording:
-        record(recording, TICKS)
-    return path
+    return log_of(TICKS, tmp_path_factory)
 
 
 def written(path, rows, configuration="", **options):

@@ -2,11 +2,10 @@ import pytest
 from mcap.reader import make_reader
 
 from drivers.errors import LogError
-from hil.record import Recording
 from hil.record.log import Log
 from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary, rewrite_log
-from tests.hil.samples import assert_same, random_ticks, record
+from tests.hil.samples import assert_same, log_of, random_ticks
 
 COUNT = 900
 TICKS = random_ticks(COUNT, seed=5)
@@ -14,10 +13,7 @@ TICKS = random_ticks(COUNT, seed=5)
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("log") / "a.mcap"
-    with Recording.start(path, configuration="a: 1\n", lockstep=True) as recording:
-        record(recording, TICKS)
-    return path
+    return log_of(TICKS, tmp_path_factory)
 
 
 @pytest.fixture(scope="module")

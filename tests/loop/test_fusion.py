@@ -25,6 +25,7 @@ from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump, EncoderLost
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
+from tests.loop.tracked import track
 
 TRACKER = "  tracker: {rate_Hz: 200, position_std_m: 1e-3, orientation_std_deg: 0.1}\n"
 FUSED = "estimation:\n  pose: fused\n"
@@ -84,28 +85,15 @@ class Run(NamedTuple):
 
 
 def run(configuration, *faults, seed=1):
-    c = configuration
-    noise = c.plant.sensors.model_copy(update={"seed": seed})
-    c = c.model_copy(update={"plant": c.plant.model_copy(update={"sensors": noise})})
-    rate = c.loop.rate_Hz
-    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
-    nodes, plant = build_nodes(c, FaultPlan(faults, seed))
-    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate))
-    rows, truths = [], []
     warned = 0
 
-    def observe(inp, opening, out):
+    def seen(cycle, row):
         nonlocal warned
         if cycle.mode >= Mode.RELEASING:
-            warned |= int(out.row["warnings"])
-        if cycle.mode is Mode.TRACKING:
-            rows.append(out.row)
-            truths.append((inp.t_ns + 75_000, nodes.snapshot()))  # SYNC takes 75 us
+            warned |= int(row["warnings"])
 
-    ending = lockstep.run(None, observe)
-    plant.close()
-    found = np.array(rows, rows[0].dtype)
-    return Run(ending.mode, cycle.faults, ending.reason, found, error_of(found, truths), warned)
+    ending, cycle, rows, truths = track(configuration, *faults, seed=seed, seen=seen)
+    return Run(ending.mode, cycle.faults, ending.reason, rows, error_of(rows, truths), warned)
 
 
 def error_of(rows, truths):

@@ -15,20 +15,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.can.bus_time import BitTiming
 from drivers.signals import LEGS, Mode
-from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.leg_errors import leg_errors
-from hil.app.sim.lockstep import Lockstep
 from plant_fmu.faults.encoder import EncoderLost
-from plant_fmu.faults.plan import FaultPlan
 from tests.loop.test_fusion import ANY_LEG, FUSED, TRACKER, UNPROVEN
+from tests.loop.tracked import track
 
 SHORT = {"virtual": ("periods: 10", "periods: 1"), "lab": ("duration_s: 20", "duration_s: 6")}
 NOISE = "{position_noise_m: 1e-3, orientation_noise_deg: 0.1, latency_ms: 5, lost_percent: 5}"
-LATCHED_NS = 75_000
-"""SYNC takes so long, and the drives latch when they have heard it."""
 
 
 class Run(NamedTuple):
@@ -64,27 +59,16 @@ def fused(name, *, fusion="", changes=()):
 
 
 def run(c, *faults, seed=1):
-    noise = c.plant.sensors.model_copy(update={"seed": seed})
-    c = c.model_copy(update={"plant": c.plant.model_copy(update={"sensors": noise})})
-    rate = c.loop.rate_Hz
-    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
-    nodes, plant = build_nodes(c, FaultPlan(faults, seed))
-    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate))
-    assert cycle.parts.fusion is not None
-    estimator = cycle.parts.fusion._estimator
-    rows, covariances, truths = [], [], []
+    covariances = []
 
-    def observe(inp, opening, out):
+    def seen(cycle, _row):
         if cycle.mode is Mode.TRACKING:
-            rows.append(out.row)
+            estimator = cycle.parts.fusion._estimator
             covariances.append(estimator._covariances[estimator._newest][:12, :12].copy())
-            truths.append((inp.t_ns + LATCHED_NS, nodes.snapshot()))
 
-    ending = lockstep.run(None, observe)
-    plant.close()
-    found = np.array(rows, rows[0].dtype)
-    used = found["legs_used"][:, None] >> np.arange(LEGS) & 1
-    return Run((ending.mode, cycle.faults), errors(found, truths), np.array(covariances), used)
+    ending, cycle, rows, truths = track(c, *faults, seed=seed, seen=seen)
+    used = rows["legs_used"][:, None] >> np.arange(LEGS) & 1
+    return Run((ending.mode, cycle.faults), errors(rows, truths), np.array(covariances), used)
 
 
 def errors(rows, truths):

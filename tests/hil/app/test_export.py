@@ -25,7 +25,7 @@ from hil.app.export.command import export_log, utc_ns
 from hil.cli import main
 from hil.record import Recording
 from hil.record.log import Log
-from tests.hil.samples import random_ticks, record
+from tests.hil.samples import log_of, random_ticks
 
 TICKS = random_ticks(700, seed=33)
 SIMULATED = 946_684_800.0
@@ -41,10 +41,7 @@ READERS: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("log") / "a.mcap"
-    with Recording.start(path, configuration="", lockstep=True, can_channel="vcan0") as recording:
-        record(recording, TICKS)
-    return path
+    return log_of(TICKS, tmp_path_factory, configuration="", can_channel="vcan0")
 
 
 def hil(*words):

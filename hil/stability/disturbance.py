@@ -23,13 +23,12 @@ from drivers.arrays import ZERO6, Array
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import (
-    FULL,
-    forward_dynamics_kernel,
     inverse_dynamics_kernel,
     joint_idc_kernel,
     mass_matrix_kernel,
 )
 from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel
+from hil.stability.differences import acceleration, by_demand, by_state
 from hil.stability.energy import displaced
 from hil.trajectory.path import PoseSample
 
@@ -104,6 +103,7 @@ class Linearised:
         self.axes = axes
         self.load = load
         self.friction = friction
+        self._radius = robot.platform.radius
 
     def at(self, s: PoseSample, e: Array, de: Array, stale_s: float = 0.0) -> Local:
         """Return the loop where the reference is `s` and the axes are behind it by e (6,) and de (6,).
@@ -120,7 +120,7 @@ class Linearised:
             x, dx = np.linalg.solve(J, np.column_stack([e, de])).T
         (p, R), twist = displaced(s.p, s.R, -x), s.twist - dx
         J = jacobian_kernel(a, b, p, R)
-        condition = condition_kernel(J, self.robot.platform.radius)
+        condition = condition_kernel(J, self._radius)
         if not np.isfinite(condition):
             nothing = np.full((6, 6), np.nan)
             inf = np.full(6, np.inf)
@@ -128,12 +128,13 @@ class Linearised:
         mobility = np.linalg.inv(mass_matrix_kernel(self.robot.constants, p, R))
         if self.axes == "joint":
             mobility = J @ mobility
-        tau = self._tau(p, R, twist, J, demanded)
-        error = self._acceleration(p, R, twist, tau) - demanded
+        tau, per_demand = self._by_demand(p, R, twist, demanded)
+        robot, joint = self.robot.constants, self.axes == "joint"
+        error = acceleration(robot, joint, p, R, twist, tau) - demanded
         per_force = mobility @ J.T
         before, then = displaced(p, R, -stale_s * s.twist), twist - stale_s * s.dtwist
-        Gamma = per_force @ self._per_demand(p, R, twist, demanded)
-        stale = per_force @ self._per_demand(*before, then, demanded) if stale_s else Gamma
+        Gamma = per_force @ per_demand
+        stale = per_force @ self._by_demand(*before, then, demanded)[1] if stale_s else Gamma
         worst = np.hstack(
             [
                 self.load.force_N * _directions(mobility[:, :3]),
@@ -144,7 +145,7 @@ class Linearised:
         lost = self.friction.viscous_N_s_m * np.abs(J @ twist) + self.friction.coulomb_N
         d = np.abs(error) + np.diagonal(loads) + np.abs(per_force) @ lost
         extremes = np.vstack([error + loads, error - loads])
-        by_error, by_rate = self._by_state(p, R, twist, tau)
+        by_error, by_rate = by_state(robot, joint, p, R, twist, tau, _STEP)
         return Local(Gamma, stale, per_force, d, extremes, by_error, by_rate, condition)
 
     def along_reference(self, s: PoseSample) -> tuple[Array, Array]:
@@ -158,37 +159,10 @@ class Linearised:
         per_force = (J @ mobility if self.axes == "joint" else mobility) @ J.T
         return self._tau(s.p, s.R, s.twist, J, demanded), np.asarray(per_force, float)
 
-    def _per_demand(self, p: Array, R: Array, twist: Array, demanded: Array) -> Array:
-        """Return the law's forces (6, 6) per acceleration that is demanded."""
-        J = jacobian_kernel(self.robot.platform.base_joints, self.robot.platform.platform_joints, p, R)
-        base = self._tau(p, R, twist, J, demanded)
-        return np.column_stack([self._tau(p, R, twist, J, demanded + axis) - base for axis in np.eye(6)])
-
-    def _acceleration(self, p: Array, R: Array, twist: Array, tau: Array) -> Array:
-        """Return the accelerations (6,) of the axes under the forces tau (6,) N, unloaded."""
-        dtwist = forward_dynamics_kernel(self.robot.constants, FULL, p, R, twist, tau, ZERO6)
-        if self.axes == "pose":
-            return dtwist
-        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
-        bias = jacobian_rate_kernel(a, b, p, R, twist) @ twist
-        return np.asarray(jacobian_kernel(a, b, p, R) @ dtwist + bias, float)
-
-    def _by_state(self, p: Array, R: Array, twist: Array, tau: Array) -> tuple[Array, Array]:
-        """Return the derivatives (6, 6) of the axes' accelerations by their places, and by their rates."""
-        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
-        J = jacobian_kernel(a, b, p, R)
-        steps = _STEP * (np.linalg.inv(J) if self.axes == "joint" else np.eye(6))
-        rates = J @ twist
-        here = self._acceleration(p, R, twist, tau)
-        by_error, by_rate = np.empty((6, 6)), np.empty((6, 6))
-        for i, x in enumerate(steps.T):
-            at_p, at_R = displaced(p, R, x)
-            there = twist
-            if self.axes == "joint":
-                there = np.asarray(np.linalg.solve(jacobian_kernel(a, b, at_p, at_R), rates), float)
-            by_error[:, i] = (self._acceleration(at_p, at_R, there, tau) - here) / _STEP
-            by_rate[:, i] = (self._acceleration(p, R, twist + x, tau) - here) / _STEP
-        return by_error, by_rate
+    def _by_demand(self, p: Array, R: Array, twist: Array, demanded: Array) -> tuple[Array, Array]:
+        """Return the law's forces (6,) N, and (6, 6) per acceleration that is demanded."""
+        believed = self.believed
+        return by_demand(believed.constants, believed.code, self.axes == "joint", p, R, twist, demanded)
 
     def _tau(self, p: Array, R: Array, twist: Array, J: Array, demanded: Array) -> Array:
         c, code = self.believed.constants, self.believed.code

@@ -97,7 +97,9 @@ def ultimate(
     condition: of J, what the tube may not exceed.
     """
     reference = summary(found_along)
-    worst = {int(np.argmax([local.d[i] for local in found_along])) for i in range(6)}
+    d = np.array([local.d for local in found_along])
+    # of instants that disturb an axis alike the last, or rounding would choose
+    worst = {int(np.flatnonzero(~(d[:, i] < (1.0 - 1e-9) * d[:, i].max()))[-1]) for i in range(6)}
     samples = [path[k] for k in sorted(worst)]
     every = max(1, len(path) // INSTANTS)
     extremes = np.vstack([local.extremes for local in found_along[::every]])

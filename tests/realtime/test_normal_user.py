@@ -36,20 +36,27 @@ def without_rights() -> None:
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """Return a folder that another user can reach; those of pytest are closed again by its next session."""
+    """Return a folder that another user can write; those of pytest are closed again by its next session."""
     with tempfile.TemporaryDirectory(prefix="hil-test-") as name:
+        Path(name).chmod(0o777)
         yield Path(name)
 
 
-@pytest.fixture
-def ordinary(folder: Path) -> dict[str, Any]:
+@pytest.fixture(scope="module")
+def ordinary() -> Iterator[dict[str, Any]]:
     """Return how to start a process as an ordinary user with the caches of this one: compiling takes long."""
     if os.getuid() != 0:
-        return {"preexec_fn": without_rights}
-    user = pwd.getpwnam("nobody")
-    home = folder / "home"
+        yield {"preexec_fn": without_rights}
+        return
+    with tempfile.TemporaryDirectory(prefix="hil-test-") as home:
+        yield as_user("nobody", Path(home))
+
+
+def as_user(name: str, home: Path) -> dict[str, Any]:
+    """Return how to start a process as that user, who has the caches of this one in `home`."""
+    user = pwd.getpwnam(name)
     shutil.copytree(CACHE_FOLDER, home / ".cache" / CACHE_FOLDER.name)
-    for path in (folder, *folder.rglob("*")):
+    for path in (home, *home.rglob("*")):
         os.chown(path, user.pw_uid, user.pw_gid)
     variables = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "NUMBA_"))}
     variables["HOME"] = str(home)
@@ -100,6 +107,7 @@ def test_beside_a_busy_process_it_goes_on_at_the_rate_it_can_hold(
     assert "Traceback" not in run.errors
 
 
+@pytest.mark.realtime(patient=True)
 def test_on_a_bench_whose_time_may_stand_still_it_keeps_the_rate(
     folder: Path, start: Start, ordinary: dict[str, Any]
 ) -> None:

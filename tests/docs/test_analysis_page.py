@@ -1,5 +1,6 @@
 """What the page on logs shows can be done: its code runs, in its order, and its commands succeed."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -34,6 +35,20 @@ def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     assert "FEEDBACK" in capsys.readouterr().out.upper()
     again = names["again"]
     assert again.attrs["units"]["tau.leg_3"] == "N"  # type: ignore[attr-defined]
+
+
+def test_the_cells_of_the_notebook_run_in_their_order(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    cells = json.loads((ROOT / "docs/examples/tracking.ipynb").read_text())["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    names: dict[str, object] = {}
+    for number, cell in enumerate(code):
+        exec(compile(cell, f"docs/examples/tracking.ipynb, cell {number}", "exec"), names)
+    assert len(code) == 5
+    peaks = names["peaks"]
+    assert isinstance(peaks, dict)
+    assert peaks[25] < peaks[15], "the stiffer law follows more closely"
 
 
 def test_the_page_of_the_interface_has_every_name_of_it_and_no_other():

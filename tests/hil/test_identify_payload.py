@@ -276,7 +276,7 @@ def test_slow_residuals_are_not_taken_for_many_independent_ones():
 
 def test_the_standard_errors_are_the_spread_over_seeds(capsys):
     """Noise of encoders and forces alone, 30 seeds, each unknown. Both are known to some 15 %."""
-    signals = made(Model(LADEN, **FRICTION), 12.0)
+    signals = made(Model(LADEN, **FRICTION), 6.0)
     found = [fitted(noisy(signals, np.random.default_rng(seed))) for seed in range(30)]
     spread = np.std([f.theta for f in found], axis=0, ddof=1)
     said = np.sqrt(np.mean([f.std**2 for f in found], axis=0))

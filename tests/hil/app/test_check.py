@@ -1,5 +1,6 @@
 """`hil check`: figures against the book's, and the first instant of every limit that the reference breaks."""
 
+import functools
 import json
 import re
 from pathlib import Path
@@ -225,8 +226,11 @@ SLIDING = "  law: sliding_mode\n  reaching_m_s2: 1\n" + UNCERTAIN
 ROBUST = "  law: robust_inverse_dynamics\n  wn_rad_s: 60\n" + UNCERTAIN
 
 
+@functools.cache
 def with_law(law):
-    return edited(("  law: inverse_dynamics\n", law), ("  wn_rad_s: 20\n", ""), ("  damping_ratio: 1\n", ""))
+    """Return the report on a law."""
+    changes = ("  law: inverse_dynamics\n", law), ("  wn_rad_s: 20\n", ""), ("  damping_ratio: 1\n", "")
+    return inspect(edited(*changes))
 
 
 @pytest.mark.parametrize(
@@ -242,19 +246,19 @@ def with_law(law):
     ],
 )
 def test_the_phase_margin_of_a_boundary_layer_is_that_of_its_linear_law(law, margin_deg):
-    report = inspect(with_law(law))
+    report = with_law(law)
     assert report.figures["controller"]["phase_margin_deg"] == pytest.approx(margin_deg, abs=0.06)
     assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
 
 
 def test_a_boundary_layer_says_what_error_it_lets_through():
     """k = (13 + 0.1 12 + 1) / 0.9 = 16.9 m/s^2, phi = k / 92 = 0.184 m/s, k / 92^2 = 2.00 mm."""
-    lines = inspect(with_law(SLIDING + "  lambda_rad_s: 92\n")).sections["controller"]
+    lines = with_law(SLIDING + "  lambda_rad_s: 92\n").sections["controller"]
     assert "switching gain 16.9 m/s^2, boundary layer 0.184 m/s: |e| <= 2 mm" in lines
 
 
 def test_a_law_that_switches_is_warned_of():
-    report = inspect(with_law(SLIDING + "  lambda_rad_s: 92\n  boundary_layer_m_s: 0\n"))
+    report = with_law(SLIDING + "  lambda_rad_s: 92\n  boundary_layer_m_s: 0\n")
     assert any("it chatters" in w for w in report.warnings)
     json.dumps(report.to_dict())
 
@@ -264,11 +268,11 @@ def test_it_says_whether_the_law_is_monitored():
     line = "monitored: growth of the error beyond what a disturbance of 8 m/s^2 explains faults"
     assert line in report.sections["controller"]
     assert report.figures["monitor"] == {"watched": True, "action": "fault"}
-    report = inspect(with_law("  law: pd_gravity\n  kp_N_m: 2e6\n  kv_N_s_m: 5e4\n"))
+    report = with_law("  law: pd_gravity\n  kp_N_m: 2e6\n  kv_N_s_m: 5e4\n")
     (line,) = [line for line in report.sections["controller"] if "monitored" in line]
     assert line.startswith("not monitored: its energy function")
     assert report.figures["monitor"] == {"watched": False, "action": "log"}
-    pose = inspect(with_law("  law: pose_inverse_dynamics\n  wn_rad_s: 25\n"))
+    pose = with_law("  law: pose_inverse_dynamics\n  wn_rad_s: 25\n")
     assert any(
         "8 m/s^2 or 8 rad/s^2 explains shows in the log alone" in line for line in pose.sections["controller"]
     )

@@ -8,7 +8,7 @@ PYTEST_FLAGS ?=
 # where it is set, each of some hundred processes of the tests compiles the project anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long lint bench docs format lock clean venv fmu
+.PHONY: help run test long lint bench docs format lock clean venv fmu kernels
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is"
@@ -17,7 +17,9 @@ help:  ## this list
 run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the platform's FMU, in real time
 	@exec $(BIN)/hil run virtual --plant --arm
 
-test: lint fmu  ## import contracts, ruff, mypy, pytest (its summary is the last line)
+# what a first time compiles, beside mypy: the processes of the tests would each compile the same
+test: venv  ## import contracts, ruff, mypy, pytest (its summary is the last line)
+	@$(MAKE) -j2 lint kernels
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
 
 long: fmu  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
@@ -51,3 +53,6 @@ venv:
 
 fmu: venv
 	@exec $(BIN)/hil fmu build
+
+kernels: fmu
+	@$(BIN)/python -m tools.compile_kernels

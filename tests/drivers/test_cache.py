@@ -1,6 +1,7 @@
 """Where compiled kernels are kept, and when a first compilation is announced."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from drivers.compiled.cache import cache_folder
+from tools.compile_kernels import PACKAGES, modules
 
+ROOT = Path(__file__).parents[2]
 PROGRAM = """
 from drivers.compiled.cache import before_compiling
 before_compiling(lambda: print("announced"))
@@ -61,3 +64,15 @@ def test_a_compilation_is_announced_once_and_none_where_all_is_compiled(tmp_path
         for _ in range(2)
     ]
     assert [run.stdout.split() for run in runs] == [["announced", "2.0"], ["2.0"]]
+
+
+def test_what_compiles_all_kernels_imports_every_file_that_has_some():
+    having = re.compile(r"^@(?:kernel|direct)\(", re.MULTILINE)
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
+    names = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts)
+        for file in files
+        if having.search(file.read_text())
+    }
+    assert "hil.robot.dynamics_kernels" in names
+    assert names <= set(modules())

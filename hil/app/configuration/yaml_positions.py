@@ -5,6 +5,7 @@ YAML 1.1: ``1e3`` is a number, ``010`` is ten, ``no`` and ``12:30`` are text. Wh
 and a reader of the file would not expect (two equal keys, aliases, tags) is a problem.
 """
 
+import functools
 import re
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -75,8 +76,13 @@ def path_text(path: Path) -> str:
     return text
 
 
+@functools.lru_cache(maxsize=32)
 def parse(text: str) -> Document:
-    """Parse one YAML document whose root is a mapping; all problems found are in the result."""
+    """Parse one YAML document whose root is a mapping; all problems found are in the result.
+
+    The same text gives the same document, which nobody changes: a run, its replay and `hil compare` read one
+    text several times.
+    """
     try:
         loader = _Loader(text)
         try:

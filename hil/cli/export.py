@@ -20,7 +20,7 @@ from hil.cli.shared import FILE, finish, reporting
     "columns",
     multiple=True,
     metavar="NAME",
-    help="Only this column (tau) or component (tau.leg_3) in .csv and .parquet; may be repeated.",
+    help="Only this column (tau) or component (tau.leg_3) in .csv, .parquet, .rrd; may be repeated.",
 )
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @reporting
@@ -40,6 +40,7 @@ def command(
       .blf           frames as Vector's binary log
       .csv           columns, one for each component, named with its unit
       .parquet       the same with units and meanings as metadata (needs the extra `analysis`)
+      .rrd           Rerun: scalars, states and events by name, the robot in 3D (extra `viewers`)
 
     Frames are in the order of their times; a sent frame has the time of its tick. Simulated time
     begins on 2000-01-01: --start moves the first tick elsewhere. Nothing is overwritten without --force. A

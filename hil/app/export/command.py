@@ -11,12 +11,14 @@ from drivers.errors import LogError
 from hil.app.export.frames import write_frames
 from hil.app.export.signals import write_csv, write_parquet
 from hil.app.files import made_whole, new_file
+from hil.app.view.recording import write_rrd
 from hil.record.log import Log
 
 FRAMES = {".log": "candump", ".candump": "candump", ".asc": "asc", ".blf": "blf"}
 SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
     ".csv": write_csv,
     ".parquet": write_parquet,
+    ".rrd": write_rrd,
 }
 """Ending of a file -> what is written into it."""
 
@@ -52,8 +54,8 @@ def export_log(
     """Write a log's frames or columns into files, each by its ending; return the summary.
 
     `start` is the UTC instant of the first tick, for frames; without, what the log says. `columns` are
-    columns or components for CSV and Parquet; none: all. A cut log is written as far as it goes, and is no
-    success.
+    columns or components for CSV, Parquet and Rerun; none: all. A cut log is written as far as it goes, and
+    is no success.
 
     Raises LogError before anything is written: no log, an unknown ending, a file that exists without
     `overwrite`, an option that none of the files can use, no such column.
@@ -109,5 +111,5 @@ def _check(
         raise LogError("--start: sets the time of frames, and none of the files has any; leave it out")
     if columns and not any(ending in SIGNALS for ending in endings):
         raise LogError(
-            "--column: chooses columns for .csv and .parquet, and no such file is named; leave it out"
+            "--column: chooses columns for .csv, .parquet and .rrd, and no such file is named; leave it out"
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
+from hil.app.row_groups import row_groups
+from hil.app.view.panels import titled
 from hil.record.log import Log
 from hil.record.selection import Component, components
 from hil.record.value_names import name_of
@@ -30,12 +32,12 @@ def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
     Raises LogError: no such column, or the log is damaged.
     """
     parts = components(log.columns, names, str(log.path))
-    header = [_titled(TIME[0], TIME[1]), *(_titled(part.label, part.unit) for part in parts)]
+    header = [titled(TIME[0], TIME[1]), *(titled(part.label, part.unit) for part in parts)]
     count = 0
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
-        for rows in _groups(log, parts, LINES):
+        for rows in row_groups(log, parts, LINES):
             values = [_values(part, rows).tolist() for part in parts]
             writer.writerows(zip(_t_s(log, rows).tolist(), *values, strict=True))
             count += len(rows)
@@ -62,7 +64,7 @@ def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
     schema = _schema(pa, log, parts)
     count = 0
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
-        for rows in _groups(log, parts, GROUP):
+        for rows in row_groups(log, parts, GROUP):
             arrays = [pa.array(_t_s(log, rows))]
             for field, part in zip(list(schema)[1:], parts, strict=True):
                 arrays.append(pa.array(_values(part, rows)).cast(field.type))
@@ -88,18 +90,6 @@ def _schema(pa: Any, log: Log, parts: Sequence[Component]) -> Any:
     return pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps(attributes)})
 
 
-def _groups(log: Log, parts: Sequence[Component], size: int) -> Iterator[Rows]:
-    """Yield the rows that the components need, `size` at a time or a little more."""
-    held: list[Rows] = []
-    for block in log.blocks("t_ns", *(part.column.name for part in parts)):
-        held.append(block)
-        if sum(map(len, held)) >= size:
-            yield np.concatenate(held)
-            held = []
-    if held:
-        yield np.concatenate(held)
-
-
 def _t_s(log: Log, rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     t: np.ndarray[tuple[int], np.dtype[np.float64]] = (rows["t_ns"] - log.origin_ns) * 1e-9
     return t
@@ -112,7 +102,3 @@ def _values(part: Component, rows: Rows) -> np.ndarray[Any, Any]:
         return values
     found, places = np.unique(values, return_inverse=True)
     return np.array([name_of(part.column, number) for number in found.tolist()], object)[places]
-
-
-def _titled(label: str, unit: str) -> str:
-    return f"{label} [{unit}]" if unit else label

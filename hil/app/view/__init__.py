@@ -1,0 +1,1 @@
+"""A log in Rerun, Foxglove, Lichtblick and PlotJuggler: one table of panels, a writer for each viewer."""

@@ -1,0 +1,74 @@
+"""The robot as meshes and lines for a 3D view: a plate, outlines, legs from joint to joint."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.arrays import Array, Rows
+
+THICKNESS = 0.03
+"""Of a plate, as a share of the base's radius."""
+
+
+class Solid(NamedTuple):
+    """A closed surface of triangles."""
+
+    vertices: Array
+    """(n, 3) m."""
+    triangles: NDArray[np.uint32]
+    """(k, 3) indices, counter-clockwise seen from outside."""
+    normals: Array
+    """(n, 3), of length 1."""
+
+
+def outline(joints: Array) -> Array:
+    """Return joints (n, 3) m by their angle about their centre, the first once more at the end."""
+    ring = joints[_around(joints)]
+    return np.concatenate((ring, ring[:1]))
+
+
+def plate(joints: Array, thickness: float) -> Solid:
+    """Return a plate through joints (n, 3) m, `thickness` m along z; each face has its own vertices.
+
+    Joints of two legs may be one point: the plate has one corner there.
+    """
+    ring = joints[_around(joints)]
+    ring = ring[np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) > 0.0]
+    n = len(ring)
+    half = np.array([0.0, 0.0, thickness / 2.0])
+    top, bottom = ring + half, ring - half
+    vertices, normals = [top, bottom], [np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile([0.0, 0.0, -1.0], (n, 1))]
+    triangles = [[0, k, k + 1] for k in range(1, n - 1)]
+    triangles += [[n, n + k + 1, n + k] for k in range(1, n - 1)]
+    for i in range(n):
+        j, first = (i + 1) % n, 2 * n + 4 * i
+        side = np.array([bottom[i], bottom[j], top[j], top[i]])
+        outward = np.cross(side[1] - side[0], side[2] - side[1])
+        vertices.append(side)
+        normals.append(np.tile(outward / np.linalg.norm(outward), (4, 1)))
+        triangles += [[first, first + 1, first + 2], [first, first + 2, first + 3]]
+    return Solid(np.concatenate(vertices), np.array(triangles, np.uint32), np.concatenate(normals))
+
+
+def posed(rows: Rows, p: str, R: str) -> Rows:
+    """Return the rows whose columns hold a pose: finite, and a rotation that has been filled; maybe none."""
+    names = rows.dtype.names or ()
+    if p not in names or R not in names:
+        return rows[:0]
+    rotation = rows[R].reshape(len(rows), -1)
+    there = rotation.any(axis=1) & np.isfinite(rotation).all(axis=1) & np.isfinite(rows[p]).all(axis=1)
+    found: Rows = rows[there]
+    return found
+
+
+def legs(rows: Rows, base_joints: Array, platform_joints: Array) -> Array:
+    """Return the ends of the legs (n, legs, 2, 3) m, base frame: a_i, and p + R b_i."""
+    a, b = base_joints, platform_joints
+    tops = rows["p"][:, None, :] + np.einsum("nij,kj->nki", rows["R"].reshape(-1, 3, 3), b)
+    return np.stack((np.broadcast_to(a, tops.shape), tops), axis=2)
+
+
+def _around(joints: Array) -> NDArray[np.intp]:
+    centre = joints.mean(axis=0)
+    return np.argsort(np.arctan2(joints[:, 1] - centre[1], joints[:, 0] - centre[0]))

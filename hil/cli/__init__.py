@@ -18,6 +18,7 @@ COMMANDS = {
     "export": "A log's frames and columns as files for other tools.",
     "report": "One HTML page about a log: what went wrong, or what was left.",
     "plot": "Columns of logs over time, as PNG or SVG.",
+    "view": "A log in Rerun, Foxglove, Lichtblick or PlotJuggler.",
     "faults": "Each kind of fault at each moment of a run, with verdicts.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",
     "setpoint": "Send a live reference somewhere while it runs.",

@@ -79,6 +79,7 @@ def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
         "drivers/legs/legs.dbc",
         "drivers/sensors.dbc",
         "configs/*.yaml",
+        "configs/viewers/*",
         "plant_fmu/stewart/sources/*.c",
     ],
 )

@@ -1,0 +1,51 @@
+"""`hil view`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, finish, force_option, out_option, reporting
+
+
+@click.command()
+@click.argument("log", type=FILE)
+@click.option(
+    "--with",
+    "viewer",
+    type=click.Choice(["rerun", "foxglove", "plotjuggler"]),
+    default="rerun",
+    show_default=True,
+    help="Which viewer.",
+)
+@click.option("--no-start", is_flag=True, help="Write the file, start nothing.")
+@out_option
+@force_option
+@reporting
+def command(
+    log: Path, viewer: str, no_start: bool, out: Path | None, force: bool, json_file: Path | None
+) -> None:
+    """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
+
+    \b
+      rerun        writes LOG.rrd, a recording with its views, and starts Rerun (extra `viewers`)
+      foxglove     writes LOG-foxglove.json, a layout to import, and starts Lichtblick or Foxglove
+      plotjuggler  writes LOG-plotjuggler.xml, a layout that loads the log, and starts PlotJuggler
+
+    The file goes to --out, else beside the log, in the place of an earlier one. Where the viewer is not
+    installed, the summary says what to do by hand. Guide: docs/guides/viewers.md.
+
+    \b
+    Examples:
+      hil view runs/today.mcap
+      hil view runs/today.mcap --with plotjuggler
+      hil view runs/today.mcap --with foxglove --no-start --out layout.json
+
+    \b
+    Exit code:
+      0  written, and the viewer was closed
+      1  the log is cut, or the viewer failed
+      2  not begun: no log, no extra, a file that exists; the message says what
+    """
+    from hil.app.view.command import view
+
+    finish("view", view(log, viewer, out=out, force=force, start=not no_start), json_file)

@@ -38,7 +38,7 @@ from hil.loop.admission import Admission
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.loop.steering import Steering
-from hil.record import Recording, Scene
+from hil.record import Live, Recording, Scene
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
@@ -319,10 +319,15 @@ def record(
         can_channel=c.bus.channel,
         lockstep=lockstep,
         ring_ticks=c.recording.ring_ticks,
-        live=live,
-        reference_s=cycle.parts.trajectory.duration_s,
+        live=Live(live, cycle.parts.trajectory.duration_s, None if lockstep else websocket(c)),
         clock=clock,
     )
+
+
+def websocket(c: Configuration) -> tuple[str, int] | None:
+    """Return where viewers may subscribe while a run is recorded."""
+    settings = c.recording.websocket
+    return None if settings is None else (settings.host, settings.port)
 
 
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:

@@ -31,6 +31,14 @@ class EngageSettings(Section):
         return self.brake_release_s if self.brake_close_s is None else self.brake_close_s
 
 
+class WebsocketSettings(Section):
+    """Where Foxglove or Lichtblick connect while it runs. Who can connect reads all of the log."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets the whole network in."""
+    port: Annotated[int, Field(ge=1, le=65535)] = 8765
+
+
 class RecordingSettings(Section):
     """The log."""
 
@@ -39,3 +47,5 @@ class RecordingSettings(Section):
     """What the daemon does when the recorder dies."""
     ring_ticks: Annotated[int, Field(ge=256)] = 8192
     """Length of the shared-memory ring."""
+    websocket: WebsocketSettings | None = None
+    """In real time: the messages of the log to viewers as they are written (extra `viewers`)."""

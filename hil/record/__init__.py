@@ -1,6 +1,6 @@
 """Recording a run: `Recording` in the loop's process, a ring in shared memory, a recorder process."""
 
 from hil.record.environment import environment
-from hil.record.recording import LogSummary, Recording, Scene
+from hil.record.recording import Live, LogSummary, Recording, Scene
 
-__all__ = ["LogSummary", "Recording", "Scene", "environment"]
+__all__ = ["Live", "LogSummary", "Recording", "Scene", "environment"]

@@ -26,6 +26,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from drivers.arrays import Ints
+from drivers.errors import LogError
 from hil.record.encode import Encoder, Messages
 from hil.record.environment import product_version
 from hil.record.live import LiveView
@@ -34,6 +35,7 @@ from hil.record.recording import Scene
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import Table, columns_of
 from hil.record.schema import ENVIRONMENT, IDENTITY, LIBRARY, SUMMARY
+from hil.record.websocket import LiveSocket
 
 FLUSH_S = 0.1
 """Real time: a chunk at least this often; half of what may be lost when all is killed at once."""
@@ -85,6 +87,7 @@ class Recorder:
         self.ticks = 0
         self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
+        self.socket = LiveSocket.listening(setup["websocket"], self._encoder.channels)
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
         self._open(setup, attachments)
 
@@ -140,13 +143,16 @@ class Recorder:
         batch = self._ring.take(limit)
         if not len(batch.rows) and not len(batch.items):
             return False
-        self._write(self._encoder.encode(batch))
+        messages = self._encoder.encode(batch)
+        self._write(messages)
         if self._lateness is not None:
             self._lateness.add(batch.rows["lateness_ns"])
         if self._live is not None:
             self._live.show(batch.rows)
         self.ticks += len(batch.rows)
         self._ring.release(batch)
+        if self.socket is not None:
+            self.socket.publish(messages)
         return True
 
     def _write(self, messages: Messages) -> None:
@@ -239,6 +245,11 @@ def main(arguments: list[str]) -> int:
         answer({"ready": True})
         recorder.run(control)
         answer(recorder.close(control.summary))
+        if recorder.socket is not None and not recorder.socket.close():
+            os._exit(0)  # the log is closed; a client that does not read would hold the process
+    except LogError as error:
+        answer({"error": str(error)})
+        return 1
     except EOFError:
         return 1
     except FileExistsError as error:

@@ -63,6 +63,17 @@ class Scene(NamedTuple):
     every: int = VIEW_EVERY
 
 
+class Live(NamedTuple):
+    """What is shown of a run while it is recorded."""
+
+    status: bool = False
+    """A status line on standard error; rows of TICKS only."""
+    reference_s: float | None = None
+    """Length of the reference, whose progress the line shows."""
+    websocket: tuple[str, int] | None = None
+    """Host and port where viewers subscribe; in real time only."""
+
+
 class LogSummary(NamedTuple):
     """What became of the log."""
 
@@ -112,8 +123,7 @@ class Recording:
         can_channel: str = "can0",
         lockstep: bool = False,
         ring_ticks: int = 8192,
-        live: bool = False,
-        reference_s: float | None = None,
+        live: Live = Live(),  # noqa: B008 - frozen
         clock: Clock = MONOTONIC,
     ) -> Self:
         """Start a recorder process and open the log `path`, which is never overwritten.
@@ -122,9 +132,8 @@ class Recording:
         the configuration and further (name, content) are attached; `metadata` goes into the metadata record
         `hil`, as JSON where it is not text. `table` has scalar columns `tick` and `t_ns`; `can_channel` is
         the name of the bus in the frames. In `lockstep` time is simulated: wait where the ring of
-        `ring_ticks` is full, a fixed epoch, reproducible messages. `live` draws a status line on standard
-        error (rows of TICKS only), with the progress of a reference of `reference_s`. `clock` is that of the
-        rows' and frames' times.
+        `ring_ticks` is full, a fixed epoch, reproducible messages. `live` is what is shown meanwhile.
+        `clock` is that of the rows' and frames' times.
 
         Raises LogError where the log exists, cannot be written, or the recorder does not start; ValueError
         where the table cannot be recorded.
@@ -138,8 +147,9 @@ class Recording:
             "ring_ticks": ring_ticks,
             "created_ns": created_ns,
             "scene": scene._asdict() if scene else None,
-            "live": live,
-            "reference_s": reference_s,
+            "live": live.status,
+            "reference_s": live.reference_s,
+            "websocket": live.websocket,
             "attachments": [[name, len(data)] for name, data in files],
             "environment": environment(),
             "identity": {

@@ -1,0 +1,117 @@
+"""The log's messages over a websocket: a viewer reads every tick, and no client costs the log one."""
+
+import base64
+import os
+import socket
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from drivers.errors import LogError
+from hil.record import Live, Recording
+from hil.record.encode import Encoder
+from hil.record.log import Log
+from hil.record.row import TICKS
+from hil.record.schema import Schema, message_class
+from hil.record.websocket import LiveSocket
+from tests.hil.foxglove_client import Client
+from tests.hil.samples import random_ticks
+
+COUNT = 3000
+EXTRA = "optional extra `viewers`"
+SAMPLES = random_ticks(50, seed=5)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def run(recording, count=COUNT):
+    """Record `count` ticks at about 1 kHz, as the loop would."""
+    due = time.monotonic()
+    for tick in range(count):
+        sample = SAMPLES[tick % len(SAMPLES)]
+        row = sample.row.copy()
+        row["tick"], row["t_ns"] = tick, time.monotonic_ns()
+        recording.tick(row, sample.received, sample.sent)
+        due += 1e-3
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+@pytest.fixture
+def port():
+    pytest.importorskip("foxglove", reason=EXTRA)
+    return free_port()
+
+
+@pytest.mark.long
+def test_a_client_reads_every_tick_as_it_stands_in_the_log(tmp_path, port):
+    with Recording.start(
+        tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port))
+    ) as recording:
+        client = Client(port)
+        assert set(client.channels) == {"/tick", "/can", "/operator", "/events", "/tf", "/scene"}
+        client.subscribe("/tick", "/can")
+        read: list[tuple[int, int, bytes]] = []
+        reader = threading.Thread(target=lambda: read.extend(client.messages(3.0)))
+        reader.start()
+        time.sleep(0.3)
+        run(recording)
+        summary = recording.close()
+        reader.join(10.0)
+    client.close()
+    assert (summary.ticks, summary.dropped, summary.complete) == (COUNT, 0, True)
+    given = client.channels["/tick"]
+    row = message_class(Schema(given["schemaName"], base64.b64decode(given["schema"])))
+    ticks = [row.FromString(data) for number, _, data in read if number == 0]
+    rows = Log(tmp_path / "a.mcap").rows()
+    assert [t.tick for t in ticks] == list(range(COUNT))
+    np.testing.assert_array_equal([t.tau.leg_3 for t in ticks], rows["tau"][:, 3])
+    frames = [data for number, _, data in read if number == 1]
+    assert len(frames) == sum(len(SAMPLES[k % 50].received) + len(SAMPLES[k % 50].sent) for k in range(COUNT))
+
+
+@pytest.mark.long
+def test_clients_that_never_read_cost_no_tick(tmp_path, port):
+    with Recording.start(
+        tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port))
+    ) as recording:
+        clients = [Client(port) for _ in range(8)]
+        for client in clients:
+            client.subscribe("/tick", "/can", "/scene")
+        mute = socket.create_connection(("127.0.0.1", port))  # says nothing at all
+        noise = socket.create_connection(("127.0.0.1", port))
+        noise.sendall(os.urandom(4096))
+        time.sleep(0.3)
+        run(recording)
+        begun = time.monotonic()
+        summary = recording.close()
+        closing = time.monotonic() - begun
+    for client in clients:
+        client.close()
+    mute.close()
+    noise.close()
+    assert (summary.ticks, summary.dropped, summary.complete, summary.error) == (COUNT, 0, True, "")
+    assert closing < 4.0, "the recorder leaves by itself"
+
+
+@pytest.mark.long
+def test_a_port_that_is_taken_is_refused_before_there_is_a_log(tmp_path, port):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", port))
+        taken.listen()
+        with pytest.raises(LogError, match=rf"recording.websocket: 127.0.0.1:{port}.*name another port"):
+            Recording.start(tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port)))
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_the_extra_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    channels = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None).channels
+    with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):
+        LiveSocket("127.0.0.1", 8765, channels)

@@ -10,16 +10,20 @@ from hil.app.view.paths import EVENTS, SCENE, curve_path
 TIME = "log_time"
 """Time line that is shown: UTC."""
 
+FIRST = ("mode", "command_mode", "faults", "warnings")
+"""States beside the robot; all of them have a tab."""
+
 
 def blueprint(columns: Sequence[Column], topic: str, *, scene: bool) -> Any:
     """Return the blueprint for a log with these columns; `scene` asks for the 3D view. Needs rerun-sdk."""
     from rerun import blueprint as rrb  # noqa: PLC0415 - an extra
 
-    lanes = [f"+ {topic}/{c.name}/**" for c in states(columns)]
-    left = [rrb.Spatial3DView(origin=SCENE, name="Robot")] if scene else []
-    if lanes:
-        left.append(rrb.StateTimelineView(origin="/", contents=lanes, name="States"))
-    left.append(rrb.TextLogView(origin=EVENTS, name="Events"))
+    named = [c.name for c in states(columns)]
+    views = [(rrb.Spatial3DView(origin=SCENE, name="Robot"), 4)] if scene else []
+    first = [name for name in named if name in FIRST]
+    if first:
+        views.append((_states(rrb, topic, first, "State"), 2))
+    views.append((rrb.TextLogView(origin=EVENTS, name="Events"), 1))
     tabs: dict[str, list[Plot]] = {}
     for plot in plots(columns):
         tabs.setdefault(plot.tab, []).append(plot)
@@ -27,12 +31,19 @@ def blueprint(columns: Sequence[Column], topic: str, *, scene: bool) -> Any:
         rrb.Vertical(*(_plot(rrb, plot, topic) for plot in members), name=tab)
         for tab, members in tabs.items()
     ]
+    if named:
+        pages.append(_states(rrb, topic, named, "States"))
     pages.append(rrb.DataframeView(origin=topic, name="All columns"))
+    left, shares = zip(*views, strict=True)
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(*left), rrb.Tabs(*pages)),
-        rrb.TimePanel(timeline=TIME),
+        rrb.Horizontal(rrb.Vertical(*left, row_shares=shares), rrb.Tabs(*pages)),
+        rrb.TimePanel(timeline=TIME, state="collapsed"),
         collapse_panels=True,
     )
+
+
+def _states(rrb: Any, topic: str, names: Sequence[str], title: str) -> Any:
+    return rrb.StateTimelineView(origin="/", contents=[f"+ {topic}/{name}/**" for name in names], name=title)
 
 
 def _plot(rrb: Any, plot: Plot, topic: str) -> Any:

@@ -8,7 +8,7 @@ PYTEST_FLAGS ?=
 # where it is set, each of some hundred processes of the tests compiles the project anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long lint bench docs format lock clean venv fmu kernels
+.PHONY: help run test long lint bench docs format lock clean venv fmu kernels viewers
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is"
@@ -22,7 +22,7 @@ test: venv  ## import contracts, ruff, mypy, pytest (its summary is the last lin
 	@$(MAKE) -j2 lint kernels
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
 
-long: fmu  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
+long: fmu viewers  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
 	@$(BIN)/python -m pytest -n0 -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy
@@ -41,7 +41,7 @@ docs: fmu  ## the documentation, to build/docs/index.html; a warning is an error
 format: venv  ## let ruff format and mend what it can
 	@$(BIN)/ruff check --fix --quiet; $(BIN)/ruff format
 
-lock:  ## resolve the dependencies anew into the two lock files (needs uv)
+lock:  ## resolve the dependencies anew into the lock files (needs uv)
 	@UV="$(UV)" sh tools/lock
 
 clean:  ## remove .venv, builds and caches; logs in runs/ stay
@@ -56,3 +56,6 @@ fmu: venv
 
 kernels: fmu
 	@$(BIN)/python -m tools.compile_kernels
+
+viewers: venv  ## put the extra `viewers` (Rerun, Foxglove; 0.9 GB) into .venv
+	@$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --no-deps -r requirements-viewers.lock

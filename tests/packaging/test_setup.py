@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
-LOCKS = ["requirements.lock", "requirements-compiler.lock"]
+LOCKS = ["requirements.lock", "requirements-compiler.lock", "requirements-viewers.lock"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
@@ -42,18 +42,35 @@ def test_every_locked_requirement_is_exact_and_has_hashes(lock):
         assert re.search(r"--hash=sha256:[0-9a-f]{64}", line), line
 
 
+def locked(lock: str) -> dict[str, set[str]]:
+    """Name of a package -> its versions in a lock."""
+    found: dict[str, set[str]] = {}
+    for line in requirements(lock):
+        name, version = line.split()[0].split("==")
+        found.setdefault(canonicalize_name(name), set()).add(version)
+    return found
+
+
+def assert_locked(wanted: list[str], versions: dict[str, set[str]]) -> None:
+    for text in wanted:
+        requirement = Requirement(text)
+        there = versions[canonicalize_name(requirement.name)]
+        assert all(requirement.specifier.contains(version) for version in there), text
+
+
 def test_everything_that_the_project_asks_for_is_locked():
     wanted = [*PROJECT["project"]["dependencies"], *PROJECT["build-system"]["requires"]]
     for group in PROJECT["dependency-groups"].values():
         wanted += group
-    locked: dict[str, set[str]] = {}
-    for line in requirements("requirements.lock"):
-        name, version = line.split()[0].split("==")
-        locked.setdefault(canonicalize_name(name), set()).add(version)
-    for text in wanted:
-        requirement = Requirement(text)
-        versions = locked[canonicalize_name(requirement.name)]
-        assert all(requirement.specifier.contains(version) for version in versions), text
+    assert_locked(wanted, locked("requirements.lock"))
+
+
+def test_the_viewers_are_locked_and_change_no_package_of_the_environment():
+    viewers, installed = locked("requirements-viewers.lock"), locked("requirements.lock")
+    assert_locked(PROJECT["project"]["optional-dependencies"]["viewers"], viewers)
+    both = viewers.keys() & installed.keys()
+    assert both >= {"numpy", "pyarrow"}
+    assert {name: viewers[name] for name in both} == {name: installed[name] for name in both}
 
 
 def test_the_python_that_is_searched_for_is_the_one_that_the_project_requires():

@@ -6,11 +6,14 @@ import socket
 import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
+from hil.app.compose import build_cycle, record, websocket
+from hil.app.configuration.configuration import load, loads
 from hil.record import Live, Recording
 from hil.record.encode import Encoder
 from hil.record.log import Log
@@ -115,3 +118,17 @@ def test_without_the_extra_the_message_says_what_to_install(monkeypatch):
     channels = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None).channels
     with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):
         LiveSocket("127.0.0.1", 8765, channels)
+
+
+@pytest.mark.parametrize(("lockstep", "where"), [(False, ("127.0.0.1", 9123)), (True, None)])
+def test_the_configuration_asks_for_it_and_simulated_time_has_none(tmp_path, monkeypatch, lockstep, where):
+    text = load("virtual").text.replace("  folder: runs\n", "  websocket: {port: 9123}\n")
+    c = loads(text, "my.yaml")
+    asked: dict[str, Any] = {}
+    monkeypatch.setattr(Recording, "start", lambda path, **words: asked.update(words))
+    record(c, build_cycle(c, 1000.0, 0.01), tmp_path / "a.mcap", "run", lockstep=lockstep)
+    assert asked["live"].websocket == where
+
+
+def test_without_a_word_in_the_configuration_nothing_listens():
+    assert websocket(load("virtual")) is None

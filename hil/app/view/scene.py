@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
+from hil.app.report.scene import has_pose
 
 THICKNESS = 0.03
 """Of a plate, as a share of the base's radius."""
@@ -52,13 +53,11 @@ def plate(joints: Array, thickness: float) -> Solid:
 
 
 def posed(rows: Rows, p: str, R: str) -> Rows:
-    """Return the rows whose columns hold a pose: finite, and a rotation that has been filled; maybe none."""
+    """Return the rows that hold a pose; none where the columns are missing."""
     names = rows.dtype.names or ()
     if p not in names or R not in names:
         return rows[:0]
-    rotation = rows[R].reshape(len(rows), -1)
-    there = rotation.any(axis=1) & np.isfinite(rotation).all(axis=1) & np.isfinite(rows[p]).all(axis=1)
-    found: Rows = rows[there]
+    found: Rows = rows[has_pose(rows, p, R)]
     return found
 
 

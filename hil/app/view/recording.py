@@ -98,7 +98,8 @@ class _Writer:
         for part in self._numbers:
             title = titled(part.label, part.unit)
             stream.log(scalar_path(topic, part), rr.SeriesLines(names=title), static=True)
-            stream.log(scalar_path(topic, part), rr.AnyValues(meaning=part.column.meaning), static=True)
+            if part.column.meaning:  # a log of 0.1.0 has none
+                stream.log(scalar_path(topic, part), rr.AnyValues(meaning=part.column.meaning), static=True)
         for curve in self._differences:
             stream.log(difference_path(curve), rr.SeriesLines(names=curve.title), static=True)
         if self._joints is not None:

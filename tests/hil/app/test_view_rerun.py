@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from hil.record import Recording
 from hil.record.log import Log
 from tests.hil.samples import random_ticks, record
 
+OLD = Path(__file__).parents[2] / "data" / "log_0.1.0.mcap"
 EXTRA = "optional extra `viewers`: pip install 'hexapod-hil[viewers]'"
 
 
@@ -172,6 +174,28 @@ def test_a_log_without_a_platform_is_written_without_a_robot(tmp_path):
     assert "/tick/tau/leg_3" in done.stdout
     assert "/tick/tau/leg_2" not in done.stdout
     assert " - /robot" not in done.stdout
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", ["0.1.0", "empty", "cut"])
+def test_an_old_an_empty_and_a_cut_log_are_written_without_a_complaint(tmp_path, path, what):
+    pytest.importorskip("rerun", reason=EXTRA)
+    log = tmp_path / "a.mcap"
+    if what == "0.1.0":
+        log.write_bytes(OLD.read_bytes())
+    elif what == "cut":
+        log.write_bytes(path.read_bytes()[:2_000_000])
+    else:
+        with Recording.start(log, configuration="", lockstep=True):
+            pass
+    out = tmp_path / "a.rrd"
+    result = export_log(log, [out])
+    assert result["success"] == (what != "cut")
+    assert result["written"][str(out)]["rows"] == len(Log(log).rows())
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(out)], capture_output=True, check=False
+    )
+    assert done.returncode == 0
 
 
 def test_without_the_extra_the_message_says_what_to_install(path, tmp_path, monkeypatch):

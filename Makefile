@@ -57,5 +57,5 @@ fmu: venv
 kernels: fmu
 	@$(BIN)/python -m tools.compile_kernels
 
-viewers: venv  ## put the extra `viewers` (Rerun, Foxglove; 0.9 GB) into .venv
+viewers: venv  ## put the extra `viewers` (Rerun, Foxglove; 0.7 GB) into .venv
 	@$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --no-deps -r requirements-viewers.lock

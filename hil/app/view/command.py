@@ -30,7 +30,9 @@ class Viewer(NamedTuple):
 
 def _rerun(log: Path, file: Path) -> Sequence[str] | None:
     del log
-    return [sys.executable, "-m", "rerun", str(file)] if find_spec("rerun") else None
+    # by itself it listens on all addresses
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(file)]
+    return command if find_spec("rerun") else None
 
 
 def _foxglove(log: Path, file: Path) -> Sequence[str] | None:
@@ -46,7 +48,9 @@ def _plotjuggler(log: Path, file: Path) -> Sequence[str] | None:
 
 
 VIEWERS = {
-    "rerun": Viewer(".rrd", lambda log, path: write_rrd(log, path, ()), _rerun, "rerun {file}"),
+    "rerun": Viewer(
+        ".rrd", lambda log, path: write_rrd(log, path, ()), _rerun, "rerun --bind 127.0.0.1 {file}"
+    ),
     "foxglove": Viewer(
         "-foxglove.json",
         lambda log, path: path.write_text(foxglove.layout(log.columns, log.topic)),

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from drivers.errors import LogError
 from drivers.signals import Mode, Warn
 from hil.app.export.command import export_log
+from hil.app.view import command
 from hil.app.view import recording as rrd
 from hil.app.view.scene import outline, plate
 from hil.cli import main
@@ -196,6 +197,22 @@ def test_an_old_an_empty_and_a_cut_log_are_written_without_a_complaint(tmp_path,
         [sys.executable, "-m", "rerun", "rrd", "verify", str(out)], capture_output=True, check=False
     )
     assert done.returncode == 0
+
+
+@pytest.mark.long
+def test_rerun_is_started_on_the_recording_and_listens_on_this_machine_alone(path, tmp_path, monkeypatch):
+    pytest.importorskip("rerun", reason=EXTRA)
+    started: list[list[str]] = []
+
+    def run(words, **_):
+        started.append(words)
+        return subprocess.CompletedProcess(words, 0)
+
+    monkeypatch.setattr("hil.app.view.command.subprocess.run", run)
+    out = tmp_path / "a.rrd"
+    assert command.view(path, "rerun", out=out)["success"]
+    assert started == [[sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(out)]]
+    assert out.stat().st_size > 100_000
 
 
 def test_without_the_extra_the_message_says_what_to_install(path, tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """The controller: geometry, dynamics, control laws, safety, the cycle, recording and replay.
 
-What stands here is stable: `Log` reads a recorded run, `sim` makes one. Nothing is imported before it is
-asked for, so that `import hil` and a log cost no compilation.
+What stands here is stable: `Log` reads a recorded run, `sim` makes one, `OperatorClient` operates one.
+Nothing is imported before it is asked for, so that `import hil` and a log cost no compilation.
 """
 
 from importlib import import_module
@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from drivers.protocol import Frame, Received
     from drivers.tick_columns import Column
     from hil.app.simulation import Run, sim
+    from hil.operate.client import Answer, OperatorClient, Streamed
     from hil.record.log import Event, Log, LoggedFrame, LogStatistics, Tick
     from hil.signals import SetPoint
 
 __all__ = [
+    "Answer",
     "BusError",
     "Column",
     "ConfigurationError",
@@ -36,12 +38,14 @@ __all__ = [
     "LogStatistics",
     "LoggedFrame",
     "ModelError",
+    "OperatorClient",
     "PlantError",
     "ProtocolError",
     "Received",
     "Run",
     "RunError",
     "SetPoint",
+    "Streamed",
     "Tick",
     "sim",
 ]
@@ -51,6 +55,7 @@ _HOMES = {
     "drivers.protocol": ["Frame", "Received"],
     "drivers.tick_columns": ["Column"],
     "hil.app.simulation": ["Run", "sim"],
+    "hil.operate.client": ["Answer", "OperatorClient", "Streamed"],
     "hil.record.log": ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"],
     "hil.signals": ["SetPoint"],
 }

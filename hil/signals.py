@@ -19,6 +19,34 @@ class Operator(IntEnum):
     """Go to a pose: in a log only; TickInput has the poses as `setpoints`."""
     RELEASE = 6
     """Let go of a platform whose brakes are not proven shut."""
+    START = 7
+    """Go on along the path."""
+    HOLD = 8
+    """Slow down along the path to rest, and stay."""
+    SPEED = 9
+    """Set the speed along the path: 0 .. 1 of the configured one."""
+    PARK = 10
+    """Go back to the reference's first pose at set-up speed, and park."""
+    KEY = 11
+    """The operator's key is held."""
+    JOG_AXIS = 12
+    """Move along or about an axis of the base frame: its index in AXES, -1 .. 1 of the set-up speed."""
+    JOG_LEG = 13
+    """Lengthen one leg: its index, -1 .. 1 of the set-up speed."""
+    END = 14
+    """End a run that stays; it decides nothing in the cycle."""
+
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class Order(NamedTuple):
+    """A command for the motion, with its numbers."""
+
+    command: Operator
+    """START, HOLD, SPEED, PARK, KEY, JOG_AXIS or JOG_LEG."""
+    numbers: tuple[float, ...] = ()
+    """See `Operator`."""
 
 
 class SetPoint(NamedTuple):
@@ -80,6 +108,8 @@ class TickInput(NamedTuple):
     """Time that the previous step took: recorded, decides nothing."""
     setpoints: tuple[SetPoint, ...] = ()
     """For a live reference, in the order received."""
+    orders: tuple[Order, ...] = ()
+    """For the motion, in the order received."""
 
 
 class TickOutput(NamedTuple):

@@ -10,8 +10,9 @@ from hil.record import Recording
 from tests.hil.samples import random_ticks, record
 
 STABLE = [
-    "BusError", "Column", "ConfigurationError", "Event", "Frame", "HilError", "Log", "LogError", "LogStatistics",
-    "LoggedFrame", "ModelError", "PlantError", "ProtocolError", "Received", "Run", "RunError", "SetPoint", "Tick", "sim",
+    "Answer", "BusError", "Column", "ConfigurationError", "Event", "Frame", "HilError", "Log", "LogError", "LogStatistics",
+    "LoggedFrame", "ModelError", "OperatorClient", "PlantError", "ProtocolError", "Received", "Run", "RunError", "SetPoint",
+    "Streamed", "Tick", "sim",
 ]  # fmt: skip
 
 

@@ -1,0 +1,120 @@
+"""The words of the operator channel: one short line of text each, and what it means.
+
+Pure: no socket, no clock. A line is `[#tag] word [numbers]`; the answer repeats the tag.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from hil.signals import AXES, Operator, Order, SetPoint
+
+LONGEST = 512
+"""Bytes of a line."""
+TAKEN = "taken"
+REFUSED = "refused: "
+STATUS = "status"
+SETPOINT_FORM = "six numbers, x y z in m and the rotation vector rx ry rz in deg"
+_LEGS = {f"leg{leg}": leg for leg in range(6)}
+JOG_FORM = f"jog AXIS FRACTION: {', '.join(AXES)} or leg0 .. leg5, and -1 .. 1 of the set-up speed"
+
+
+class Said(NamedTuple):
+    """What a line says: one of the three, or `status`, where all are None."""
+
+    operator: Operator | None = None
+    """A command without numbers that the loop knows by itself."""
+    order: Order | None = None
+    """A command for the motion."""
+    setpoint: SetPoint | None = None
+
+
+def _numbers(words: Sequence[str], form: str) -> list[float]:
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        raise ValueError(f"{' '.join(words)!r} is not {form}") from None
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{' '.join(words)!r} has a number that is not finite")
+    return numbers
+
+
+def parse_setpoint(words: Sequence[str]) -> SetPoint:
+    """Return the set-point of the words x y z [rx ry rz], m and deg. Raises ValueError with what is wrong."""
+    if len(words) not in {3, 6}:
+        raise ValueError(f"{len(words)} words; allowed: {SETPOINT_FORM} (or x y z alone)")
+    x, y, z, rx, ry, rz = [*_numbers(words, SETPOINT_FORM), 0.0, 0.0, 0.0][:6]
+    return SetPoint(x, y, z, math.radians(rx), math.radians(ry), math.radians(rz))
+
+
+def _setpoint(words: Sequence[str]) -> Said:
+    return Said(setpoint=parse_setpoint(words))
+
+
+def _speed(words: Sequence[str]) -> Said:
+    form = "one number of percent, 0 .. 100"
+    if len(words) != 1:
+        raise ValueError(f"speed: {len(words)} words; allowed: {form}")
+    (percent,) = _numbers([words[0].removesuffix("%")], form)
+    if not 0.0 <= percent <= 100.0:
+        raise ValueError(f"speed: {percent:g} %; allowed: 0 .. 100: no path goes faster than it was checked")
+    return Said(order=Order(Operator.SPEED, (percent / 100.0,)))
+
+
+def _jog(words: Sequence[str]) -> Said:
+    if len(words) != 2 or words[0] not in {*AXES, *_LEGS}:
+        raise ValueError(f"jog: {' '.join(words)!r}; allowed: {JOG_FORM}")
+    (fraction,) = _numbers(words[1:], JOG_FORM)
+    if not -1.0 <= fraction <= 1.0:
+        raise ValueError(f"jog: {fraction:g}; allowed: {JOG_FORM}")
+    if words[0] in _LEGS:
+        return Said(order=Order(Operator.JOG_LEG, (float(_LEGS[words[0]]), fraction)))
+    return Said(order=Order(Operator.JOG_AXIS, (float(AXES.index(words[0])), fraction)))
+
+
+def _alone(name: str, said: Said) -> Callable[[Sequence[str]], Said]:
+    def parse(words: Sequence[str]) -> Said:
+        if words:
+            raise ValueError(f"{name}: takes no further words, given: {' '.join(words)!r}")
+        return said
+
+    return parse
+
+
+_PLAIN = {
+    "arm": Operator.ENGAGE,
+    "stop": Operator.STOP,
+    "reset": Operator.RESET,
+    "estop": Operator.ESTOP,
+    "release": Operator.RELEASE,
+    "end": Operator.END,
+}
+_ORDERS = {"start": Operator.START, "hold": Operator.HOLD, "park": Operator.PARK, "key": Operator.KEY}
+WORDS: dict[str, Callable[[Sequence[str]], Said]] = {
+    **{name: _alone(name, Said(operator=operator)) for name, operator in _PLAIN.items()},
+    **{name: _alone(name, Said(order=Order(operator))) for name, operator in _ORDERS.items()},
+    "speed": _speed,
+    "jog": _jog,
+    "setpoint": _setpoint,
+    STATUS: _alone(STATUS, Said()),
+}
+"""Word -> what reads the words after it."""
+
+
+def split(line: str) -> tuple[str, str]:
+    """Return the tag of a line, with a space behind it, and the rest; without a tag it is empty."""
+    if not line.startswith("#"):
+        return "", line
+    tag, _, rest = line.partition(" ")
+    return f"{tag[:16]} ", rest
+
+
+def parse(text: str) -> Said:
+    """Return what a line without its tag says. Raises ValueError with what is wrong and what is allowed."""
+    if len(text) > LONGEST:  # what has been cut off could change what it means
+        raise ValueError(f"longer than {LONGEST} bytes")
+    words = text.replace(",", " ").split()
+    if not words or words[0] not in WORDS:
+        given = words[0][:40] if words else ""
+        raise ValueError(f"{given!r} is no word of the operator; allowed: {', '.join(WORDS)}")
+    return WORDS[words[0]](words[1:])

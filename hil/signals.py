@@ -37,6 +37,19 @@ class Operator(IntEnum):
     """End a run that stays; it decides nothing in the cycle."""
 
 
+NUMBERS = {
+    Operator.SETPOINT: 6,
+    Operator.START: 0,
+    Operator.HOLD: 0,
+    Operator.SPEED: 1,
+    Operator.PARK: 0,
+    Operator.KEY: 0,
+    Operator.JOG_AXIS: 2,
+    Operator.JOG_LEG: 2,
+}
+"""Commands for the motion, and how many numbers each has."""
+ORDERS = frozenset(NUMBERS) - {Operator.SETPOINT}
+"""Those that TickInput has as `orders`."""
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -44,7 +57,7 @@ class Order(NamedTuple):
     """A command for the motion, with its numbers."""
 
     command: Operator
-    """START, HOLD, SPEED, PARK, KEY, JOG_AXIS or JOG_LEG."""
+    """One of ORDERS."""
     numbers: tuple[float, ...] = ()
     """See `Operator`."""
 

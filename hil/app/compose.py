@@ -132,6 +132,7 @@ def build_cycle(
             rate_Hz=rate_Hz,
             setup=drive_setup(c, rate_Hz, watchdog_s),
             wrench=_external_wrench(c, platform, 1.0 / rate_Hz),
+            operator=c.operator,
             steering=steering,
             sensors=build_sensors(c),
             fusion=_fusion(c, platform, rate_Hz),

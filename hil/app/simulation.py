@@ -42,6 +42,7 @@ def sim(
     plant_log: bool = True,
     faults: str | Iterable[str] = (),
     setpoints: str | os.PathLike[str] | None = None,
+    commands: Iterable[tuple[float, str]] = (),
     check_replay: bool = True,
     **changes: Any,
 ) -> Run:
@@ -61,6 +62,9 @@ def sim(
         What goes wrong at the plant, in the words of ``hil sim --fault``: one text a fault.
     setpoints
         CSV of poses for a live reference.
+    commands
+        What the operator says: ``[(2.5, "hold"), (4.0, "speed 40"), (4.0, "start")]``, at simulated seconds
+        since the first tick, in the words of ``hil ctl``. With an ``"arm"`` among them it waits for that.
     check_replay
         Replay the log at the end, and count a difference as a failure.
     changes
@@ -98,6 +102,7 @@ def sim(
         duration_s=duration_s,
         check_replay=check_replay,
         setpoints=None if setpoints is None else Path(setpoints),
+        commands=list(commands),
         plant_log=plant_log,
     )
     return Run(Log(summary["log"]), summary)

@@ -29,6 +29,12 @@ from hil.cli.shared import (
     help="CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg.",
 )
 @click.option(
+    "--commands",
+    type=FILE,
+    metavar="FILE",
+    help="What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`.",
+)
+@click.option(
     "--plant-log", is_flag=True, help="Record the plant's truth, too, beside the log: NAME-plant.mcap."
 )
 @reporting
@@ -38,6 +44,7 @@ def command(
     log: Path | None,
     faults: tuple[str, ...],
     setpoints: Path | None,
+    commands: Path | None,
     plant_log: bool,
     json_file: Path | None,
 ) -> None:
@@ -53,6 +60,7 @@ def command(
       hil sim ideal                         theory: exact lengths and rates, no bus time
       hil sim lab --duration 3 --log lab.mcap --json lab.json
       hil sim my.yaml --setpoints poses.csv --duration 10
+      hil sim virtual --commands operator.txt
       hil sim virtual --duration 2 --fault "brake_stuck_open leg=3 mode=PARKING"
 
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
@@ -66,6 +74,7 @@ def command(
     loaded = load(configuration, "sim")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.sim.command import simulate
+    from hil.app.sim.commands import read_commands
 
     loaded = with_faults(loaded, faults)
 
@@ -75,6 +84,7 @@ def command(
         duration_s=duration,
         live=sys.stderr.isatty(),
         setpoints=setpoints,
+        commands=() if commands is None else read_commands(commands),
         plant_log=plant_log,
     )
     finish("sim", summary, json_file)

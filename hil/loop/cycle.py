@@ -11,28 +11,27 @@ from __future__ import annotations
 
 import struct
 import zlib
-from math import inf
 from typing import Any
 
 from drivers.arrays import ZERO6
 from drivers.protocol import Dialogue, Frame, run_of
-from drivers.sensors import Readings, SensorProtocol
-from drivers.signals import LEGS, Command, DriveMode, Fault, Mode, Stop, Warn
+from drivers.signals import Command, DriveMode, Fault, Mode, Stop, Warn
 from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, new_record, row_of
-from hil.estimation.pose import Estimator
 from hil.loop import modes
-from hil.loop.drives_say import all_free, any_powered, confirmed
+from hil.loop.drives_say import all_free, all_ready, any_powered, confirmed, measured_at_rest
 from hil.loop.effort import Effort
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.obedience import Obedience
+from hil.loop.operating import Operating
 from hil.loop.parts import Parts
-from hil.loop.reference import farthest_leg_m, fill_reference
+from hil.loop.reference import fill_reference
+from hil.loop.setup_moves import approach
+from hil.loop.sight import Sight
 from hil.loop.steering import NO_SETPOINTS
 from hil.safety.guard import Verdict
 from hil.safety.standstill import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
-from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 
 _put_input = struct.Struct(f"<{len(INPUT_COLUMNS) + 2}q").pack_into
@@ -41,39 +40,36 @@ _fields: Any = TICK.fields
 _MODE_AT, _SETPOINTS_AT = _fields["mode"][1], _fields["setpoints_taken"][1]
 """Where three columns begin that are put at once."""
 _POWERED_MODES = (DriveMode.READY, DriveMode.RUN)
-_ALL_LEGS = (1 << LEGS) - 1
-AGREED_m = 1e-4
-"""A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
 REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
-SEARCH_S = 0.02
-"""From one look for the first pose to the next."""
 
 
 class Cycle:
     """Six encoders in, six forces out, once per tick.
 
-    Mutable state, all of it: the drive protocol's dialogue, the last tick's record, the sensors' last
-    readings, the estimator's pose, the filter, mode and the tick of its entry, latched faults, E-stop,
-    whether the brakes are proven shut, the motion, the effort's ramps, and what law, predictor, observer,
-    external wrench, steering and safety keep. `reset` restores the initial one.
+    Mutable state, all of it: the drive protocol's dialogue, the last tick's record, what is seen of the
+    platform, mode and the tick of its entry, latched faults, E-stop, whether the brakes are proven shut, the
+    motion, what the operator allows, the effort's ramps, and what law, predictor, observer, external wrench,
+    steering and safety keep. `reset` restores the initial one.
     """
 
     def __init__(self, parts: Parts) -> None:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
-        self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
+        self.sight = Sight(parts)
         engage = parts.engage
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self.effort = Effort(parts, self.durations)
         self.obedience = Obedience(self.effort.model, parts.rate_Hz)
+        self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s)
         self._under_control = parts.reactions.led_to("ss1")
         self._torque_off = parts.reactions.led_to("sto")
-        self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         followers = (parts.predictor, parts.wrench.observer)
         self._followers = [each for each in followers if each is not None]
         """Who follows the forces that were sent."""
         self.reset()
+        self.first = parts.trajectory.sample(0.0)
+        """Where the reference begins."""
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
@@ -82,12 +78,8 @@ class Cycle:
         self.tick = new_record()
         """The last tick's record."""
         self._last_wrench = ZERO6
-        self.estimator.reset(parts.home_p, parts.home_R)
-        self.located = False
-        self.readings = Readings()
-        self.fusing = False
-        """Whether the filter has begun."""
-        self.motion = Motion(self.period_s, parts.home_p, parts.home_R)
+        self.sight.reset()
+        self.motion = Motion(self.period_s, parts.home_p, parts.home_R, parts.engage.stop_s)
         self.mode = Mode.WAITING
         self.mode_tick = 0
         self._yields = False
@@ -102,6 +94,7 @@ class Cycle:
         """When the operator last asked to clear the drives' faults."""
         self.effort.reset()
         self.obedience.reset()
+        self.operating.reset()
         for part in (parts.law, parts.wrench, parts.predictor, parts.safety, parts.steering):
             if part is not None:
                 part.reset()
@@ -127,20 +120,22 @@ class Cycle:
         self.dialogue = parts.protocol.decode(self.dialogue, run, last, tick, began_ns)
         self.tick = tick
         if parts.sensors is not None:
-            self._hear_sensors(parts.sensors, inp, tick)
-        self._estimate(tick, last, inp.t_ns + inp.lateness_ns)
-        parts.wrench.fill(tick, fusing=self.fusing)
+            self.sight.hear(parts.sensors, inp, tick)
+        self.sight.estimate(tick, last, inp.t_ns + inp.lateness_ns)
+        parts.wrench.fill(tick, fusing=self.sight.fusing)
 
+        self.operating.step(inp.orders, number, self.mode, self.motion)
         self._change_mode(inp, tick)
         steering = parts.steering
         if steering is not None:
             under_way = self.mode in STEERED and self.motion.trajectory is parts.trajectory
             along = number - self.motion.tick if under_way else None
-            steering.step(inp.setpoints, along, tracking=self.mode is Mode.TRACKING)
+            follows = self.mode is Mode.TRACKING and self.operating.go
+            steering.step(inp.setpoints, along, tracking=follows and not self.operating.parks)
         t = self.motion.time(number)
         fill_reference(parts.platform, self._sample(tick), tick)
         tick["reference_time_s"] = t
-        if self.mode is Mode.TRACKING:
+        if self.mode is Mode.TRACKING and self.motion.override.full:
             tick["t_d"] = t
         self._effort(tick)
         tick["mode"] = self.mode
@@ -164,57 +159,18 @@ class Cycle:
         _put_three(buffer.data, _SETPOINTS_AT, *setpoints)
         return TickOutput(frames, row_of(tick))
 
-    # -- estimate ------------------------------------------------------------------------------------
-
-    def _hear_sensors(self, sensors: SensorProtocol, inp: TickInput, tick: Record) -> None:
-        """Take in the sensors' samples, and count their refused frames."""
-        self.readings = readings = sensors.decode(inp.frames, inp.tick, self.readings)
-        if readings.wrench:
-            R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
-            self.parts.wrench.hear(inp.tick, readings.wrench[-1].values, R)
-        tick["sensors_rejected"] = readings.rejected
-        tick["rejected"] += readings.rejected
-
-    def _estimate(self, tick: Record, last: Record, latched_ns: int) -> None:
-        """Fill the estimate: pose from lengths; a leg without fresh data is carried on at its last rate.
-
-        Until all legs have been heard and the first pose has been found from home, the pose is home's. After
-        a RESET it is looked for from the last one that all six lengths agreed on.
-        """
-        number, age = int(tick["tick"]), tick["age"]
-        old = any(age.tolist())
-        estimator = self.estimator
-        tick["q"], tick["dq"] = tick["length"], tick["rate"]
-        if not self.located:
-            q = tick["q"]
-            self.located = not old and number % self._search_interval == 0 and estimator.acquire(q)
-            if not self.located:
-                tick["p"], tick["R"] = estimator.p, estimator.R
-                tick["fk_residual"] = tick["condition"] = inf
-                return
-        fusion = self.parts.fusion
-        if fusion is not None and self.fusing:
-            fusion.estimate(tick, latched_ns, self.readings, last["tau"], self.parts.wrench.last)
-            if tick["legs_used"] == _ALL_LEGS and tick["fk_residual"] < AGREED_m:
-                estimator.p, estimator.R = tick["p"], tick["R"]
-            return
-        if old:
-            tick["q"] += tick["dq"] * (age * self.period_s)
-        estimator.update(tick)
-        if fusion is not None:
-            fusion.start(number, latched_ns, tick["p"], tick["R"])
-            self.fusing = True
-
     # -- modes ---------------------------------------------------------------------------------------
 
     def _change_mode(self, inp: TickInput, tick: Record) -> None:
         number, operator = inp.tick, inp.operator
-        if operator and Operator.RESET in operator and self.mode in {Mode.FAULT, Mode.WAITING}:
+        stays = self.parts.operator.stays
+        ready = self.mode in {Mode.FAULT, Mode.WAITING} or (stays and self.mode is Mode.PARKED)
+        if operator and Operator.RESET in operator and ready:
             self.reset_tick = number
             self.dialogue = self.parts.protocol.start(self.parts.setup)
             self.faults, self.estop = Fault.NONE, False
             self.stop_requested = Stop.NONE
-            self.located = self.fusing = False
+            self.sight.forget()
             self.obedience.reset()
             self.parts.wrench.forget()
             self.parts.safety.reset()
@@ -233,28 +189,32 @@ class Cycle:
         facts = Facts(
             operator,
             tick["drive_state"].tolist(),
-            self.mode is Mode.WAITING and self._ready(),
+            self.mode is Mode.WAITING
+            and self.sight.located
+            and all_ready(tick, self.parts.protocol.legs_set_up(self.dialogue)),
             elapsed,
-            motion.finished(number) and max(abs(tick["dq"]).tolist()) < REST_m_s,
+            self._finished(tick),
             self.stop_requested is not Stop.NONE,
             self.mode is Mode.HELD and self._provable(tick),
+            stays,
         )
         mode = next_mode(self.mode, facts, self.durations)
         if mode is not self.mode:
             self._enter(mode, tick)
+        elif self.operating.parks and self.operating.moves(mode):
+            self._park(facts, tick)
         if self._yields and self.mode is Mode.PARKING:
             self.motion.rest(tick["p"], tick["R"], number)
 
-    def _ready(self) -> bool:
-        """Tell whether all six legs are heard, the pose is found and all six drives are set up."""
-        heard = self.located and max(self.tick["age"].tolist()) <= 1
-        return heard and all(self.parts.protocol.legs_set_up(self.dialogue))
+    def _finished(self, tick: Record) -> bool:
+        """Tell whether the motion has ended, with nothing to follow, and the legs are at rest."""
+        ended = self.motion.finished(int(tick["tick"])) and not self.operating.to_return(self.mode)
+        return ended and max(abs(tick["dq"]).tolist()) < REST_m_s
 
     def _provable(self, tick: Record) -> bool:
         """Tell whether a test could prove the brakes: all legs are heard, believed and at rest."""
-        measured = max(tick["age"].tolist()) == 0 and not tick["legs_slipped"]
-        still = measured and max(abs(tick["rate"]).tolist()) < REST_m_s
-        return bool(still) and self.durations.load > 0.0 and not self.faults & modes.NO_PROOF
+        possible = self.durations.load > 0.0 and not self.faults & modes.NO_PROOF
+        return possible and measured_at_rest(tick)
 
     def _enter(self, mode: Mode, tick: Record) -> None:
         parts, effort, number = self.parts, self.effort, int(tick["tick"])
@@ -270,11 +230,9 @@ class Cycle:
             case Mode.APPROACH:
                 if parts.steering is not None:
                     parts.steering.trajectory.reset()
-                here, start = self.motion.sample(number), parts.trajectory.sample(0.0)
-                engage, farthest = parts.engage, farthest_leg_m(parts.platform, here, start)
-                duration = max(farthest / engage.approach_speed_m_s, engage.blend_s, self.period_s)
-                move = GeodesicMove(here.p, here.R, start.p, start.R, duration)
+                move = approach(parts, self.motion.sample(number), self.period_s)
                 self.motion.start(move, number, then=parts.trajectory)
+                self.operating.engage(number, self.motion)
                 effort.entry_tick = number
             case Mode.TRACKING:
                 if previous is Mode.LOADING:
@@ -284,8 +242,11 @@ class Cycle:
                     if parts.steering is not None:
                         parts.steering.trajectory.reset()
                     effort.entry_tick = number
+                    self.operating.engage(number, self.motion)
                 self.motion.start(parts.trajectory, number)
+                self.operating.enter(mode, number, self.motion)
             case Mode.STOPPING:
+                self.operating.parks = False
                 self.motion.stop(number, parts.engage.stop_s)
             case Mode.PARKING:
                 rest = self.motion.sample(number)
@@ -300,6 +261,17 @@ class Cycle:
             case Mode.HELD:
                 self._hold(previous, tick)
         self.mode, self.mode_tick = mode, number
+
+    def _park(self, facts: Facts, tick: Record) -> None:
+        """Begin the way back to the first pose once the platform rests, or stop on it."""
+        number, motion = int(tick["tick"]), self.motion
+        if self.mode is Mode.STOPPING:
+            if facts.stop or self.faults or Operator.STOP in facts.operator:
+                self._enter(Mode.STOPPING, tick)
+        elif self.operating.go and motion.resting:
+            motion.start(self.operating.way_back(motion.sample(number), self.first), number)
+            self.mode, self.mode_tick = Mode.STOPPING, number
+            self.operating.enter(self.mode, number, motion)
 
     def _yield(self, tick: Record) -> None:
         """Let what holds the platform where it is be all the force, until the brakes are shut."""
@@ -375,7 +347,7 @@ class Cycle:
         patience = modes.DRIVE_PATIENCE_S / self.period_s
         heard = bool(((tick["age"] < patience) | (tick["blind"] != 0)).any())
         return modes.after_fault(
-            self.mode, faults, self._under_control, self._torque_off, located=self.located, heard=heard
+            self.mode, faults, self._under_control, self._torque_off, located=self.sight.located, heard=heard
         )
 
     def _command(self, tick: Record) -> Command:

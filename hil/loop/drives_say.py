@@ -1,7 +1,10 @@
 """What the six drives say of themselves in a tick."""
 
+from collections.abc import Iterable
+
 from drivers.signals import DriveFault, DriveState
 from drivers.tick_columns import Record
+from hil.safety.standstill import REST_m_s
 
 _POWERED = (DriveState.READY, DriveState.RUN)
 
@@ -32,3 +35,14 @@ def unconfirmed(tick: Record) -> tuple[int, ...]:
 def confirmed(tick: Record) -> bool:
     """Tell whether all drives are in FAULT and report the emergency stop as their reason."""
     return not unconfirmed(tick)
+
+
+def all_ready(tick: Record, set_up: Iterable[bool]) -> bool:
+    """Tell whether all six legs are heard, and all six drives are set up."""
+    return max(tick["age"].tolist()) <= 1 and all(set_up)
+
+
+def measured_at_rest(tick: Record) -> bool:
+    """Tell whether all six legs are heard in this tick, believed and at rest."""
+    measured = max(tick["age"].tolist()) == 0 and not tick["legs_slipped"]
+    return bool(measured and max(abs(tick["rate"]).tolist()) < REST_m_s)

@@ -10,6 +10,7 @@ entered.
                                                             +------------+
     a fault in motion, by its reaction: ss1 -> STOPPING, sbc -> PARKING, or HELD where a leg is not measured,
                                         sto -> FAULT (latched) -> WAITING on RESET
+    PARKED -> WAITING on RESET, where operator.stays
     brakes engaged, not proven shut -> HELD (latched, force on) -> FAULT on RELEASE
 
 Brakes open and close only on the drives' own word: a drive that does not report the state it was asked
@@ -78,6 +79,8 @@ class Facts(NamedTuple):
     """Safety asks for a controlled stop."""
     provable: bool = False
     """All six legs are heard, believed and at rest, and no brake has failed: a test could prove them."""
+    stays: bool = False
+    """A parked platform may be made ready again: operator.stays."""
 
     def all_in(self, *states: DriveState) -> bool:
         """Tell whether all six drives report one of these states."""
@@ -126,7 +129,7 @@ _NEXT: tuple[tuple[Mode, Callable[[Facts, float], bool]], ...] = (
     (Mode.PARKING, _finished),
     (Mode.UNLOADING, lambda facts, least: facts.elapsed >= least and facts.all_in(*_BRAKED_DRIVE)),
     (Mode.PARKED, lambda facts, least: facts.elapsed >= least),
-    (Mode.PARKED, lambda _facts, _: False),
+    (Mode.WAITING, lambda facts, _: facts.stays and Operator.RESET in facts.operator),
     (Mode.WAITING, lambda facts, _: Operator.RESET in facts.operator),
     (Mode.FAULT, lambda facts, _: Operator.RELEASE in facts.operator or facts.all_in(DriveState.FAULT)),
 )

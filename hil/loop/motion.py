@@ -3,25 +3,34 @@
 from drivers.arrays import Array
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
+from hil.trajectory.override import Override
 from hil.trajectory.path import PoseSample, Trajectory
-from hil.trajectory.stopping import StoppingTrajectory
+from hil.trajectory.stopping import StoppingTrajectory, slowed
 
 
 class Motion:
-    """The present trajectory and the tick of its time zero.
+    """The present trajectory, the tick of its time zero, and the speed along it.
 
-    Mutable state: both, and what comes next. `start`, `rest` and `stop` replace them.
+    A trajectory whose state goes from tick to tick (`LiveTrajectory`) is not slowed down along a path: it has
+    a speed of its own.
+    Mutable state: all of these, and what comes next. `start`, `rest` and `stop` replace the trajectory.
     """
 
-    def __init__(self, period_s: float, p: Array, R: Array) -> None:
-        """Start at rest at p (3,) m, R (3, 3), base frame."""
+    def __init__(self, period_s: float, p: Array, R: Array, change_s: float) -> None:
+        """Start at rest at p (3,) m, R (3, 3), base frame. change_s: see `Override`."""
         self.period_s = period_s
+        self.override = Override(period_s, change_s)
         self.rest(p, R, 0)
 
     def start(self, trajectory: Trajectory, tick: int, then: Trajectory | None = None) -> None:
         """Begin a trajectory whose time zero is this tick, `then` another one as soon as it has ended."""
         self.trajectory = trajectory
         self.tick = tick
+        self.override.begin(tick)
+        if isinstance(trajectory, LiveTrajectory):
+            self.override.settle(tick, 1.0)
+        self._stopped: int | None = None
+        """Of a stop from less than full speed: the tick at which it came to rest, -1 before that."""
         self._then = then
         self._last = 0
         """Length of the trajectory in whole periods: the first tick at which `finished` is true."""
@@ -34,38 +43,85 @@ class Motion:
         """Stay at a pose from this tick on."""
         self.start(HoldTrajectory(p, R), tick)
 
+    def aim(self, tick: int, speed: float, *, go: bool) -> None:
+        """Let the speed change smoothly to a share 0 .. 1 of the configured one, or to rest."""
+        if isinstance(self.trajectory, LiveTrajectory):
+            self.trajectory.limit(speed)
+            if not go:
+                self.trajectory.halt()
+        else:
+            self.override.aim(tick, speed if go else 0.0)
+
+    def settle(self, tick: int, speed: float) -> None:
+        """Go on at a share 0 .. 1 of the configured speed, at once."""
+        if not isinstance(self.trajectory, LiveTrajectory):
+            self.override.settle(tick, speed)
+
+    def advance(self, tick: int) -> None:
+        """Go on to a tick."""
+        self.override.advance(tick)
+        if self._stopped == -1 and self.override.resting:
+            self._stopped = tick
+
     def stop(self, tick: int, duration_s: float) -> None:
-        """Slow down to rest along the present path within `duration_s`; a live one within its own limits."""
+        """Slow down to rest along the present path within `duration_s`; a live one within its own limits.
+
+        Where the speed is just rising it takes up to a third longer.
+        """
+        self._then = None
         if isinstance(self.trajectory, LiveTrajectory):
             self.trajectory.brake()
-            return
-        self.trajectory = StoppingTrajectory(self.trajectory, self.time(tick), duration_s)
-        self._then = None
+        elif self.override.full:
+            self.trajectory = StoppingTrajectory(self.trajectory, self.time(tick), duration_s)
+        else:
+            self.override.aim(tick, 0.0)
+            self._stopped = tick if self.override.resting else -1
 
     def time(self, tick: int) -> float:
         """Return the time along the present trajectory, s."""
-        return (tick - self.tick) * self.period_s
+        return self.override.time(tick)
+
+    @property
+    def resting(self) -> bool:
+        """Whether the reference stands still and stays so until it is asked to go on."""
+        if isinstance(self.trajectory, LiveTrajectory):
+            return self.trajectory.resting
+        return self.override.resting
 
     def finished(self, tick: int) -> bool:
         """Tell whether the present trajectory has ended."""
+        if self._stopped is not None:
+            return 0 <= self._stopped <= tick
         duration = self.trajectory.duration_s
         return duration is not None and self.time(tick) >= duration
 
     def overdue(self, tick: int, patience_s: float) -> bool:
         """Tell whether the present trajectory ended longer than `patience_s` ago."""
+        if self._stopped is not None:
+            return self.finished(tick) and (tick - self._stopped) * self.period_s > patience_s
         duration = self.trajectory.duration_s
         return duration is not None and self.time(tick) > duration + patience_s
 
     def sample(self, tick: int) -> PoseSample:
         """Return where the platform should be at this tick."""
-        return self.trajectory.sample(self.time(tick))
+        override = self.override
+        return self._along(self.time(tick), override.sigma, override.dsigma)
+
+    def _along(self, t: float, sigma: float, dsigma: float) -> PoseSample:
+        sample = self.trajectory.sample(t)
+        if sigma == 1.0 and dsigma == 0.0:
+            return sample
+        return PoseSample(sample.p, sample.R, *slowed(sample.twist, sample.dtwist, sigma, dsigma))
 
     def ahead(self, tick: int, s: float) -> tuple[PoseSample, float | None]:
         """Return where the platform should be `s` seconds after this tick, and that time along `then`.
 
         The time is None unless the next trajectory has begun by then. It is expected to begin at the first
-        tick at which the present one has ended; where that has passed, it is waited for.
+        tick at which the present one has ended; where that has passed, it is waited for. Below full speed
+        none is expected.
         """
+        if not self.override.full:
+            return self._along(*self.override.ahead(tick, s)), None
         if self._then is not None and not self.finished(tick):
             along = (tick - self.tick - self._last) * self.period_s + s
             if along >= 0.0:

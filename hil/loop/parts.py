@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from drivers.arrays import Array
 from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
+from hil.config.operator import OperatorSettings
 from hil.config.reactions import ReactionSettings
 from hil.config.running import EngageSettings
 from hil.config.values import LegSpin
@@ -44,6 +45,8 @@ class Parts:
     setup: DriveSetup
     """What the protocol sets in the drives."""
     wrench: ExternalWrench
+    operator: OperatorSettings
+    """What the operator has to do."""
     steering: Steering | None = None
     """What takes set-points, where the reference is live."""
     sensors: SensorProtocol | None = None

@@ -109,6 +109,7 @@ def recorded_input(entry: Tick) -> TickInput:
         frames=entry.received,
         operator=tuple(map(Operator, entry.operator)),
         setpoints=entry.setpoints,
+        orders=entry.orders,
     )
 
 

@@ -84,7 +84,8 @@ class Course:
     `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a platform
     that is held with force is held until the operator releases it, and one that moves after a fault is stayed
     with until it rests, or the operator asks for an emergency stop in FAULT. Otherwise both are simulated,
-    and end in time. `event` takes what each fault tells in its tick.
+    and end in time. `event` takes what each fault tells in its tick. `goes_on`: once it was engaged, a run
+    goes on, parked or after a fault, until it is asked to end: by END, or when `duration_s` is over.
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
     over before the drives were ready; the first fault's tick and the last one's text; when a leg last moved.
     """
@@ -97,6 +98,7 @@ class Course:
         armed: bool = True,
         reset: bool = False,
         stays: bool = False,
+        goes_on: bool = False,
         event: EventSink = no_event,
     ) -> None:
         self.cycle = cycle
@@ -114,13 +116,15 @@ class Course:
         self._armed = armed
         self._reset = reset
         self._engaged = self._requested = self._late = False
+        self.goes_on = goes_on
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
         self._after_fault_since = -1
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
-        if tick >= self._stop_tick:
+        if tick >= self._stop_tick or Operator.END in operator:
             self._stop_tick = inf
+            self.goes_on = False
             self._late = self.cycle.mode is Mode.WAITING
             operator = (Operator.STOP, *operator)
         if not self._engaged and self.cycle.mode is Mode.IDLE:
@@ -171,6 +175,8 @@ class Course:
         mode, since = cycle.mode, cycle.mode_tick
         self._note_faults(tick)
         match mode:
+            case Mode.PARKED | Mode.FAULT | Mode.WAITING if self.goes_on and self._engaged:
+                return None
             case Mode.PARKED if tick - since >= self._tail or (cycle.proven and _all_off(cycle)):
                 why = cycle.stop_requested
                 reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
@@ -216,7 +222,7 @@ class Course:
         if faults == self._faults:
             return
         if not self._faults or self._faults & ~faults:  # the first ones, or those after a RESET
-            self._fault_tick = tick
+            self._fault_tick = tick if faults else -1
         self._faults, self._fault_text = faults, self._narrator.short
 
     @property

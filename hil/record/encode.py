@@ -16,7 +16,7 @@ from drivers.arrays import Ints, Rows
 from drivers.can.bus_time import FD_LENGTHS
 from hil.record import layout
 from hil.record.recording import VIEW_EVERY, Scene
-from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, SETPOINT, Batch
+from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, Batch, unpack_numbers
 from hil.record.row import RowCodec, Table, row_schema
 from hil.record.scene import SceneDrawer, transforms
 from hil.record.schema import RX, TX, Schema, frame_schema, message_class, operator_schema
@@ -134,8 +134,8 @@ class Encoder:
         time_ns = int(item["t_ns"]) + self._epoch
         if item["kind"] == OPERATOR:
             data = bytes(item["data"][: item["length"]])
-            pose = SETPOINT.unpack(data) if data else ()
-            message = self._operator(command=int(item["id"]), tick=tick, index=index, setpoint=pose)
+            numbers = unpack_numbers(data)
+            message = self._operator(command=int(item["id"]), tick=tick, index=index, setpoint=numbers)
             message.stamp.seconds, message.stamp.nanos = divmod(time_ns, 1_000_000_000)
             return [_single(COMMANDS, tick, time_ns, t_ns + self._epoch, message, key)]
         if item["kind"] != EVENT or item["id"] != 0:

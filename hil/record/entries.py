@@ -11,10 +11,10 @@ from drivers.arrays import Rows
 from drivers.protocol import BUS, Frame, Received
 from hil.record.layout import MAX_DATA
 from hil.record.schema import RX, TX
-from hil.signals import Operator, SetPoint
+from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
 Commands = dict[int, list[tuple[int, int, tuple[float, ...]]]]
-"""By tick: index, command and the pose of a set-point."""
+"""By tick: index, command and its numbers."""
 
 
 class Tick(NamedTuple):
@@ -30,6 +30,8 @@ class Tick(NamedTuple):
     """Commands of the operator, numbers of `hil.signals.Operator`."""
     setpoints: tuple[SetPoint, ...] = ()
     """For a live reference, in the order received."""
+    orders: tuple[Order, ...] = ()
+    """For the motion, in the order received."""
 
 
 class Event(NamedTuple):
@@ -93,6 +95,9 @@ def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
             yield Tick(row, tick_received, tick_sent, ())
             continue
         given = sorted(commands[tick])
-        operator = tuple(command for _, command, _ in given if command != Operator.SETPOINT)
+        operator = tuple(command for _, command, _ in given if command not in NUMBERS)
         setpoints = tuple(SetPoint(*pose) for _, command, pose in given if command == Operator.SETPOINT)
-        yield Tick(row, tick_received, tick_sent, operator, setpoints)
+        orders = tuple(
+            Order(Operator(command), numbers) for _, command, numbers in given if command in ORDERS
+        )
+        yield Tick(row, tick_received, tick_sent, operator, setpoints, orders)

@@ -22,7 +22,7 @@ from hil.record.log_file import LogFile
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
 from hil.record.selection import Selection, joined
-from hil.signals import Operator, SetPoint
+from hil.signals import NUMBERS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -343,8 +343,12 @@ class Log(LogFile):
             rows = np.concatenate((rows, self._decoder.rows(data, table)))
             items = np.concatenate((items, self._decoder.frames(data, table)))
             for message in self._decoder.messages(data, table, OPERATOR):
-                if message.command == Operator.SETPOINT and len(message.setpoint) != len(SetPoint._fields):
-                    raise LogError(f"{self.path}: the set-point of tick {message.tick} has no six words")
+                wanted = NUMBERS.get(message.command)
+                if wanted is not None and len(message.setpoint) != wanted:
+                    raise LogError(
+                        f"{self.path}: the operator's command of tick {message.tick} has "
+                        f"{len(message.setpoint)} numbers, allowed: {wanted}"
+                    )
                 commands.setdefault(message.tick, []).append(
                     (message.index, message.command, tuple(message.setpoint))
                 )

@@ -32,15 +32,15 @@ from hil.record.ring import (
     READ_ITEMS,
     RECEIVED,
     SENT,
-    SETPOINT,
     WRITTEN,
     Ring,
     fence,
     pack_item,
+    pack_numbers,
 )
 from hil.record.row import TICKS, Table, describe
 from hil.record.schema import CONFIGURATION
-from hil.signals import Operator, SetPoint
+from hil.signals import Operator, Order, SetPoint
 
 LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
 """2000-01-01T00:00:00Z: the UTC of t_ns = 0 in lockstep."""
@@ -176,15 +176,16 @@ class Recording:
         sent: Sequence[Frame],
         operator: Sequence[int] = (),
         setpoints: Sequence[SetPoint] = (),
+        orders: Sequence[Order] = (),
     ) -> None:
-        """Record one tick: its row, the frames consumed and sent in their order, commands and set-points.
+        """Record one tick: its row, frames consumed and sent in their order, commands, set-points, orders.
 
         A 0-d array as `row` is fastest.
 
         Raises LogError for a frame of more than 64 bytes, and in lockstep where the recorder has died or one
         tick has more frames than the ring.
         """
-        count = len(received) + len(sent) + len(operator) + len(setpoints)
+        count = len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)
         if not self._has_room(count):
             self.dropped += 1
             self._counters[DROPPED] = self.dropped
@@ -201,7 +202,7 @@ class Recording:
                     raise _too_long(can_id, length)
                 pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, length, flags, data)
                 item += 1
-            if sent or operator or setpoints:
+            if sent or operator or setpoints or orders:
                 now = int(row["t_ns"])
                 for can_id, data, flags in sent:
                     length = len(data)
@@ -212,9 +213,9 @@ class Recording:
                 for command in operator:
                     pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
                     item += 1
-                for setpoint in setpoints:
-                    data = SETPOINT.pack(*setpoint)
-                    pack_item(buffer, item % capacity * size, now, _SETPOINT, OPERATOR, len(data), 0, data)
+                for command, numbers in (*[(_SETPOINT, each) for each in setpoints], *orders):
+                    data = pack_numbers(numbers)
+                    pack_item(buffer, item % capacity * size, now, command, OPERATOR, len(data), 0, data)
                     item += 1
             self._items = item
         ring.ends[slot] = self._items

@@ -13,6 +13,7 @@ import os
 import platform
 import struct
 import tempfile
+from collections.abc import Sequence
 from threading import Lock
 from typing import NamedTuple, TypeVar
 
@@ -35,9 +36,19 @@ ITEM = np.dtype(
 pack_item = struct.Struct("<qIBBH64s").pack_into
 """pack_item(buffer, offset, t_ns, id, kind, length, flags, data); the high byte of the flags is the bus."""
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
-"""Kinds of item. Operator: id is the command, data a set-point (SETPOINT). Event: id is how many pieces
+"""Kinds of item. Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces
 follow, flags the level."""
-SETPOINT = struct.Struct("<6d")
+
+
+def pack_numbers(numbers: Sequence[float]) -> bytes:
+    """Return the numbers of a command as data of an item: float64, at most eight."""
+    return struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+def unpack_numbers(data: bytes) -> tuple[float, ...]:
+    """Return the numbers of a command."""
+    return struct.unpack(f"<{len(data) // 8}d", data)
+
 
 ITEMS_PER_TICK = 16
 _HEADER = 4096

@@ -151,9 +151,9 @@ class LiveTrajectory:
     """Goes to wherever it was last sent, holds there, and stops on `brake`.
 
     start (6,) m, rad: where it begins; limits (3, 6): largest velocity, acceleration and jerk of the words.
-    Mutable state: the target, the place of rest, the tick, the history of the first stage, and the end that
-    `brake` sets. `reset` restores the initial one. Raises ConfigurationError where a jerk is so small that
-    the window would be longer than WINDOW_S.
+    Mutable state: the target, the place of rest, the tick, the history of the first stage, the share of its
+    velocity that is allowed, and the end that `brake` sets. `reset` restores the initial one. Raises
+    ConfigurationError where a jerk is so small that the window would be longer than WINDOW_S.
     """
 
     def __init__(self, start: Array, limits: Array, period_s: float) -> None:
@@ -174,6 +174,8 @@ class LiveTrajectory:
     def reset(self) -> None:
         """Back to the start, at rest, at time zero."""
         self._tick = 0
+        self._share = 1.0
+        """Of the largest velocity: what is allowed."""
         self._target = self._start
         self._rest = self._start
         self._history[:, POSITION] = self._history[:, MEAN] = self._start
@@ -187,6 +189,19 @@ class LiveTrajectory:
     def aim(self, chi: Array) -> None:
         """Set the target (6,) m, rad."""
         self._target = chi
+
+    def limit(self, share: float) -> None:
+        """Allow a share 0 .. 1 of the largest velocity; what is faster is braked within the acceleration."""
+        self._share = share
+
+    def halt(self) -> None:
+        """Come to rest as soon as the limits allow, and stay there until there is another target."""
+        self._target = self._rest
+
+    @property
+    def resting(self) -> bool:
+        """Whether it stands still at the place of rest."""
+        return self._target is self._rest and not (self._sample.twist.any() or self._sample.dtwist.any())
 
     def brake(self) -> None:
         """Come to rest as soon as the limits allow; from then on there is an end."""
@@ -206,7 +221,7 @@ class LiveTrajectory:
         while self._tick < tick:
             row = self._history[self._tick % len(self._history)]
             x, v = row[POSITION].copy(), row[SPEED].copy()
-            x1, v1, rest = propose(x, v, self._target, self._V, self._step, self._period)
+            x1, v1, rest = propose(x, v, self._target, self._allowed(v), self._step, self._period)
             if self._target is not self._rest and v1.any():
                 against = self._judge(x1, v1, admit)
                 if against:
@@ -219,6 +234,16 @@ class LiveTrajectory:
             self._tick += 1
         self._sample = self._evaluate()
         return found
+
+    def _allowed(self, v: Array) -> Array:
+        """Return the velocities (6,) allowed at the next tick, from v (6,): no jump to a lower share.
+
+        On the way to rest the share does not count: that way has been judged as it is.
+        """
+        if self._share == 1.0 or self._target is self._rest:
+            return self._V
+        V: Array = np.minimum(self._V, np.maximum(self._share * self._V, np.abs(v) - self._step))
+        return V
 
     def _judge(self, x1: Array, v1: Array, admit: Callable[[Array], int]) -> int:
         """Return what is first found against the way to rest from x1, v1 at the next tick, its end first."""

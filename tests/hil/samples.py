@@ -6,7 +6,7 @@ from drivers.protocol import BRS, BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.log import Tick
-from hil.signals import SetPoint
+from hil.signals import Operator, Order, SetPoint
 
 FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED, BUS, 127 * BUS | FD)
 CAN_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -42,14 +42,20 @@ def random_ticks(count, seed=1, dtype=ROW):
         setpoints = tuple(
             SetPoint(*rng.normal(size=6)) for _ in range(rng.integers(3) * (rng.random() < 0.05))
         )
-        ticks.append(Tick(row, received, sent, operator, setpoints))
+        given = (
+            Order(Operator.SPEED, (float(rng.random()),)),
+            Order(Operator.KEY),
+            Order(Operator.JOG_LEG, (float(rng.integers(6)), float(rng.normal()))),
+        )
+        orders = given[: rng.integers(4)] if rng.random() < 0.05 else ()
+        ticks.append(Tick(row, received, sent, operator, setpoints, orders))
     return ticks
 
 
 def record(recording, ticks):
     for tick in ticks:
         recording.tick(
-            np.asarray(tick.row), tick.received, tick.sent, tick.operator, setpoints=tick.setpoints
+            np.asarray(tick.row), tick.received, tick.sent, tick.operator, tick.setpoints, tick.orders
         )
 
 
@@ -69,4 +75,4 @@ def assert_same(found, expected):
     for a, b in zip(found, expected, strict=True):
         assert a.row.tobytes() == b.row.tobytes()
         assert (a.received, a.sent, a.operator) == (b.received, b.sent, b.operator)
-        assert a.setpoints == b.setpoints
+        assert (a.setpoints, a.orders) == (b.setpoints, b.orders)

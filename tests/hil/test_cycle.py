@@ -202,11 +202,11 @@ def test_a_reset_with_a_fused_pose_looks_for_it_where_it_was_and_not_at_home():
     bench.step((Operator.ESTOP,))
     while bench.tick % 20 != 3:  # before the tick at which the legs are asked
         row = bench.step((Operator.RESET,)).row
-    assert not bench.cycle.fusing
+    assert not bench.cycle.sight.fusing
     np.testing.assert_allclose(row["p"], aside, atol=1e-5)
     for _ in range(50):
         row = bench.step().row
-    assert bench.cycle.fusing
+    assert bench.cycle.sight.fusing
     np.testing.assert_allclose(row["p"], aside, atol=1e-5)
 
 

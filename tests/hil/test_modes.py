@@ -120,6 +120,12 @@ def test_a_fault_stays_until_reset():
     assert after(Mode.FAULT, operator=(Operator.RESET,)) is Mode.WAITING
 
 
+def test_a_parked_platform_is_made_ready_again_by_reset_only_where_the_run_stays():
+    assert after(Mode.PARKED, operator=(Operator.RESET,), stays=True) is Mode.WAITING
+    assert after(Mode.PARKED, operator=(Operator.RESET,)) is Mode.PARKED
+    assert after(Mode.PARKED, operator=(Operator.ENGAGE,), stays=True) is Mode.PARKED
+
+
 def test_a_held_platform_is_let_go_of_by_the_operators_release_and_nothing_else():
     for operator in Operator:
         expected = Mode.FAULT if operator is Operator.RELEASE else Mode.HELD

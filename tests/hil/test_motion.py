@@ -23,7 +23,7 @@ def next_path():
 
 @pytest.mark.parametrize("duration", [0.5, 0.4996, 0.50000000001, 0.3 * T / T])
 def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
-    motion = Motion(T, HERE, EYE)
+    motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, duration), 100, then=next_path())
     begins = next(tick for tick in range(100, 1000) if motion.finished(tick))
     seen = {tick: motion.ahead(tick, AHEAD) for tick in range(begins - 4, begins)}
@@ -43,7 +43,7 @@ def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
 
 
 def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
-    motion = Motion(T, HERE, EYE)
+    motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
     for tick in range(500, 520):
         sample, along = motion.ahead(tick, AHEAD)
@@ -53,7 +53,7 @@ def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
 
 
 def test_the_look_ahead_of_a_stop_is_the_stop():
-    motion = Motion(T, HERE, EYE)
+    motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
     before = motion.ahead(250, AHEAD)[0]
     motion.stop(250, 0.5)
@@ -64,7 +64,7 @@ def test_the_look_ahead_of_a_stop_is_the_stop():
 
 
 def test_the_look_ahead_past_the_last_end_is_rest():
-    motion = Motion(T, HERE, EYE)
+    motion = Motion(T, HERE, EYE, 0.5)
     motion.start(next_path(), 0)
     sample, along = motion.ahead(999, AHEAD)
     assert along is None

@@ -63,7 +63,7 @@ def test_a_table_gives_the_bits_of_the_evaluation_in_the_loop(kind, rate):
     assert isinstance(offline, TabulatedTrajectory)
     assert not isinstance(online, TabulatedTrajectory)
     assert offline.duration_s == online.duration_s
-    here, there = (Motion(1 / rate, np.zeros(3), np.eye(3)) for _ in range(2))
+    here, there = (Motion(1 / rate, np.zeros(3), np.eye(3), 0.5) for _ in range(2))
     here.start(online, 17)
     there.start(offline, 17)
     for tick in range(17, 17 + int(online.duration_s * rate) + 20):
@@ -92,7 +92,7 @@ def test_the_table_is_read_and_not_evaluated_again():
 
 def test_a_stop_along_the_path_is_the_same():
     online, offline = (build(WaypointReference, evaluation, 1e-3) for evaluation in ("online", "offline"))
-    here, there = (Motion(1e-3, np.zeros(3), np.eye(3)) for _ in range(2))
+    here, there = (Motion(1e-3, np.zeros(3), np.eye(3), 0.5) for _ in range(2))
     for motion, trajectory in ((here, online), (there, offline)):
         motion.start(trajectory, 0)
         motion.stop(440, 0.5)

@@ -260,7 +260,7 @@ class Follow:
 
 def let_pass_and_follow(cycle, plant):
     cycle.parts = replace(cycle.parts, safety=LetPass())
-    cycle.estimator = Follow(cycle.parts.platform, plant)
+    cycle.sight.estimator = Follow(cycle.parts.platform, plant)
 
 
 def test_constant_dynamics_without_safety_end_in_the_assembly_of_the_row():

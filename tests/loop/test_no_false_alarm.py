@@ -23,7 +23,7 @@ from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.loop.run_end import Ending
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from hil.signals import Operator, SetPoint, TickInput, TickOutput
+from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from hil.trajectory.path import Trajectory
 from plant_fmu.config import StewartPlant
 from plant_fmu.faults.load import PayloadStep, WrenchStep
@@ -57,7 +57,10 @@ class Stalling(Lockstep):
     _lateness_ns: int = 0
 
     def step(
-        self, operator: tuple[Operator, ...] = (), setpoints: tuple[SetPoint, ...] = ()
+        self,
+        operator: tuple[Operator, ...] = (),
+        setpoints: tuple[SetPoint, ...] = (),
+        orders: tuple[Order, ...] = (),
     ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
         """Advance both ends by one tick."""
         self.tick = tick = self.tick + 1
@@ -70,7 +73,14 @@ class Stalling(Lockstep):
         feedback, heard_ns = self._exchange(sent_ns, opening)
         self.window_ns = window_ns
         inp = TickInput(
-            tick, t_ns, lateness_ns, skipped, frames=tuple(feedback), operator=operator, setpoints=setpoints
+            tick,
+            t_ns,
+            lateness_ns,
+            skipped,
+            frames=tuple(feedback),
+            operator=operator,
+            setpoints=setpoints,
+            orders=orders,
         )
         out = self.cycle.step(inp)
         done_ns = max(heard_ns, sent_ns) + self.compute_ns + held_ns

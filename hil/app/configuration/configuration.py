@@ -25,6 +25,7 @@ from hil.config.estimation import EstimationSettings
 from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.monitor import MonitorSettings
+from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reactions import ReactionSettings
 from hil.config.reference import ReferenceSettings
@@ -51,6 +52,7 @@ class Configuration(Section):
     controller: ControllerSettings
     monitor: MonitorSettings = MonitorSettings()
     engage: EngageSettings = EngageSettings()
+    operator: OperatorSettings = OperatorSettings()
     reference: ReferenceSettings
     limits: LimitSettings
     reactions: ReactionSettings = ReactionSettings()

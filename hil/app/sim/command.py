@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from hil.app.plant import plant_row
 from hil.app.plant_columns import PLANT
 from hil.app.replay import replay_log
 from hil.app.setpoint import require_live
+from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
@@ -67,16 +68,19 @@ def _run(
     truth: Recording | None,
     duration_s: float | None,
     setpoints: Callable[[int], tuple[SetPoint, ...]],
+    script: CommandScript,
 ) -> Ending:
     def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
-        recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
+        sent = opening + out.frames
+        recording.tick(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
 
     def observe_both(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
         observe(inp, opening, out)
         assert truth is not None
         truth.tick(plant_row(inp.tick, lockstep.nodes.snapshot()), (), ())
 
-    return lockstep.run(duration_s, observe if truth is None else observe_both, setpoints, recording.event)
+    observer = observe if truth is None else observe_both
+    return lockstep.run(duration_s, observer, setpoints, recording.event, script, armed=not script.arms)
 
 
 def _record_plant(c: Configuration, path: Path) -> Recording:
@@ -96,12 +100,14 @@ def simulate(
     faults: FaultPlan | None = None,
     live: bool = False,
     setpoints: Path | None = None,
+    commands: Sequence[TimedCommand] = (),
     plant_log: bool = False,
 ) -> dict[str, Any]:
     """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
 
     `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
-    their times along it. `plant_log` records the plant's truth beside the log, as `hil plant` does.
+    their times along it; `commands` what the operator says, in simulated seconds. `plant_log` records the
+    plant's truth beside the log, as `hil plant` does.
 
     Raises ConfigurationError for what cannot run, PlantError: the plant does not start.
     """
@@ -118,6 +124,7 @@ def simulate(
             "periods, or call with --duration"
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
+    operator = CommandScript(commands, rate)
     path = log_path(c.recording.folder, c.name, log)
     truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
     if plant_log:
@@ -132,7 +139,7 @@ def simulate(
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
             begun = time.perf_counter()
-            ending = _run(lockstep, recording, truth, duration_s, script or no_setpoints)
+            ending = _run(lockstep, recording, truth, duration_s, script or no_setpoints, operator)
             wall = time.perf_counter() - begun
             if ending.trouble:
                 recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)
@@ -163,6 +170,8 @@ def simulate(
             result[key] = [show_fault(fault) for fault in which]
     if script is not None and script.left:
         result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
+    if commands:
+        result["commands"] = {"given": len(commands) - operator.left, "not_reached": operator.left}
     if check_replay:
         _, result["replay"] = replay_log(path)
         result["success"] = result["success"] and result["replay"]["agrees"]

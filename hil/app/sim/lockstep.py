@@ -17,7 +17,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
-from hil.signals import Operator, SetPoint, TickInput, TickOutput
+from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
 Observer = Callable[[TickInput, tuple[Frame, ...], TickOutput], None]
@@ -32,6 +32,23 @@ COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
 REST_S = 0.1
 """A reference that has stood still for so long in TRACKING is at rest: HOLD, as faults call it."""
+
+
+class Given(NamedTuple):
+    """What the operator gives in a tick."""
+
+    operator: tuple[Operator, ...] = ()
+    orders: tuple[Order, ...] = ()
+    setpoints: tuple[SetPoint, ...] = ()
+
+
+NOTHING = Given()
+
+
+def nothing_given(tick: int) -> Given:
+    """Return the commands of a tick where there are none."""
+    del tick
+    return NOTHING
 
 
 def no_setpoints(tick: int) -> tuple[SetPoint, ...]:
@@ -99,7 +116,10 @@ class Lockstep:
         self.nodes.start(0)
 
     def step(
-        self, operator: tuple[Operator, ...] = (), setpoints: tuple[SetPoint, ...] = ()
+        self,
+        operator: tuple[Operator, ...] = (),
+        setpoints: tuple[SetPoint, ...] = (),
+        orders: tuple[Order, ...] = (),
     ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
         """Advance both ends by one tick."""
         self.tick = tick = self.tick + 1
@@ -113,6 +133,7 @@ class Lockstep:
             bus_off=self.nodes.bus_off,
             operator=operator,
             setpoints=setpoints,
+            orders=orders,
         )
         out = self.cycle.step(inp)
         if self.nodes.waiting:
@@ -235,18 +256,24 @@ class Lockstep:
         observe: Observer,
         setpoints: Callable[[int], tuple[SetPoint, ...]] = no_setpoints,
         event: EventSink = no_event,
+        commands: Callable[[int], Given] = nothing_given,
+        *,
+        armed: bool = True,
     ) -> Ending:
-        """Engage, run the reference, park. `setpoints` gives those of a tick. Return how the run ended.
+        """Engage, run the reference, park. Return how the run ended.
 
-        It ends with its plant, too. `event` takes what each fault tells in its tick.
+        `setpoints` gives those of a tick, `commands` all that the operator says in it; armed: it engages by
+        itself. It ends with its plant, too. `event` takes what each fault tells in its tick.
         """
-        course = Course(self.cycle, duration_s, event=event)
+        goes_on = self.cycle.parts.operator.stays
+        course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=goes_on)
         ending = None
         while ending is None:
             tick = self.tick + 1
-            operator, given = course.commands(tick), setpoints(tick)
+            said = commands(tick)
+            operator, given = course.commands(tick, said.operator), setpoints(tick) + said.setpoints
             try:
-                stepped = self.step(operator, given)
+                stepped = self.step(operator, given, said.orders)
             except PlantError as error:
                 return course.failed(str(error), tick)
             observe(*stepped)

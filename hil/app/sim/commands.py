@@ -1,0 +1,89 @@
+"""The operator's commands of a simulation: a list, or a file of lines `t_s word numbers`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.section_file import read_text
+from hil.app.sim.lockstep import NOTHING, Given
+from hil.operate.words import Said, parse
+from hil.signals import Operator
+
+TimedCommand = tuple[float, str]
+"""Simulated s since the first tick, and a word of the operator channel, as (2.5, "speed 40")."""
+
+
+class CommandScript:
+    """What the operator says in each tick of a simulation.
+
+    Mutable state: how many commands have been given. Raises ConfigurationError for a command that the
+    operator channel would not take.
+    """
+
+    def __init__(self, commands: Iterable[TimedCommand], rate_Hz: float, source: str = "commands") -> None:
+        said = [
+            (_tick(t, rate_Hz, source, n), _read(text, source, n)) for n, (t, text) in enumerate(commands, 1)
+        ]
+        self._said = sorted(said, key=lambda each: each[0])
+        self._given = 0
+        self.arms = any(each.operator is Operator.ENGAGE for _, each in said)
+        """Whether the script itself lets the platform move."""
+
+    @property
+    def left(self) -> int:
+        """How many have not been given."""
+        return len(self._said) - self._given
+
+    def __call__(self, tick: int) -> Given:
+        """Return the commands of a tick, in their order."""
+        first = self._given
+        while self._given < len(self._said) and self._said[self._given][0] <= tick:
+            self._given += 1
+        if first == self._given:
+            return NOTHING
+        said = [each for _, each in self._said[first : self._given]]
+        return Given(
+            tuple(each.operator for each in said if each.operator is not None),
+            tuple(each.order for each in said if each.order is not None),
+            tuple(each.setpoint for each in said if each.setpoint is not None),
+        )
+
+
+def read_commands(path: Path) -> list[TimedCommand]:
+    """Return the commands of a file: a line each, `t_s word numbers`; # begins a remark.
+
+    Raises ConfigurationError for a line without a time.
+    """
+    found = []
+    for n, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.partition("#")[0].split(maxsplit=1)
+        if not words:
+            continue
+        try:
+            t = float(words[0])
+        except ValueError:
+            raise ConfigurationError(
+                f"{path}:{n}: {words[0]!r} is no time, allowed: seconds, then a word, as `2.5 hold`"
+            ) from None
+        found.append((t, words[1] if len(words) > 1 else ""))
+    return found
+
+
+def _tick(t: float, rate_Hz: float, source: str, n: int) -> int:
+    """Return the first tick at or after a time."""
+    if not (math.isfinite(t) and t >= 0.0):
+        raise ConfigurationError(f"{source}: command {n}: time {t!r}, allowed: seconds from 0 on")
+    return math.ceil(t * rate_Hz - 1e-6)
+
+
+def _read(text: str, source: str, n: int) -> Said:
+    try:
+        said = parse(text)
+    except ValueError as error:
+        raise ConfigurationError(f"{source}: command {n}: {error}") from None
+    if said == Said():
+        raise ConfigurationError(f"{source}: command {n}: {text!r} asks a running controller, none is here")
+    return said

@@ -1,0 +1,129 @@
+"""What the operator lets the platform do: go or hold, how fast, park; and whether the key is held.
+
+Pure: it judges by ticks. Orders come with a tick's input.
+"""
+
+from collections.abc import Callable, Sequence
+
+from drivers.signals import Mode
+from hil.config.operator import OperatorSettings
+from hil.loop.motion import Motion
+from hil.loop.setup_moves import at_setup_speed
+from hil.signals import Operator, Order
+from hil.trajectory.move import GeodesicMove
+from hil.trajectory.path import PoseSample
+
+NO_KEY = "the key is not held (operator.deadman_s): hold it, then say start"
+NOT_MOVING = "nothing moves in mode {}: the platform has to be on its way or on hold"
+
+
+class Operating:
+    """Turns the operator's orders into the speed along the path.
+
+    Mutable state: whether the platform may go, the speed that was asked for, whether it is to park at the
+    first pose or on its way there, the tick of the last key frame, and the answers to the last tick's orders.
+    """
+
+    def __init__(self, settings: OperatorSettings, rate_Hz: float, least_s: float) -> None:
+        """Take the least time of a move at set-up speed, s."""
+        self.settings = settings
+        self.least_s = least_s
+        deadman_s = settings.deadman_s
+        self.patience = None if deadman_s is None else max(1, int(deadman_s * rate_Hz + 1e-9))
+        """Ticks after which a key that is not heard again counts as let go; None: no key is needed."""
+        self._orders: dict[Operator, Callable[[Order, int, Mode], str]] = {
+            Operator.START: self._start,
+            Operator.HOLD: self._hold,
+            Operator.SPEED: self._speed,
+            Operator.PARK: self._park,
+            Operator.KEY: self._key,
+        }
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the start: full speed, no key heard."""
+        self.go = True
+        self.speed = 1.0
+        self.parks = False
+        self.key_tick: int | None = None
+        self.answers: list[str] = []
+        """Why each order of the last tick was refused, in their order; empty where it was taken."""
+
+    def holds_key(self, tick: int) -> bool:
+        """Tell whether the key is held, or none is needed."""
+        if self.patience is None:
+            return True
+        return self.key_tick is not None and tick - self.key_tick < self.patience
+
+    def moves(self, mode: Mode) -> bool:
+        """Tell whether the operator decides in a mode how the platform goes on."""
+        return mode in {Mode.APPROACH, Mode.TRACKING} or (mode is Mode.STOPPING and self.parks)
+
+    def to_return(self, mode: Mode) -> bool:
+        """Tell whether the way back to the first pose is still to begin."""
+        return self.parks and mode is Mode.TRACKING
+
+    def step(self, orders: Sequence[Order], tick: int, mode: Mode, motion: Motion) -> None:
+        """Go on to a tick along the motion, take its orders, look at the key, and set the speed from here."""
+        motion.advance(tick)
+        if not orders and self.patience is None:
+            if self.answers:
+                self.answers = []
+            return
+        self.answers = [self._orders[order.command](order, tick, mode) for order in orders]
+        if self.moves(mode):
+            self.go = self.go and self.holds_key(tick)
+            self._aim(tick, mode, motion)
+
+    def engage(self, tick: int, motion: Motion) -> None:
+        """Begin to move, where the key is held."""
+        self.parks, self.go = False, self.holds_key(tick)
+        motion.settle(tick, self.speed if self.go else 0.0)
+
+    def enter(self, mode: Mode, tick: int, motion: Motion) -> None:
+        """Begin TRACKING, or the way back: at rest where the operator has to start it."""
+        if mode is Mode.TRACKING:
+            self.go = self.go and self.settings.start == "automatic" and self.holds_key(tick)
+        if not self.go or mode is Mode.STOPPING:
+            motion.settle(tick, 0.0)
+        self._aim(tick, mode, motion)
+
+    def way_back(self, here: PoseSample, first: PoseSample) -> GeodesicMove:
+        """Return the move from a pose at rest to the first one of the reference."""
+        return at_setup_speed(self.settings, self.least_s, here, first)
+
+    def _aim(self, tick: int, mode: Mode, motion: Motion) -> None:
+        waits = self.parks and mode is not Mode.STOPPING  # for rest, from which the way back begins
+        motion.aim(tick, self.speed, go=self.go and not waits)
+
+    def _start(self, _order: Order, tick: int, mode: Mode) -> str:
+        if not self.moves(mode):
+            return NOT_MOVING.format(mode.name)
+        if not self.holds_key(tick):
+            return NO_KEY
+        self.go = True
+        self.parks = mode is Mode.STOPPING
+        return ""
+
+    def _hold(self, _order: Order, _tick: int, mode: Mode) -> str:
+        if not self.moves(mode):
+            return NOT_MOVING.format(mode.name)
+        self.go = False
+        self.parks = mode is Mode.STOPPING
+        return ""
+
+    def _speed(self, order: Order, _tick: int, _mode: Mode) -> str:
+        (self.speed,) = order.numbers
+        return ""
+
+    def _park(self, _order: Order, tick: int, mode: Mode) -> str:
+        if not self.moves(mode):
+            return NOT_MOVING.format(mode.name)
+        if not self.holds_key(tick):
+            return NO_KEY
+        self.go = self.parks = True
+        return ""
+
+    def _key(self, _order: Order, tick: int, _mode: Mode) -> str:
+        self.key_tick = tick
+        return ""

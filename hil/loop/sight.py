@@ -1,0 +1,82 @@
+"""Where the platform is seen: from lengths and sensors to the estimate of a tick."""
+
+from math import inf
+
+from drivers.sensors import Readings, SensorProtocol
+from drivers.signals import LEGS
+from drivers.tick_columns import Record
+from hil.estimation.pose import Estimator
+from hil.loop.parts import Parts
+from hil.signals import TickInput
+
+_ALL_LEGS = (1 << LEGS) - 1
+AGREED_m = 1e-4
+"""A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
+SEARCH_S = 0.02
+"""From one look for the first pose to the next."""
+
+
+class Sight:
+    """Fills the estimate of each tick.
+
+    Mutable state: the sensors' last readings, the estimator's pose, whether it has been found, and the
+    filter with whether that has begun.
+    """
+
+    def __init__(self, parts: Parts) -> None:
+        self.parts = parts
+        self.period_s = 1.0 / parts.rate_Hz
+        self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
+        self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the state before the first tick."""
+        self.estimator.reset(self.parts.home_p, self.parts.home_R)
+        self.readings = Readings()
+        self.forget()
+
+    def forget(self) -> None:
+        """Look for the pose again, from the last one."""
+        self.located = False
+        self.fusing = False
+        """Whether the filter has begun."""
+
+    def hear(self, sensors: SensorProtocol, inp: TickInput, tick: Record) -> None:
+        """Take in the sensors' samples, and count their refused frames."""
+        self.readings = readings = sensors.decode(inp.frames, inp.tick, self.readings)
+        if readings.wrench:
+            R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
+            self.parts.wrench.hear(inp.tick, readings.wrench[-1].values, R)
+        tick["sensors_rejected"] = readings.rejected
+        tick["rejected"] += readings.rejected
+
+    def estimate(self, tick: Record, last: Record, latched_ns: int) -> None:
+        """Fill the estimate: pose from lengths; a leg without fresh data is carried on at its last rate.
+
+        Until all legs have been heard and the first pose has been found from home, the pose is home's. After
+        a RESET it is looked for from the last one that all six lengths agreed on.
+        """
+        number, age = int(tick["tick"]), tick["age"]
+        old = any(age.tolist())
+        estimator = self.estimator
+        tick["q"], tick["dq"] = tick["length"], tick["rate"]
+        if not self.located:
+            q = tick["q"]
+            self.located = not old and number % self._search_interval == 0 and estimator.acquire(q)
+            if not self.located:
+                tick["p"], tick["R"] = estimator.p, estimator.R
+                tick["fk_residual"] = tick["condition"] = inf
+                return
+        fusion = self.parts.fusion
+        if fusion is not None and self.fusing:
+            fusion.estimate(tick, latched_ns, self.readings, last["tau"], self.parts.wrench.last)
+            if tick["legs_used"] == _ALL_LEGS and tick["fk_residual"] < AGREED_m:
+                estimator.p, estimator.R = tick["p"], tick["R"]
+            return
+        if old:
+            tick["q"] += tick["dq"] * (age * self.period_s)
+        estimator.update(tick)
+        if fusion is not None:
+            fusion.start(number, latched_ns, tick["p"], tick["R"])
+            self.fusing = True

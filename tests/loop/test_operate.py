@@ -1,0 +1,179 @@
+"""The operator's commands in the closed loop: what they do, that they are recorded, that they replay."""
+
+import numpy as np
+import pytest
+
+import hil
+from drivers.errors import ConfigurationError
+from drivers.signals import Mode
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load
+from hil.loop.replay import replay
+from hil.signals import Operator, Order
+
+
+def simulated(tmp_path, commands, **changes):
+    log = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
+    run = hil.sim("virtual", commands=commands, log=log, plant_log=False, **changes)
+    return run, run.log.rows()
+
+
+def modes(rows):
+    return [Mode(int(m)).name for m in rows["mode"][np.flatnonzero(np.diff(rows["mode"], prepend=-1))]]
+
+
+PARKING = ["STOPPING", "PARKING", "UNLOADING", "PARKED"]
+AS_ALWAYS = ["WAITING", "IDLE", "LOADING", "RELEASING", "APPROACH", "TRACKING"]
+
+
+@pytest.fixture(scope="module")
+def operated(tmp_path_factory):
+    commands = [
+        *[
+            (3.0, "hold"),
+            (4.0, "start"),
+            (4.5, "speed 40"),
+            (6.0, "speed 100"),
+            (7.0, "hold"),
+            (7.2, "start"),
+        ],
+        (8.0, "park"),
+    ]
+    return simulated(tmp_path_factory.mktemp("operate"), commands)
+
+
+def test_hold_speed_start_and_park_end_parked_at_the_first_pose_and_replay_to_the_bit(operated):
+    run, rows = operated
+    assert run.success, run.summary
+    assert run.summary["replay"]["different_ticks"] == 0
+    assert run.summary["commands"] == {"given": 7, "not_reached": 0}
+    assert modes(rows) == AS_ALWAYS + PARKING
+    np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
+    assert set(run.summary["limited_ticks"].values()) == {0}
+
+
+def test_on_hold_the_reference_rests_on_the_path_and_goes_on_from_there(operated):
+    _, rows = operated
+    held = rows[3510:4000]
+    assert (held["mode"] == Mode.TRACKING).all()
+    assert not held["twist_d"].any()
+    assert len(set(held["reference_time_s"])) == 1
+    assert np.abs(held["q_d"] - held["q"]).max() < 1e-4
+    along = np.diff(rows["reference_time_s"][4510:6000]) / 1e-3
+    assert along[-1] == pytest.approx(0.4)
+    x, direction = rows["p_d"][1300:8500] - [0, 0, 1], np.array([0.25, 0.5, -0.25])
+    assert np.abs(np.cross(x, direction)).max() < 1e-9, "never off the path"
+
+
+def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
+    _, rows = operated
+    moving = rows[1215:8700]
+    v = np.gradient(moving["p_d"], 1e-3, axis=0)
+    a = np.gradient(moving["twist_d"][:, :3], 1e-3, axis=0)
+    assert np.abs(v - moving["twist_d"][:, :3])[1:-1].max() < 1e-5
+    assert np.abs(a - moving["dtwist_d"][:, :3])[1:-1].max() < 0.01
+    assert np.abs(moving["q_d"] - moving["q"]).max() < 5e-4
+
+
+class Changed:
+    """A log in which the orders of one tick are others."""
+
+    def __init__(self, log, tick, orders):
+        self.log, self.tick, self.orders = log, tick, orders
+
+    def ticks(self):
+        for entry in self.log.ticks():
+            yield entry._replace(orders=self.orders) if int(entry.row["tick"]) == self.tick else entry
+
+
+@pytest.mark.parametrize(
+    ("tick", "orders"),
+    [(3000, ()), (4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (2999, (Order(Operator.HOLD),))],
+)
+def test_a_replay_notices_an_order_that_is_another(operated, tick, orders):
+    run, _ = operated
+    verdict = replay(Changed(run.log, tick, orders), build_cycle(load("virtual"), 1000.0, 0.01))
+    assert tick <= verdict.first[0].tick <= tick + 500
+
+
+def test_without_the_key_the_stop_begins_in_time_and_only_a_new_start_ends_it(tmp_path):
+    held = [(0.02 * k, "key") for k in range(150)]
+    again = [(4.0 + 0.02 * k, "key") for k in range(200)]
+    run, rows = simulated(
+        tmp_path,
+        [*held, (3.8, "start"), *again, (5.0, "start")],
+        duration_s=6.0,
+        operator={"deadman_s": 0.1},
+    )
+    assert run.success
+    assert run.summary["replay"]["different_ticks"] == 0
+    t = rows["reference_time_s"]
+    last_key, tracking = 2980, rows["mode"] == Mode.TRACKING
+    slower = np.flatnonzero(tracking[1:] & (np.diff(t) < (1 - 1e-6) * 1e-3) & (rows["tick"][1:] > 1300))
+    assert slower[0] + 1 == last_key + 100 + 1
+    assert (np.diff(t[3585:5000]) == 0.0).all(), "a start without the key, a key without a start"
+    assert t[5600] > t[5000]
+
+
+def test_without_a_key_the_approach_does_not_begin(tmp_path):
+    run, rows = simulated(tmp_path, [], duration_s=2.0, operator={"deadman_s": 0.1})
+    assert run.success
+    assert not rows["twist_d"].any()
+
+
+def test_a_start_that_is_asked_for_waits_at_the_start_of_the_path(tmp_path):
+    _, rows = simulated(tmp_path, [(2.5, "start")], duration_s=4.0, operator={"start": "asked"})
+    waiting = rows[(rows["mode"] == Mode.TRACKING) & (rows["tick"] <= 2500)]
+    assert len(waiting) > 1000
+    assert not waiting["twist_d"].any()
+    assert rows["twist_d"][2600:3900].any(axis=1).all()
+
+
+def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(tmp_path):
+    commands = [
+        *[(0.5, "arm"), (2.0, "park"), (4.8, "reset"), (5.2, "arm"), (6.8, "estop")],
+        *[(7.5, "reset"), (8.0, "arm"), (10.5, "stop"), (12.0, "end")],
+    ]
+    fast = {"stays": True, "setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
+    run, rows = simulated(tmp_path, commands, operator=fast)
+    assert run.success, run.summary["trouble"]
+    assert run.summary["commands"]["not_reached"] == 0
+    assert run.summary["replay"]["different_ticks"] == 0
+    once = AS_ALWAYS[1:]
+    assert modes(rows) == ["WAITING", *once, *PARKING, "WAITING", *once, "FAULT", "WAITING", *once, *PARKING]
+
+
+@pytest.mark.parametrize("word", ["stop", "estop"])
+def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
+    run, rows = simulated(tmp_path, [(2.2, "park"), (3.5, word)], check_replay=False)
+    assert run.success == (word == "stop")
+    assert np.abs(rows["p_d"][3500] - [0, 0, 1]).max() > 0.05, "it was under way"
+    assert np.abs(rows["p_d"][-1] - rows["p_d"][3500]).max() < 0.05
+
+
+def test_a_hold_in_the_approach_and_on_the_way_back_is_one_too(tmp_path):
+    run, rows = simulated(
+        tmp_path,
+        [(0.9, "hold"), (2.2, "start"), (4.0, "park"), (5.0, "hold"), (6.0, "start")],
+        check_replay=False,
+    )
+    assert run.success
+    assert not rows["twist_d"][1500:2200].any()
+    assert rows["mode"][2000] == Mode.APPROACH
+    assert not rows["twist_d"][5510:6000].any()
+    assert rows["mode"][5900] == Mode.STOPPING
+    np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("command", "complaint"),
+    [
+        ((1.0, "jump"), "command 1: 'jump' is no word of the operator"),
+        ((-1.0, "hold"), "command 1: time -1.0"),
+        ((1.0, "speed 140"), "140 %; allowed: 0 .. 100"),
+        ((1.0, "status"), "asks a running controller"),
+    ],
+)
+def test_a_script_that_no_controller_would_take_is_refused(tmp_path, command, complaint):
+    with pytest.raises(ConfigurationError, match=complaint):
+        simulated(tmp_path, [command])

@@ -29,11 +29,7 @@ class Operator(IntEnum):
     """Go back to the reference's first pose at set-up speed, and park."""
     KEY = 11
     """The operator's key is held."""
-    JOG_AXIS = 12
-    """Move along or about an axis of the base frame: its index in AXES, -1 .. 1 of the set-up speed."""
-    JOG_LEG = 13
-    """Lengthen one leg: its index, -1 .. 1 of the set-up speed."""
-    END = 14
+    END = 12
     """End a run that stays; it decides nothing in the cycle."""
 
 
@@ -44,13 +40,10 @@ NUMBERS = {
     Operator.SPEED: 1,
     Operator.PARK: 0,
     Operator.KEY: 0,
-    Operator.JOG_AXIS: 2,
-    Operator.JOG_LEG: 2,
 }
 """Commands for the motion, and how many numbers each has."""
 ORDERS = frozenset(NUMBERS) - {Operator.SETPOINT}
 """Those that TickInput has as `orders`."""
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class Order(NamedTuple):

@@ -28,7 +28,7 @@ from hil.app.output import log_path
 from hil.app.plant_columns import PLANT
 from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
-from hil.loop.daemon import signals_to
+from hil.loop.panel import signals_to
 from hil.record import Recording
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.snapshot import Snapshot

@@ -6,7 +6,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.config.reference import LiveReference
-from hil.loop.setpoints import TAKEN, SetPointSender
+from hil.operate.client import OperatorClient
 
 
 def require_live(c: Configuration) -> None:
@@ -26,14 +26,14 @@ def send_setpoints(configuration: Configuration, lines: Iterable[str]) -> dict[s
     c = configuration
     require_live(c)
     sent, refused = 0, []
-    with SetPointSender(c.bus.interface, c.bus.channel) as sender:
+    with OperatorClient(c.bus.interface, c.bus.channel) as client:
         for line in lines:
             if not line.strip():
                 continue
             sent += 1
-            answer = sender.send(line)
-            if answer != TAKEN:
-                refused.append(f"{line.strip()}: {answer.removeprefix('refused: ')}")
+            answer = client.say(f"setpoint {line.strip()}")
+            if not answer:
+                refused.append(f"{line.strip()}: {answer.why}")
     return {
         "success": sent > 0 and not refused,
         "kind": "setpoint",

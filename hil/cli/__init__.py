@@ -21,6 +21,7 @@ COMMANDS = {
     "view": "A log in Rerun, Foxglove, Lichtblick or PlotJuggler.",
     "faults": "Each kind of fault at each moment of a run, with verdicts.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",
+    "ctl": "The operator's commands to a running controller: hold, start, park, key ...",
     "setpoint": "Send a live reference somewhere while it runs.",
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
     "compare": "All control laws on your platform and path; nothing moves.",

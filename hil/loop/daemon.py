@@ -4,12 +4,10 @@ It decides nothing about the platform; whatever it learns goes into TickInput. N
 process and no file is written here: the recorder is a process of its own.
 """
 
-import signal
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
-from types import FrameType
+from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 from drivers.arrays import ZERO6
@@ -18,12 +16,13 @@ from drivers.errors import HilError
 from drivers.protocol import Received
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines
+from hil.loop.console import Console
 from hil.loop.cycle import Cycle
-from hil.loop.release import ReleaseSocket
+from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
-from hil.loop.setpoints import SetPointSocket
+from hil.operate.channel import OperatorChannel
 from hil.record import Recording
-from hil.signals import Operator, TickInput, explain
+from hil.signals import TickInput
 
 CONSENT = "all six drives are ready: Enter lets the platform move, Ctrl-C ends the run"
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
@@ -36,54 +35,6 @@ _NOT_TOLD = (
 )
 
 
-@contextmanager
-def signals_to(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Route the signals that ask for an end to `handler`."""
-    before = {s: signal.signal(s, handler) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for s, previous in before.items():
-            signal.signal(s, previous)
-
-
-class OperatorPanel:
-    """The operator's signals, which wait for the next tick.
-
-    SIGINT, SIGTERM and SIGHUP ask for a controlled stop, a second one for an emergency stop. While the drives
-    hold a platform whose brakes are not proven shut, none of them drops it.
-    Mutable state: how many signals came and how many were handed out.
-    """
-
-    def __init__(self) -> None:
-        self.interrupts = 0
-        self._answered = 0
-        self._running = False
-
-    def take(self, *, held: bool = False) -> tuple[Operator, ...]:
-        """Return the commands that have come since the last call; held: only force holds the platform."""
-        commands: tuple[Operator, ...] = ()
-        while self._answered < self.interrupts:  # counted, not listed: a signal may strike between any two
-            self._answered += 1
-            commands += (Operator.STOP if self._answered == 1 or held else Operator.ESTOP,)
-        return commands
-
-    def interrupt(self, signum: int, frame: FrameType | None) -> None:
-        """Handle a signal: before the loop there is nothing to stop but the start."""
-        del signum, frame
-        self.interrupts += 1
-        if not self._running:
-            raise KeyboardInterrupt
-
-    def attached(self) -> AbstractContextManager[None]:
-        """Route the signals here. Until `running` they raise KeyboardInterrupt."""
-        return signals_to(self.interrupt)
-
-    def running(self) -> None:
-        """From now on signals wait for the next tick, and for ever once there is none."""
-        self._running = True
-
-
 class Shell(NamedTuple):
     """What the loop reads from and writes to."""
 
@@ -92,10 +43,8 @@ class Shell(NamedTuple):
     recording: Recording
     panel: OperatorPanel
     feedback_window_ns: int
-    setpoints: SetPointSocket | None = None
-    """Where those of a live reference come in."""
-    release: ReleaseSocket | None = None
-    """Where the operator's word to let go of a held platform comes in."""
+    channel: OperatorChannel | None = None
+    """Where the operator's lines come in."""
     consent: Callable[[], bool] | None = None
     """Tells whether the operator has said that the platform may move; None: that was said at the start."""
     say: Callable[[str], None] = lambda _: None
@@ -158,7 +107,8 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
 
 
 def _run(course: Course, shell: Shell) -> Ending:
-    cycle, (bus, deadlines, recording, panel, window_ns, setpoints, *_) = course.cycle, shell
+    cycle, (bus, deadlines, recording, panel, window_ns, *_) = course.cycle, shell
+    console = Console(course, panel, shell.channel, shell.consent)
     sends_failed = compute_ns = 0
     said = ""
     clock, stood_ns = bus.clock, bus.clock.stretched()
@@ -172,6 +122,7 @@ def _run(course: Course, shell: Shell) -> Ending:
         frames += _answers(cycle, bus, tick, t_ns + lateness_ns, t_ns + window_ns)
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
+        heard = console.take()
         inp = TickInput(
             tick=tick,
             t_ns=t_ns,
@@ -185,17 +136,18 @@ def _run(course: Course, shell: Shell) -> Ending:
             bus_overflow=errors.overflow,
             recorder_alive=recording.alive,
             recorder_dropped=recording.dropped,
-            operator=course.commands(tick, _asked(shell, course)),
+            operator=course.commands(tick, heard.operator),
             compute_ns=compute_ns,
-            setpoints=() if setpoints is None else setpoints.take(),
+            setpoints=heard.setpoints,
+            orders=heard.orders,
         )
         begun = time.perf_counter_ns()
         out = cycle.step(inp)
         compute_ns = time.perf_counter_ns() - begun
         sends_failed = bus.send(out.frames)
-        recording.tick(out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints)
-        if setpoints is not None:
-            _answer(setpoints, cycle, recording, t_ns)
+        sent = opening + out.frames
+        recording.tick(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
+        console.answer(recording, t_ns)
         ending = course.ending(tick)
         if ending is not None:
             return ending
@@ -206,17 +158,6 @@ def _run(course: Course, shell: Shell) -> Ending:
             said = course.stays_for
             shell.say(said)
             recording.event(t_ns, "error", said)
-
-
-def _asked(shell: Shell, course: Course) -> tuple[Operator, ...]:
-    """Return what the operator has asked for since the last tick."""
-    held = course.cycle.mode is Mode.HELD
-    operator = shell.panel.take(held=held)
-    if course.waits_for_consent and shell.consent is not None and shell.consent():
-        operator += (Operator.ENGAGE,)
-    if held and shell.release is not None and shell.release.take():
-        operator += (Operator.RELEASE,)
-    return operator
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:
@@ -231,13 +172,3 @@ def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int)
         answers += heard  # of a node, maybe an answer to an older tick, or one that is damaged or forged
         missing = missing.difference([each.frame.id for each in heard if fresh(each, tick, begun_ns)])
     return answers
-
-
-def _answer(setpoints: SetPointSocket, cycle: Cycle, recording: Recording, t_ns: int) -> None:
-    """Tell the senders what became of their set-points, and the log of those that were refused."""
-    steering = cycle.parts.steering
-    assert steering is not None
-    if steering.answers:
-        setpoints.answer(steering.answers)
-    if steering.counts.refusal:
-        recording.event(t_ns, "warning", f"set-point refused: {explain(steering.counts.refusal)}")

@@ -89,7 +89,7 @@ class OperatorClient:
         return self.say("arm")
 
     def start(self) -> Answer:
-        """Go on along the path, or begin it; after a jog, move back to where the path was left first."""
+        """Go on along the path, or begin it."""
         return self.say("start")
 
     def hold(self) -> Answer:
@@ -119,17 +119,6 @@ class OperatorClient:
     def speed(self, percent: float) -> Answer:
         """Set the speed along the path in percent of the configured one, 0 .. 100; it changes smoothly."""
         return self.say(f"speed {percent!r}")
-
-    def jog_axis(self, axis: str, fraction: float) -> Answer:
-        """Move the platform along x, y, z or about rx, ry, rz of the base frame, only while it is on hold.
-
-        fraction: -1 .. 1 of the set-up speed. It moves for 0.1 s: repeat it for as long as it shall move.
-        """
-        return self.say(f"jog {axis} {fraction!r}")
-
-    def jog_leg(self, leg: int, fraction: float) -> Answer:
-        """Lengthen leg 0 .. 5, the others keeping their lengths; otherwise as `jog_axis`."""
-        return self.say(f"jog leg{leg} {fraction!r}")
 
     def key(self) -> None:
         """Say that the operator holds the key (operator.deadman_s). There is no answer, and no wait for one.
@@ -217,10 +206,11 @@ class OperatorClient:
     def _arrived(self) -> list[str]:
         """Return the answers that have come, without their tags."""
         answers = []
+        self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
             while True:
-                answer = self._socket.recv(ANSWER_LONGEST, socket.MSG_DONTWAIT).decode()
-                answers.append(answer.partition(" ")[2])
+                answers.append(self._socket.recv(ANSWER_LONGEST).decode().partition(" ")[2])
+        self._socket.settimeout(ANSWER_S)
         return answers
 
     def __enter__(self) -> Self:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from hil.signals import AXES, Operator, Order, SetPoint
+from hil.signals import Operator, Order, SetPoint
 
 LONGEST = 512
 """Bytes of a line."""
@@ -15,8 +15,6 @@ TAKEN = "taken"
 REFUSED = "refused: "
 STATUS = "status"
 SETPOINT_FORM = "six numbers, x y z in m and the rotation vector rx ry rz in deg"
-_LEGS = {f"leg{leg}": leg for leg in range(6)}
-JOG_FORM = f"jog AXIS FRACTION: {', '.join(AXES)} or leg0 .. leg5, and -1 .. 1 of the set-up speed"
 
 
 class Said(NamedTuple):
@@ -61,17 +59,6 @@ def _speed(words: Sequence[str]) -> Said:
     return Said(order=Order(Operator.SPEED, (percent / 100.0,)))
 
 
-def _jog(words: Sequence[str]) -> Said:
-    if len(words) != 2 or words[0] not in {*AXES, *_LEGS}:
-        raise ValueError(f"jog: {' '.join(words)!r}; allowed: {JOG_FORM}")
-    (fraction,) = _numbers(words[1:], JOG_FORM)
-    if not -1.0 <= fraction <= 1.0:
-        raise ValueError(f"jog: {fraction:g}; allowed: {JOG_FORM}")
-    if words[0] in _LEGS:
-        return Said(order=Order(Operator.JOG_LEG, (float(_LEGS[words[0]]), fraction)))
-    return Said(order=Order(Operator.JOG_AXIS, (float(AXES.index(words[0])), fraction)))
-
-
 def _alone(name: str, said: Said) -> Callable[[Sequence[str]], Said]:
     def parse(words: Sequence[str]) -> Said:
         if words:
@@ -94,7 +81,6 @@ WORDS: dict[str, Callable[[Sequence[str]], Said]] = {
     **{name: _alone(name, Said(operator=operator)) for name, operator in _PLAIN.items()},
     **{name: _alone(name, Said(order=Order(operator))) for name, operator in _ORDERS.items()},
     "speed": _speed,
-    "jog": _jog,
     "setpoint": _setpoint,
     STATUS: _alone(STATUS, Said()),
 }

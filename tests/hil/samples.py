@@ -45,7 +45,7 @@ def random_ticks(count, seed=1, dtype=ROW):
         given = (
             Order(Operator.SPEED, (float(rng.random()),)),
             Order(Operator.KEY),
-            Order(Operator.JOG_LEG, (float(rng.integers(6)), float(rng.normal()))),
+            Order(Operator.HOLD),
         )
         orders = given[: rng.integers(4)] if rng.random() < 0.05 else ()
         ticks.append(Tick(row, received, sent, operator, setpoints, orders))

@@ -101,6 +101,7 @@ def test_protobuf_reads_every_column_and_frame_as_it_was_given(tmp_path):
     for tick in ticks:
         commands += [(command, ()) for command in tick.operator]
         commands += [(5, tuple(setpoint)) for setpoint in tick.setpoints]
+        commands += [(int(command), numbers) for command, numbers in tick.orders]
     assert given == commands
     assert commands
 

@@ -16,10 +16,13 @@ from drivers.errors import RunError
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
-from hil.loop.daemon import OperatorPanel, Shell, run
-from hil.loop.operator_socket import AT_MOST
-from hil.loop.release import WORD, ReleaseSocket, send_release
+from hil.app.run.command import release_held
+from hil.loop.console import Console
+from hil.loop.daemon import Shell, run
+from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
+from hil.operate.channel import AT_MOST, Heard, OperatorChannel
+from hil.operate.client import OperatorClient
 from hil.signals import Operator
 from plant_fmu.faults.brake import BrakeStuckOpen
 from plant_fmu.faults.plan import FaultPlan
@@ -50,51 +53,67 @@ def test_every_further_signal_is_an_emergency_stop_but_not_while_only_force_hold
     assert asked(fresh, 2, held=False) == (Operator.STOP, Operator.ESTOP)
 
 
-def send(bus: tuple[str, str], answers: list[str]) -> threading.Thread:
-    def work() -> None:
-        try:
-            send_release(*bus)
-            answers.append("released")
-        except RunError as error:
-            answers.append(str(error))
+class Held:
+    """A console whose platform is held, or not; its recorder hears nothing."""
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    return thread
+    def __init__(self, channel: OperatorChannel) -> None:
+        self.cycle: Any = SimpleNamespace(
+            mode=Mode.PARKING,
+            parts=SimpleNamespace(rate_Hz=1000.0, steering=None),
+            operating=SimpleNamespace(answers=[]),
+        )
+        course: Any = SimpleNamespace(cycle=self.cycle, goes_on=False, waits_for_consent=False)
+        self.console = Console(course, OperatorPanel(), channel)
+        self.recording: Any = SimpleNamespace(event=lambda *_: None)
+
+    def tick(self, mode: Mode) -> bool:
+        self.cycle.mode = mode
+        heard = self.console.take()
+        self.console.answer(self.recording, 0)
+        return Operator.RELEASE in heard.operator
 
 
 def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
-    answers: list[str] = []
-    with ReleaseSocket(*bus) as listening:
-        sender = send(bus, answers)
-        sender.join()  # no answer within a second: nothing is held
-        assert not listening.take()
-        assert not listening.take()
-        sender = send(bus, answers)
-        while not listening.take():
-            assert sender.is_alive() or len(answers) == 2
-        sender.join()
-    assert "nothing was released" in answers[0]
-    assert answers[1] == "released"
-    assert not listening.path.exists()
+    with OperatorChannel(*bus) as channel, OperatorClient(*bus) as client:
+        held = Held(channel)
+        client._socket.send(b"release")
+        assert not held.tick(Mode.PARKING)
+        assert client._socket.recv(100).startswith(b"refused: nothing is held")
+        client._socket.send(b"release")
+        assert not held.tick(Mode.HELD), "it came before the platform was held"
+        assert not held.tick(Mode.HELD)
+        client._socket.send(b"release")
+        assert held.tick(Mode.HELD)
+        assert client._socket.recv(100).startswith(b"refused: nothing is held")
+        assert client._socket.recv(100) == b"taken"
 
 
 def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus):
-    """Datagrams read in one tick are few: those of before must not be left for the next."""
-    with ReleaseSocket(*bus) as listening, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as flood:
+    """Lines read in one tick are few: those of before must not be left for the next."""
+    with OperatorChannel(*bus) as channel, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as flood:
+        held = Held(channel)
         flood.setblocking(False)
-        flood.connect(str(listening.path))
+        flood.connect(str(channel.path))
         with contextlib.suppress(BlockingIOError):
             for _ in range(3 * AT_MOST):
-                flood.send(WORD)
-        assert not any(listening.take() for _ in range(10))
-        flood.send(WORD)
-        assert listening.take()
+                flood.send(b"release")
+        assert not any(held.tick(Mode.HELD) for _ in range(10))
+        flood.send(b"release")
+        assert held.tick(Mode.HELD)
 
 
 def test_where_no_controller_runs_there_is_nothing_to_release(bus):
-    with pytest.raises(RunError, match="no controller runs on bus localcan:held"):
-        send_release(*bus)
+    c = load("virtual")
+    with pytest.raises(RunError, match="no controller runs on bus localcan:hil0"):
+        release_held(c)
+    with OperatorChannel(c.bus.interface, c.bus.channel) as channel:
+        held, over = Held(channel), threading.Event()
+        thread = threading.Thread(target=lambda: [held.tick(Mode.TRACKING) for _ in iter(over.is_set, True)])
+        thread.start()
+        with pytest.raises(RunError, match="released nothing: nothing is held"):
+            release_held(c)
+        over.set()
+        thread.join()
 
 
 def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
@@ -115,8 +134,12 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
                 panel.interrupt(2, None)
 
     recording: Any = SimpleNamespace(alive=True, dropped=0, tick=tick, event=lambda *_: None)
-    release: Any = SimpleNamespace(take=lambda: held[0] >= 3000)
-    shell = Shell(wire, wire, recording, panel, 0, None, release, None, said.append)
+
+    def take(_at_most: int) -> Heard:
+        return Heard((Operator.RELEASE,) if held[0] >= 3000 else ())
+
+    channel: Any = SimpleNamespace(take=take, waited_for=False)
+    shell = Shell(wire, wire, recording, panel, 0, channel, None, said.append)
     course = Course(cycle, 1.2, stays=True)
     leaving = iter(range(2000))
 

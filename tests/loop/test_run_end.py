@@ -14,8 +14,9 @@ from drivers.tick_columns import FIRST
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
-from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.daemon import Shell, run
 from hil.loop.modes import Durations
+from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
 from plant_fmu.faults.drive import DriveSilence

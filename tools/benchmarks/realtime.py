@@ -22,7 +22,8 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import RELAXED_WATCHDOG_S, patience
 from hil.loop.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time
-from hil.loop.daemon import OperatorPanel, Shell, run
+from hil.loop.daemon import Shell, run
+from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
 from hil.record import LogSummary
 from hil.record.figures import figures as run_figures

@@ -25,10 +25,11 @@ from hil.app.run.rate_selection import select_rate
 from hil.app.run.stretching import begin, bench_clock, stretches
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
-from hil.loop.daemon import OperatorPanel, Shell, run
-from hil.loop.release import ReleaseSocket, send_release
+from hil.loop.daemon import Shell, run
+from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import NO_DRIVES, NO_DRIVES_S, Course, Ending
-from hil.loop.setpoints import SetPointSocket
+from hil.operate.channel import OperatorChannel
+from hil.operate.client import OperatorClient
 from hil.record import LogSummary
 from hil.record.figures import figures, picture
 from hil.record.log import Log
@@ -76,9 +77,7 @@ def run_daemon(
         recording = stack.enter_context(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
         )
-        live = cycle.parts.steering is not None
-        setpoints = stack.enter_context(SetPointSocket(c.bus.interface, c.bus.channel)) if live else None
-        release = stack.enter_context(ReleaseSocket(c.bus.interface, c.bus.channel))
+        channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
@@ -86,9 +85,12 @@ def run_daemon(
             if clock is not None:
                 begin(clock, c, cycle, window_ns)
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
-            shell = Shell(bus, deadlines, recording, panel, window_ns, setpoints, release, consent, _say)
+            shell = Shell(bus, deadlines, recording, panel, window_ns, channel, consent, _say)
             try:
-                course = Course(cycle, duration_s, armed=arm, reset=reset, stays=True, event=recording.event)
+                course = Course(
+                    cycle, duration_s, armed=arm, reset=reset, stays=True, goes_on=c.operator.stays,
+                    event=recording.event,
+                )  # fmt: skip
                 ending = run(course, shell)
                 interrupted = clock is not None and clock.interrupted
             finally:
@@ -119,7 +121,11 @@ def release_held(configuration: Configuration) -> dict[str, Any]:
     Raises RunError where there is none, or it holds nothing.
     """
     bus = configuration.bus
-    send_release(bus.interface, bus.channel)
+    with OperatorClient(bus.interface, bus.channel) as client:
+        answer = client.release()
+    if not answer:
+        where = f"bus {bus.interface}:{bus.channel}"
+        raise RunError(f"the controller on {where} released nothing: {answer.why}")
     return {"success": True, "kind": "release", "configuration": configuration.source}
 
 

@@ -19,7 +19,7 @@ from drivers.errors import RunError
 from drivers.signals import Fault, Mode
 from hil.app.run.command import _hung_up
 from hil.app.run.consent import EnterKey
-from hil.loop.daemon import OperatorPanel
+from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.signals import Operator
 
@@ -66,7 +66,7 @@ AT_A_TERMINAL_THAT_GOES = """
 import signal, sys, time
 from hil.app.run.command import _hung_up
 from hil.app.run.consent import EnterKey
-from hil.loop.daemon import OperatorPanel
+from hil.loop.panel import OperatorPanel
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
 panel = OperatorPanel()
 told = []

@@ -1,0 +1,73 @@
+"""`hil ctl`: the operator's commands to a running controller, from a terminal."""
+
+import contextlib
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from hil.app.configuration.configuration import Configuration
+from hil.operate.client import OperatorClient
+
+KEY_S = 0.02
+"""Between two key frames."""
+SHOWN = {
+    "mode": "mode",
+    "faults": "faults",
+    "waits_for": "waits for",
+    "key": "key",
+    "speed_percent": "speed asked for, %",
+    "speed_now_percent": "speed now, %",
+    "path_s": "along the path, s",
+    "path_length_s": "of, s",
+    "position_m": "position, m",
+    "rotation_vector_deg": "rotation vector, deg",
+    "leg_lengths_m": "leg lengths, m",
+    "tick": "tick",
+    "refused_lines": "lines that were no words",
+}
+
+
+def connect(c: Configuration) -> OperatorClient:
+    """Return a connection to the controller of a configuration. Raises RunError where none runs."""
+    return OperatorClient(c.bus.interface, c.bus.channel)
+
+
+def command(c: Configuration, words: Sequence[str]) -> dict[str, Any]:
+    """Say one command; return the summary. Raises RunError where no controller runs or answers."""
+    with connect(c) as client:
+        answer = client.say(" ".join(words))
+    result = {"success": answer.taken, "kind": "ctl", "command": " ".join(words)}
+    return result if answer else result | {"trouble": f"refused: {answer.why}"}
+
+
+def status(c: Configuration) -> dict[str, Any]:
+    """Return the controller's status as a summary. Raises RunError where no controller runs or answers."""
+    with connect(c) as client:
+        return {"success": True, "kind": "ctl", **client.status()}
+
+
+def status_lines(summary: dict[str, Any]) -> list[str]:
+    """Return a status as lines to read."""
+    return [f"{title:26s}{_shown(summary[key])}" for key, title in SHOWN.items()]
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        return "  ".join(each if isinstance(each, str) else f"{each:.4f}" for each in value) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value) or "nothing"
+
+
+def hold_key(c: Configuration, seconds: float | None = None) -> dict[str, Any]:
+    """Send a key frame every 20 ms until Ctrl-C, or for `seconds`; return the summary.
+
+    Raises RunError where no controller runs, or it has ended.
+    """
+    sent, begun = 0, time.monotonic()
+    with connect(c) as client, contextlib.suppress(KeyboardInterrupt):
+        while seconds is None or time.monotonic() - begun < seconds:
+            client.key()
+            sent += 1
+            time.sleep(KEY_S)
+    return {"success": True, "kind": "ctl", "command": "key", "sent": sent}

@@ -1,0 +1,64 @@
+"""`hil ctl`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import POSITIVE, finish, finish_lines, reporting
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("configuration")
+@click.argument("words", nargs=-1, required=True, metavar="WORD [ARGUMENTS]")
+@click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Let go of the key after S seconds.")
+@reporting
+def command(
+    configuration: str, words: tuple[str, ...], seconds: float | None, json_file: Path | None
+) -> None:
+    """Operate a running `hil run CONFIGURATION` from another terminal.
+
+    \b
+    Words:
+      status        mode, faults, speed, pose, and what the controller waits for
+      arm           let the platform move, as Enter in the terminal of `hil run`
+      start         go on along the path, or begin it (operator.start: asked)
+      hold          slow down along the path to rest and stay, brakes open
+      speed P       speed along the path in percent, 0 .. 100; it changes smoothly
+      park          back to the first pose at set-up speed, brakes shut
+      stop          stop along the path, brakes shut, as Ctrl-C
+      estop         drives off and brakes shut, at once
+      reset         clear latched faults; arm is the next step
+      key           hold the key (operator.deadman_s) until Ctrl-C, or for --for S
+      release       let go of a platform that force holds because a brake failed
+      setpoint ...  x y z in m and the rotation vector in deg, for a live reference
+      end           end a run that stays (operator.stays)
+
+    All words are inputs of the controller, stand in its log and are replayed. None of them is a safety
+    function: keep the emergency stop of the hardware at hand.
+
+    \b
+    Examples:
+      hil ctl my.yaml status
+      hil ctl my.yaml speed 25
+      hil ctl my.yaml key --for 10
+
+    \b
+    Exit code:
+      0  taken
+      1  refused; the summary says why
+      2  not said: no such configuration, or no controller runs or answers there
+    """
+    from hil.app import operate
+    from hil.app.configuration.configuration import load
+
+    loaded = load(configuration)
+    if seconds is not None and words[0] != "key":
+        raise click.UsageError("--for goes with the word key.")
+    if words == ("status",):
+        summary = operate.status(loaded)
+        finish_lines(operate.status_lines(summary), summary, json_file)
+    if words == ("key",):
+        if seconds is None:
+            click.echo("the key is held; Ctrl-C lets go of it", err=True)
+        finish("ctl", operate.hold_key(loaded, seconds), json_file)
+    finish("ctl", operate.command(loaded, words), json_file)

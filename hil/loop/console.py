@@ -1,0 +1,100 @@
+"""The operator of a run: what he says by signals, Enter and the channel, and what he is answered."""
+
+from collections.abc import Callable
+
+from drivers.signals import Mode
+from hil.loop.panel import OperatorPanel
+from hil.loop.run_end import Course
+from hil.loop.status import status_text
+from hil.operate.channel import AT_MOST, QUEUED, Heard, OperatorChannel
+from hil.record import Recording
+from hil.signals import Operator, explain
+
+NOT_LIVE = "the reference takes no set-points: reference.type has to be live"
+STATUS_S = 0.01
+"""How old a status may be: composing one takes some 50 us."""
+
+
+class Console:
+    """Gathers the operator's commands of a tick, and answers them after it.
+
+    Mutable state: whether the platform was held in the last tick, why commands of this one were refused, how
+    many set-points nobody takes, and the last status with its tick.
+    """
+
+    def __init__(
+        self,
+        course: Course,
+        panel: OperatorPanel,
+        channel: OperatorChannel | None = None,
+        consent: Callable[[], bool] | None = None,
+    ) -> None:
+        self.course, self.panel, self.channel, self.consent = course, panel, channel, consent
+        self._status_ticks = round(STATUS_S * course.cycle.parts.rate_Hz)
+        self._held = False
+        self._refusals: list[str] = []
+        self._not_live = 0
+        self._status, self._status_tick = "", -1
+
+    def take(self) -> Heard:
+        """Return what the operator has said since the last tick, without what was refused."""
+        course, mode = self.course, self.course.cycle.mode
+        held = mode is Mode.HELD
+        was_held, self._held = self._held, held
+        operator = self.panel.take(held=held)
+        if operator and course.goes_on:
+            operator += (Operator.END,)
+        if course.waits_for_consent and self.consent is not None and self.consent():
+            operator += (Operator.ENGAGE,)
+        if self.channel is None:
+            return Heard(operator)
+        # What came before the platform was held must not release it: it goes at once, all of it.
+        heard = self.channel.take(QUEUED if held and not was_held else AT_MOST)
+        if course.cycle.parts.steering is None:
+            self._not_live = len(heard.setpoints)
+            heard = heard._replace(setpoints=())
+        self._refusals = []
+        if not heard.operator:
+            return heard._replace(operator=operator)
+        self._refusals = [self._refusal(each, mode, was_held=was_held) for each in heard.operator]
+        taken = [each for each, why in zip(heard.operator, self._refusals, strict=True) if not why]
+        operator += tuple(taken)
+        return heard._replace(operator=operator + (Operator.STOP,) * (Operator.END in taken))
+
+    def answer(self, recording: Recording, t_ns: int) -> None:
+        """Tell who waits what became of his commands, and the log what was refused."""
+        cycle, channel = self.course.cycle, self.channel
+        steering, operating = cycle.parts.steering, cycle.operating
+        if steering is not None and steering.counts.refusal:
+            recording.event(t_ns, "warning", f"set-point refused: {explain(steering.counts.refusal)}")
+        if channel is None or not channel.waited_for:
+            return
+        if steering is None:
+            setpoints = [NOT_LIVE] * self._not_live
+        else:
+            setpoints = [explain(each) for each in steering.answers]
+        refused = [why for why in (*self._refusals, *operating.answers) if why]
+        if refused:
+            recording.event(t_ns, "warning", f"operator's command refused: {'; '.join(refused)}")
+        channel.answer(self._refusals, operating.answers, setpoints, self._status_text)
+
+    def _refusal(self, command: Operator, mode: Mode, *, was_held: bool) -> str:
+        """Return why a command cannot be taken now; empty where it can."""
+        match command:
+            case Operator.ENGAGE if mode is not Mode.IDLE:
+                return f"there is nothing to arm in mode {mode.name}: all drives have to be ready (IDLE)"
+            case Operator.RELEASE if not (mode is Mode.HELD and was_held):
+                return "nothing is held: no platform whose brakes failed"
+            case Operator.RESET if mode not in {Mode.FAULT, Mode.WAITING} and not (
+                mode is Mode.PARKED and self.course.goes_on
+            ):
+                return f"there is nothing to reset in mode {mode.name}"
+            case _:
+                return ""
+
+    def _status_text(self) -> str:
+        tick = int(self.course.cycle.tick["tick"])
+        if self._status_tick < 0 or tick - self._status_tick >= self._status_ticks:
+            assert self.channel is not None
+            self._status, self._status_tick = status_text(self.course, self.channel.malformed), tick
+        return self._status

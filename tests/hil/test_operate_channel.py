@@ -1,0 +1,277 @@
+"""The operator channel, both ends: what it reads, what it answers, whose it is, what no sender can do to it."""
+
+import math
+import os
+import stat
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import RunError
+from hil.operate.channel import AT_MOST, Heard, OperatorChannel
+from hil.operate.client import OperatorClient, socket_path
+from hil.operate.words import Said, parse
+from hil.signals import Operator, Order, SetPoint
+
+
+@pytest.fixture
+def runtime(monkeypatch):
+    """A runtime folder whose name is short: a socket's path has some 100 characters at most."""
+    with tempfile.TemporaryDirectory(prefix="op") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield folder
+
+
+@pytest.fixture
+def channel(runtime):
+    with OperatorChannel("localcan", "hil/0") as channel:
+        yield channel
+
+
+class Loop:
+    """Ticks a channel in a thread and takes everything; `refuse` says why not."""
+
+    def __init__(self, channel, refuse=""):
+        self.channel, self.refuse, self.heard, self.ticks_ns = channel, refuse, [], []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work)
+
+    def _work(self):
+        while not self._over.is_set():
+            begun = time.perf_counter_ns()
+            heard = self.channel.take()
+            refusals = [[self.refuse] * len(kind) for kind in heard]
+            self.channel.answer(*refusals, lambda: '{"mode": "TRACKING"}')
+            self.ticks_ns.append(time.perf_counter_ns() - begun)
+            if any(heard):
+                self.heard.append(heard)
+            time.sleep(2e-4)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error):
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("arm", Said(operator=Operator.ENGAGE)),
+        (" stop\n", Said(operator=Operator.STOP)),
+        ("estop", Said(operator=Operator.ESTOP)),
+        ("reset", Said(operator=Operator.RESET)),
+        ("release", Said(operator=Operator.RELEASE)),
+        ("end", Said(operator=Operator.END)),
+        ("start", Said(order=Order(Operator.START))),
+        ("hold", Said(order=Order(Operator.HOLD))),
+        ("park", Said(order=Order(Operator.PARK))),
+        ("key", Said(order=Order(Operator.KEY))),
+        ("speed 40", Said(order=Order(Operator.SPEED, (0.4,)))),
+        ("speed 100%", Said(order=Order(Operator.SPEED, (1.0,)))),
+        ("setpoint 0.1,-0.2,1e0", Said(setpoint=SetPoint(0.1, -0.2, 1.0, 0, 0, 0))),
+        (
+            "setpoint 0.1 -0.2 1 10 20 -30",
+            Said(setpoint=SetPoint(0.1, -0.2, 1.0, math.pi / 18, math.pi / 9, -math.pi / 6)),
+        ),
+        ("status", Said()),
+    ],
+)
+def test_a_line_means(line, said):
+    assert parse(line) == said
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("", "'' is no word of the operator; allowed: arm, stop"),
+        ("ARM", "'ARM' is no word"),
+        ("hold now", "hold: takes no further words, given: 'now'"),
+        ("speed", "speed: 0 words; allowed: one number of percent"),
+        ("speed 101", "speed: 101 %; allowed: 0 .. 100"),
+        ("speed -1", "speed: -1 %"),
+        ("speed nan", "not finite"),
+        ("speed fast", "'fast' is not one number"),
+        ("setpoint 1 2", "2 words; allowed: six numbers"),
+        ("setpoint 1 2 x", "'1 2 x' is not six numbers, x y z in m"),
+        ("setpoint 1 2 3 4 5 inf", "not finite"),
+        ("hold" + " " * 600, "longer than 512 bytes"),
+    ],
+)
+def test_what_is_no_word_is_told_what_it_lacks(line, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        parse(line)
+
+
+def test_each_method_of_the_client_says_its_word_and_gets_the_answer(channel):
+    with Loop(channel) as loop, OperatorClient("localcan", "hil/0") as client:
+        plain = (client.arm, client.stop, client.reset, client.estop, client.release, client.end)
+        orders = (client.start, client.hold, client.park)
+        assert all(bool(each()) for each in (*plain, *orders))
+        assert client.speed(40)
+        assert client.setpoint(0.1, 0, 1, 0, 0, 90)
+        assert client.status() == {"mode": "TRACKING"}
+        client.key()
+        assert client.start()
+    heard = loop.heard
+    assert [each for one in heard for each in one.operator] == [
+        *(Operator.ENGAGE, Operator.STOP, Operator.RESET, Operator.ESTOP, Operator.RELEASE, Operator.END)
+    ]
+    given = [order for one in heard for order in one.orders]
+    assert [each.command for each in given] == [
+        *(Operator.START, Operator.HOLD, Operator.PARK, Operator.SPEED, Operator.KEY, Operator.START)
+    ]
+    assert given[3].numbers == (0.4,)
+    assert [each for one in heard for each in one.setpoints] == [SetPoint(0.1, 0, 1, 0, 0, math.pi / 2)]
+
+
+def test_a_refusal_comes_back_with_its_reason(channel):
+    with Loop(channel, "not now") as loop, OperatorClient("localcan", "hil/0") as client:
+        answer = client.hold()
+        assert not answer
+        assert answer.why == "not now"
+        answer = client.say("jump 3")
+        assert answer.why.startswith("'jump' is no word of the operator; allowed: arm")
+    assert channel.malformed == 1
+    assert len(loop.heard) == 1
+
+
+def test_a_late_answer_is_not_taken_for_that_to_the_next_command(channel, monkeypatch):
+    monkeypatch.setattr("hil.operate.client.ANSWER_S", 0.05)
+    with OperatorClient("localcan", "hil/0") as client:
+        with pytest.raises(RunError, match="did not answer within"):
+            client.hold()
+        channel.take()
+        channel.answer([], ["too late"], [], str)
+        with Loop(channel):
+            assert client.start()
+
+
+def test_a_stream_sends_at_its_rate_and_counts_the_answers(channel):
+    poses = [(0.0, 0.0, 1.0 + 1e-4 * k) for k in range(100)]
+    with Loop(channel) as loop, OperatorClient("localcan", "hil/0") as client:
+        found = client.stream(iter(poses), 500.0)
+    assert (found.sent, found.taken, found.refused) == (100, 100, 0)
+    assert 99 / 500 <= found.seconds < 5
+    assert [each.z for one in loop.heard for each in one.setpoints] == [z for _, _, z in poses]
+
+
+def test_nothing_there_is_nothing_at_once(channel):
+    begun = time.perf_counter()
+    assert channel.take() == Heard()
+    assert time.perf_counter() - begun < 0.1
+
+
+MALFORMED = (
+    *(b"", b"\0", b"\xff\xfe\x00", b"#", b"# ", b"#1", b"#" * 400, b"9" * 4000, "start １".encode()),
+    *(b"speed 1e999", b"speed --1", b"setpoint " + b"1 " * 250, b"hold\nstart", b"start" + b"\0" * 100),
+)
+
+
+def test_malformed_lines_are_counted_answered_and_come_to_nothing(channel):
+    with OperatorClient("localcan", "hil/0") as client:
+        for n, data in enumerate(MALFORMED, 1):
+            client._socket.send(data)
+            assert channel.take() == Heard()
+            assert channel.malformed == n
+            assert b"refused: " in client._socket.recv(4096)
+
+
+def test_one_tick_reads_a_few_and_leaves_the_rest_for_the_next(channel):
+    with OperatorClient("localcan", "hil/0") as client:
+        for _ in range(AT_MOST + 2):
+            client._socket.send(b"hold")
+        assert len(channel.take().orders) == AT_MOST
+        assert len(channel.take().orders) == 2
+
+
+def test_a_hundred_senders_cost_a_tick_no_more_than_a_few_lines(channel):
+    """Every sender floods; the median tick of the loop stays far below a period of 1 ms, and a stop comes through."""
+    senders = [OperatorClient("localcan", "hil/0") for _ in range(100)]
+    over = threading.Event()
+    for client in senders:
+        client._socket.setblocking(False)
+
+    def flood(own):
+        while not over.is_set():
+            for n, client in enumerate(own):
+                try:
+                    client._socket.send((b"hold", b"nonsense", b"status", b"9" * 500)[n % 4])
+                except BlockingIOError:
+                    time.sleep(1e-4)
+
+    threads = [threading.Thread(target=flood, args=(senders[k::2],)) for k in range(2)]
+    with Loop(channel) as loop, OperatorClient("localcan", "hil/0") as operator:
+        for thread in threads:
+            thread.start()
+        answers = [operator.stop() for _ in range(5)]
+        over.set()
+        for thread in threads:
+            thread.join()
+    for client in senders:
+        client.close()
+    assert all(answers)
+    assert sum(Operator.STOP in one.operator for one in loop.heard) == 5
+    assert max(len(one.orders) for one in loop.heard) <= AT_MOST
+    assert sorted(loop.ticks_ns)[len(loop.ticks_ns) // 2] < 1e6
+
+
+def test_a_sender_that_has_gone_or_never_reads_is_no_trouble(channel):
+    with OperatorClient("localcan", "hil/0") as client:
+        for _ in range(3000):
+            client._socket.send(b"hold")
+            channel.take()
+            begun = time.perf_counter()
+            channel.answer([], [""], [], str)
+            assert time.perf_counter() - begun < 0.5
+        client._socket.send(b"hold")
+    channel.take()
+    channel.answer([], [""], [], str)
+
+
+def test_the_socket_is_its_owners_alone_and_goes_with_it(channel):
+    assert stat.S_IMODE(channel.path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(channel.path.parent.stat().st_mode) == 0o700
+    assert channel.path.stat().st_uid == os.getuid()
+    channel.close()
+    assert not channel.path.exists()
+
+
+def test_one_left_behind_is_replaced(channel):
+    with (
+        OperatorChannel("localcan", "hil/0") as again,
+        Loop(again),
+        OperatorClient("localcan", "hil/0") as client,
+    ):
+        assert client.hold()
+
+
+def test_a_socket_that_cannot_be_made_is_said_and_leaves_nothing_open(runtime):
+    socket_path("localcan", "hil/0").mkdir()
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(RunError, match=r"operator socket .*irectory"):
+        OperatorChannel("localcan", "hil/0")
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+@pytest.mark.usefixtures("runtime")
+def test_without_a_controller_the_client_says_so():
+    with pytest.raises(
+        RunError, match="no controller runs on bus localcan:hil/0: start `hil run` there first"
+    ):
+        OperatorClient("localcan", "hil/0")
+    socket_path("localcan", "hil/0").touch()
+    with pytest.raises(RunError, match="no controller runs"):
+        OperatorClient("localcan", "hil/0")
+
+
+def test_a_controller_that_ends_is_said(runtime):
+    with OperatorChannel("localcan", "hil/0"):
+        client = OperatorClient("localcan", "hil/0")
+    with client, pytest.raises(RunError, match="does not listen any more: has it ended"):
+        client.key()

@@ -31,6 +31,9 @@ class Heard(NamedTuple):
     setpoints: tuple[SetPoint, ...] = ()
 
 
+SILENCE = Heard()
+
+
 class OperatorChannel:
     """Where the operator's lines come in. The controller's role on the bus is held while it is open.
 
@@ -50,19 +53,21 @@ class OperatorChannel:
             self._socket.close()
             raise RunError(f"operator socket {self.path}: {error.strerror or error}") from error
         self._socket.setblocking(False)
+        self.waited_for = False
+        """Whether somebody waits for an answer."""
         self._forget()
 
     def take(self, at_most: int = AT_MOST) -> Heard:
         """Return what has come since the last call; what is no word is answered at once."""
-        self._forget()
+        if self.waited_for:
+            self._forget()
+        lines = self._lines(at_most)
+        if not lines:
+            return SILENCE
         operator: list[Operator] = []
         orders: list[Order] = []
         setpoints: list[SetPoint] = []
-        for _ in range(at_most):
-            try:
-                data, sender = self._socket.recvfrom(LONGEST + _TAG)
-            except OSError:  # nothing there, or a sender that has gone
-                break
+        for data, sender in lines:
             tag, line = split(data.decode("ascii", "replace"))
             try:
                 said = parse(line)
@@ -81,7 +86,15 @@ class OperatorChannel:
                 self._setpoints.append((tag, sender))
             else:
                 self._status.append((tag, sender))
+            self.waited_for = True
         return Heard(tuple(operator), tuple(orders), tuple(setpoints))
+
+    def _lines(self, at_most: int) -> list[tuple[bytes, Sender]]:
+        lines: list[tuple[bytes, Sender]] = []
+        with contextlib.suppress(OSError):  # nothing more is there
+            while len(lines) < at_most:
+                lines.append(self._socket.recvfrom(LONGEST + _TAG))
+        return lines
 
     def answer(
         self,
@@ -107,17 +120,13 @@ class OperatorChannel:
                 self._reply(sender, text)
         self._forget()
 
-    @property
-    def waited_for(self) -> bool:
-        """Whether somebody waits for an answer."""
-        return bool(self._operator or self._orders or self._setpoints or self._status)
-
     def close(self) -> None:
         """Stop listening and remove the socket."""
         self._socket.close()
         self.path.unlink(missing_ok=True)
 
     def _forget(self) -> None:
+        self.waited_for = False
         self._operator: _Waiting = []
         self._orders: _Waiting = []
         self._setpoints: _Waiting = []

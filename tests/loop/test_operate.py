@@ -177,3 +177,35 @@ def test_a_hold_in_the_approach_and_on_the_way_back_is_one_too(tmp_path):
 def test_a_script_that_no_controller_would_take_is_refused(tmp_path, command, complaint):
     with pytest.raises(ConfigurationError, match=complaint):
         simulated(tmp_path, [command])
+
+
+LIVE = {
+    "type": "live",
+    "limits": {
+        "velocity_m_s": 0.3,
+        "velocity_deg_s": 20,
+        "acceleration_m_s2": 1,
+        "acceleration_deg_s2": 60,
+        "jerk_m_s3": 10,
+        "jerk_deg_s3": 600,
+    },
+}
+
+
+def test_a_live_reference_is_held_slowed_and_parked_and_refuses_set_points_on_hold(tmp_path):
+    commands = [
+        *[(1.5, "setpoint 0.2 0 1"), (2.0, "hold"), (3.2, "setpoint 0 0 1"), (3.4, "start")],
+        *[(3.5, "speed 20"), (3.6, "setpoint 0.2 0 1"), (5.5, "park")],
+    ]
+    run, rows = simulated(tmp_path, commands, duration_s=60.0, reference=LIVE)
+    assert run.success, run.summary
+    assert run.summary["replay"]["different_ticks"] == 0
+    assert run.summary["setpoints"]["taken"] == 2
+    assert run.summary["setpoints"]["refused"] == 1
+    v = np.abs(rows["twist_d"])
+    assert v[1500:2000].max() > 0.2
+    assert not v[2900:3600].any()
+    assert v[3600:5500].max() == pytest.approx(0.06)
+    assert np.abs(np.diff(rows["dtwist_d"][1210:5500, :3], axis=0)).max() <= 10 * 1e-3 * (1 + 1e-9)
+    assert modes(rows)[-5:] == ["TRACKING", *PARKING]
+    np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)

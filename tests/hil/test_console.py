@@ -1,0 +1,139 @@
+"""The operator of a run: which words count in which mode, what he is answered, and what his status says."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import Mode
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load, loads
+from hil.loop.console import Console
+from hil.loop.panel import OperatorPanel
+from hil.loop.run_end import Course
+from hil.loop.status import status_text
+from hil.operate.channel import OperatorChannel
+from hil.operate.client import OperatorClient
+from hil.signals import Operator
+
+
+@pytest.fixture
+def ends(monkeypatch):
+    """The loop's end of the channel, and the operator's."""
+    with tempfile.TemporaryDirectory(prefix="op") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        with OperatorChannel("localcan", "a") as channel, OperatorClient("localcan", "a") as client:
+            yield channel, client
+
+
+@pytest.fixture(scope="module")
+def cycle():
+    return build_cycle(load("virtual"), 1000.0, 0.01)
+
+
+def said(cycle, ends, mode, line, **course):
+    """What comes through of a line in a mode, the answer, and the events in the log."""
+    channel, client = ends
+    cycle.mode = mode
+    console = Console(Course(cycle, armed=False, **course), OperatorPanel(), channel)
+    events: list[str] = []
+    recording: Any = SimpleNamespace(event=lambda *event: events.append(event[-1]))
+    console.take()
+    console.answer(recording, 0)
+    client._socket.send(line.encode())
+    heard = console.take()
+    cycle.operating.answers = [""] * len(heard.orders)
+    console.answer(recording, 0)
+    return heard, client._socket.recv(4096).decode(), events
+
+
+COUNTS_IN = {
+    "arm": ({Mode.IDLE}, (Operator.ENGAGE,)),
+    "reset": ({Mode.FAULT, Mode.WAITING}, (Operator.RESET,)),
+    "release": ({Mode.HELD}, (Operator.RELEASE,)),
+    "stop": (set(Mode), (Operator.STOP,)),
+    "estop": (set(Mode), (Operator.ESTOP,)),
+    "end": (set(Mode), (Operator.END, Operator.STOP)),
+}
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("word", COUNTS_IN)
+def test_each_word_counts_where_it_means_something_and_is_refused_elsewhere(cycle, ends, word, mode):
+    where, commands = COUNTS_IN[word]
+    heard, answer, events = said(cycle, ends, mode, word)
+    if mode in where:
+        assert (heard.operator, answer, events) == (commands, "taken", [])
+    else:
+        assert heard.operator == ()
+        assert answer.startswith("refused: ")
+        assert events == [f"operator's command refused: {answer.removeprefix('refused: ')}"]
+
+
+def test_a_parked_run_is_reset_only_where_it_stays(cycle, ends):
+    assert said(cycle, ends, Mode.PARKED, "reset", goes_on=True)[0].operator == (Operator.RESET,)
+
+
+def test_a_set_point_for_a_path_is_refused_and_goes_nowhere(cycle, ends):
+    heard, answer, _ = said(cycle, ends, Mode.TRACKING, "setpoint 0 0 1")
+    assert heard.setpoints == ()
+    assert answer == "refused: the reference takes no set-points: reference.type has to be live"
+
+
+@pytest.mark.parametrize(
+    ("goes_on", "commands"), [(True, (Operator.STOP, Operator.END)), (False, (Operator.STOP,))]
+)
+def test_ctrl_c_ends_a_run_that_stays(cycle, goes_on, commands):
+    panel = OperatorPanel()
+    panel.running()
+    panel.interrupt(2, None)
+    cycle.mode = Mode.TRACKING
+    assert Console(Course(cycle, goes_on=goes_on), panel).take().operator == commands
+
+
+def test_a_status_is_composed_once_in_ten_milliseconds_however_often_it_is_asked_for(
+    cycle, ends, monkeypatch
+):
+    channel, client = ends
+    composed = []
+
+    def compose(*_):
+        composed.append(1)
+        return "{}"
+
+    monkeypatch.setattr("hil.loop.console.status_text", compose)
+    cycle.mode = Mode.TRACKING
+    console = Console(Course(cycle), OperatorPanel(), channel)
+    for tick in range(100):
+        cycle.tick["tick"] = tick
+        client._socket.send(b"status")
+        console.take()
+        console.answer(None, 0)  # type: ignore[arg-type]
+        assert client._socket.recv(100) == b"{}"
+    assert len(composed) == 10
+
+
+def test_the_status_names_mode_pose_key_and_what_is_waited_for():
+    text = load("virtual").text.replace("\nreference: ", "\noperator: {deadman_s: 0.1}\n\nreference: ")
+    cycle = build_cycle(loads(text), 1000.0, 0.01)
+    course = Course(cycle)
+    cycle.mode, cycle.operating.go = Mode.TRACKING, False
+    cycle.tick["p"], cycle.tick["R"] = [0.1, 0.2, 1.0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    cycle.tick["tick"] = 500
+    status = json.loads(status_text(course, 3))
+    assert status["mode"] == "TRACKING"
+    assert status["position_m"] == [0.1, 0.2, 1.0]
+    np.testing.assert_allclose(status["rotation_vector_deg"], [0, 0, 90], atol=1e-9)
+    assert (status["held"], status["key"], status["refused_lines"]) == (True, "missing", 3)
+    assert status["waits_for"].startswith("the key is not held")
+    cycle.operating.key_tick = 450
+    status = json.loads(status_text(course, 3))
+    assert (status["key"], status["waits_for"]) == ("held", "start")
+    assert status["path_length_s"] == 20.0
+    cycle.mode = Mode.IDLE
+    assert json.loads(status_text(course, 0))["waits_for"].startswith("arm")

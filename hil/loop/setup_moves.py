@@ -1,9 +1,10 @@
 """Moves from rest to rest between the paths: the approach, and those at set-up speed."""
 
-from math import radians
+from math import radians, sqrt
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.config.operator import OperatorSettings
 from hil.loop.parts import Parts
 from hil.loop.reference import farthest_leg_m
@@ -30,9 +31,13 @@ def at_setup_speed(
 
     It takes `least_s` at least, and its largest acceleration is 3.1 times the set-up speed over that.
     """
-    way = float(np.linalg.norm(there.p - here.p))
-    turn = float(
-        np.linalg.norm(relative_rotation(np.ascontiguousarray(here.R), np.ascontiguousarray(there.R)))
-    )
+    way = _length(there.p - here.p)
+    turn = _length(relative_rotation(np.array(here.R, order="C"), np.array(there.R, order="C")))
     longest = max(way / settings.setup_speed_m_s, turn / radians(settings.setup_speed_deg_s))
     return GeodesicMove(here.p, here.R, there.p, there.R, max(PEAK * longest, least_s))
+
+
+def _length(vector: Array) -> float:
+    """Return the length of a vector (3,), without BLAS."""
+    x, y, z = vector.tolist()
+    return sqrt(x * x + y * y + z * z)

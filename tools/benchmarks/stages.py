@@ -33,7 +33,6 @@ class TimedCycle(Cycle):
         self.stamps = array("q")
         self._sleep_s = sleep_s
         super().__init__(parts)
-        self.sight = StagedSight(parts, self.stamps)
 
     def step(self, inp: TickInput) -> TickOutput:
         """As Cycle.step."""

@@ -22,6 +22,7 @@ def modes(rows):
     return [Mode(int(m)).name for m in rows["mode"][np.flatnonzero(np.diff(rows["mode"], prepend=-1))]]
 
 
+BRISK = {"setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
 PARKING = ["STOPPING", "PARKING", "UNLOADING", "PARKED"]
 AS_ALWAYS = ["WAITING", "IDLE", "LOADING", "RELEASING", "APPROACH", "TRACKING"]
 
@@ -39,7 +40,7 @@ def operated(tmp_path_factory):
         ],
         (8.0, "park"),
     ]
-    return simulated(tmp_path_factory.mktemp("operate"), commands)
+    return simulated(tmp_path_factory.mktemp("operate"), commands, operator=BRISK)
 
 
 def test_hold_speed_start_and_park_end_parked_at_the_first_pose_and_replay_to_the_bit(operated):
@@ -134,8 +135,7 @@ def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(t
         *[(0.5, "arm"), (2.0, "park"), (4.8, "reset"), (5.2, "arm"), (6.8, "estop")],
         *[(7.5, "reset"), (8.0, "arm"), (10.5, "stop"), (12.0, "end")],
     ]
-    fast = {"stays": True, "setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
-    run, rows = simulated(tmp_path, commands, operator=fast)
+    run, rows = simulated(tmp_path, commands, operator=BRISK | {"stays": True})
     assert run.success, run.summary["trouble"]
     assert run.summary["commands"]["not_reached"] == 0
     assert run.summary["replay"]["different_ticks"] == 0
@@ -197,7 +197,7 @@ def test_a_live_reference_is_held_slowed_and_parked_and_refuses_set_points_on_ho
         *[(1.5, "setpoint 0.2 0 1"), (2.0, "hold"), (3.2, "setpoint 0 0 1"), (3.4, "start")],
         *[(3.5, "speed 20"), (3.6, "setpoint 0.2 0 1"), (5.5, "park")],
     ]
-    run, rows = simulated(tmp_path, commands, duration_s=60.0, reference=LIVE)
+    run, rows = simulated(tmp_path, commands, duration_s=60.0, reference=LIVE, operator=BRISK)
     assert run.success, run.summary
     assert run.summary["replay"]["different_ticks"] == 0
     assert run.summary["setpoints"]["taken"] == 2

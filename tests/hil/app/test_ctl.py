@@ -1,0 +1,126 @@
+"""`hil ctl` and `hil setpoint`: what they say to a controller, and what they make of its answer."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import threading
+from typing import Self
+
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import load
+from hil.app.sim.commands import read_commands
+from hil.cli import main
+from hil.operate.channel import OperatorChannel
+from hil.signals import Operator, Order
+
+STATUS = {
+    "mode": "TRACKING",
+    "faults": [],
+    "waits_for": "start",
+    "key": "held",
+    "tick": 1234,
+    "speed_percent": 40.0,
+    "speed_now_percent": 0.0,
+    "path_s": 1.5,
+    "path_length_s": None,
+    "position_m": [0.1, 0.2, 1.0],
+    "rotation_vector_deg": [0.0, 0.0, 5.0],
+    "leg_lengths_m": [1.5] * 6,
+    "held": True,
+    "refused_lines": 2,
+}
+
+
+class Controller:
+    """Answers on the bus of `virtual`; refuses all that is no key where `why` says so."""
+
+    def __init__(self) -> None:
+        self.why = ""
+        self.heard: list[object] = []
+        c = load("virtual")
+        self._channel = OperatorChannel(c.bus.interface, c.bus.channel)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work)
+
+    def _work(self) -> None:
+        while not self._over.wait(1e-3):
+            heard = self._channel.take()
+            self.heard += [*heard.operator, *heard.orders, *heard.setpoints]
+            operator, orders, setpoints = ([self.why] * len(kind) for kind in heard)
+            self._channel.answer(operator, orders, setpoints, lambda: json.dumps(STATUS))
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._channel.close()
+
+
+@pytest.fixture
+def controller(monkeypatch):
+    with tempfile.TemporaryDirectory(prefix="op") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        with Controller() as controller:
+            yield controller
+
+
+def ctl(*words):
+    return CliRunner().invoke(main, ["ctl", "virtual", *words])
+
+
+def test_a_word_that_is_taken_is_a_success_and_one_that_is_refused_says_why(controller):
+    assert ctl("speed", "40").exit_code == 0
+    assert controller.heard == [Order(Operator.SPEED, (0.4,))]
+    controller.why = "not now"
+    result = ctl("hold")
+    assert result.exit_code == 1
+    assert "hil: refused: not now" in result.stderr
+    result = ctl("speed", "-5")
+    assert result.exit_code == 1
+    assert "speed: -5 %; allowed: 0 .. 100" in result.stderr
+
+
+def test_a_status_is_lines_to_read(controller):
+    result = ctl("status")
+    assert result.exit_code == 0
+    lines = dict(line.split("  ", 1) for line in result.output.splitlines())
+    lines = {key: value.strip() for key, value in lines.items()}
+    assert lines["mode"] == "TRACKING"
+    assert lines["waits for"] == "start"
+    assert lines["position, m"] == "0.1000  0.2000  1.0000"
+    assert lines["faults"] == "none"
+
+
+def test_the_key_is_held_for_as_long_as_it_is_asked_for(controller):
+    assert ctl("key", "--for", "0.5").exit_code == 0
+    assert set(controller.heard) == {Order(Operator.KEY)}
+    assert 5 <= len(controller.heard) <= 26
+
+
+def test_a_time_is_for_the_key_alone(controller):
+    assert ctl("hold", "--for", "1").exit_code == 2
+    assert not controller.heard
+
+
+def test_without_a_controller_nothing_is_said(monkeypatch):
+    with tempfile.TemporaryDirectory(prefix="op") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        result = ctl("estop")
+    assert result.exit_code == 2
+    assert "no controller runs on bus localcan:hil0" in result.stderr
+
+
+def test_a_file_of_commands_has_times_words_and_remarks(tmp_path):
+    file = tmp_path / "operator.txt"
+    file.write_text("# a remark\n2.5 hold\n\n 4 speed 40  # slow\n")
+    assert [(t, text.strip()) for t, text in read_commands(file)] == [(2.5, "hold"), (4.0, "speed 40")]
+    file.write_text("hold 2.5\n")
+    with pytest.raises(ConfigurationError, match=r"operator\.txt:1: 'hold' is no time"):
+        read_commands(file)

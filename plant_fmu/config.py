@@ -1,8 +1,8 @@
 """Configuration section `plant`: the other end of a virtual bus."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.section import Section
 from plant_fmu.faults import AnyFault
@@ -74,8 +74,35 @@ class FmuPlant(Section):
     """Six input variable names (or one array of six), N and N m; empty if none."""
     parameters: dict[str, float | int | bool | str | list[float]] = {}
     """Start values to set before initialisation."""
+    assume_unit: dict[str, Literal["N", "N.m", "m", "m/s"]] = {}
+    """Units of variables whose description states none: by a variable's name, or by force, length, rate or
+    wrench for all of that key. A stated unit is never overruled."""
+    allow_execution_tool: bool = False
+    """Take an FMU that needs the tool that made it at run time. That tool has to be on this machine; only in
+    a child process."""
     step_us: Annotated[float, Field(gt=0)] = 1000.0
     """Communication steps are whole multiples of this."""
+
+    @model_validator(mode="after")
+    def _assumed_of_what_is_mapped(self) -> Self:
+        keys = ("force", "length", "rate", "wrench")
+        mapped = {name for key in keys for name in getattr(self, key)}
+        strange = sorted(name for name in self.assume_unit if name not in mapped and name not in keys)
+        if strange:
+            raise ValueError(
+                f"assume_unit names what is not mapped: {', '.join(strange)}; allowed: {', '.join(keys)}, "
+                "or a variable that one of them names"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_tool_has_a_process_of_its_own(self) -> Self:
+        if self.allow_execution_tool and self.isolation != "child_process":
+            raise ValueError(
+                "allow_execution_tool in this process, allowed with it: isolation child_process, as a tool "
+                "that fails would take the drives with it"
+            )
+        return self
 
     @field_validator("force", "length", "rate", "brake", "wrench")
     @classmethod

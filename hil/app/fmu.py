@@ -1,8 +1,9 @@
-"""`hil fmu build`: the platform's physics as FMUs for co-simulation."""
+"""`hil fmu`: the platform's physics as FMUs, and what of another FMU may be mapped to what."""
 
 from pathlib import Path
 from typing import Any, Literal
 
+from plant_fmu.fmu.propose import Proposal, propose
 from plant_fmu.stewart.build import build
 
 
@@ -19,3 +20,39 @@ def build_fmus(choice: Literal["2.0", "3.0", "both"], folder: Path | None = None
         for version in versions
     }
     return {"success": True, "kind": "fmu build", **built}
+
+
+def plant_section(path: str, proposal: Proposal) -> list[str]:
+    """Return section `plant.model` for an FMU as lines of YAML without indentation.
+
+    What nothing was found for is left empty, with a comment that says what is needed.
+    """
+    needed = {"force": "inputs, N, > 0 extends", "length": "outputs, m", "rate": "outputs, m/s"}
+    lines = ["type: fmu", f"path: {path}", "isolation: child_process"]
+    if proposal.needs_tool:
+        lines.append(f"allow_execution_tool: true   # needs {proposal.tool} at run time")
+    for key, what in needed.items():
+        names = ", ".join(proposal.mapped.get(key, ()))
+        lines.append(f"{key}: [{names}]   # {what}" + ("" if names else ": name six in leg order"))
+    brakes = ", ".join(proposal.mapped.get("brake", ()))
+    lines.append(f"brake: [{brakes}]   # inputs, 1 holds the leg" + ("" if brakes else ": none, it falls"))
+    if proposal.unstated:
+        units = ", ".join(f"{key}: {unit}" for key, unit in proposal.unstated.items())
+        lines.append(f"assume_unit: {{{units}}}   # the FMU states none")
+    return lines
+
+
+def show_fmu(path: Path) -> tuple[list[str], dict[str, Any]]:
+    """Return what `hil fmu show` prints, and its summary. Raises PlantError."""
+    proposal = propose(path)
+    lines = [
+        f"{path}: FMI {proposal.fmi}, made by {proposal.tool}",
+        *(f"  {variable}" for variable in proposal.variables),
+        f"parameters: {', '.join(proposal.parameters) or 'none'}",
+        "proposed, to be read before it is used:",
+        "plant:",
+        "  model:",
+        *(f"    {line}" for line in plant_section(path.name, proposal)),
+    ]
+    summary = {"mapped": {key: list(names) for key, names in proposal.mapped.items()}}
+    return lines, {"success": True, "kind": "fmu show", **summary, "missing": list(proposal.missing)}

@@ -10,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 COMMANDS = {
+    "new": "A configuration of your robot from a few figures.",
     "run": "The controller, in real time.",
     "plant": "Six emulated drives and the platform, in real time.",
     "sim": "Both ends in lockstep, in simulated time.",
@@ -25,7 +26,8 @@ COMMANDS = {
     "setpoint": "Send a live reference somewhere while it runs.",
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
     "compare": "All control laws on your platform and path; nothing moves.",
-    "fmu": "Build the platform's FMU.",
+    "fmu": "Build the platform's FMU; look at one of your own.",
+    "schema": "What editors complete and check configurations by.",
     "calibrate": "Joint positions and length offsets from measured poses.",
     "identify": "The loop's axes or delay, from a run or a log; payload and friction.",
     "design": "A robust controller from weights: hinf, mu.",
@@ -61,6 +63,7 @@ def main() -> None:
 
     \b
     First steps, nothing but this machine needed:
+      hil new FILE           a configuration of your own robot, from a few figures
       hil check              figures and problems of a configuration, nothing moves
       hil stability          what is proven of the law, with bounds of the error
       hil workspace          map of the reachable poses, with a picture

@@ -5,12 +5,12 @@ from typing import Literal
 
 import click
 
-from hil.cli.shared import finish, reporting
+from hil.cli.shared import finish, finish_lines, reporting
 
 
 @click.group()
 def command() -> None:
-    """Build the platform's FMU, for this project and for any other tool that takes FMUs.
+    """Build the platform's FMU, for this project and for any other tool; look at an FMU of your own.
 
     `hil run --plant`, `hil plant` and `hil sim` build it by themselves when it is needed.
     """
@@ -54,3 +54,27 @@ def fmu_build_command(
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     finish("fmu build", build_fmus(fmi, output), json_file)
+
+
+@command.command("show", short_help="Variables of an FMU, and a proposal how to map them.")
+@click.argument("fmu", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@reporting
+def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
+    """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.
+
+    Only its description is read; nothing of it is loaded or run. `hil check` on a configuration with it loads
+    it, pushes each leg once and says what is odd.
+
+    \b
+    Examples:
+      hil fmu show my_robot.fmu
+
+    \b
+    Exit code:
+      0  shown; what could not be mapped is left empty
+      2  no FMU, or not for co-simulation
+    """
+    from hil.app.fmu import show_fmu
+
+    lines, summary = show_fmu(fmu)
+    finish_lines(lines, summary, json_file)

@@ -77,6 +77,11 @@ def command(
     from hil.app.sim.commands import read_commands
 
     loaded = with_faults(loaded, faults)
+    from hil.app.check.fmu import fmu_dangers
+    from hil.app.output import warn
+
+    for danger in fmu_dangers(loaded):
+        warn(f"hil: {danger}")
 
     summary = simulate(
         loaded,

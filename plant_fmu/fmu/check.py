@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import fmpy
@@ -57,13 +56,23 @@ class Interface:
     inputs: dict[str, Channel]
     outputs: dict[str, Channel]
     starts: tuple[Start, ...]
+    assumed: dict[str, str]
+    """Variable -> unit, where the description states none and the configuration does."""
+
+
+def stated_unit(variable: Any) -> str | None:
+    """Return the unit that a variable or its type states; None where neither does."""
+    of_type = None if variable.declaredType is None else variable.declaredType.unit
+    return variable.unit or of_type or None
 
 
 class _Reader:
     """Looks variables up by name and says what is wrong with them."""
 
-    def __init__(self, description: Any, path: Path) -> None:
-        self.path = path
+    def __init__(self, description: Any, spec: FmuSpec) -> None:
+        self.path = spec.path
+        self.assume_unit = spec.assume_unit
+        self.assumed: dict[str, str] = {}
         self.major = int(description.fmiVersion.split(".")[0])
         self.units = {u.name: u for u in description.unitDefinitions}
         self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
@@ -84,15 +93,11 @@ class _Reader:
     def size(self, variable: Any) -> int:
         return math.prod(variable.shape) if variable.shape else 1
 
-    def check_unit(self, variable: Any, allowed: Sequence[str], *, optional: bool) -> None:
-        name = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+    def check_unit(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
+        name = stated_unit(variable)
         if name is None:
-            if optional:
-                return
-            raise PlantError(
-                f"{self.path}: variable {variable.name!r} declares no unit; {' or '.join(allowed)} is "
-                "needed. Mend the FMU: a force or length in an unknown unit is not driven"
-            )
+            self._assume(key, variable, allowed)
+            return
         unit = self.units.get(name)
         base = unit.baseUnit if unit is not None else None
         for want in allowed:
@@ -107,6 +112,25 @@ class _Reader:
             f"{self.path}: variable {variable.name!r} is in {name!r}; {' or '.join(allowed)} is needed. "
             "Convert it inside the FMU: units are not converted on the way"
         )
+
+    def _assume(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
+        """Take the configured unit of a variable that states none; an array has that of its elements."""
+        names = (variable.name, variable.name.split("[")[0], key)
+        assumed = next((self.assume_unit[n] for n in names if n in self.assume_unit), None)
+        if assumed is None:
+            if key in {"wrench", "truth"}:
+                return
+            raise PlantError(
+                f"{self.path}: variable {variable.name!r} declares no unit; {' or '.join(allowed)} is "
+                "needed: a force or length in an unknown unit is not driven. Export it with units, or, where "
+                f"you know that it is in {allowed[0]}, write plant.model.assume_unit: {{{key}: {allowed[0]}}}"
+            )
+        if assumed not in allowed:
+            raise PlantError(
+                f"{self.path}: assume_unit: {variable.name!r} in {assumed!r}; {' or '.join(allowed)} is "
+                "needed. Convert it inside the FMU: units are not converted on the way"
+            )
+        self.assumed[variable.name] = assumed
 
     def channel(
         self, key: str, names: Sequence[str], causality: str, units: Sequence[str], count: int = 6
@@ -125,7 +149,7 @@ class _Reader:
                     "Real (FMI 2) or Float64 (FMI 3) is needed"
                 )
             if units:
-                self.check_unit(variable, units, optional=key in {"wrench", "truth"})
+                self.check_unit(key, variable, units)
         total = sum(self.size(v) for v in found)
         if total != count:
             raise PlantError(
@@ -194,12 +218,16 @@ def library_candidates(major: int, identifier: str) -> list[str]:
     return [modern] if major >= 3 else [f"binaries/{fmpy.platform}/{file}", modern]
 
 
-def _library(description: Any, major: int, members: Sequence[str], path: Path) -> str:
-    simulation = description.coSimulation
+def _library(description: Any, major: int, members: Sequence[str], spec: FmuSpec) -> str:
+    path, simulation = spec.path, description.coSimulation
     if simulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
-    if simulation.needsExecutionTool:
-        raise PlantError(f"{path}: the FMU needs the tool that made it at run time; export a stand-alone one")
+    if simulation.needsExecutionTool and not spec.allow_execution_tool:
+        tool = description.generationTool or "the tool that made it"
+        raise PlantError(
+            f"{path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone one, or, "
+            "where that tool is on this machine, write plant.model.allow_execution_tool: true"
+        )
     candidates = library_candidates(major, simulation.modelIdentifier)
     for candidate in candidates:
         if candidate in members:
@@ -227,8 +255,8 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
         description = read_model_description(str(path), validate=False)
     except Exception as error:  # fmpy and lxml raise what they like on malformed XML
         raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
-    reader = _Reader(description, path)
-    library = _library(description, reader.major, members, path)
+    reader = _Reader(description, spec)
+    library = _library(description, reader.major, members, spec)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}
     if spec.brake:
         inputs["brake"] = reader.channel("brake", spec.brake, "input", ())
@@ -241,4 +269,4 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     for name, count in zip(spec.truth, (3, 9, 6, 6), strict=False):
         outputs[name] = reader.channel("truth", [name], "output", (), count)
     starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
-    return Interface(description, reader.major, library, inputs, outputs, starts)
+    return Interface(description, reader.major, library, inputs, outputs, starts, reader.assumed)

@@ -16,7 +16,12 @@ def host(spec: FmuSpec, isolation: str) -> Plant:
 
 def fmu_plant(settings: FmuPlant, folder: Path) -> Plant:
     """Host a configured FMU; a relative path starts at `folder`, the configuration's. Raises PlantError."""
-    spec = FmuSpec(
+    return host(fmu_spec(settings, folder), settings.isolation)
+
+
+def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
+    """Return what to host; a relative path starts at `folder`, the configuration's."""
+    return FmuSpec(
         path=folder / settings.path,
         force=tuple(settings.force),
         length=tuple(settings.length),
@@ -25,5 +30,6 @@ def fmu_plant(settings: FmuPlant, folder: Path) -> Plant:
         wrench=tuple(settings.wrench),
         parameters=dict(settings.parameters),
         step_s=settings.step_us / 1e6,
+        assume_unit=dict(settings.assume_unit),
+        allow_execution_tool=settings.allow_execution_tool,
     )
-    return host(spec, settings.isolation)

@@ -24,6 +24,10 @@ class FmuSpec:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     truth: tuple[str, ...] = ()
     """Outputs that hold position, rotation, twist and applied forces; empty where they are not known."""
+    assume_unit: Mapping[str, str] = field(default_factory=dict)
+    """Variable, or one of force, length, rate, wrench -> its unit where the description states none."""
+    allow_execution_tool: bool = False
+    """Take an FMU that needs the tool that made it."""
 
     def to_json(self) -> str:
         """Return the text that `from_json` reads back; floats survive to the bit."""

@@ -11,6 +11,7 @@ from hil.app.check.controller import report_controller
 from hil.app.check.dangers import dangers
 from hil.app.check.encoders import report_encoders
 from hil.app.check.findings import Report
+from hil.app.check.fmu import report_fmu
 from hil.app.check.fusion import report_fusion
 from hil.app.check.monitor import report_monitor
 from hil.app.check.payload import broken_by, carried_along, report_payload
@@ -20,6 +21,7 @@ from hil.app.compose import build_admission, build_protocol, drive_setup
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.schema import named_schema, schema_is_there
 from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.encoder_limits import encoder_limits
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
@@ -52,7 +54,13 @@ def inspect(c: Configuration) -> Report:
     report_fusion(report, c)
     _reference(report, c, platform, model)
     _payload(report, c)
+    report_fmu(report, c)
     _permissions(report, c)
+    if not schema_is_there(c.text, c.folder):
+        report.warnings.append(
+            f"the first lines of {c.source} name the schema {named_schema(c.text)}, which is not there: an "
+            f"editor says `Unable to load schema`. `hil schema {c.source}` names that of this installation"
+        )
     return report
 
 

@@ -1,6 +1,7 @@
 """The JSON Schema of a configuration, for editors."""
 
 import ast
+import importlib.resources
 import inspect
 import json
 from collections.abc import Iterator
@@ -14,6 +15,9 @@ from hil.app.configuration.configuration import json_schema
 
 FILE = "hil.schema.json"
 """Beside the shipped configurations, which name it in their first line."""
+MODELINE = "# yaml-language-server: $schema="
+HEAD_LINES = 10
+"""Lines in which it is looked for."""
 
 
 def schema() -> dict[str, Any]:
@@ -33,6 +37,40 @@ def schema() -> dict[str, Any]:
 def text() -> str:
     """Return the schema as the committed file has it."""
     return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def schema_path() -> Path:
+    """Return the schema file of this installation, in a clone or a wheel."""
+    return Path(str(importlib.resources.files("configs") / FILE))
+
+
+def schema_line() -> str:
+    """Return the first line by which an editor finds the schema, wherever the configuration stands."""
+    return f"{MODELINE}{schema_path()}"
+
+
+def named_schema(text: str) -> str | None:
+    """Return what the first lines of a configuration name as their schema; None where they name none."""
+    for line in text.splitlines()[:HEAD_LINES]:
+        if line.startswith(MODELINE):
+            return line.removeprefix(MODELINE).strip()
+    return None
+
+
+def schema_is_there(text: str, folder: Path) -> bool:
+    """Tell whether the schema that a text in `folder` names can be loaded; true where it names none."""
+    named = named_schema(text)
+    return named is None or "://" in named or (folder / named).is_file()
+
+
+def with_schema(text: str) -> str:
+    """Return the text of a configuration with the line that names this installation's schema."""
+    lines = text.splitlines(keepends=True)
+    for k, line in enumerate(lines[:HEAD_LINES]):
+        if line.startswith(MODELINE):
+            lines[k] = schema_line() + "\n"
+            return "".join(lines)
+    return schema_line() + "\n" + text
 
 
 def write(folder: Path) -> Path:

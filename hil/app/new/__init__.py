@@ -1,0 +1,1 @@
+"""`hil new`: from answers to a configuration that passes `hil check`."""

@@ -1,0 +1,164 @@
+"""`hil new`: a configuration from answers. Nothing in it is taken from another robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.schema import schema_line
+from hil.app.new import derive
+from hil.app.new.robot import LOWER_SHARE, platform_section, robot_at_home
+from hil.app.new.text import yaml_text
+from plant_fmu.fmu.propose import Proposal, propose
+
+FMU_PARAMETERS: dict[str, Callable[[dict[str, Any], dict[str, Any]], float]] = {
+    "mass": lambda a, _: a["mass_kg"],
+    "com_height": lambda a, _: a["com_height_m"],
+    "inertia_x": lambda _, p: p["platform"]["inertia_kg_m2"][0][0],
+    "inertia_y": lambda _, p: p["platform"]["inertia_kg_m2"][1][1],
+    "inertia_z": lambda _, p: p["platform"]["inertia_kg_m2"][2][2],
+    "base_radius": lambda a, _: a["base_radius_m"],
+    "base_half_angle_deg": lambda a, _: a["base_half_angle_deg"],
+    "platform_radius": lambda a, _: a["platform_radius_m"],
+    "platform_half_angle_deg": lambda a, _: a["platform_half_angle_deg"],
+    "home_height": lambda _, p: p["home"]["position_m"][2],
+    "gravity_z": lambda _, p: p["gravity_m_s2"][2],
+}
+"""Parameters of an FMU that are set where it has them, from the answers and section `platform`."""
+
+
+def new_configuration(
+    answers: dict[str, Any], path: Path, fmu: Path | None = None
+) -> tuple[str, Configuration]:
+    """Return the text of a configuration that will stand at `path`, and the configuration that it is.
+
+    fmu: the plant instead of ours. Raises ConfigurationError: the bus is too slow for any rate, or what was
+    derived is refused; PlantError: no FMU, or one that cannot be mapped.
+    """
+    sections = _sections(answers, path.stem)
+    comments = dict(_COMMENTS)
+    if fmu is not None:
+        sections["plant"] = _fmu_plant(answers, sections, fmu, path.parent)
+    elif answers["interface"] != "localcan":
+        comments["plant"] = "for `hil sim`; `hil run` drives what is on the bus"
+    if answers["inertia_kg_m2"] is not None:
+        comments["platform.platform.inertia_kg_m2"] = "about the centre of mass"
+    text = yaml_text([schema_line().removeprefix("# "), *_head(path)], sections, comments)
+    return text, loads(text, str(path), path.parent)
+
+
+def _head(path: Path) -> list[str]:
+    return [
+        "",
+        f"Written by `hil new`. Next: `hil check {path}`, then `hil sim {path}`.",
+        "Numbers without a comment are answers. The others follow from them by the rule beside them; replace",
+        "them as you learn more of your robot. Lengths count from joint centre to joint centre.",
+        "",
+    ]
+
+
+def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
+    home = robot_at_home(a)
+    bus = derive.bus_section(a, "hil0" if a["interface"] == "localcan" else "can0")
+    rate = derive.loop_rate_Hz(bus)
+    reference = derive.reference_section(a, home)
+    w = derive.walked(a, reference, rate)
+    approach = derive.lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
+    limits = derive.limits_section(a, home, w, approach, rate)
+    return {
+        "name": name,
+        "description": f"{a['mass_kg']:g} kg, {a['mounting']}, six legs of {a['stroke_m']:g} m stroke.",
+        "platform": platform_section(a),
+        "bus": bus,
+        "drives": {
+            "protocol": "legs",
+            "node_ids": [1, 2, 3, 4, 5, 6],
+            "watchdog_ms": max(10.0, 5e3 / rate),
+            "force_limit_N": a["drive_force_N"],
+        },
+        "loop": {"rate_Hz": float(rate)},
+        "controller": derive.controller_section(a, derive.wn_rad_s(rate)),
+        "monitor": {"length_noise_m": 2.0 * a["encoder_resolution_m"]},
+        "engage": {
+            "force_ramp_s": 0.5,
+            "brake_release_s": derive.raised(2e-3 * a["brake_ms"]),
+            "brake_close_s": derive.closing_s(a, home, limits["speed_m_s"]),
+            "approach_speed_m_s": approach,
+        },
+        "reference": reference,
+        "limits": limits,
+        "recording": {"folder": "runs"},
+        "plant": derive.plant_section(a, home),
+    }
+
+
+def _fmu_plant(a: dict[str, Any], sections: dict[str, Any], fmu: Path, folder: Path) -> dict[str, Any]:
+    proposal = propose(fmu)
+    if proposal.missing:
+        raise ConfigurationError(
+            f"{fmu}: six variables each are needed for force, length and rate, and none were recognised for "
+            f"{', '.join(proposal.missing)}; `hil fmu show {fmu}` lists what there is: name them in "
+            "plant.model by hand in a configuration that `hil new` wrote without --fmu"
+        )
+    file = fmu.resolve()
+    near = file.is_relative_to(folder.resolve())
+    own = sections["plant"]["drives"]
+    return {
+        "model": _fmu_model(proposal, str(file.relative_to(folder.resolve()) if near else file))
+        | _parameters(proposal, a, sections["platform"]),
+        "drives": own | {"force_bandwidth_Hz": derive.LAG_Hz},
+    }
+
+
+def _fmu_model(proposal: Proposal, path: str) -> dict[str, Any]:
+    tool = {"allow_execution_tool": True} if proposal.needs_tool else {}
+    units = {"assume_unit": dict(proposal.unstated)} if proposal.unstated else {}
+    maps = {key: list(proposal.mapped.get(key, ())) for key in ("force", "length", "rate", "brake")}
+    return {"type": "fmu", "path": path, "isolation": "child_process", **tool, **maps, **units}
+
+
+def _parameters(proposal: Proposal, a: dict[str, Any], platform: dict[str, Any]) -> dict[str, Any]:
+    known = {
+        name: float(value(a, platform))
+        for name, value in FMU_PARAMETERS.items()
+        if name in proposal.parameters
+    }
+    return {"parameters": known} if known else {}
+
+
+_COMMENTS = {
+    "platform.base_joints_m": "three pairs on a circle",
+    "platform.platform_joints_m": "three pairs between them; leg 0 ends at 300 deg + half angle",
+    "platform.platform.inertia_kg_m2": "ESTIMATE: a thin disc of this mass and the platform's radius",
+    "platform.cylinder": f"ESTIMATE: {LOWER_SHARE:.0%} of the leg, a uniform rod of its retracted length",
+    "platform.rod": "ESTIMATE: the rest, likewise",
+    "platform.home.position_m": "all legs at mid-stroke",
+    "platform.length_max_m": "retracted length + stroke",
+    "loop.rate_Hz": "the highest of 1000, 500, 250, 200, 100 that the bus carries",
+    "drives.watchdog_ms": "five periods, at least 10",
+    "controller.wn_rad_s": f"delay costs {derive.PHASE_deg:g} deg at the crossover, 2.06 wn",
+    "controller": "gains that hold in every pose; `hil compare` on this file shows the other laws",
+    "monitor.length_noise_m": "two counts",
+    "engage.brake_release_s": "twice what the brakes take",
+    "engage.brake_close_s": "until the fastest leg rests on its brake, and a fifth of it more",
+    "engage.approach_speed_m_s": "a tenth of the drives' speed, a quarter of the stroke a second",
+    "reference": "legs stay within 20 % of the stroke about home; a quarter of the drives' speed",
+    "limits.force_N": "2.5 times what the path needs, at most the rated force",
+    "limits.force_step_N": "a fifth of it in a tick",
+    "limits.force_window_N": "within 250 ms",
+    "limits.speed_m_s": "2.5 times what path and approach need",
+    "limits.deceleration_m_s2": "half of what is left of the force, on what the legs feel",
+    "limits.stroke_margin_m": "2 % of the stroke",
+    "limits.following_error_m": "2 % of the stroke",
+    "limits.standstill_m": "1 % of the stroke, at most 0.5 mm",
+    "plant.model.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",
+    "plant.drives.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",
+    "plant.drives.damping_N_s_m": "2 m w, w = 2 pi 5 Hz: what a drive does by itself, if told to",
+    "plant.drives.hold_stiffness_N_m": "m w^2",
+    "plant.model.allow_execution_tool": "it says that it needs the tool that made it",
+    "plant.model.assume_unit": "the FMU states none: make sure",
+    "plant.model.brake": "1 holds the leg; empty: it falls",
+}

@@ -1,0 +1,180 @@
+"""Every number of `hil new` that nobody was asked for, each by one stated rule."""
+
+from __future__ import annotations
+
+from math import ceil, floor, log10, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from drivers.config import BusSettings, DriveSettings, SensorSettings
+from drivers.errors import ConfigurationError
+from hil.app.configuration.bus_budget import bus_budget
+from hil.app.new.robot import AtHome, platform_section, robot_at_home
+from hil.app.reachability import Walk, span_s, walk, window_swing
+from hil.config.platform import PlatformSettings
+from hil.config.reference import SinusoidReference
+from hil.safety.guard import WINDOW_S
+from hil.trajectory.build import build_trajectory
+
+RATES_Hz = (1000, 500, 250, 200, 100)
+"""Rates that are tried, the first that fits the bus is taken."""
+LAG_Hz = 200.0
+"""Force loop of the emulated drives."""
+PHASE_deg = 10.0
+"""What the loop's delay may cost at the crossover of the error dynamics."""
+CROSSOVER = 2.06
+"""Of e'' + 2 wn e' + wn^2 e = 0, in wn."""
+EXCURSION = 0.2
+"""Of the stroke, what the path moves a leg from the middle."""
+HOLD_Hz = 5.0
+"""Bandwidth of what an emulated drive does by itself."""
+
+
+def rounded(x: float, digits: int = 3) -> float:
+    """Return x to so many significant digits."""
+    return 0.0 if x == 0.0 else float(f"{x:.{digits}g}")
+
+
+def lowered(x: float, digits: int = 2) -> float:
+    """Return the next number below x of so many significant digits."""
+    step = 10.0 ** (floor(log10(x)) - digits + 1)
+    return rounded(floor(x / step + 1e-9) * step, digits)
+
+
+def raised(x: float, digits: int = 2) -> float:
+    """Return the next number above x of so many significant digits."""
+    step = 10.0 ** (floor(log10(x)) - digits + 1)
+    return rounded(ceil(x / step - 1e-9) * step, digits)
+
+
+def bus_section(a: dict[str, Any], channel: str) -> dict[str, Any]:
+    """Return section `bus`."""
+    bus = {"interface": a["interface"], "channel": channel, "layout": a["layout"], "bitrate_bit_s": 1_000_000}
+    return bus | ({"data_bitrate_bit_s": 5_000_000} if a["layout"] == "fd" else {})
+
+
+def loop_rate_Hz(bus: dict[str, Any]) -> int:
+    """Return the highest of `RATES_Hz` whose frames fit the bus. Raises ConfigurationError."""
+    for rate in RATES_Hz:
+        try:
+            bus_budget(BusSettings(**bus), DriveSettings(watchdog_ms=5e3 / rate), SensorSettings(), rate)
+        except ConfigurationError:
+            if rate == RATES_Hz[-1]:
+                raise
+        else:
+            return rate
+    raise AssertionError(bus)
+
+
+def wn_rad_s(rate_Hz: float) -> float:
+    """Return the frequency at whose crossover the delay of the loop costs `PHASE_deg`.
+
+    Delay: one period to the drives, half a period of hold, the drives' lag.
+    """
+    delay_s = 1.5 / rate_Hz + 1.0 / (2.0 * pi * LAG_Hz)
+    return lowered(np.deg2rad(PHASE_deg) / (CROSSOVER * delay_s))
+
+
+def controller_section(a: dict[str, Any], wn: float) -> dict[str, Any]:
+    """Return section `controller`: exact inverse dynamics with error dynamics of `wn`.
+
+    Its gains are frequencies, which follow from the loop's delay alone, and hold in every pose; those of a PD
+    are masses of the legs, which differ from pose to pose and motion to motion.
+    """
+    m = a["reflected_mass_kg"]
+    model = {"variant": "full"} | ({"reflected_mass_kg": m} if m else {})
+    return {"law": "inverse_dynamics", "wn_rad_s": wn, "damping_ratio": 1.0, "model": model}
+
+
+def reference_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
+    """Return a path about home that every leg follows within `EXCURSION` of its stroke.
+
+    The fastest leg uses a quarter of the drives' speed at most, the hardest accelerates by 1 m/s^2 and by a
+    tenth of the force that holding leaves.
+    """
+    r = a["platform_radius_m"]
+    directions = np.abs(home.J[:, [0, 2, 4]]) * [1.0, 1.0, 1.0 / r]
+    amplitude = EXCURSION * a["stroke_m"] / float(directions.sum(axis=1).max())
+    excursion = EXCURSION * a["stroke_m"]
+    free_N = a["drive_force_N"] - float(np.abs(home.static_N).max())
+    acceleration = min(1.0, 0.1 * free_N / home.leg_mass_kg)
+    f = min(
+        0.5, 0.25 * a["drive_speed_m_s"] / (2 * pi * excursion), np.sqrt(acceleration / excursion) / (2 * pi)
+    )
+    f = lowered(f)
+    x = lowered(amplitude)
+    return {
+        "type": "sinusoids",
+        "duration_s": max(10.0, ceil(3.0 / f)),
+        "ramp_s": 2.0,
+        "components": [
+            {"axis": "z_m", "amplitude": x, "frequency_Hz": f},
+            {"axis": "x_m", "amplitude": x, "frequency_Hz": rounded(0.5 * f)},
+            {
+                "axis": "ry_deg",
+                "amplitude": lowered(np.rad2deg(amplitude / r)),
+                "frequency_Hz": rounded(0.7 * f),
+            },
+        ],
+    }
+
+
+def walked(a: dict[str, Any], reference: dict[str, Any], rate_Hz: float) -> Walk:
+    """Return lengths, rates and forces along the path."""
+    settings = PlatformSettings.model_validate(platform_section(a))
+    path = build_trajectory(
+        TypeAdapter(SinusoidReference).validate_python(reference), settings.home, Path(), 1.0 / rate_Hz
+    )
+    home = robot_at_home(a)
+    return walk(home.platform, home.model, path, span_s(path), 1.0 / rate_Hz)
+
+
+def limits_section(
+    a: dict[str, Any], home: AtHome, w: Walk, approach_m_s: float, rate_Hz: float
+) -> dict[str, Any]:
+    """Return section `limits`: what path and approach need, with room, never above what the drives have."""
+    peak, held = float(np.abs(w.tau).max()), float(np.abs(home.static_N).max())
+    force = min(a["drive_force_N"], raised(2.5 * peak))
+    needed = max(float(np.abs(w.dq).max()), 1.875 * approach_m_s)
+    swing = float(window_swing(w.tau, max(1, round(WINDOW_S * rate_Hz))).max())
+    free = max(force - held, 0.1 * force)
+    return {
+        "force_N": force,
+        "force_step_N": raised(0.2 * force),
+        "force_window_N": raised(max(force, 2.0 * swing)),
+        "speed_m_s": min(a["drive_speed_m_s"], raised(2.5 * needed)),
+        "deceleration_m_s2": lowered(0.5 * free / home.leg_mass_kg),
+        "stroke_margin_m": rounded(0.02 * a["stroke_m"]),
+        "following_error_m": rounded(0.02 * a["stroke_m"]),
+        "following_error_s": 0.02,
+        "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * a["encoder_resolution_m"])),
+    }
+
+
+def closing_s(a: dict[str, Any], home: AtHome, speed_m_s: float) -> float:
+    """Return how long a brake may take until the fastest leg rests on it, s: t + m v / (brake - weight)."""
+    spare_N = max(a["brake_force_N"] - float(np.abs(home.static_N).max()), 0.05 * a["brake_force_N"])
+    return raised(1.2 * (1e-3 * a["brake_ms"] + home.leg_mass_kg * speed_m_s / spare_N))
+
+
+def plant_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
+    """Return the plant with our FMU, and what the emulated drives add."""
+    w_hold = 2.0 * pi * HOLD_Hz
+    return {
+        "model": {
+            "type": "stewart",
+            "force_bandwidth_Hz": LAG_Hz,
+            "reflected_mass_kg": a["reflected_mass_kg"],
+            "brake_force_N": a["brake_force_N"],
+        },
+        "drives": {
+            "encoder_resolution_m": a["encoder_resolution_m"],
+            "damping_N_s_m": rounded(2.0 * home.leg_mass_kg * w_hold),
+            "hold_stiffness_N_m": rounded(home.leg_mass_kg * w_hold**2),
+            "brake_open_ms": a["brake_ms"],
+            "brake_close_ms": a["brake_ms"],
+        },
+    }

@@ -1,0 +1,56 @@
+"""A configuration as YAML with a comment beside each number that says where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+COLUMN = 40
+"""Where comments begin."""
+
+
+def yaml_text(head: list[str], sections: Mapping[str, Any], comments: Mapping[str, str]) -> str:
+    """Return head as comment lines, then the sections; comments are keyed by dotted path."""
+    lines = [f"# {line}".rstrip() for line in head]
+    for key, value in sections.items():
+        if isinstance(value, Mapping) or key == "name":
+            lines.append("")
+        lines += _entry((key,), value, comments)
+    return "\n".join(lines) + "\n"
+
+
+def _entry(path: tuple[str, ...], value: Any, comments: Mapping[str, str]) -> Iterator[str]:
+    indent = "  " * (len(path) - 1)
+    comment = comments.get(".".join(path))
+    if isinstance(value, Mapping) and value:
+        yield _commented(f"{indent}{path[-1]}:", comment)
+        for key, inner in value.items():
+            yield from _entry((*path, key), inner, comments)
+    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+        yield _commented(f"{indent}{path[-1]}:", comment)
+        for item in value:
+            yield f"{indent}  - {_flow(item)}"
+    else:
+        yield _commented(f"{indent}{path[-1]}: {_flow(value)}", comment)
+
+
+def _commented(line: str, comment: str | None) -> str:
+    return line if comment is None else f"{line:<{COLUMN}} # {comment}"
+
+
+def _flow(value: Any) -> str:
+    """Return a value on one line; floats to seven digits, as numbers of YAML 1.2."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{k}: {_flow(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_flow(v) for v in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:.7g}"
+    text = str(value)
+    return (
+        f'"{text}"'
+        if isinstance(value, str) and (not text or not text[0].isalpha() or ": " in text)
+        else text
+    )

@@ -1,0 +1,106 @@
+"""`hil new`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli.shared import FILE, finish_lines, force_option, reporting
+
+if TYPE_CHECKING:
+    from hil.app.new.answers import Question
+
+
+class _Asked(click.Command):
+    """A command with one option for each question; the table is imported when it is called."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the parameters, those of the questions last."""
+        from hil.app.new.answers import QUESTIONS
+
+        asked: list[click.Parameter] = []
+        for question in QUESTIONS:
+            default = "" if question.default is None else "; has a default"
+            kind = click.Choice(question.choices) if question.choices else None
+            unit = question.unit.upper().replace(" ", "_") or None
+            asked.append(
+                click.Option(
+                    [question.option, question.key], help=question.text + default, type=kind, metavar=unit
+                )
+            )
+        parameters = super().get_params(ctx)
+        return [*parameters[:-1], *asked, parameters[-1]]
+
+
+@click.command(cls=_Asked)
+@click.argument("file", type=FILE)
+@click.option("--fmu", type=FILE, help="A co-simulation FMU of yours as the plant, instead of ours.")
+@click.option("--yes", is_flag=True, help="Take defaults; ask nothing. What has none has to be an option.")
+@force_option
+@reporting
+def command(
+    file: Path, fmu: Path | None, yes: bool, force: bool, json_file: Path | None, **given: str | None
+) -> None:
+    """Write a configuration of your robot into FILE, from a few figures.
+
+    Asks what no option answers, each with its unit and range, and says at once what cannot work. The rest
+    follows by rules that stand beside the numbers in FILE: nothing comes from another robot. What it writes
+    passes `hil check`.
+
+    \b
+    Examples:
+      hil new my.yaml
+      hil new my.yaml --yes --base-radius 0.2 --platform-radius 0.15 --length-min 0.25 --stroke 0.1 \\
+          --mass 5 --leg-mass 0.8 --drive-force 200 --drive-speed 0.2
+      hil new my.yaml --fmu my_robot.fmu
+
+    \b
+    Exit code:
+      0  written; the lines below it are what `hil check` warns of
+      2  not written: an answer that cannot work, or missing with --yes; FILE exists
+    """
+    from hil.app.check.command import inspect
+    from hil.app.files import new_file, write_whole
+    from hil.app.new.answers import QUESTIONS
+    from hil.app.new.command import new_configuration
+
+    new_file(file, force=force, option="")
+    answers = _answers(QUESTIONS, given, ask=not yes)
+    text, configuration = new_configuration(answers, file, fmu)
+    report = inspect(configuration)
+    write_whole(file, text)
+    lines = [f"{file}: written", *(f"warning: {w}" for w in report.warnings), f"next: hil sim {file}"]
+    summary = {"success": True, "kind": "new", "file": str(file), "warnings": report.warnings}
+    finish_lines(lines, summary, json_file)
+
+
+def _answers(questions: tuple[Question, ...], given: dict[str, str | None], *, ask: bool) -> dict[str, Any]:
+    """Return all answers: options, then prompts or defaults. Raises ConfigurationError."""
+    from drivers.errors import ConfigurationError
+
+    missing = [q.option for q in questions if given[q.key] is None and q.default is None]
+    if missing and not ask:
+        raise ConfigurationError(f"hil new --yes: no default for {', '.join(missing)}: give them as options")
+    answers: dict[str, Any] = {}
+    for question in questions:
+        text = given[question.key]
+        while True:
+            default = None if question.default is None else question.default(answers)
+            asked = text is None and ask
+            if asked:
+                click.echo(f"{question.text}{question.range_text}")
+                text = click.prompt(f"  {question.key}", default=question.shown(default))
+            try:
+                answers[question.key] = default if text is None else question.parse(text)
+                trouble = question.trouble(answers)
+            except ValueError as error:
+                trouble = str(error)
+            if trouble is None:
+                break
+            if not asked:
+                raise ConfigurationError(f"{question.option}: {trouble}")
+            click.echo(f"  cannot work: {trouble}", err=True)
+            text = None
+    return answers

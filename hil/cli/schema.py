@@ -1,0 +1,41 @@
+"""`hil schema`."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, finish_lines, reporting
+
+
+@click.command()
+@click.argument("file", type=FILE, required=False)
+@reporting
+def command(file: Path | None, json_file: Path | None) -> None:
+    """Name the JSON Schema of configurations, or let the configuration FILE name it.
+
+    Editors with a YAML language server complete keys and underline mistakes by it. A configuration that was
+    copied away from its schema loses it; with FILE its first line names that of this installation by its
+    absolute path. No other line changes.
+
+    \b
+    Examples:
+      hil schema
+      hil schema my.yaml
+
+    \b
+    Exit code:
+      0  named
+      2  FILE cannot be read or written
+    """
+    from hil.app.configuration.schema import schema_line, schema_path, with_schema
+    from hil.app.configuration.section_file import read_text
+    from hil.app.files import write_whole
+
+    lines = [str(schema_path()), f"first line of a configuration: {schema_line()}"]
+    if file is not None:
+        text = read_text(file)
+        named = with_schema(text)
+        if named != text:
+            write_whole(file, named)
+        lines = [f"{file}: {schema_line()}"]
+    finish_lines(lines, {"success": True, "kind": "schema", "schema": str(schema_path())}, json_file)

@@ -1,0 +1,123 @@
+"""Which variables of an FMU look like forces, lengths, rates, brakes: a proposal for `plant.model`.
+
+Only the description is read; nothing of the FMU is loaded.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fmpy.model_description import read_model_description
+
+from drivers.errors import PlantError
+from plant_fmu.fmu.archive import checked_members, open_archive
+from plant_fmu.fmu.check import FLOATS, stated_unit
+
+_ROLES = {
+    "brake": ("input", None, ("brake", "lock", "clamp")),
+    "force": ("input", "N", ("force", "f", "tau", "effort", "thrust", "u")),
+    "rate": ("output", "m/s", ("rate", "velocity", "speed", "v", "dq", "qd", "der_q", "dl", "ldot", "qdot")),
+    "length": ("output", "m", ("length", "position", "q", "l", "stroke", "x")),
+}
+"""Key -> causality, unit, words that begin or end the name of such a variable."""
+_UNITS = {"force": "N", "length": "m", "rate": "m/s"}
+_NUMBERED = re.compile(r"(.*?)[_.\[(]?(\d+)[\])]?")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What of an FMU may be mapped to what."""
+
+    tool: str
+    """What made it."""
+    fmi: str
+    needs_tool: bool
+    mapped: Mapping[str, tuple[str, ...]]
+    """force, length, rate, brake -> names in leg order; a key that nothing was found for is absent."""
+    unstated: Mapping[str, str]
+    """Of these keys, which state no unit -> the unit that is needed."""
+    parameters: tuple[str, ...]
+    """Names of what can be set before it starts."""
+    variables: Sequence[str] = field(default=())
+    """Inputs and outputs, one line each: causality, name, type, unit."""
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Keys that have to be mapped by hand."""
+        return tuple(key for key in ("force", "length", "rate") if key not in self.mapped)
+
+
+def propose(path: Path) -> Proposal:
+    """Read an FMU's description and propose a map. Raises PlantError: no FMU, no co-simulation."""
+    with open_archive(path) as archive:
+        checked_members(archive, path)
+    try:
+        description = read_model_description(str(path), validate=False)
+    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
+        raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+    if description.coSimulation is None:
+        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
+    variables = [v for v in description.modelVariables if v.type in FLOATS]
+    groups = _sixes(variables)
+    mapped: dict[str, tuple[str, ...]] = {}
+    unstated: dict[str, str] = {}
+    for key, role in _ROLES.items():
+        taken = {name for names in mapped.values() for name in names}
+        found = _best([g for g in groups if g[0].name not in taken], *role)
+        if found is not None:
+            mapped[key] = tuple(v.name for v in found)
+            if key in _UNITS and any(stated_unit(v) is None for v in found):
+                unstated[key] = _UNITS[key]
+    return Proposal(
+        tool=description.generationTool or "unknown tool",
+        fmi=description.fmiVersion,
+        needs_tool=bool(description.coSimulation.needsExecutionTool),
+        mapped=mapped,
+        unstated=unstated,
+        parameters=tuple(
+            v.name for v in description.modelVariables if v.causality in {"parameter", "structuralParameter"}
+        ),
+        variables=tuple(
+            f"{v.causality:7} {v.name}{'' if not v.shape else list(v.shape)}  {v.type}, "
+            f"{stated_unit(v) or 'no unit stated'}"
+            for v in description.modelVariables
+            if v.causality in {"input", "output"}
+        ),
+    )
+
+
+def _sixes(variables: Sequence[Any]) -> list[list[Any]]:
+    """Return what comes in sixes: arrays of six elements, and names that differ by a number 0..5 or 1..6."""
+    arrays = [[v] for v in variables if v.shape and tuple(v.shape) == (6,)]
+    numbered: dict[tuple[str, str], dict[int, Any]] = {}
+    for v in variables:
+        found = None if v.shape else _NUMBERED.fullmatch(v.name)
+        if found is not None:
+            numbered.setdefault((found[1], v.causality), {})[int(found[2])] = v
+    runs = ((numbers, range(6)) if 0 in numbers else (numbers, range(1, 7)) for numbers in numbered.values())
+    return arrays + [[n[i] for i in run] for n, run in runs if set(run) == set(n)]
+
+
+def _best(
+    groups: list[list[Any]], causality: str, unit: str | None, words: Sequence[str]
+) -> list[Any] | None:
+    """Return the one group that fits: by stated unit and name, then by name where none is stated."""
+    ranked: dict[int, list[list[Any]]] = {}
+    for group in groups:
+        first = group[0]
+        if first.causality != causality:
+            continue
+        found = _NUMBERED.fullmatch(first.name)
+        name = (first.name if found is None else found[1]).lower()
+        parts = [part for part in re.split(r"[._\s]+", name) if part]
+        exact = name in words or (bool(parts) and parts[-1] in words)
+        loose = any(len(word) > 2 and word in name for word in words)
+        stated = stated_unit(first)
+        if stated is not None and stated != unit:
+            continue
+        if exact or loose:
+            ranked.setdefault(2 * (stated is not None) + exact, []).append(group)
+    best = ranked[max(ranked)] if ranked else []
+    return best[0] if len(best) == 1 else None

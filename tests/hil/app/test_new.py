@@ -1,0 +1,192 @@
+"""`hil new`: five very different robots, and what cannot work said at its question."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import load
+from hil.app.configuration.schema import named_schema, schema_path
+from hil.app.sim.command import simulate
+from hil.cli import main
+
+ROBOTS = {
+    "desktop": (
+        "--base-radius 0.12 --platform-radius 0.08 --length-min 0.16 --stroke 0.04 --mass 2 --leg-mass 0.15 "
+        "--drive-force 60 --drive-speed 0.05"
+    ),
+    "table": (
+        "--base-radius 0.35 --platform-radius 0.25 --length-min 0.5 --stroke 0.2 --mass 42 --leg-mass 4 "
+        "--drive-force 800 --drive-speed 0.3 --reflected-mass 5"
+    ),
+    "stand": (
+        "--base-radius 0.7 --platform-radius 0.5 --length-min 0.8 --stroke 0.35 --mass 200 --com-height 0.2 "
+        "--leg-mass 15 --drive-force 3000 --drive-speed 0.5 --reflected-mass 20 --inertia 15,15,25"
+    ),
+    "simulator": (
+        "--base-radius 1.8 --platform-radius 1.6 --length-min 2 --stroke 1 --mass 2000 --com-height 0.6 "
+        "--leg-mass 120 --drive-force 20000 --drive-speed 0.8 --reflected-mass 150 --layout classic"
+    ),
+    "hanging": (
+        "--base-radius 0.5 --platform-radius 0.2 --length-min 0.6 --stroke 0.25 --mounting hanging --mass 30 "
+        "--com-height 0.1 --leg-mass 3 --drive-force 600 --drive-speed 0.4"
+    ),
+}
+
+
+def new(path, words, *more, answers=None):
+    options = words.split() if answers is not None else [*words.split(), "--yes"]
+    return CliRunner().invoke(main, ["new", str(path), *options, *more], input=answers)
+
+
+def changed(words, **options):
+    found = dict(zip(words.split()[::2], words.split()[1::2], strict=True))
+    found |= {"--" + key.replace("_", "-"): str(value) for key, value in options.items()}
+    return " ".join(word for pair in found.items() for word in pair)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_new_configuration_passes_check_and_keeps_half_of_the_force_and_most_of_the_stroke(name, tmp_path):
+    path = tmp_path / f"{name}.yaml"
+    done = new(path, ROBOTS[name])
+    assert done.exit_code == 0, done.output
+    report = inspect(load(path))
+    words = dict(zip(ROBOTS[name].split()[::2], ROBOTS[name].split()[1::2], strict=True))
+    low, stroke = float(words["--length-min"]), float(words["--stroke"])
+    home, path_figures = report.figures["home"], report.figures["reference"]
+    np.testing.assert_allclose(home["leg_lengths_m"], low + stroke / 2, rtol=1e-6)
+    assert low + 0.25 * stroke < path_figures["length_min_m"] < low + 0.4 * stroke
+    assert low + 0.6 * stroke < path_figures["length_max_m"] < low + 0.75 * stroke
+    assert path_figures["rate_max_m_s"] <= 0.26 * float(words["--drive-speed"])
+    assert max(abs(path_figures["force_min_N"]), path_figures["force_max_N"]) < 0.6 * float(
+        words["--drive-force"]
+    )
+    assert all("silence" in warning or "SCHED_FIFO" in warning for warning in report.warnings), (
+        report.warnings
+    )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "desktop",
+        pytest.param("simulator", marks=pytest.mark.long),
+        pytest.param("hanging", marks=pytest.mark.long),
+    ],
+)
+def test_a_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
+    path = tmp_path / f"{name}.yaml"
+    assert new(path, ROBOTS[name]).exit_code == 0
+    summary = simulate(load(path), log=tmp_path / "run.mcap", duration_s=3.0)
+    assert summary["success"]
+    assert summary["replay"]["agrees"]
+    stroke = float(ROBOTS[name].split("--stroke ")[1].split()[0])
+    assert summary["tracking"]["peak_leg_error_mm"] < stroke  # a thousandth of it
+
+
+def test_the_static_forces_at_home_carry_platform_and_legs(tmp_path):
+    """Sum of the vertical leg forces: weight of the platform, and of each leg what its far end carries."""
+    path = tmp_path / "r.yaml"
+    assert new(path, changed(ROBOTS["table"], leg_mass=0)).exit_code == 0
+    c = load(path)
+    report = inspect(c)
+    height, q = c.platform.home.position_m[2], 0.6
+    vertical = sum(report.figures["home"]["static_forces_N"]) * height / q
+    assert vertical == pytest.approx(42 * 9.81, rel=1e-5)
+
+
+def test_a_platform_that_hangs_pulls_on_its_legs(tmp_path):
+    path = tmp_path / "r.yaml"
+    assert new(path, ROBOTS["hanging"]).exit_code == 0
+    assert max(inspect(load(path)).figures["home"]["static_forces_N"]) < 0.0
+
+
+def test_twice_the_robot_has_twice_every_mass_and_force(tmp_path):
+    once, twice = tmp_path / "once.yaml", tmp_path / "twice.yaml"
+    assert new(once, ROBOTS["stand"]).exit_code == 0
+    heavy = changed(
+        ROBOTS["stand"], mass=400, leg_mass=30, drive_force=6000, reflected_mass=40, inertia="30,30,50"
+    )
+    assert new(twice, heavy).exit_code == 0
+    a, b = (yaml.safe_load(path.read_text()) for path in (once, twice))
+    for section, key in (("limits", "force_N"), ("limits", "force_step_N"), ("drives", "force_limit_N")):
+        assert b[section][key] == pytest.approx(2 * a[section][key], rel=0.06), (
+            key
+        )  # rounded up to two digits
+    assert b["platform"]["cylinder"]["mass_kg"] == pytest.approx(21.0)
+    assert b["reference"] == a["reference"]
+    assert b["controller"]["wn_rad_s"] == a["controller"]["wn_rad_s"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"stroke": 0.5}, "--stroke: a telescopic leg of 0.5 m"),
+        ({"length_min": 0.15, "stroke": 0.02}, "--stroke: retracted legs of 0.15 m do not lift the platform"),
+        ({"platform_radius": 0.35, "base_half_angle": 30, "platform_half_angle": 30}, "condition number"),
+        ({"drive_force": 100}, "--drive-force: a leg carries"),
+        ({"brake_force": 50}, "--brake-force: a leg carries"),
+        ({"inertia": "1,1,9"}, "--inertia: "),
+        ({"inertia": "1,1"}, "--inertia: allowed: three numbers"),
+        ({"encoder_resolution": 1e-3}, "--encoder-resolution: less than 1000 counts"),
+        ({"drive_speed": 20}, "--drive-speed: the whole stroke in less than 20 ms"),
+        ({"mass": "nan"}, "--mass: allowed: a finite number"),
+        ({"mass": "heavy"}, "--mass: allowed: a number"),
+        ({"base_radius": -1}, "--base-radius: allowed: 0.001 to 100 m"),
+    ],
+)
+def test_what_cannot_work_is_said_of_the_answer_and_nothing_is_written(change, told, tmp_path):
+    done = new(tmp_path / "r.yaml", changed(ROBOTS["table"], **change))
+    assert done.exit_code == 2
+    assert told in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_yes_names_every_answer_that_has_no_default(tmp_path):
+    done = new(tmp_path / "r.yaml", "--mass 3")
+    assert done.exit_code == 2
+    assert (
+        "--base-radius, --platform-radius, --length-min, --stroke, --leg-mass, --drive-force" in done.output
+    )
+    assert "--mass," not in done.output
+
+
+def test_a_dialogue_asks_again_at_the_question_that_cannot_work(tmp_path):
+    path = tmp_path / "r.yaml"
+    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan fd"
+    done = new(path, "", answers="\n".join(typed.split()) + "\n")
+    assert done.exit_code == 0, done.output
+    assert done.output.count("cannot work") == 2
+    assert "cannot work: a telescopic leg of 0.5 m" in done.output
+    asked, given = tmp_path / "a.yaml", ROBOTS["table"]
+    assert new(asked, given).exit_code == 0
+    a, b = (yaml.safe_load(file.read_text()) for file in (path, asked))
+    assert {k: v for k, v in a.items() if k != "name"} == {k: v for k, v in b.items() if k != "name"}
+
+
+def test_a_file_that_is_there_is_not_overwritten_without_force(tmp_path):
+    path = tmp_path / "r.yaml"
+    path.write_text("mine")
+    assert new(path, ROBOTS["desktop"]).exit_code == 2
+    assert path.read_text() == "mine"
+    assert new(path, ROBOTS["desktop"], "--force").exit_code == 0
+    assert named_schema(path.read_text()) == str(schema_path())
+
+
+def test_a_copy_without_its_schema_is_told_of_and_mended(tmp_path):
+    path = tmp_path / "copy.yaml"
+    text = load("ideal").text
+    path.write_text(text)
+    assert any("Unable to load schema" in warning for warning in inspect(load(path)).warnings)
+    assert CliRunner().invoke(main, ["schema", str(path)]).exit_code == 0
+    mended = path.read_text()
+    named = named_schema(mended)
+    assert named is not None
+    assert '"title": "hexapod-hil configuration"' in Path(named).read_text()
+    assert mended.splitlines()[1:] == text.splitlines()[1:]
+    assert not [w for w in inspect(load(path)).warnings if "schema" in w]

@@ -1,0 +1,152 @@
+"""FMUs of others: units that nobody stated, tools that are needed, maps that are proposed, legs that are single."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers.errors import PlantError
+from plant_fmu.bench import Bench
+from plant_fmu.config import BenchPlant, FmuPlant
+from plant_fmu.fmu.host import FmuHost
+from plant_fmu.fmu.probe import probe
+from plant_fmu.fmu.propose import propose
+from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.stewart.build import build
+
+VERSIONS = ["2.0", "3.0"]
+UNITS = {"force": "N", "length": "m", "rate": "m/s"}
+
+
+def rewritten(version, out, *changes):
+    """Copy our FMU with its description changed by regular expressions."""
+    with zipfile.ZipFile(build(version)) as source, zipfile.ZipFile(out, "w") as target:
+        for member in source.infolist():
+            data = source.read(member)
+            if member.filename == "modelDescription.xml":
+                for old, new in changes:
+                    data, n = re.subn(old, new, data)
+                    assert n
+            target.writestr(member.filename, data)
+    return out
+
+
+UNITLESS = ((rb' (unit|declaredType)="(?!Spin|spin|Leg|leg)[^"]*"', b""),)
+
+
+def spec(path, **changes):
+    names = {key: (key,) for key in ("force", "length", "rate", "brake")}
+    return FmuSpec(**{"path": Path(path), "step_s": 1e-3, **names, **changes})
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_units_that_nobody_stated_are_refused_with_the_key_that_states_them(version, tmp_path):
+    path = rewritten(version, tmp_path / "u.fmu", *UNITLESS)
+    with pytest.raises(PlantError, match=r"declares no unit.*plant.model.assume_unit: {force: N}"):
+        FmuHost(spec(path))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_assumed_units_stand_in_for_unstated_ones_alone(version, tmp_path):
+    path = rewritten(version, tmp_path / "u.fmu", *UNITLESS)
+    host = FmuHost(spec(path, assume_unit=UNITS))
+    q, _ = host.reset()
+    assert set(host._interface.assumed.values()) == set(UNITS.values())
+    host.close()
+    stated = FmuHost(spec(build(version), assume_unit=UNITS))
+    assert stated._interface.assumed == {}
+    np.testing.assert_array_equal(stated.reset()[0], q)
+    stated.close()
+
+
+@pytest.mark.parametrize(
+    ("assumed", "word"),
+    [({**UNITS, "rate": "m"}, r"'rate.*' in 'm'; m/s is needed"), ({"force": "N", "length": "m"}, "'rate.*' declares no unit")],
+)  # fmt: skip
+def test_an_assumed_unit_has_to_be_the_one_that_is_needed(assumed, word, tmp_path):
+    path = rewritten("3.0", tmp_path / "u.fmu", *UNITLESS)
+    with pytest.raises(PlantError, match=word):
+        FmuHost(spec(path, assume_unit=assumed))
+
+
+def test_an_assumed_unit_never_overrules_a_stated_one():
+    with pytest.raises(PlantError, match=r"'length.*' is in 'm'; m/s is needed"):
+        FmuHost(spec(build("3.0"), rate=("length",), length=("length",), assume_unit=UNITS))
+
+
+def test_a_tool_that_is_needed_is_refused_until_it_is_allowed(tmp_path):
+    needs = (rb"<CoSimulation ", b'<CoSimulation needsExecutionTool="true" ')
+    path = rewritten(
+        "3.0",
+        tmp_path / "t.fmu",
+        (rb' needsExecutionTool="false"', b"")
+        if b'needsExecutionTool="false"' in xml("3.0")
+        else (rb"^", b""),
+        needs,
+    )
+    with pytest.raises(PlantError, match=r"needsExecutionTool.*allow_execution_tool: true"):
+        FmuHost(spec(path))
+    FmuHost(spec(path, allow_execution_tool=True)).close()
+
+
+def xml(version):
+    with zipfile.ZipFile(build(version)) as archive:
+        return archive.read("modelDescription.xml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"assume_unit": {"thrust": "N"}}, "not mapped: thrust"),
+        ({"allow_execution_tool": True, "isolation": "in_process"}, "isolation child_process"),
+        ({"assume_unit": {"force": "kN"}}, "'N'"),
+    ],
+)
+def test_a_section_that_cannot_be_meant_is_refused(changes, word):
+    section = {"type": "fmu", "path": "x.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}
+    FmuPlant(**section)
+    with pytest.raises(ValidationError, match=word):
+        FmuPlant(**section, **changes)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("changes", [(), UNITLESS], ids=["units", "none"])
+def test_the_map_of_our_fmu_is_proposed_with_and_without_units(version, changes, tmp_path):
+    path = rewritten(version, tmp_path / "p.fmu", *changes)
+    found = propose(path)
+    assert found.missing == ()
+    names = {"2.0": tuple(f"[{i}]" for i in range(1, 7)), "3.0": ("",)}[version]
+    for key in ("force", "length", "rate", "brake"):
+        assert found.mapped[key] == tuple(key + name for name in names)
+    assert found.unstated == (UNITS if changes else {})
+    assert "mass" in found.parameters
+
+
+def test_nothing_is_proposed_for_names_that_say_nothing(tmp_path):
+    path = rewritten("3.0", tmp_path / "p.fmu", *UNITLESS, (rb'name="force"', b'name="in1"'))
+    assert propose(path).missing == ("force",)
+
+
+def test_single_legs_are_told_from_a_platform():
+    bench = Bench(BenchPlant(type="bench", mass_kg=50.0))
+    single = probe(bench, 10.0, 1e-3)
+    assert single.uncoupled is True
+    np.testing.assert_allclose(np.diag(single.mobility), 1 / 50.0, rtol=1e-3)
+    host = FmuHost(spec(build("3.0")))
+    platform = probe(host, 10.0, 1e-3)
+    assert platform.uncoupled is False
+    assert (np.diag(platform.mobility) > 0.0).all()
+    host.close()
+
+
+def test_a_plant_that_does_not_answer_is_neither():
+    class Stuck(Bench):
+        def step(self, force, brake, wrench, dt_s):
+            return super().step(force, np.ones(6), wrench, dt_s)
+
+    assert probe(Stuck(BenchPlant(type="bench")), 1.0, 1e-3).uncoupled is None

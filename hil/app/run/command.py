@@ -17,6 +17,7 @@ from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
+from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, console, log_path, told, warn
 from hil.app.replay import replay_log
 from hil.app.run.consent import EnterKey
@@ -70,6 +71,7 @@ def run_daemon(
         clock = bench_clock(c, bus) if with_plant else None
         rate, watchdog_s = select_rate(c, with_plant=with_plant, stretching=clock is not None)
         cycle = build_cycle(c, rate, watchdog_s)
+        removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         path = log_path(c.recording.folder, c.name, log)
         plant = None
         if with_plant:
@@ -78,6 +80,8 @@ def run_daemon(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
         )
         channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
+        if removed:
+            recording.event(bus.clock.now(), "info", f"removed for recording.budget_GB: {', '.join(removed)}")
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
@@ -104,6 +108,8 @@ def run_daemon(
     result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
     if interrupted:
         warn("hil: a foreign participant has sent on this channel: bench time did not stand still any more")
+    if removed:
+        result["removed_logs"] = removed
     if "recorder" in result:
         warn(f"hil: {result['recorder']}")
     if plant_summary is not None:

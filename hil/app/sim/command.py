@@ -14,6 +14,7 @@ from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
+from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, log_path, told
 from hil.app.plant import plant_row
 from hil.app.plant_columns import PLANT
@@ -125,6 +126,8 @@ def simulate(
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
     operator = CommandScript(commands, rate)
+    needed = needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s)
+    removed = make_room(c, needed, log)
     path = log_path(c.recording.folder, c.name, log)
     truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
     if plant_log:
@@ -136,6 +139,8 @@ def simulate(
             recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True))
             truth = stack.enter_context(_record_plant(c, truth_path)) if plant_log else None
             stack.enter_context(collector_paused())
+            if removed:
+                recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
             begun = time.perf_counter()
@@ -155,6 +160,7 @@ def simulate(
         "story": told(ending),
         "configuration": c.source,
         "log": str(path),
+        **({"removed_logs": removed} if removed else {}),
         **({"plant_log": str(truth_path)} if plant_log else {}),
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),

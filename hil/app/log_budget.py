@@ -1,0 +1,104 @@
+"""Old logs make room for a new one: `recording.budget_GB`.
+
+Only logs with dated names of the same configuration in its recordings folder count and go; a log that was
+given a name of its own is never touched.
+"""
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.errors import HilError, LogError
+from hil.app.configuration.configuration import Configuration
+from hil.record.log import Log
+from hil.record.schema import SUMMARY
+
+TICK_BYTES = 2000
+"""What a tick takes in a log at most: 0.8 to 1.1 kB were measured on the shipped configurations."""
+GB = 1_000_000_000
+
+
+class Dated(NamedTuple):
+    """One log of a configuration."""
+
+    stamp: str
+    path: Path
+    size: int
+
+
+def needed_bytes(c: Configuration, path_s: float | None, duration_s: float | None) -> int:
+    """Return what a run may write at most, bytes; 0 where it has no end that is known.
+
+    path_s: duration of the reference. Approach, brake tests and parking count as half a minute.
+    """
+    ends = [s for s in (path_s, duration_s) if s is not None]
+    return round((min(ends) + 30.0) * c.loop.rate_Hz * TICK_BYTES) if ends else 0
+
+
+def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[str]:
+    """Remove old logs until the budget and the disk have room for `needed` bytes; return what was removed.
+
+    The oldest go first: those that ended without a fault, then the others. The newest stays. Without
+    `recording.budget_GB` nothing is removed. Raises LogError: the disk has less than the run may need, or the
+    budget is smaller than that.
+    """
+    folder = Path(c.recording.folder) if given is None else given.parent
+    there = next(each for each in (folder, *folder.resolve().parents) if each.is_dir())
+    budget = None if c.recording.budget_GB is None else round(c.recording.budget_GB * GB)
+    removed: list[str] = []
+    if budget is not None and given is None:
+        if needed > budget:
+            raise LogError(
+                f"recording.budget_GB {c.recording.budget_GB:g}: this run may write {needed / GB:.3g} GB; "
+                "raise it, or end the run earlier with --duration"
+            )
+        logs = dated_logs(folder, c.name)
+        total = sum(log.size for log in logs)
+        for log in _going(logs):
+            if total + needed <= budget and shutil.disk_usage(there).free >= needed:
+                break
+            try:
+                log.path.unlink()
+            except OSError as error:
+                raise LogError(f"{log.path}: cannot be removed for recording.budget_GB: {error}") from None
+            total -= log.size
+            removed.append(str(log.path))
+    free = shutil.disk_usage(there).free
+    if free < needed:
+        raise LogError(
+            f"{folder}: {free / GB:.3g} GB are free, and this run may write {needed / GB:.3g} GB: make room, "
+            "end the run earlier with --duration, or let recording.budget_GB remove old logs"
+        )
+    return removed
+
+
+def dated_logs(folder: Path, name: str) -> list[Dated]:
+    """Return the logs of a configuration that got their names from its runs, the oldest first."""
+    pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6}(?:-\d+)?)(?:-plant)?\.mcap")
+    found = ((pattern.fullmatch(path.name), path) for path in folder.glob("*.mcap"))
+    logs = [Dated(m[1], path, path.stat().st_size) for m, path in found if m and path.is_file()]
+    return sorted(logs, key=lambda log: (log.stamp.split("-")[0], int(log.stamp.partition("-")[2] or 1)))
+
+
+def _going(logs: list[Dated]) -> Iterator[Dated]:
+    """Yield what may go, in its order: a run's own log and its plant's go and stay together."""
+    if not logs:
+        return
+    old = [log for log in logs if log.stamp != logs[-1].stamp]
+    troubled = {log.stamp for log in old if _had_trouble(log.path)}
+    yield from (log for log in old if log.stamp not in troubled)
+    yield from (log for log in old if log.stamp in troubled)
+
+
+def _had_trouble(path: Path) -> bool:
+    """Tell whether a log holds a fault, was cut, or cannot be read: what somebody may still want to see."""
+    if path.stem.endswith("-plant"):
+        return False
+    try:
+        log = Log(path)
+    except HilError:
+        return True
+    end = log.metadata.get(SUMMARY, {})
+    return bool(log.cut) or end.get("faults") != "0"

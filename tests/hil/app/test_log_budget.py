@@ -1,0 +1,113 @@
+"""`recording.budget_GB`: what goes, what stays, what is refused."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from drivers.errors import LogError
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.fault_words import with_faults
+from hil.app.log_budget import TICK_BYTES, dated_logs, make_room, needed_bytes
+from hil.app.sim.command import simulate
+from hil.record.log import Log
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """One log without a fault, one with, one that was cut."""
+    folder = tmp_path_factory.mktemp("logs")
+    good, bad, cut = (folder / f"{name}.mcap" for name in ("good", "bad", "cut"))
+    assert simulate(load("virtual"), log=good, duration_s=0.2, check_replay=False)["success"]
+    faulty = with_faults(load("virtual"), ("encoder_jump leg=0 at=2.5 by=5e-3",))
+    assert not simulate(faulty, log=bad, duration_s=2.0, check_replay=False)["success"]
+    cut.write_bytes(good.read_bytes()[: good.stat().st_size // 2])
+    return {"good": good, "bad": bad, "cut": cut}
+
+
+def configured(folder, budget):
+    text = load("virtual").text.replace("  folder: runs", f"  folder: {folder}\n  budget_GB: {budget}")
+    return loads(text, "virtual")
+
+
+@pytest.fixture
+def runs(logs, tmp_path):
+    """Six runs, the second with a fault, the third cut; a plant's log; files that are none of them."""
+    names = {
+        "virtual-20260101T000000": "good",
+        "virtual-20260101T000001": "bad",
+        "virtual-20260101T000002": "cut",
+        "virtual-20260101T000003": "good",
+        "virtual-20260101T000003-plant": "good",
+        "virtual-20260101T000003-2": "good",
+        "virtual-20260101T000004": "good",
+        "mine": "good",
+        "virtual-mine": "good",
+        "virtual2-20250101T000000": "good",
+    }
+    for name, kind in names.items():
+        shutil.copy(logs[kind], tmp_path / f"{name}.mcap")
+    return tmp_path
+
+
+OTHERS = {"mine", "virtual-mine", "virtual2-20250101T000000"}
+
+
+def left(folder):
+    return {path.stem for path in folder.glob("*.mcap")}
+
+
+def test_the_oldest_without_a_fault_go_first_then_the_others_and_the_newest_never(runs):
+    removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]
+    assert removed == [
+        "virtual-20260101T000000",
+        "virtual-20260101T000003",
+        "virtual-20260101T000003-plant",
+        "virtual-20260101T000003-2",
+        "virtual-20260101T000001",
+        "virtual-20260101T000002",
+    ]
+    assert left(runs) == OTHERS | {"virtual-20260101T000004"}
+
+
+def test_no_more_goes_than_the_budget_needs(runs):
+    size = (runs / "mine.mcap").stat().st_size
+    total = sum(log.size for log in dated_logs(runs, "virtual"))
+    removed = make_room(configured(runs, (total + 0.5 * size) / 1e9), size)
+    assert [path.rsplit("/", 1)[1] for path in removed] == ["virtual-20260101T000000.mcap"]
+
+
+def test_without_a_budget_and_for_a_log_with_a_name_of_its_own_nothing_goes(runs, tmp_path):
+    before = left(runs)
+    c = loads(load("virtual").text.replace("folder: runs", f"folder: {runs}"), "virtual")
+    assert make_room(c, 0) == []
+    assert make_room(configured(runs, 1e-6), 0, runs / "own.mcap") == []
+    assert left(runs) == before
+
+
+def test_a_run_that_needs_more_than_the_budget_or_the_disk_is_refused(runs):
+    with pytest.raises(LogError, match=r"budget_GB 0.001: this run may write 0.002 GB"):
+        make_room(configured(runs, 1e-3), 2_000_000)
+    free = shutil.disk_usage(runs).free
+    with pytest.raises(LogError, match=r"are free, and this run may write"):
+        make_room(load("virtual"), 100 * free, runs / "own.mcap")
+    assert len(left(runs)) == 10
+
+
+def test_what_a_run_may_write_follows_from_its_end_and_covers_what_was_written(logs):
+    c = load("virtual")
+    assert needed_bytes(c, None, None) == 0
+    assert needed_bytes(c, 20.0, 2.0) == 32_000 * TICK_BYTES
+    for name in ("good", "bad"):
+        assert logs[name].stat().st_size < TICK_BYTES * Log(logs[name]).summary.ticks
+
+
+def test_a_simulation_says_what_it_removed_in_summary_and_log(runs, monkeypatch):
+    monkeypatch.setattr("hil.app.log_budget.TICK_BYTES", 1)
+    c = configured(runs, 0.001)
+    summary = simulate(c, duration_s=0.1, check_replay=False)
+    assert summary["removed_logs"][0].endswith("virtual-20260101T000000.mcap")
+    assert left(runs) >= OTHERS | {"virtual-20260101T000004"}
+    events = [event.text for event in Log(summary["log"]).events()]
+    assert any("virtual-20260101T000000.mcap" in text for text in events)

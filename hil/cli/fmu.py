@@ -68,6 +68,7 @@ def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
     \b
     Examples:
       hil fmu show my_robot.fmu
+      hil fmu show my_robot.fmu --json my-map.json
 
     \b
     Exit code:

@@ -52,8 +52,7 @@ def command(
     \b
     Examples:
       hil new my.yaml
-      hil new my.yaml --yes --base-radius 0.2 --platform-radius 0.15 --length-min 0.25 --stroke 0.1 \\
-          --mass 5 --leg-mass 0.8 --drive-force 200 --drive-speed 0.2
+      hil new my.yaml --mass 5 --stroke 0.1
       hil new my.yaml --fmu my_robot.fmu
 
     \b

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
+from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from hil.app.configuration.configuration import Configuration
@@ -25,6 +26,16 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value!r} is not a finite number.", param, ctx)
         return number
+
+
+def complete_configuration(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Offer the shipped configurations, and files."""
+    del ctx, param
+    from importlib.resources import files
+
+    names = sorted(file.name.removesuffix(".yaml") for file in files("configs").iterdir())
+    there = [n for n in names if n.startswith(begun) and (files("configs") / f"{n}.yaml").is_file()]
+    return [*(CompletionItem(name) for name in there), CompletionItem(begun, type="file")]
 
 
 POSITIVE = FiniteRange(min=0, min_open=True)
@@ -48,7 +59,9 @@ out_option = click.option(
     "--out", type=FILE, metavar="FILE", help="File to write; an existing one is refused."
 )
 force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
-configuration_argument = click.argument("configuration", default="virtual")
+configuration_argument = click.argument(
+    "configuration", default="virtual", shell_complete=complete_configuration
+)
 _REPORTED = frozenset({"run", "sim"})
 """Kinds of summary whose log `hil report` shows."""
 

@@ -109,9 +109,9 @@ def xml(version):
 )
 def test_a_section_that_cannot_be_meant_is_refused(changes, word):
     section = {"type": "fmu", "path": "x.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}
-    FmuPlant(**section)
+    FmuPlant.model_validate(section)
     with pytest.raises(ValidationError, match=word):
-        FmuPlant(**section, **changes)
+        FmuPlant.model_validate(section | changes)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

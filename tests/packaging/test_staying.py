@@ -1,0 +1,106 @@
+"""What a user installs once: completion in the shell, the service, what the package says of itself."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+UNIT = ROOT / "configs/systemd/hil@.service"
+PROGRAM = [sys.executable, "-c", "from hil.cli import main; main(prog_name='hil')"]
+
+
+def completed(shell, words, word):
+    environment = {
+        **os.environ,
+        "_HIL_COMPLETE": f"{shell}_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": word,
+    }
+    done = subprocess.run(PROGRAM, env=environment, capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("shell", "words", "word", "said"),
+    [
+        ("bash", "hil ch", "1", "plain,check"),
+        ("zsh", "hil ch", "1", "plain\ncheck\n"),
+        ("fish", "hil ", "ch", "plain,check\t"),
+        ("bash", "hil sim la", "2", "plain,lab"),
+        ("bash", "hil sim my", "2", "file,my"),
+        ("bash", "hil new x --base-r", "3", "plain,--base-radius"),
+    ],
+)
+def test_each_shell_completes_commands_options_and_configurations(shell, words, word, said):
+    assert said in completed(shell, words, word)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_lines_of_the_guide_give_each_shell_a_script(shell):
+    assert f"_HIL_COMPLETE={shell}_source hil" in (ROOT / "docs/guides/service.md").read_text()
+    environment = {**os.environ, "_HIL_COMPLETE": f"{shell}_source"}
+    done = subprocess.run(PROGRAM, env=environment, capture_output=True, text=True, timeout=60, check=True)
+    assert re.search(
+        {"bash": "complete -o", "zsh": "#compdef hil", "fish": "complete --no-files"}[shell], done.stdout
+    )
+    if shutil.which(shell):
+        subprocess.run([shell, "-n"], input=done.stdout, text=True, check=True, timeout=60)
+
+
+def test_a_stop_of_the_service_is_a_controlled_stop_and_nothing_kills_who_holds_a_platform():
+    unit = configparser.ConfigParser(interpolation=None, strict=False)
+    unit.optionxform = str  # type: ignore[assignment, method-assign]
+    unit.read(UNIT)
+    service = unit["Service"]
+    assert (service["KillSignal"], service["KillMode"]) == ("SIGTERM", "mixed")
+    assert (service["TimeoutStopSec"], service["SendSIGKILL"], service["Restart"]) == ("infinity", "no", "no")
+    assert not unit.has_section("Install")  # no platform moves because a computer was switched on
+    assert "--arm" in service["ExecStart"]
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd")
+def test_systemd_takes_the_unit(tmp_path):
+    text = UNIT.read_text().replace("/opt/hil/bin/hil", sys.executable)
+    (tmp_path / "hil@.service").write_text(text)
+    shown = tmp_path / "hil@my.service"
+    shown.write_text(text)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(shown)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    ours = [line for line in done.stderr.splitlines() if "hil@" in line]
+    assert ours == []
+    (tmp_path / "hil@bad.service").write_text(text.replace("KillMode=mixed", "KillMode=nobody"))
+    bad = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(tmp_path / "hil@bad.service")],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert "kill mode" in bad.stderr
+
+
+def test_the_package_says_for_whom_it_is():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert "hexapod" in project["keywords"]
+    low, high = (int(n) for n in re.findall(r"3\.(\d+)", project["requires-python"]))
+    said = {c.rsplit(" ", 1)[1] for c in project["classifiers"] if "Python :: 3." in c}
+    assert said == {f"3.{n}" for n in range(low, high)}
+
+
+def test_the_readme_has_at_most_ten_commands_from_a_clone_to_a_plot():
+    block = (ROOT / "README.md").read_text().split("## Your robot, in nine commands")[1].split("```")[1]
+    commands = [line for line in block.splitlines()[1:] if line]
+    numbers = [int(n) for line in commands for n in re.findall(r"# (\d+)", line)]
+    assert numbers == list(range(1, len(commands) + 1))
+    assert len(commands) == 8  # the clone is the ninth

@@ -10,12 +10,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 COMMANDS = {
-    "new": "A configuration of your robot from a few figures.",
     "run": "The controller, in real time.",
     "plant": "Six emulated drives and the platform, in real time.",
     "sim": "Both ends in lockstep, in simulated time.",
     "replay": "A log's inputs again, compared to the bit.",
     "check": "Figures and problems of a configuration; nothing moves.",
+    "new": "A configuration of your robot from a few figures.",
     "export": "A log's frames and columns as files for other tools.",
     "report": "One HTML page about a log: what went wrong, or what was left.",
     "plot": "Columns of logs over time, as PNG or SVG.",

@@ -5,7 +5,7 @@ from typing import Literal
 
 import click
 
-from hil.cli.shared import finish, finish_lines, reporting
+from hil.cli.shared import FILE, finish, finish_lines, reporting
 
 
 @click.group()
@@ -57,7 +57,7 @@ def fmu_build_command(
 
 
 @command.command("show", short_help="Variables of an FMU, and a proposal how to map them.")
-@click.argument("fmu", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("fmu", type=FILE)
 @reporting
 def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
     """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.

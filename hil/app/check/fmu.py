@@ -53,7 +53,7 @@ def report_fmu(report: Report, c: Configuration) -> None:
             f"{model.path} needs {tool} at run time and is taken as plant.model.allow_execution_tool says: "
             "it runs in a child process, and where the tool is missing the run does not start"
         )
-    report.warnings += _coupling(c, answer)
+    report.warnings += coupling_dangers(c, answer)
 
 
 def fmu_dangers(c: Configuration) -> Iterator[str]:
@@ -89,7 +89,7 @@ def _shares(answer: Probe) -> tuple[float, float]:
     return float(np.abs(own).max()), float(np.abs(others).max())
 
 
-def _coupling(c: Configuration, answer: Probe) -> Iterator[str]:
+def coupling_dangers(c: Configuration, answer: Probe) -> Iterator[str]:
     """Yield laws that linearise a platform which this plant is not, and legs that pull the wrong way."""
     if np.any(np.diag(answer.mobility) < 0.0):
         legs = ", ".join(str(i) for i in np.flatnonzero(np.diag(answer.mobility) < 0.0))

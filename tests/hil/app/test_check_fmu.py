@@ -1,0 +1,79 @@
+"""What `hil check` and `hil sim` say of an FMU as plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import PlantError
+from hil.app.check.command import inspect
+from hil.app.check.fmu import coupling_dangers
+from hil.app.configuration.configuration import load
+from hil.cli import main
+from plant_fmu.fmu.probe import Probe
+from plant_fmu.stewart.build import build
+
+OURS = """
+plant:
+  model:
+    type: fmu
+    path: {path}
+    force: [force]
+    length: [length]
+    rate: [rate]
+    brake: [{brake}]
+  drives: {{brake_open_ms: 50, brake_close_ms: 30}}
+"""
+
+
+def configured(folder, brake, path=None):
+    text = load("virtual").text.partition("\nplant:")[0]
+    file = folder / "own.yaml"
+    file.write_text(text + OURS.format(path=path or build("3.0"), brake=brake))
+    return file
+
+
+def answer(mobility):
+    return Probe(np.ones(6), np.zeros(6), mobility)
+
+
+def test_single_legs_under_a_law_with_a_model_are_pointed_to_pd_with_the_heaviest_legs_mass():
+    masses = np.array([40.0, 41.0, 50.0, 42.0, 43.0, 44.0])
+    (said,) = coupling_dangers(load("virtual"), answer(np.diag(1 / masses)))
+    assert "controller.law: pd" in said
+    assert "m = 50 kg" in said
+    assert list(coupling_dangers(load("bench"), answer(np.diag(1 / masses)))) == []
+
+
+def test_coupled_legs_are_left_in_peace_and_a_leg_that_pulls_is_named():
+    platform = 0.02 * np.eye(6) + 0.005
+    assert list(coupling_dangers(load("virtual"), answer(platform))) == []
+    platform[3] *= -1.0
+    (said,) = coupling_dangers(load("virtual"), answer(platform))
+    assert "shortens leg 3 of the FMU" in said
+
+
+@pytest.mark.parametrize("brake", ["brake", ""])
+def test_a_plant_without_brakes_is_warned_of_by_check_and_before_it_falls_by_sim(brake, tmp_path):
+    file = configured(tmp_path, brake)
+    warnings = [w for w in inspect(load(file)).warnings if w.startswith("plant.model.brake")]
+    assert len(warnings) == (not brake)
+    said = (
+        CliRunner()
+        .invoke(main, ["sim", str(file), "--duration", "0.05", "--log", str(tmp_path / "a.mcap")])
+        .output
+    )
+    assert ("no brake holds this plant" in said) == (not brake)
+    assert said.find("no brake holds") < said.find("sim: ")
+
+
+def test_check_prints_the_answer_to_a_push_and_refuses_an_fmu_that_does_not_fit(tmp_path):
+    report = inspect(load(configured(tmp_path, "brake")))
+    assert "units of force, length and rate are stated" in report.sections["plant FMU"]
+    assert report.figures["fmu"]["assumed_units"] == {}
+    assert report.figures["fmu"]["uncoupled"] is False
+    file = configured(tmp_path, "brake")
+    file.write_text(file.read_text().replace("rate: [rate]", "rate: [speed]"))
+    with pytest.raises(PlantError, match="no variable 'speed'"):
+        inspect(load(file))

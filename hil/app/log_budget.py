@@ -41,11 +41,10 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
     """Remove old logs until the budget and the disk have room for `needed` bytes; return what was removed.
 
     The oldest go first: those that ended without a fault, then the others. The newest stays. Without
-    `recording.budget_GB` nothing is removed. Raises LogError: the disk has less than the run may need, or the
-    budget is smaller than that.
+    `recording.budget_GB` nothing is removed. The folder has to be there. Raises LogError: the disk has less
+    than the run may need, or the budget is smaller than that.
     """
     folder = Path(c.recording.folder) if given is None else given.parent
-    there = next(each for each in (folder, *folder.resolve().parents) if each.is_dir())
     budget = None if c.recording.budget_GB is None else round(c.recording.budget_GB * GB)
     removed: list[str] = []
     if budget is not None and given is None:
@@ -57,7 +56,7 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
         logs = dated_logs(folder, c.name)
         total = sum(log.size for log in logs)
         for log in _going(logs):
-            if total + needed <= budget and shutil.disk_usage(there).free >= needed:
+            if total + needed <= budget and shutil.disk_usage(folder).free >= needed:
                 break
             try:
                 log.path.unlink()
@@ -65,7 +64,7 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
                 raise LogError(f"{log.path}: cannot be removed for recording.budget_GB: {error}") from None
             total -= log.size
             removed.append(str(log.path))
-    free = shutil.disk_usage(there).free
+    free = shutil.disk_usage(folder).free
     if free < needed:
         raise LogError(
             f"{folder}: {free / GB:.3g} GB are free, and this run may write {needed / GB:.3g} GB: make room, "

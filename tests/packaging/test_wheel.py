@@ -78,6 +78,8 @@ def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
         "plant_fmu/py.typed",
         "drivers/legs/legs.dbc",
         "drivers/sensors.dbc",
+        "configs/hil.schema.json",
+        "configs/systemd/hil@.service",
         "configs/*.yaml",
         "configs/viewers/*",
         "plant_fmu/stewart/sources/*.c",

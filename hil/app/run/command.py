@@ -71,8 +71,8 @@ def run_daemon(
         clock = bench_clock(c, bus) if with_plant else None
         rate, watchdog_s = select_rate(c, with_plant=with_plant, stretching=clock is not None)
         cycle = build_cycle(c, rate, watchdog_s)
-        removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         path = log_path(c.recording.folder, c.name, log)
+        removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         plant = None
         if with_plant:
             plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap"), faults))

@@ -126,9 +126,8 @@ def simulate(
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
     operator = CommandScript(commands, rate)
-    needed = needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s)
-    removed = make_room(c, needed, log)
     path = log_path(c.recording.folder, c.name, log)
+    removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
     truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
     if plant_log:
         log_path(c.recording.folder, c.name, truth_path)

@@ -83,6 +83,7 @@ def steps(before: State) -> Iterator[Step]:
     for operator in COMMANDS:
         commands = () if operator is None else (operator,)
         least = DURATIONS.least(before.mode)
+        arrived = set()  # most lead to the same
         for elapsed, finished in (
             (0.0, False),
             (least + 0.5, False),
@@ -99,6 +100,8 @@ def steps(before: State) -> Iterator[Step]:
                 provable = finished and not faults & NO_PROOF
                 facts = Facts(commands, before.drives, True, elapsed, finished, False, provable)
                 mode = next_mode(mode, facts, DURATIONS)
+            arrived.add((mode, faults, found))
+        for mode, faults, found in arrived:
             for good in brakes:
                 for said in FOUND if drive_mode(mode) is not DriveMode.OFF else FOUND[:1]:
                     yield from judged(

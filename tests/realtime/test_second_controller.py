@@ -27,7 +27,7 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 
 
 @pytest.mark.parametrize(
-    "kind", [kind if kind == "command" else pytest.param(kind, marks=pytest.mark.long) for kind in ATTACKS]
+    "kind", [pytest.param(kind, marks=pytest.mark.long) if kind == "SYNC" else kind for kind in ATTACKS]
 )
 def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str

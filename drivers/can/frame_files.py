@@ -1,8 +1,8 @@
 """Files of CAN frames that other tools read: candump, ASC, BLF. Frames are written one by one.
 
-Times are UTC in ns. The files carry them as well as their formats can: candump and ASC in microseconds, BLF
-in whole milliseconds of its start and nanoseconds from there. ASC states its start in local time, without a
-zone, as its readers expect.
+Times are UTC in ns. candump and ASC carry them in microseconds. BLF has nanoseconds from a start in whole
+milliseconds; its writer takes seconds as a float, which is good to a quarter of a microsecond. ASC states its
+start in local time, without a zone, as its readers expect.
 """
 
 import re

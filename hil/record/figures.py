@@ -11,6 +11,7 @@ from drivers.arrays import Array, Rows
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import COLUMNS
 from hil.record.metrics import rotation_errors
+from hil.record.value_names import name_of
 from hil.signals import explain
 
 
@@ -25,7 +26,7 @@ def figures(rows: Rows) -> dict[str, Any]:
     result: dict[str, Any] = {
         "ticks": len(rows),
         "duration_s": float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0,
-        "final_mode": Mode(int(rows["mode"][-1])).name if len(rows) else None,
+        "final_mode": name_of(COLUMNS["mode"], int(rows["mode"][-1])) if len(rows) else None,
         "faults": _names(Fault, np.bitwise_or.reduce(rows["faults"])) if len(rows) else [],
         "tracking": {"ticks": int(tracking.sum())} | errors(_only(rows, tracking, FOLLOWED)),
         "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),

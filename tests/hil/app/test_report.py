@@ -24,7 +24,9 @@ from hil.app.report.thin import thin
 from hil.app.report.timeline import lanes, spells
 from hil.app.sim.command import simulate
 from hil.cli import main
+from hil.record import Recording
 from hil.record.log import Event, Log
+from tests.hil.samples import random_ticks, record
 
 RATE_Hz = 1000.0
 OLD = Path(__file__).parents[2] / "data/log_0.1.0.mcap"
@@ -288,6 +290,13 @@ def test_thinning_out_keeps_a_peak_of_one_sample_and_its_place(at):
     assert np.nanmin(thin_z) == -7.0
 
 
+def test_thinning_out_keeps_the_direction_of_a_curve():
+    t = np.linspace(0.0, 1.0, 10_000)
+    _, (rises, falls) = thin(t, [t**2, 1.0 - t**2], bins=100)
+    assert (np.diff(rises) > 0).all()
+    assert (np.diff(falls) < 0).all()
+
+
 def test_few_samples_stay_as_they_are():
     t = np.arange(10, dtype=np.float64)
     x, (y,) = thin(t, [t**2], bins=5)
@@ -504,6 +513,21 @@ def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
     report(logs / "bad.mcap", out=out)
     data = out.read_text().partition('id="data">')[2].partition("</script>")[0]
     assert {"e_q", "tau", "mode"} & {chart["key"] for chart in json.loads(data)["charts"]}
+
+
+@pytest.mark.parametrize("count", [1, 2, 33])
+def test_a_log_of_few_ticks_of_any_content_gives_a_page(tmp_path, count):
+    path = tmp_path / "a.mcap"
+    options = {"kind": "sim", "rate_Hz": RATE_Hz}
+    with Recording.start(
+        path, configuration=load("virtual").text, lockstep=True, metadata=options
+    ) as recording:
+        record(recording, random_ticks(count, seed=count))
+    last = int(random_ticks(count, seed=count)[-1].row["mode"])
+    assert last not in set(Mode), "a mode without a name"
+    assert Log(path).figures()["final_mode"] == str(last)
+    report(path)
+    assert str(last) in path.with_suffix(".html").read_text(encoding="utf-8")
 
 
 def test_without_its_configuration_a_log_still_tells_what_went_wrong(logs, tmp_path, monkeypatch):

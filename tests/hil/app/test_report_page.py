@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import with_faults
@@ -105,6 +107,36 @@ def test_what_plays_is_the_pose_of_the_log(pages, tmp_path):
             " let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n; })()"
         )
         assert browser.value(ink) > 2000, "base, platform and legs are drawn"
+
+
+@needs_chromium
+def test_a_turned_platform_is_drawn_where_its_turned_joints_are(pages, tmp_path):
+    """x = p + R b: the same picture as of a platform that is not turned and whose joints are R b."""
+    R = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
+    joints = np.array(
+        [[1, 0, 0], [0.6, 0.8, 0.1], [-0.5, 0.9, 0], [-1, 0, 0.2], [-0.5, -0.8, 0], [0.5, -0.9, 0]]
+    )
+    common = {
+        "base": (2 * joints).tolist(),
+        "t": [0.0],
+        "p": [0.1, 0.2, 1.5],
+        "p_d": [0, 0, 0],
+        "R_d": [0] * 9,
+    }
+    turned = common | {"platform": joints.tolist(), "R": R.ravel().tolist(), "load": [0] * 6}
+    plain = common | {"platform": (joints @ R.T).tolist(), "R": np.eye(3).ravel().tolist(), "load": [0] * 6}
+    script = """((given) => {
+        const lines = [], pen = new Proxy({}, { get: (_, name) => (...a) => {
+            if (name === "moveTo" || name === "lineTo") lines.push(a); }, set: () => true });
+        makeScene({ clientWidth: 600, clientHeight: 400, getContext: () => pen, addEventListener: () => {} },
+            given, (numbers) => numbers).draw();
+        return lines; })"""
+    with Browser(tmp_path) as browser:
+        browser.open(pages / "good.html")
+        found, expected = (browser.value(f"{script}({json.dumps(given)})") for given in (turned, plain))
+    assert len(found) == len(expected) > 20
+    # the corners of the platform are joined by their angle, the same in both; legs come in their order
+    np.testing.assert_allclose(found[6:18], expected[6:18], atol=1e-9)
 
 
 @needs_chromium

@@ -23,6 +23,7 @@ from hil.app.configuration.platform import build_platform, platform_dict, pose_a
 from hil.app.encoder_limits import encoder_limits
 from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
+from hil.app.run_description import run_description
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
 from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
@@ -39,6 +40,7 @@ from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.loop.steering import Steering
 from hil.record import Live, Recording, Scene
+from hil.record.mirror import mirror_path
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
@@ -304,14 +306,22 @@ def record(
     lockstep: bool = False,
     clock: Clock = MONOTONIC,
 ) -> Recording:
-    """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line."""
+    """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line.
+
+    A run in real time shows itself to `hil watch`.
+    """
+    rate_Hz, duration_s = cycle.parts.rate_Hz, cycle.parts.trajectory.duration_s
+    mirror = None
+    if not lockstep:
+        about = run_description(c, path, rate_Hz, duration_s)
+        mirror = mirror_path(c.bus.interface, c.bus.channel), about
     return Recording.start(
         path,
         configuration=c.text,
         attachments=attachments(c),
         metadata={
             "kind": kind,
-            "rate_Hz": cycle.parts.rate_Hz,
+            "rate_Hz": rate_Hz,
             "watchdog_s": cycle.parts.setup.watchdog_s,
             "protocol": c.drives.protocol,
             "protocol_version": protocol_version(c),
@@ -320,8 +330,9 @@ def record(
         can_channel=c.bus.channel,
         lockstep=lockstep,
         ring_ticks=c.recording.ring_ticks,
-        live=Live(live, cycle.parts.trajectory.duration_s, None if lockstep else websocket(c)),
+        live=Live(live, duration_s, None if lockstep else websocket(c)),
         clock=clock,
+        mirror=mirror,
     )
 
 

@@ -140,15 +140,10 @@ class Encoder:
             return [_single(COMMANDS, tick, time_ns, t_ns + self._epoch, message, key)]
         if item["kind"] != EVENT or item["id"] != 0:
             return []
-        first = i
-        while first > 0 and items[first - 1]["kind"] == EVENT and items[first - 1]["id"] > 0:
-            first -= 1
-        pieces = items[first : i + 1]
-        text = b"".join(bytes(piece["data"][: piece["length"]]) for piece in pieces)
         message = Log(
             timestamp=_stamp(time_ns),
             level=Log.Level.ValueType(int(item["flags"])),
-            message=text.decode(errors="replace"),
+            message=event_text(items, i),
             name="hil",
         )
         return [_single(EVENTS, tick, time_ns, time_ns, message, key)]
@@ -164,6 +159,15 @@ class Encoder:
             _single(channel, tick, time_ns, time_ns, data, np.array([key + i]))
             for i, (channel, data) in enumerate(messages)
         ]
+
+
+def event_text(items: Rows, i: int) -> str:
+    """Return the text of the event whose last piece is item i."""
+    first = i
+    while first > 0 and items[first - 1]["kind"] == EVENT and items[first - 1]["id"] > 0:
+        first -= 1
+    data = b"".join(bytes(piece["data"][: piece["length"]]) for piece in items[first : i + 1])
+    return data.decode(errors="replace")
 
 
 def _stamp(time_ns: int) -> Timestamp:

@@ -31,6 +31,8 @@ from hil.record.encode import Encoder, Messages
 from hil.record.environment import product_version
 from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
+from hil.record.mirror import Mirror
+from hil.record.publish import Publisher
 from hil.record.recording import Scene
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import Table, columns_of
@@ -40,6 +42,7 @@ from hil.record.websocket import LiveSocket
 FLUSH_S = 0.1
 """Real time: a chunk at least this often; half of what may be lost when all is killed at once."""
 _POLL_S = 0.02
+"""Real time: the newest row is shown so often."""
 _LOCKSTEP_POLL_S = 0.004
 _SYNC_S = 1.0
 _MOST_TICKS = 2048
@@ -88,6 +91,7 @@ class Recorder:
         self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
         self.socket = LiveSocket.listening(setup["websocket"], self._encoder.channels)
+        self._publisher = _publisher(ring, setup["mirror"])
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
         self._open(setup, attachments)
 
@@ -104,9 +108,12 @@ class Recorder:
 
     def run(self, control: _Control) -> None:
         """Drain until the producer closes or dies."""
-        flushed = synced = time.monotonic()
-        while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else _POLL_S):
+        flushed = synced = due = time.monotonic()
+        while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else max(0.0, due - time.monotonic())):
             now = time.monotonic()
+            due = max(due + _POLL_S, now)
+            if self._publisher is not None:
+                self._publisher.publish(self.file.position)
             if self._lockstep:
                 while self._ring.ready(self.batch):
                     self._drain(self.batch)
@@ -129,6 +136,8 @@ class Recorder:
         }
         if self._live is not None:
             self._live.end()
+        if self._publisher is not None:
+            self._publisher.close()
         if self._lateness is not None:
             counts["wake_up_us"] = json.dumps(self._lateness.table())
         times = os.times()
@@ -149,6 +158,8 @@ class Recorder:
             self._lateness.add(batch.rows["lateness_ns"])
         if self._live is not None:
             self._live.show(batch.rows)
+        if self._publisher is not None:
+            self._publisher.drained(batch)
         self.ticks += len(batch.rows)
         self._ring.release(batch)
         if self.socket is not None:
@@ -171,6 +182,17 @@ class Recorder:
                 messages.log_time[first:last],
                 start[first:last] - start[first],
             )
+
+
+def _publisher(ring: Ring, mirror: Mapping[str, Any] | None) -> Publisher | None:
+    """Return what shows the run to watchers. A run that cannot be shown is recorded all the same."""
+    if mirror is None:
+        return None
+    try:
+        return Publisher(ring, Mirror(Path(mirror["path"]), mirror["about"]))
+    except OSError as error:
+        print(f"hil: `hil watch` cannot see this run: {mirror['path']}: {error.strerror}", file=sys.stderr)
+        return None
 
 
 class _Control:

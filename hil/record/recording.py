@@ -125,6 +125,7 @@ class Recording:
         ring_ticks: int = 8192,
         live: Live = Live(),  # noqa: B008 - frozen
         clock: Clock = MONOTONIC,
+        mirror: tuple[Path, Mapping[str, object]] | None = None,
     ) -> Self:
         """Start a recorder process and open the log `path`, which is never overwritten.
 
@@ -133,7 +134,8 @@ class Recording:
         `hil`, as JSON where it is not text. `table` has scalar columns `tick` and `t_ns`; `can_channel` is
         the name of the bus in the frames. In `lockstep` time is simulated: wait where the ring of
         `ring_ticks` is full, a fixed epoch, reproducible messages. `live` is what is shown meanwhile.
-        `clock` is that of the rows' and frames' times.
+        `clock` is that of the rows' and frames' times. `mirror`: where the newest row is
+        shown while it runs, and what of the run is said there (rows of TICKS only).
 
         Raises LogError where the log exists, cannot be written, or the recorder does not start; ValueError
         where the table cannot be recorded.
@@ -150,6 +152,7 @@ class Recording:
             "live": live.status,
             "reference_s": live.reference_s,
             "websocket": live.websocket,
+            "mirror": _mirror(mirror, table),
             "attachments": [[name, len(data)] for name, data in files],
             "environment": environment(),
             "identity": {
@@ -302,6 +305,13 @@ def _start(ring: Ring, setup: Mapping[str, Any], files: Sequence[bytes]) -> subp
         finish(process)
         raise LogError(str(reply.get("error", f"{setup['path']}: the recorder process did not start")))
     return process
+
+
+def _mirror(mirror: tuple[Path, Mapping[str, object]] | None, table: Table) -> dict[str, object] | None:
+    if mirror is None:
+        return None
+    path, about = mirror
+    return {"path": str(path), "about": {**about, "columns": describe(table.columns)}}
 
 
 def _too_long(can_id: int, length: int) -> LogError:

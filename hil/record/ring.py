@@ -157,6 +157,12 @@ class Ring:
         self._end = end
         return Batch(rows, _span(self._items, first, end), tick)
 
+    def since(self, row: int) -> Rows:
+        """Return the published rows from number `row` on, none of them released, as views of the ring."""
+        written = self.counters[WRITTEN]
+        fence()
+        return _span(self.rows, row, written)
+
     def release(self, batch: Batch) -> None:
         """Give the room of the batch taken last back to the producer."""
         fence()

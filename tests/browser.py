@@ -88,8 +88,12 @@ class Browser:
 
     def open(self, path: Path, query: str = "") -> None:
         """Load a file and wait until it is there."""
+        self.go(path.resolve().as_uri() + query)
+
+    def go(self, url: str) -> None:
+        """Load an address and wait until it is there."""
         before = self._loaded
-        self.call("Page.navigate", url=path.resolve().as_uri() + query)
+        self.call("Page.navigate", url=url)
         while self._loaded == before:
             self._next()
 

@@ -16,6 +16,7 @@ COMMANDS = {
     "replay": "A log's inputs again, compared to the bit.",
     "check": "Figures and problems of a configuration; nothing moves.",
     "new": "A configuration of your robot from a few figures.",
+    "watch": "Live page about a run, in any browser.",
     "export": "A log's frames and columns as files for other tools.",
     "report": "One HTML page about a log: what went wrong, or what was left.",
     "plot": "Columns of logs over time, as PNG or SVG.",
@@ -70,6 +71,7 @@ def main() -> None:
       hil compare            all control laws on this platform, path, bus and drives
       hil sim                controller, bus, drives and platform in simulated time
       hil run --plant        the same in real time; moves on Enter, or with --arm
+      hil watch              a live page about what runs, in any browser
       hil replay LOG         a recorded run again, compared to the bit
       hil report LOG         a page about it: what went wrong, or what was left of limits
       hil faults             what becomes of every kind of fault, at every moment

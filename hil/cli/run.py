@@ -31,6 +31,12 @@ from hil.cli.shared import (
     is_flag=True,
     help="Tell a running `hil run CONFIG` to let go of a platform that it holds because a brake failed.",
 )
+@click.option(
+    "--watch",
+    "with_watch",
+    is_flag=True,
+    help="Start `hil watch` beside it, which prints the link of a page.",
+)
 @duration_option
 @log_option
 @fault_option
@@ -41,6 +47,7 @@ def command(
     arm: bool,
     reset: bool,
     release: bool,
+    with_watch: bool,
     duration: float | None,
     log: Path | None,
     faults: tuple[str, ...],
@@ -60,6 +67,7 @@ def command(
     Examples:
       hil run --plant --arm                 all virtual; needs nothing but this machine
       hil run --plant --arm --duration 5    the same, parked after 5 s
+      hil run --plant --arm --watch         the same, with a live page in any browser
       hil run --plant --arm --fault "encoder_jump leg=0 at=2 by=5e-3"
       hil run socketcan                     real drives on can0; they move when Enter is pressed
       hil run socketcan --reset             the same, clearing faults that the drives have latched
@@ -92,7 +100,14 @@ def command(
     if with_plant:
         with_faults(loaded, faults).require("plant")
     summary = run_daemon(
-        loaded, log=log, duration_s=duration, reset=reset, with_plant=with_plant, arm=arm, faults=faults
+        loaded,
+        log=log,
+        duration_s=duration,
+        reset=reset,
+        with_plant=with_plant,
+        arm=arm,
+        faults=faults,
+        with_watch=with_watch,
     )
     if "last_ticks" in summary:
         from hil.app.output import last_ticks_table

@@ -30,6 +30,7 @@ from hil.config.platform import PlatformSettings
 from hil.config.reactions import ReactionSettings
 from hil.config.reference import ReferenceSettings
 from hil.config.running import EngageSettings, RecordingSettings
+from hil.config.watch import WatchSettings
 from hil.control import ControllerSettings
 from plant_fmu.config import PlantSettings
 
@@ -57,6 +58,7 @@ class Configuration(Section):
     limits: LimitSettings
     reactions: ReactionSettings = ReactionSettings()
     recording: RecordingSettings = RecordingSettings()
+    watch: WatchSettings = WatchSettings()
     plant: PlantSettings | None = None
     """The other end of a virtual bus; left out for real drives."""
     compare: CompareSettings = CompareSettings()

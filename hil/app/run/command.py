@@ -24,6 +24,7 @@ from hil.app.run.consent import EnterKey
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import select_rate
 from hil.app.run.stretching import begin, bench_clock, stretches
+from hil.app.watch.process import WatchProcess
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import Shell, run
@@ -53,11 +54,13 @@ def run_daemon(
     reset: bool = False,
     arm: bool = False,
     faults: Sequence[str] = (),
+    with_watch: bool = False,
 ) -> dict[str, Any]:
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
     arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for. `faults` are
-    words for its plant. Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
+    words for its plant. with_watch: serve the live page beside it.
+    Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
     c.require("run")
@@ -79,6 +82,8 @@ def run_daemon(
         recording = stack.enter_context(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
         )
+        if with_watch:
+            stack.enter_context(WatchProcess(c))
         channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
         if removed:
             recording.event(bus.clock.now(), "info", f"removed for recording.budget_GB: {', '.join(removed)}")

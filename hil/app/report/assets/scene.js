@@ -16,7 +16,7 @@ function makeScene(canvas, given, unpack) {
   const all = [...base, ...placed(joints, p, R, 0), ...placed(joints, p, R, t.length - 1)];
   const middle = [0, 1, 2].map((i) => (Math.min(...all.map((q) => q[i])) + Math.max(...all.map((q) => q[i]))) / 2);
   const size = Math.max(...all.map((q) => Math.hypot(q[0] - middle[0], q[1] - middle[1], q[2] - middle[2])));
-  let yaw = -0.6, tilt = 0.35, now = t[0];
+  let yaw = -0.6, tilt = 0.35, now = t[0], marks = [];
 
   function index(time) {
     let low = 0, high = t.length - 1;
@@ -56,12 +56,13 @@ function makeScene(canvas, given, unpack) {
       const there = placed(joints, pRef, RRef, k);
       line(topOrder.map((i) => there[i]), "#8a94a0", 1.5, true, [5, 5]);
     }
-    base.forEach((a, i) => line([a, tops[i]], forceColour(load[6 * k + i]), 5));
+    base.forEach((a, i) => (marks[i] ? line([a, tops[i]], "#b3261e", 7, false, [4, 9]) :
+      line([a, tops[i]], forceColour(load[6 * k + i]), 5)));
     line(topOrder.map((i) => tops[i]), "#1f5fae", 4, true);
     pen.setLineDash([]);
     pen.fillStyle = "#1c2733";
     pen.font = "13px system-ui, sans-serif";
-    base.forEach((a, i) => { const [x, y] = seen(a); pen.fillText(String(i), x + 6, y + 12); });
+    base.forEach((a, i) => { const [x, y] = seen(a); pen.fillText(marks[i] ? i + " ✕" : String(i), x + 6, y + 12); });
     const o = seen(middle), length = 0.25 * size;
     ["x", "y", "z"].forEach((name, i) => {
       const end = [0, 1, 2].map((j) => middle[j] + (i === j ? length : 0)), e = seen(end);
@@ -91,5 +92,11 @@ function makeScene(canvas, given, unpack) {
     const by = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[e.key];
     if (by) { turn(by[0], by[1]); e.preventDefault(); }
   });
-  return { draw, show(time) { now = time; draw(); } };
+  /* Shows one pose that was not given at the start; frame.marks: what is wrong with each leg, or nothing. */
+  function place(frame) {
+    p.set(frame.p); R.set(frame.R); pRef.set(frame.p_d); RRef.set(frame.R_d); load.set(frame.load);
+    marks = frame.marks;
+    draw();
+  }
+  return { draw, place, show(time) { now = time; draw(); } };
 }

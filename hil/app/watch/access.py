@@ -1,0 +1,83 @@
+"""Who may see the page and who may operate: rules on one request, without any state.
+
+The loopback address is no protection against pages of other sites in the same browser, nor against a name
+that an attacker lets point to it. So Host must be one of ours, Origin must be that of the page, and whatever
+acts carries the token.
+"""
+
+import ipaddress
+import secrets
+from dataclasses import dataclass
+from http import HTTPStatus
+
+from hil.app.watch.http import Refused, Request
+
+
+@dataclass(frozen=True)
+class Access:
+    """The rules of one server."""
+
+    token: str
+    port: int
+    names: frozenset[str]
+    """Host names in lower case that are ours."""
+    beyond: bool
+    """Served to other machines: the token is needed to look, too."""
+    operate: bool
+    """The configuration allows to operate."""
+
+    def check(self, request: Request) -> None:
+        """Refuse a request that may not even look."""
+        self._check_host(request.headers.get("host", ""))
+        origin = request.headers.get("origin")
+        if origin not in {None, f"http://{request.headers.get('host', '')}"}:
+            raise Refused(HTTPStatus.FORBIDDEN, "the request comes from a page of another origin")
+        if request.headers.get("sec-fetch-site") in {"cross-site", "same-site"} and (
+            request.headers.get("sec-fetch-mode") != "navigate" or request.method != "GET"
+        ):
+            raise Refused(HTTPStatus.FORBIDDEN, "the request comes from a page of another site")
+        if self.beyond and not self.knows(request):
+            raise Refused(
+                HTTPStatus.UNAUTHORIZED, "open the link with the token that `hil watch` has printed"
+            )
+
+    def check_operate(self, request: Request) -> None:
+        """Refuse a request that may not act."""
+        self.check(request)
+        if not self.operate:
+            raise Refused(
+                HTTPStatus.FORBIDDEN, "the configuration does not allow the page to operate (watch.operate)"
+            )
+        if not self.knows(request):
+            raise Refused(
+                HTTPStatus.UNAUTHORIZED, "open the link with the token that `hil watch` has printed"
+            )
+        if "origin" not in request.headers or request.headers.get("content-type") != "application/json":
+            raise Refused(HTTPStatus.FORBIDDEN, "allowed: JSON from the page itself, with its Origin")
+
+    def knows(self, request: Request) -> bool:
+        """Return whether a request has the token: in the cookie, or in the link that sets it."""
+        given = request.cookies.get(self.cookie, "")
+        if request.path == "/" and "token" in request.query:
+            given = request.query["token"]
+        return secrets.compare_digest(given.encode(), self.token.encode())
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie; cookies do not tell ports apart by themselves."""
+        return f"hil-watch-{self.port}"
+
+    def _check_host(self, host: str) -> None:
+        name, _, port = host.lower().rpartition(":")
+        literal = name.removeprefix("[").removesuffix("]")
+        if port == str(self.port) and (literal in self.names or (self.beyond and _is_address(literal))):
+            return
+        raise Refused(HTTPStatus.FORBIDDEN, "this name is not that of the server: open the printed link")
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,115 @@
+"use strict";
+/* The controls. A control that is held speaks for as long as it is held, and nothing else makes it speak. */
+(() => {
+  const HELD_MS = 50, MOST = 8;
+  const at = (id) => document.getElementById(id);
+  const held = new Set();
+
+  /* In their order, one at a time: no word overtakes another. An emergency stop waits for none. */
+  let before = Promise.resolve(), waiting = 0;
+  async function say(line) {
+    if (line === "estop") return post(line);
+    if (waiting >= MOST) return told(line, false, MOST + " commands still wait for their answers");
+    waiting += 1;
+    const answer = before.then(() => post(line));
+    before = answer;
+    try { return await answer; } finally { waiting -= 1; }
+  }
+  async function post(line) {
+    try {
+      const answer = await fetch("/operate", { method: "POST", headers: { "Content-Type": "application/json" },
+        body: JSON.stringify({ line }), keepalive: line === "estop" });
+      if (!answer.ok) return told(line, false, (await answer.text()).trim());
+      const { taken, why } = await answer.json();
+      return told(line, taken, why);
+    } catch (error) {
+      return told(line, false, "no connection to hil watch");
+    }
+  }
+  function told(line, taken, why) {
+    const word = line.split(" ")[0];
+    if (!taken || (word !== "key" && word !== "jog")) at("answer").textContent = taken ? line + ": taken" : line + ": refused: " + why;
+    at("answer").classList.toggle("bad", !taken);
+    return taken;
+  }
+
+  document.querySelectorAll("[data-line]").forEach((button) => button.addEventListener("click", () => say(button.dataset.line)));
+  at("estop").addEventListener("click", () => say("estop"));
+
+  let wanted = null, saying = false;
+  at("speed").addEventListener("input", async () => {
+    wanted = at("speed").value;
+    if (saying) return;
+    saying = true;
+    while (wanted !== null) {
+      const line = "speed " + wanted;
+      wanted = null;
+      await say(line);
+    }
+    saying = false;
+  });
+
+  function hold(button, lines) {
+    let down = false, speaking = false;
+    const release = () => { down = false; held.delete(release); button.classList.remove("down"); };
+    async function press() {
+      if (down) return;
+      down = true;
+      held.add(release);
+      button.classList.add("down");
+      if (speaking) return;  // what was pressed before still waits for its answer, and goes on
+      speaking = true;
+      while (down) {  // one command at a time: nothing waits in a queue when the button goes up
+        const begun = performance.now();
+        for (const line of lines()) if (down && !(await say(line))) release();
+        await new Promise((done) => setTimeout(done, Math.max(0, HELD_MS - (performance.now() - begun))));
+      }
+      speaking = false;
+    }
+    button.addEventListener("pointerdown", (e) => { if (e.button === 0) { button.setPointerCapture(e.pointerId); press(); } });
+    ["pointerup", "pointercancel", "lostpointercapture", "blur"].forEach((name) => button.addEventListener(name, release));
+    button.addEventListener("contextmenu", (e) => e.preventDefault());
+    button.addEventListener("keydown", (e) => {
+      if (e.key !== " " && e.key !== "Enter") return;
+      e.preventDefault();
+      if (!e.repeat) press();
+    });
+    button.addEventListener("keyup", (e) => { if (e.key === " " || e.key === "Enter") release(); });
+  }
+  const releaseAll = () => Array.from(held).forEach((each) => each());
+  window.addEventListener("blur", releaseAll);
+  window.addEventListener("pagehide", releaseAll);
+  document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });
+  watching.on("lost", releaseAll);
+
+  hold(at("key"), () => ["key"]);
+  ["x", "y", "z", "rx", "ry", "rz", "leg0", "leg1", "leg2", "leg3", "leg4", "leg5"].forEach((axis) => {
+    const box = document.createElement("div"), name = document.createElement("span");
+    name.textContent = axis;
+    const buttons = [["−", -1], ["+", 1]].map(([sign, factor]) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.className = "held";
+      button.textContent = sign;
+      button.setAttribute("aria-label", "jog " + axis + " " + sign);
+      hold(button, () => ["key", "jog " + axis + " " + factor * Number(at("fraction").value)]);
+      return button;
+    });
+    box.append(buttons[0], name, buttons[1]);
+    at("jogs").append(box);
+  });
+
+  watching.on("may", ({ operate, allowed, words }) => {
+    document.querySelectorAll(".operate").forEach((each) => { each.hidden = !operate; });
+    at("jogging").hidden = !words.includes("jog");
+    at("read-only").hidden = operate || !allowed;
+    at("read-only").textContent = "Read only: open the link with the token that hil watch has printed to operate.";
+    if (!operate) releaseAll();
+  });
+  watching.on("said", (said) => {
+    if (!said) return;
+    at("speed-now").textContent = said.speed_now_percent.toFixed(0) + " % now, " + said.speed_percent.toFixed(0) + " % asked for";
+    if (document.activeElement !== at("speed")) at("speed").value = String(said.speed_percent);
+    at("key-state").textContent = "key: " + said.key;
+  });
+})();

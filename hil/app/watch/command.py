@@ -1,0 +1,128 @@
+"""`hil watch`: finds the run on the bus of a configuration and serves its page."""
+
+import asyncio
+import contextlib
+import importlib.resources
+import ipaddress
+import os
+import secrets
+import signal
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from drivers.errors import RunError
+from hil.app.configuration.configuration import Configuration
+from hil.app.watch.access import Access
+from hil.app.watch.feed import Feed
+from hil.app.watch.operating import Operating
+from hil.app.watch.server import Server
+from hil.record.mirror import mirror_path
+
+LOOPBACK = "127.0.0.1"
+PORT = 8642
+NICE = 10
+"""A tenth of the share of those who compute for the run; at 19 the page starves on a busy machine."""
+_HTML, _CSS, _JS = (f"text/{kind}; charset=utf-8" for kind in ("html", "css", "javascript"))
+_ASSETS = {
+    "/": ("watch", "watch.html", _HTML),
+    "/watch.css": ("watch", "watch.css", _CSS),
+    "/watch.js": ("watch", "watch.js", _JS),
+    "/rolling.js": ("watch", "rolling.js", _JS),
+    "/operate.js": ("watch", "operate.js", _JS),
+    "/scene.js": ("report", "scene.js", _JS),
+    "/uPlot.js": ("report", "uPlot.iife.min.js", _JS),
+    "/uPlot.css": ("report", "uPlot.min.css", _CSS),
+    "/uPlot-licence.txt": ("report", "uPlot-LICENSE.txt", "text/plain; charset=utf-8"),
+}
+"""Path -> package below hil.app, file, media type."""
+
+
+def assets() -> dict[str, tuple[bytes, str]]:
+    """Return all that the page is made of: path -> content, media type."""
+    return {
+        path: (importlib.resources.files(f"hil.app.{package}").joinpath("assets", name).read_bytes(), media)
+        for path, (package, name, media) in _ASSETS.items()
+    }
+
+
+def watch(
+    c: Configuration,
+    *,
+    host: str = LOOPBACK,
+    port: int | None = None,
+    alive: int | None = None,
+    announce: Callable[[str], None],
+) -> dict[str, Any]:
+    """Serve until Ctrl-C, SIGTERM or the end of file of `alive`; return the summary.
+
+    host: address or name to listen on; beyond the loopback the token is needed for everything. port: None is
+    PORT, or a free one where that is taken; 0 is a free one. announce: takes the link. Raises RunError where
+    it cannot listen.
+    """
+    listening = _listen(host, port)
+    port = int(listening.getsockname()[1])
+    address = ipaddress.ip_address(listening.getsockname()[0])
+    beyond = not address.is_loopback
+    names = {host.lower(), "localhost", LOOPBACK, "::1", socket.gethostname().lower()}
+    access = Access(secrets.token_urlsafe(24), port, frozenset(names), beyond, c.watch.operate)
+    operating = Operating(c.bus.interface, c.bus.channel) if c.watch.operate else None
+    server = Server(Feed(mirror_path(c.bus.interface, c.bus.channel)), access, assets(), operating)
+    _step_back(c)
+    shown = _reachable(address) if address.is_unspecified else host
+    link = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
+    with listening:
+        announce(f"{link}?token={access.token}" if beyond or c.watch.operate else link)
+        asyncio.run(_serve(server, listening, alive))
+    return {
+        "success": True,
+        "kind": "watch",
+        "configuration": c.source,
+        "link": link,
+        "streams": server.served,
+    }
+
+
+async def _serve(server: Server, listening: socket.socket, alive: int | None) -> None:
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stopped.set)
+    if alive is not None:
+        loop.add_reader(alive, stopped.set)
+    await server.run([listening], stopped)
+
+
+def _listen(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens; without a port given, a free one where PORT is taken."""
+    tried = (PORT, 0) if port is None else (port,)
+    trouble = ""
+    for each in tried:
+        try:
+            family, _, _, _, address = socket.getaddrinfo(host, each, type=socket.SOCK_STREAM)[0]
+            return socket.create_server((str(address[0]), each), family=family, backlog=64)
+        except OSError as error:
+            trouble = error.strerror or str(error)
+    raise RunError(
+        f"cannot listen on {host} port {tried[0]}: {trouble}; allowed: an address of this machine for "
+        "--host, a free port for --port (0 takes any)"
+    )
+
+
+def _step_back(c: Configuration) -> None:
+    """Leave the processor to the run: at a lower priority, and not where the loop is pinned."""
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+    others = os.sched_getaffinity(0) - {c.loop.cpu}
+    if others:
+        os.sched_setaffinity(0, others)
+
+
+def _reachable(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
+    """Return the address of this machine that others see, as far as its routes tell; nothing is sent."""
+    family, far = (socket.AF_INET, "192.0.2.1") if address.version == 4 else (socket.AF_INET6, "2001:db8::1")
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((far, 9))
+        except OSError:
+            return socket.gethostname()
+        return str(probe.getsockname()[0])

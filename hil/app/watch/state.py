@@ -1,0 +1,129 @@
+"""One row of a run as the page shows it: plain values in the units of the screen, all of them finite."""
+
+from enum import IntFlag
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.signals import NEVER, DriveFault, DriveState, Fault, Mode, Warn
+from hil.mathematics.rotations import rotation_vector
+from hil.record.metrics import rotation_errors
+from hil.record.mirror import Piece
+
+WAITS = {
+    Mode.WAITING: "waits for six drives that are heard, set up and off",
+    Mode.IDLE: "waits for the operator's word that the platform may move, or for the drives to become ready",
+    Mode.LOADING: "tests the brakes and builds up the holding force on them",
+    Mode.RELEASING: "waits for the brakes to open",
+    Mode.APPROACH: "moves to the start of the reference",
+    Mode.TRACKING: "",
+    Mode.STOPPING: "slows down along the reference to rest",
+    Mode.PARKING: "waits for the brakes to close",
+    Mode.UNLOADING: "tests the closed brakes while the force fades",
+    Mode.PARKED: "",
+    Mode.FAULT: "waits for the operator: the drives are off",
+    Mode.HELD: "waits for the operator: force holds the platform, its brakes are not proven shut",
+}
+"""What each mode waits for, where the controller itself is not asked."""
+_FOLLOWS = range(Mode.RELEASING, Mode.PARKING + 1)
+
+
+def numbers(values: ArrayLike, digits: int) -> list[float | None]:
+    """Return values as a flat list, rounded; None for what is not finite."""
+    flat = np.asarray(values, np.float64).ravel().tolist()
+    return [round(x, digits) if isfinite(x) else None for x in flat]
+
+
+def flags(kind: type[IntFlag], value: int) -> list[str]:
+    """Return the names of the bits that are set, and the number of those that have none."""
+    named = [str(bit.name) for bit in kind if bit & value]
+    rest = value & ~sum(int(bit) for bit in kind)
+    return [*named, *([str(rest)] if rest else [])]
+
+
+def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
+    """Return what the page shows of a piece. about: `hil.app.run_description`; now_ns: CLOCK_MONOTONIC."""
+    row, figures = piece.row, piece.figures
+    mode = int(row["mode"])
+    known = mode in {int(m) for m in Mode}
+    follows = mode in _FOLLOWS
+    posed, led = _posed(row["p"], row["R"]), follows and _posed(row["p_d"], row["R_d"])
+    heard = row["age"] < NEVER
+    limit = about["force_limit_N"]
+    return {
+        "n": piece.number,
+        "age": round((now_ns - int(figures["seen_ns"])) * 1e-9, 3),
+        "t": round(int(row["t_ns"]) * 1e-9, 4),
+        "tick": int(row["tick"]),
+        "mode": Mode(mode).name if known else str(mode),
+        "waits": WAITS[Mode(mode)] if known else "",
+        "path": numbers(row["reference_time_s"], 3)[0],
+        "faults": flags(Fault, int(row["faults"])),
+        "warnings": flags(Warn, int(row["warnings"])),
+        "posed": posed,
+        "led": led,
+        "p": numbers(row["p"], 6),
+        "R": numbers(row["R"], 6),
+        "r": numbers(np.degrees(rotation_vector(row["R"])), 4) if posed else [None] * 3,
+        "p_d": numbers(row["p_d"], 6),
+        "R_d": numbers(row["R_d"], 6),
+        "r_d": numbers(np.degrees(rotation_vector(row["R_d"])), 4) if led else [None] * 3,
+        "e_p": numbers(1e3 * (row["p_d"] - row["p"]), 4) if posed and led else [None] * 3,
+        "e_r": numbers(1e3 * rotation_errors(row["R_d"], row["R"]), 4) if posed and led else [None] * 3,
+        "legs": {
+            "q": [x if h else None for x, h in zip(numbers(row["q"], 5), heard.tolist(), strict=True)],
+            "margin": _margins(row, heard, about),
+            "tau": numbers(row["tau"] * 1e-3, 3),
+            "share": numbers(row["tau"] / limit, 4),
+            "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
+            "state": [_name(DriveState, x) for x in row["drive_state"].tolist()],
+            "fault": [_name(DriveFault, x) if x else "" for x in row["drive_fault"].tolist()],
+            "age": [x if x < NEVER else None for x in row["age"].tolist()],
+            "marked": _marked(row, about),
+        },
+        "V": numbers(row["lyapunov_share"], 4)[0],
+        "late": [round(int(x) * 1e-3, 1) for x in (row["lateness_ns"], figures["late_ns"])],
+        "compute": [round(int(x) * 1e-3, 1) for x in (row["compute_ns"], figures["compute_ns"])],
+        **{name: int(figures[name]) for name in ("ticks", "stale", "skipped", "dropped", "waiting")},
+        "capacity": int(figures["capacity"]),
+        "log_bytes": int(figures["log_bytes"]),
+    }
+
+
+def _posed(p: ArrayLike, R: ArrayLike) -> bool:
+    return bool(np.isfinite(p).all() and np.isfinite(R).all() and np.any(R))
+
+
+def _name(kind: Any, value: int) -> str:
+    return str(kind(value).name) if value in {int(each) for each in kind} else str(value)
+
+
+def _margins(row: np.void, heard: Any, about: dict[str, Any]) -> list[float | None]:
+    """Return the way to the nearer end of each leg's stroke, mm."""
+    left = np.minimum(row["q"] - about["length_min_m"], about["length_max_m"] - row["q"])
+    return numbers(np.where(heard, 1e3 * left, np.nan), 2)
+
+
+def _marked(row: np.void, about: dict[str, Any]) -> list[str]:
+    """Return why a leg is marked in the picture; empty where nothing is wrong with it."""
+    found = []
+    for leg in range(6):
+        bit = 1 << leg
+        names = [text for name, text in _BITS.items() if int(row[name]) & bit]
+        age = int(row["age"][leg])
+        if int(row["drive_fault"][leg]):
+            names.append(_name(DriveFault, int(row["drive_fault"][leg])).lower())
+        if NEVER > age >= about["stale_fault_ticks"]:
+            names.append("silent")
+        found.append(", ".join(names))
+    return found
+
+
+_BITS = {
+    "legs_doubted": "encoder doubted",
+    "legs_moved": "moved on its brake",
+    "legs_refused": "drive refuses",
+}
+"""Columns of bits, one a leg, and what a set one means."""

@@ -1,0 +1,247 @@
+"""The live page in a browser: no error, no request to elsewhere, keyboard, a phone's width, controls that let go."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+
+import numpy as np
+import pytest
+
+from drivers.signals import DriveFault, Fault, Mode
+from hil.app.configuration.configuration import load
+from hil.app.sim.command import simulate
+from hil.app.watch.operating import WORDS
+from hil.record.log import Log
+from tests.browser import Browser, needs_chromium
+from tests.live_run import Listening, LiveRun, Watch, operating
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture(autouse=True)
+def _meeting_place(monkeypatch):
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # a socket's path is short
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    """From the second at which the platform follows its path."""
+    path = tmp_path_factory.mktemp("watch") / "good.mcap"
+    simulate(load("virtual"), log=path, duration_s=6.0, check_replay=False)
+    found = Log.open(path).rows()
+    return found[np.flatnonzero(found["mode"] == Mode.TRACKING)[0] :]
+
+
+def until(browser, expression, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not (value := browser.value(expression)):
+        assert time.monotonic() < end, f"it did not come: {expression}"
+        time.sleep(0.05)
+    return value
+
+
+def text(browser, name):
+    return browser.value(f"document.getElementById('{name}').textContent")
+
+
+@pytest.mark.parametrize("width", [1200, 360])
+def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_line(rows, tmp_path, width):
+    with Watch("virtual") as watch, LiveRun(rows), Browser(tmp_path, width=width) as browser:
+        browser.go(watch.link)
+        until(browser, "watching.counts.drawn > 20")
+        assert text(browser, "mode-name") == "TRACKING"
+        assert text(browser, "link") == "● live"
+        assert browser.value("document.body.classList.contains('stale')") is False
+        assert browser.value("document.documentElement.scrollWidth") <= width
+        assert browser.value("document.querySelectorAll('#legs tbody tr').length") == 6
+        assert browser.value("document.querySelector('#events li').textContent") == "0.009 s, error: it broke"
+        assert browser.value("document.querySelectorAll('#events b').length") == 0, "texts are no HTML"
+        assert browser.value("document.getElementById('estop').hidden"), "this configuration does not operate"
+        counts = browser.value("[...document.querySelectorAll('.chart')].map((c) => c.plot.data[1].length)")
+        assert len(counts) == 3
+        assert min(counts) > 10
+        assert browser.errors == []
+        assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
+
+
+@pytest.mark.realtime
+def test_the_page_is_drawn_anew_fifty_times_a_second(rows, tmp_path):
+    now = "[watching.counts.states, watching.counts.drawn, performance.now()]"
+    with Watch("virtual") as watch, LiveRun(rows), Browser(tmp_path) as browser:
+        browser.go(watch.link)
+        until(browser, "watching.counts.drawn > 20")
+        first = browser.value(now)
+        time.sleep(5.0)
+        states, drawn, ms = np.subtract(browser.value(now), first)
+        assert states / ms * 1e3 > 47.0
+        assert drawn / ms * 1e3 > 40.0
+
+
+def test_what_is_shown_is_the_newest_row(rows, tmp_path):
+    with Watch("virtual") as watch, LiveRun(rows[:1].copy()) as run, Browser(tmp_path) as browser:
+        browser.go(watch.link)
+        until(browser, "watching.counts.drawn > 5")
+        row = rows[0]
+        cells = browser.value(
+            "[...document.querySelectorAll('#legs tbody tr')].map((r) => [...r.cells].map((c) => c.textContent))"
+        )
+        assert [float(each[1]) for each in cells] == pytest.approx(row["q"], abs=6e-5)
+        assert [float(each[3]) for each in cells] == pytest.approx(row["tau"] / 1e3, abs=6e-3)
+        end = np.minimum(row["q"] - 0.75, 2.2 - row["q"])  # the stroke of the shipped configuration
+        assert [float(each[2]) for each in cells] == pytest.approx(1e3 * end, abs=6e-2)
+        pose = browser.value(
+            "[...document.querySelector('#pose tbody tr').cells].slice(1, 4).map((c) => Number(c.textContent))"
+        )
+        assert pose == pytest.approx(row["p"], abs=6e-5)
+        assert run.shown > 0
+
+
+def test_faults_are_told_in_words_and_legs_are_marked(rows, tmp_path):
+    bad = rows[:1].copy()
+    bad["mode"], bad["faults"] = Mode.FAULT, Fault.DRIVE | Fault.BRAKE
+    bad["drive_fault"][0, 3], bad["legs_moved"] = DriveFault.OVERFORCE, 1 << 5
+    bad["tau"][0, 1] = np.nan
+    with Watch("virtual") as watch, LiveRun(bad), Browser(tmp_path) as browser:
+        browser.go(watch.link)
+        until(browser, "watching.counts.drawn > 5")
+        assert browser.value("[...document.querySelectorAll('#faults li')].map((x) => x.textContent)") == [
+            "DRIVE",
+            "BRAKE",
+        ]
+        marks = browser.value("[...document.querySelectorAll('#legs .mark')].map((x) => x.textContent)")
+        assert marks == ["", "", "", "✕ overforce", "", "✕ moved on its brake"]
+        assert browser.value("document.querySelectorAll('#legs tbody tr')[1].cells[3].textContent") == "–"
+        assert "drives are off" in text(browser, "waits")
+        assert browser.errors == []
+
+
+def test_old_data_are_called_old_and_a_run_that_follows_is_picked_up(rows, tmp_path):
+    with Watch("virtual") as watch, Browser(tmp_path) as browser:
+        browser.go(watch.link)
+        until(browser, "document.getElementById('banner').textContent === 'nothing runs on this bus yet'")
+        with LiveRun(rows, name="first") as run:
+            until(
+                browser,
+                "document.getElementById('name').textContent === 'first' && watching.counts.drawn > 5",
+            )
+            run.freeze()
+            until(browser, "/^no data for [1-9]/.test(document.getElementById('banner').textContent)")
+            assert browser.value("document.body.classList.contains('stale')")
+            assert text(browser, "link") == "○ waiting"
+        until(browser, "/the run has ended/.test(document.getElementById('banner').textContent)")
+        with LiveRun(rows, name="second"):
+            until(browser, "document.getElementById('name').textContent === 'second'")
+            until(browser, "!document.body.classList.contains('stale')")
+            assert browser.value("document.getElementById('banner').hidden")
+        assert browser.errors == []
+
+
+def tab_to(browser, condition):
+    for _ in range(40):
+        browser.key("Tab")
+        if browser.value(f"document.activeElement.matches({condition!r})"):
+            return
+    raise AssertionError(f"Tab does not reach {condition}")
+
+
+def test_every_control_works_by_the_keyboard(rows, tmp_path):
+    with (
+        Watch(operating(tmp_path)) as watch,
+        LiveRun(rows),
+        Listening() as controller,
+        Browser(tmp_path / "b") as browser,
+    ):
+        browser.go(watch.link)
+        until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
+        assert browser.value("location.search") == "", "the token is not left in the address"
+        browser.key("Tab")
+        assert browser.value("document.activeElement.id") == "estop", "it comes first"
+        assert browser.value("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        browser.key("Enter", "\r")
+        for word in ("arm", "start", "hold", "stop", "park", "reset"):
+            tab_to(browser, f"[data-line={word}]")
+            browser.key("Enter", "\r")
+        until(browser, "document.getElementById('answer').textContent === 'reset: taken'")
+        assert controller.lines == ["estop", "arm", "start", "hold", "stop", "park", "reset"]
+        tab_to(browser, "#speed")
+        until(browser, "document.getElementById('speed-now').textContent === '55 % now, 40 % asked for'")
+        browser.key("End")
+        until(browser, "document.getElementById('answer').textContent === 'speed 100: taken'")
+        assert text(browser, "waits") == "waits for tests", "the controller knows best"
+        assert browser.errors == []
+
+
+def press(browser, kind, key=" "):
+    browser.call(
+        "Input.dispatchKeyEvent", type=kind, key=key, code="Space", text=key if kind == "keyDown" else ""
+    )
+
+
+def not_shown(run, browser):
+    """The page cannot see any more what it moves."""
+    run.freeze()
+    until(browser, "document.body.classList.contains('stale')")
+
+
+LET_GO = {
+    "key up": lambda run, b: press(b, "keyUp"),
+    "focus": lambda run, b: b.value("document.activeElement.blur()"),
+    "window": lambda run, b: b.value("window.dispatchEvent(new Event('blur'))"),
+    "hidden": lambda run, b: b.value(
+        "Object.defineProperty(document, 'hidden', {value: true, configurable: true});"
+        "document.dispatchEvent(new Event('visibilitychange')); delete document.hidden;"
+    ),
+    "old data": not_shown,
+}
+
+
+def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, tmp_path):
+    with (
+        Watch(operating(tmp_path)) as watch,
+        LiveRun(rows) as run,
+        Listening() as controller,
+        Browser(tmp_path / "b") as browser,
+    ):
+        browser.go(watch.link)
+        until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
+        for how, let_go in LET_GO.items():
+            controller.lines.clear()
+            until(browser, "!document.body.classList.contains('stale')")
+            browser.value("document.getElementById('key').focus()")
+            press(browser, "keyDown")
+            end = time.monotonic() + 30.0
+            while len(controller.lines) < 5:
+                assert time.monotonic() < end, f"{how}: {controller.lines}"
+                time.sleep(0.05)
+            assert set(controller.lines) == {"key"}
+            let_go(run, browser)
+            until(browser, "document.querySelectorAll('.held.down').length === 0")
+            time.sleep(0.3)  # the one that is under way
+            count = len(controller.lines)
+            time.sleep(0.7)
+            assert len(controller.lines) == count, how
+            press(browser, "keyUp")
+        assert browser.errors == []
+
+
+@pytest.mark.skipif("jog" not in WORDS, reason="the operator's channel has no word jog")
+def test_who_jogs_holds_the_key(rows, tmp_path):
+    with (
+        Watch(operating(tmp_path)) as watch,
+        LiveRun(rows),
+        Listening() as controller,
+        Browser(tmp_path / "b") as browser,
+    ):
+        browser.go(watch.link)
+        until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
+        browser.value("document.getElementById('jogging').open = true")
+        browser.value("document.querySelector('[aria-label=\"jog x −\"]').focus()")
+        press(browser, "keyDown")
+        until(browser, "document.querySelectorAll('.held.down').length === 1")
+        time.sleep(1.0)
+        press(browser, "keyUp")
+        assert controller.lines[0] == "key"
+        assert set(controller.lines) == {"key", "jog x -0.25"}

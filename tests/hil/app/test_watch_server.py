@@ -1,0 +1,269 @@
+"""The server of the live page against those who mean it harm, and those who do not read."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import tempfile
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.tick_columns import ROW
+from hil.app.watch.feed import Feed
+from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Watcher
+from tests.live_run import Listening, LiveRun, Watch, operating
+
+ASSETS = (
+    "/",
+    "/watch.css",
+    "/watch.js",
+    "/rolling.js",
+    "/operate.js",
+    "/scene.js",
+    "/uPlot.js",
+    "/uPlot.css",
+    "/stream",
+)
+
+
+@pytest.fixture(autouse=True)
+def _meeting_place(monkeypatch):
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # a socket's path is short
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+@pytest.fixture
+def rows():
+    found = np.zeros(3000, ROW)
+    found["tick"] = np.arange(3000)
+    found["R"] = np.eye(3)
+    return found
+
+
+def ask(watch, method, path, body=None, **headers):
+    """Return status, headers and body of one request."""
+    connection = http.client.HTTPConnection("127.0.0.1", watch.port, timeout=10.0)
+    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    found = answer.status, dict(answer.getheaders()), b"" if path == "/stream" else answer.read()
+    connection.close()
+    return found
+
+
+def opened(watch, data):
+    connection = socket.create_connection(("127.0.0.1", watch.port), timeout=10.0)
+    connection.sendall(data)
+    return connection
+
+
+STREAM = b"GET /stream HTTP/1.1\r\nHost: localhost:%d\r\n\r\n"
+
+
+class Reading:
+    """A stream that is read."""
+
+    def __init__(self, watch):
+        self._socket = opened(watch, STREAM % watch.port)
+        self.text = b""
+
+    def read(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._socket.settimeout(max(0.01, end - time.monotonic()))
+            try:
+                data = self._socket.recv(1 << 20)
+            except TimeoutError:
+                break
+            assert data, "the server has closed a watcher that reads"
+            self.text += data
+
+    def states(self):
+        lines = self.text.decode().split("\n\n")[:-1]
+        return [json.loads(each.partition("data: ")[2]) for each in lines if "event: state\n" in each]
+
+    def close(self):
+        self._socket.close()
+
+
+def test_a_watcher_sees_the_run_and_what_was_said(rows):
+    with Watch("virtual") as watch, LiveRun(rows, name="first"):
+        watcher = Reading(watch)
+        watcher.read(2.0)
+        text = watcher.text.decode()
+        assert '"name":"first"' in text
+        assert '"columns"' not in text
+        events = json.loads(text.partition("event: events\ndata: [{")[2].partition("\n")[0].join(("[{", "")))
+        assert events[0] == {"t": 0.005, "level": "info", "text": "<b>begun</b>"}
+        assert events[1]["text"] == "it broke"
+        states = watcher.states()
+        ticks = [each["tick"] for each in states]
+        assert len(states) > 20
+        assert ticks == sorted(ticks)
+        assert ticks[-1] > 300
+        assert all(abs(each["age"]) < 0.5 for each in states)
+        watcher.close()
+
+
+def test_ten_watchers_see_the_run_while_others_do_harm(rows):
+    with Watch("virtual") as watch, LiveRun(rows):
+        first = Reading(watch)
+        first.read(1.0)
+        before = watch.resident_kB
+        others = [Reading(watch) for _ in range(9)]
+        silent = opened(watch, STREAM % watch.port)
+        silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        idle = []
+        for k in range(100):
+            idle.append(
+                opened(
+                    watch,
+                    (b"", b"GET", b"\0" * 3000, b"POST / HTTP/1.1\r\nContent-Length: 400\r\n\r\n")[k % 4],
+                )
+            )
+        bad = [opened(watch, b"\xff\xfe" * 5000 + b"\r\n\r\n") for _ in range(20)]
+        first.text = b""
+        first.read(3.0)
+        assert len(first.states()) > 60, "50 Hz, or what a busy machine leaves of it"
+        for each in others:
+            each.read(0.2)
+            assert each.states(), "each of the ten is served"
+        assert watch.resident_kB - before < 20_000, "nothing is kept for those who do not read"
+        for each in (*others, *idle, *bad, silent, first):
+            each.close()
+        assert ask(watch, "GET", "/")[0] == 200
+
+
+def test_connections_and_streams_are_bounded(rows):
+    with Watch("virtual") as watch, LiveRun(rows):
+        streams = [Reading(watch) for _ in range(MOST_STREAMS)]
+        for each in streams:
+            each.read(0.1)
+        assert ask(watch, "GET", "/stream", Host=f"localhost:{watch.port}")[0] == 503
+        rest = [opened(watch, b"GET") for _ in range(MOST_CONNECTIONS - MOST_STREAMS)]
+        time.sleep(0.5)
+        with pytest.raises((ConnectionError, http.client.HTTPException)):
+            ask(watch, "GET", "/")
+        for each in rest:
+            each.close()
+        time.sleep(0.5)
+        assert ask(watch, "GET", "/")[0] == 200
+        for each in streams:
+            each.close()
+
+
+class Transport:
+    """Counts what is written; `waiting` bytes are not read."""
+
+    def __init__(self):
+        self.written, self.waiting, self.aborted = 0, 0, False
+
+    @property
+    def transport(self):
+        return self
+
+    def is_closing(self):
+        return self.aborted
+
+    def get_write_buffer_size(self):
+        return self.waiting
+
+    def write(self, data):
+        self.written += len(data)
+
+    def abort(self):
+        self.aborted = True
+
+
+def test_a_watcher_that_is_behind_gets_nothing_until_it_reads_and_is_cut_off_in_the_end(tmp_path):
+    feed = Feed(tmp_path / "none")
+    writer: Any = Transport()
+    feed.state = b"state"
+    watcher = Watcher(writer)
+    watcher.send(feed, 0.0, fresh=True)
+    first = writer.written
+    assert first > 0
+    writer.waiting = BEHIND_BYTES + 1
+    for t in (1.0, PATIENCE_S):
+        watcher.send(feed, t, fresh=True)
+    assert (writer.written, writer.aborted) == (first, False)
+    writer.waiting = 0
+    watcher.send(feed, PATIENCE_S + 1.0, fresh=True)
+    assert writer.written == first + len(b"state"), "it has read, and counts anew"
+    writer.waiting = BEHIND_BYTES + 1
+    watcher.send(feed, 100.0, fresh=True)
+    watcher.send(feed, 100.0 + PATIENCE_S + 0.1, fresh=True)
+    assert writer.aborted
+
+
+def post(watch, line, **headers):
+    given = {
+        "Origin": watch.base,
+        "Content_Type": "application/json",
+        "Cookie": f"hil-watch-{watch.port}={watch.token}",
+    }
+    given |= headers
+    body = json.dumps({"line": line})
+    return ask(watch, "POST", "/operate", body, **{name: value for name, value in given.items() if value})
+
+
+def test_without_the_token_nothing_is_said_to_the_controller(rows, tmp_path):
+    with Watch(operating(tmp_path)) as watch, LiveRun(rows), Listening() as controller:
+        assert len(watch.token) >= 32
+        for headers in (
+            {"Cookie": ""}, {"Cookie": f"hil-watch-{watch.port}=guess"}, {"Origin": ""},
+            {"Origin": "http://evil.example"}, {"Host": "evil.example"}, {"Content_Type": "text/plain"},
+        ):  # fmt: skip
+            assert post(watch, "estop", **headers)[0] in {401, 403}
+        assert ask(watch, "GET", f"/operate?token={watch.token}&line=estop")[0] in {401, 403}
+        assert post(watch, "release")[0] == 400
+        assert controller.lines == []
+        status, _, body = post(watch, "hold")
+        assert (status, json.loads(body)) == (200, {"taken": True, "why": ""})
+        assert controller.lines == ["hold"]
+
+
+def test_where_the_configuration_does_not_allow_it_nobody_operates(rows):
+    with Watch("virtual") as watch, LiveRun(rows), Listening() as controller:
+        assert watch.token == ""
+        assert post(watch, "hold")[0] == 403
+        assert controller.lines == []
+
+
+def test_where_no_controller_listens_the_page_is_told(rows, tmp_path):
+    with Watch(operating(tmp_path)) as watch, LiveRun(rows):
+        status, _, body = post(watch, "hold")
+        assert status == 200
+        assert json.loads(body)["taken"] is False
+        assert "no controller runs on bus localcan:hil0" in json.loads(body)["why"]
+
+
+def test_the_link_sets_the_cookie_and_the_policy_forbids_what_is_foreign(rows, tmp_path):
+    with Watch(operating(tmp_path)) as watch, LiveRun(rows):
+        status, headers, _ = ask(watch, "GET", f"/?token={watch.token}")
+        assert status == 200
+        assert (
+            headers["Set-Cookie"]
+            == f"hil-watch-{watch.port}={watch.token}; HttpOnly; SameSite=Strict; Path=/"
+        )
+        assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'self'; ")
+        assert "unsafe" not in headers["Content-Security-Policy"]
+        assert "Set-Cookie" not in ask(watch, "GET", "/?token=wrong")[1]
+        status, headers, body = ask(watch, "HEAD", "/")
+        assert (status, body) == (200, b"")
+        assert int(headers["Content-Length"]) > 1000
+        assert ask(watch, "GET", "/../watch.html")[0] == 404
+        assert ask(watch, "POST", "/")[0] == 405
+
+
+def test_beyond_the_loopback_nothing_is_shown_without_the_token(rows):
+    with Watch("virtual", "--host", "0.0.0.0") as watch, LiveRun(rows):
+        cookie = f"hil-watch-{watch.port}={watch.token}"
+        for path in ASSETS:
+            assert ask(watch, "GET", path)[0] == 401, path
+            assert ask(watch, "GET", path, Cookie=cookie)[0] == 200, path
+        assert ask(watch, "GET", f"/?token={watch.token}")[0] == 200

@@ -1,0 +1,156 @@
+"""A run that is only shown: rows of a simulation in a mirror at their own pace, and who listens as its controller."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from drivers.child_process import start
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.run_description import run_description
+from hil.operate.client import socket_path
+from hil.record.mirror import FIGURES, Mirror, mirror_path
+from hil.record.row import TICKS, describe
+
+BUS = "localcan", "hil0"
+EVENTS = [
+    {"number": 1, "t_ns": 5_000_000, "level": "info", "text": "<b>begun</b>"},
+    {"number": 2, "t_ns": 9_000_000, "level": "error", "text": 'it broke\n{"fault": "DRIVE"}'},
+]
+
+
+class LiveRun:
+    """Shows rows (n,) of dtype ROW every 20 ms as if they were recorded now; past the last one, that one."""
+
+    def __init__(self, rows: Any, name: str = "virtual") -> None:
+        about = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
+        self.mirror = Mirror(mirror_path(*BUS), {**about, "name": name, "columns": describe(TICKS.columns)})
+        self._rows, self._going = rows, True
+        self.shown = 0
+        self._thread = threading.Thread(target=self._play)
+        self._thread.start()
+
+    def _play(self) -> None:
+        figures = np.zeros((), FIGURES)
+        figures["capacity"] = 8192
+        begun = time.monotonic()
+        while self._going:
+            k = min(round(1e3 * (time.monotonic() - begun)), len(self._rows) - 1)
+            figures["seen_ns"], figures["ticks"] = time.monotonic_ns(), k
+            self.mirror.write(self._rows[k], figures, json.dumps(EVENTS).encode())
+            self.shown += 1
+            time.sleep(max(0.0, begun + 0.02 * self.shown - time.monotonic()))
+
+    def freeze(self) -> None:
+        """Show nothing more, as a recorder that was killed."""
+        self._going = False
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.freeze()
+        self.mirror.close()
+
+
+class Listening:
+    """Hears the operator's lines where a controller would, and takes them all."""
+
+    def __init__(self, waits: str = "waits for tests") -> None:
+        self._waits = waits
+        self.lines: list[str] = []
+        self.times: list[float] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(socket_path(*BUS)))
+        self._socket.settimeout(0.1)
+        self._going = True
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while self._going:
+            try:
+                data, sender = self._socket.recvfrom(4096)
+            except TimeoutError:
+                continue
+            tag, _, line = data.decode().partition(" ")
+            answer = "taken"
+            if line == "status":
+                answer = json.dumps(
+                    {
+                        "waits_for": self._waits,
+                        "speed_percent": 40,
+                        "speed_now_percent": 55.0,
+                        "key": "missing",
+                    }
+                )
+            else:
+                self.lines.append(line)
+                self.times.append(time.monotonic())
+            if line != "key":
+                with suppress(OSError):
+                    self._socket.sendto(f"{tag} {answer}".encode(), sender)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._going = False
+        self._thread.join()
+        self._socket.close()
+
+
+class Watch:
+    """`hil watch` as a process. `link` is the one it printed, `base` its origin."""
+
+    def __init__(self, configuration: str, *options: str) -> None:
+        self.process = start(
+            "hil.cli",
+            "watch",
+            configuration,
+            "--port",
+            "0",
+            *options,
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self.process.stderr is not None
+        line = self.process.stderr.readline().decode()
+        assert "watch at http://" in line, line
+        self.link = line.split()[-1]
+        self.base = self.link.partition("/?")[0].rstrip("/")
+        self.port = int(self.base.rpartition(":")[2])
+        self.token = self.link.partition("token=")[2]
+
+    @property
+    def resident_kB(self) -> int:
+        """Memory of the process."""
+        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") // 1024
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.terminate()
+        self.process.communicate(timeout=20.0)
+
+
+def operating(folder: Path) -> str:
+    """Return a configuration whose page may operate."""
+    text = load("virtual").text
+    path = folder / "operating.yaml"
+    path.write_text(f"{text}\nwatch:\n  operate: true\n")
+    found: Configuration = load(path)
+    assert found.watch.operate
+    return str(path)

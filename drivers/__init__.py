@@ -20,6 +20,10 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
         raise ConfigurationError(
             f"drives.options: protocol legs has none, given: {', '.join(drives.options)}"
         )
+    if drives.transmission is not None:
+        raise ConfigurationError(
+            "drives.transmission: protocol legs speaks of leg lengths and forces and has none; leave it out"
+        )
     return LegsProtocol(bus.layout, drives.node_ids, drives.force_limit_N)
 
 
@@ -28,5 +32,6 @@ PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
 }
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.
 
-A row checks `bus.layout`, `drives.node_ids` and `drives.options`; its ConfigurationError begins with the key.
+A row checks `bus.layout` and, of `drives`, `node_ids`, `options` and `transmission`; its ConfigurationError
+begins with the key.
 """

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from drivers import PROTOCOLS
 from drivers.section import Section
@@ -27,6 +27,53 @@ class BusSettings(Section):
     """Further keyword arguments for the python-can interface."""
 
 
+Above0 = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Side = Literal[1, -1]
+PerLeg = float | Annotated[list[float], Field(min_length=6, max_length=6)]
+PerLegAbove0 = Above0 | Annotated[list[Above0], Field(min_length=6, max_length=6)]
+PerLegShare = Share | Annotated[list[Share], Field(min_length=6, max_length=6)]
+PerLegSide = Side | Annotated[list[Side], Field(min_length=6, max_length=6)]
+
+
+class TransmissionSettings(Section):
+    """Between each motor and its leg; every value is one for all legs, or six in leg order.
+
+    The motor is the shaft whose position and torque the drive speaks of: of a gear motor that reports its
+    output, that output.
+    """
+
+    lead_m: PerLegAbove0 | None = None
+    """Lead of the screw: leg length a turn. Either this or `pulley_radius_m`."""
+    pulley_radius_m: PerLegAbove0 | None = None
+    """Pitch radius of the pulley or pinion that moves the leg."""
+    gear_ratio: PerLegAbove0 = 1.0
+    """Turns of the motor a turn of the screw or pulley."""
+    sign: PerLegSide = 1
+    """1 where positive turns of the motor extend the leg, -1 where they shorten it."""
+    efficiency: PerLegShare = 1.0
+    """Share of the motor's work that reaches the leg."""
+    back_driving_efficiency: PerLegShare = 1.0
+    """Share of the leg's work that reaches the motor. A screw that locks itself has none: no force of its leg
+    moves it, so a law of forces cannot control it."""
+    full_loss_m_s: Above0 = 1e-3
+    """Leg rate from which on the losses act in full: below it they fade, and at rest there are none."""
+    offset_m: PerLeg = 0.0
+    """Leg length, joint centre to joint centre, where the drive reads position zero."""
+    counts_per_turn: PerLegAbove0 = 65536.0
+    """Encoder counts a turn of the motor, of drives that report counts."""
+
+    @model_validator(mode="after")
+    def _screw_or_pulley(self) -> "TransmissionSettings":
+        given = [name for name in ("lead_m", "pulley_radius_m") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                "a screw or a pulley moves the leg, allowed: one of lead_m, pulley_radius_m, given: "
+                f"{' and '.join(given) or 'neither'}"
+            )
+        return self
+
+
 def _name_protocols(schema: dict[str, Any]) -> None:
     schema["enum"] = list(PROTOCOLS)
 
@@ -40,6 +87,8 @@ class DriveSettings(Section):
     """Node number of each leg's drive, leg order, as its protocol counts them: 1 to 127 with `legs`."""
     options: dict[str, str | int | float | bool] = {}
     """Settings of the protocol's own; `legs` has none."""
+    transmission: TransmissionSettings | None = None
+    """Between motor and leg, of drives that speak of a motor; `legs` speaks of the leg and has none."""
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
     """A drive that hears no command for this long reacts by itself, as `reactions.silence` says. At least 3
     periods."""

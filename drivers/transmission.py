@@ -1,0 +1,132 @@
+"""Between motor and leg: lead screw or pulley, gear, sign, losses, encoder. Pure, SI, leg by leg.
+
+The motor is the shaft whose angle and torque the drive speaks of. With the lead l in m of leg a turn of the
+screw (of a pulley: 2 pi r), the gear N in turns of the motor a turn of the screw, the sign s, the offset q0
+
+    q = q0 + s l n / N            n: turns of the motor
+    F0 = s 2 pi N tau / l         without losses; virtual work tau 2 pi dn = F dq
+
+A loss takes its share from whoever drives: F = eta_d F0 while the motor drives the leg (F dq > 0), and
+F = F0 / eta_b while the leg drives the motor (F dq < 0). At rest friction can act either way, and F0 lies in
+between; up to `full_loss_m_s` the loss grows with the rate, so that no force jumps when a leg turns round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.arrays import ZERO6, Array
+from drivers.signals import LEGS
+
+if TYPE_CHECKING:
+    from drivers.config import TransmissionSettings
+
+
+def _row(values: float | list[float]) -> Array:
+    row = np.broadcast_to(np.array(values, float), LEGS).copy()
+    row.flags.writeable = False
+    return row
+
+
+@dataclass(frozen=True, eq=False)
+class Transmission:
+    """Six transmissions; every array is (6,), leg order, read-only."""
+
+    lead_m: Array
+    """m of leg a turn of the screw or pulley, > 0."""
+    gear: Array
+    """Turns of the motor a turn of the screw or pulley, > 0."""
+    sign: Array
+    """1 where positive turns of the motor extend the leg, else -1."""
+    driving: Array
+    """eta_d, efficiency while the motor drives the leg, > 0 to 1."""
+    back_driving: Array
+    """eta_b, efficiency while the leg drives the motor, > 0 to 1."""
+    offset_m: Array
+    """Leg length where the drive reads position zero."""
+    counts: Array
+    """Encoder counts a turn of the motor, > 0; for drives that count."""
+    full_loss_m_s: float
+    """Leg rate from which on the whole loss acts, > 0."""
+
+    @classmethod
+    def of(cls, settings: TransmissionSettings) -> Transmission:
+        """Return the configured ones; a value for all legs is repeated."""
+        lead, radius = settings.lead_m, settings.pulley_radius_m
+        if lead is not None:
+            lead_m = _row(lead)
+        else:
+            assert radius is not None, "the section has one of the two"
+            lead_m = _row((2.0 * pi * _row(radius)).tolist())
+        return cls(
+            lead_m=lead_m,
+            gear=_row(settings.gear_ratio),
+            sign=_row(
+                [float(s) for s in settings.sign] if isinstance(settings.sign, list) else settings.sign
+            ),
+            driving=_row(settings.efficiency),
+            back_driving=_row(settings.back_driving_efficiency),
+            offset_m=_row(settings.offset_m),
+            counts=_row(settings.counts_per_turn),
+            full_loss_m_s=settings.full_loss_m_s,
+        )
+
+    @property
+    def m_per_turn(self) -> Array:
+        """(6,) m of leg a turn of the motor, signed: s l / N."""
+        return self.sign * self.lead_m / self.gear
+
+    @property
+    def N_per_Nm(self) -> Array:
+        """(6,) N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
+        return self.sign * (2.0 * pi) * self.gear / self.lead_m
+
+    # motion
+
+    def length(self, turns: Array) -> Array:
+        """Return leg lengths (6,) m at motor positions (6,) turns."""
+        return self.offset_m + self.m_per_turn * turns
+
+    def turns(self, length: Array) -> Array:
+        """Return motor positions (6,) turns at leg lengths (6,) m."""
+        return (length - self.offset_m) / self.m_per_turn
+
+    def rate(self, turns_per_s: Array) -> Array:
+        """Return leg rates (6,) m/s at motor speeds (6,) turns/s."""
+        return self.m_per_turn * turns_per_s
+
+    def turns_per_s(self, rate: Array) -> Array:
+        """Return motor speeds (6,) turns/s at leg rates (6,) m/s."""
+        return rate / self.m_per_turn
+
+    def length_of_counts(self, counts: Array) -> Array:
+        """Return leg lengths (6,) m at encoder readings (6,) counts."""
+        return self.length(counts / self.counts)
+
+    def counts_of_length(self, length: Array) -> Array:
+        """Return encoder readings (6,) counts, not rounded, at leg lengths (6,) m."""
+        return self.turns(length) * self.counts
+
+    # force
+
+    def torque(self, force: Array, rate: Array = ZERO6) -> Array:
+        """Return motor torques (6,) N m that give leg forces (6,) N at leg rates (6,) m/s."""
+        return self._loss(force, rate) * force / self.N_per_Nm
+
+    def force(self, torque: Array, rate: Array = ZERO6) -> Array:
+        """Return leg forces (6,) N that motor torques (6,) N m give at leg rates (6,) m/s."""
+        lossless = self.N_per_Nm * torque
+        return lossless / self._loss(lossless, rate)
+
+    def delivered(self, lossless: Array, rate: Array) -> Array:
+        """Return what is left at the leg, (6,) N, of forces (6,) N without losses at leg rates (6,) m/s."""
+        return lossless / self._loss(lossless, rate)
+
+    def _loss(self, force: Array, rate: Array) -> Array:
+        """Return F0 / F: 1 / eta_d to eta_b, 1 at rest; of `force` only the sign counts."""
+        w = np.sign(force) * np.minimum(np.maximum(rate / self.full_loss_m_s, -1.0), 1.0)
+        return 1.0 + np.where(w > 0.0, w * (1.0 / self.driving - 1.0), w * (1.0 - self.back_driving))

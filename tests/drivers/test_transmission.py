@@ -1,0 +1,117 @@
+"""Motor to leg and back, against numbers worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from drivers import PROTOCOLS
+from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.errors import ConfigurationError
+from drivers.transmission import Transmission
+
+SCREW = {"lead_m": 0.005, "gear_ratio": 2.0, "efficiency": 0.8, "back_driving_efficiency": 0.6}
+SIX = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+
+
+def six(**values: object) -> Transmission:
+    return Transmission.of(TransmissionSettings.model_validate(values))
+
+
+def all_legs(value: float) -> np.ndarray:
+    return np.full(6, value)
+
+
+def test_a_screw_of_5_mm_behind_a_gear_of_2_moves_its_leg_by_a_quarter_of_a_millimetre_in_a_tenth_of_a_turn():
+    t = six(**SCREW, offset_m=0.3)
+    np.testing.assert_allclose(t.length(all_legs(0.1)), 0.30025, rtol=1e-15)
+    np.testing.assert_allclose(t.rate(all_legs(4.0)), 0.01, rtol=1e-15)
+    np.testing.assert_allclose(t.turns(all_legs(0.31)), 4.0, rtol=1e-12)
+    np.testing.assert_allclose(t.turns_per_s(all_legs(-0.01)), -4.0, rtol=1e-15)
+
+
+def test_a_negative_sign_turns_motion_and_force_round_and_leaves_the_offset():
+    t = six(**SCREW, offset_m=0.3, sign=[1, -1, 1, -1, 1, -1])
+    np.testing.assert_allclose(t.length(all_legs(2.0)), [0.305, 0.295] * 3, rtol=1e-15)
+    np.testing.assert_allclose(t.rate(all_legs(2.0)), [0.005, -0.005] * 3, rtol=1e-15)
+    np.testing.assert_allclose(t.torque(all_legs(10.0)), [0.003978873577297384, -0.003978873577297384] * 3)
+
+
+def test_forces_without_losses_are_those_of_virtual_work():
+    # 1 N m x 2 pi x 2 / 5 mm = 2513.27 N; a pulley of 20 mm radius: 1 N m / 20 mm = 50 N.
+    np.testing.assert_allclose(six(lead_m=0.005, gear_ratio=2).force(all_legs(1.0)), 2513.2741228718346)
+    np.testing.assert_allclose(six(pulley_radius_m=0.02).force(all_legs(1.0)), 50.0, rtol=1e-14)
+    np.testing.assert_allclose(six(pulley_radius_m=0.02).length(all_legs(1.0)), 0.12566370614359174)
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "torque"),
+    [
+        # 100 N x 5 mm / (2 pi x 2) = 39.789 mN m without losses
+        (100.0, 0.0, 0.03978873577),
+        (100.0, 0.05, 0.04973591972),  # the motor lifts: / 0.8
+        (100.0, -0.05, 0.02387324146),  # the load drives: x 0.6
+        (-100.0, -0.05, -0.04973591972),
+        (-100.0, 0.05, -0.02387324146),
+        (100.0, 0.0005, 0.04476232774),  # half of the rate of full loss: 1 + 0.25 / 2
+        (100.0, -0.0005, 0.03183098862),  # 1 - 0.4 / 2
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_loss_takes_its_share_from_whoever_drives(force, rate, torque, sign):
+    t = six(**SCREW, sign=sign)
+    np.testing.assert_allclose(t.torque(all_legs(force), all_legs(rate)), sign * torque, rtol=1e-9)
+    np.testing.assert_allclose(t.force(all_legs(sign * torque), all_legs(rate)), force, rtol=1e-9)
+    lossless = 2513.2741228718346 * torque
+    np.testing.assert_allclose(t.delivered(all_legs(lossless), all_legs(rate)), force, rtol=1e-9)
+
+
+def test_counts_are_those_of_the_motor():
+    t = six(lead_m=0.005, gear_ratio=2, counts_per_turn=4096, offset_m=0.3, sign=-1)
+    np.testing.assert_allclose(t.counts_of_length(all_legs(0.305)), -8192.0, rtol=1e-12)
+    np.testing.assert_allclose(t.length_of_counts(all_legs(-8192.0)), 0.305, rtol=1e-15)
+
+
+def test_each_leg_has_its_own_values():
+    t = six(lead_m=SIX, offset_m=SIX, gear_ratio=[1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose(t.length(all_legs(1.0)), [0.2, 0.3, 0.4, 0.5, 0.6, 0.7], rtol=1e-14)
+    with pytest.raises(ValueError, match="read-only"):
+        t.offset_m[0] = 1.0
+
+
+@given(
+    st.lists(st.floats(-1e5, 1e5), min_size=6, max_size=6),
+    st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
+    st.sampled_from([1, -1]),
+)
+def test_torque_and_force_are_inverse_at_every_rate(force, rate, sign):
+    t = six(**SCREW, sign=sign)
+    f, dl = np.array(force), np.array(rate)
+    np.testing.assert_allclose(t.force(t.torque(f, dl), dl), f, rtol=1e-12, atol=1e-300)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({}, "given: neither"),
+        ({"lead_m": 0.005, "pulley_radius_m": 0.02}, "given: lead_m and pulley_radius_m"),
+        ({"lead_m": 0.0}, "greater than 0"),
+        ({"lead_m": [0.005] * 5}, "at least 6"),
+        ({"lead_m": 0.005, "sign": 0}, "1 or -1"),
+        ({"lead_m": 0.005, "efficiency": 1.2}, "less than or equal to 1"),
+        ({"lead_m": 0.005, "back_driving_efficiency": 0.0}, "greater than 0"),
+        ({"lead_m": 0.005, "slip": 1}, "Extra inputs"),
+    ],
+)
+def test_what_no_transmission_can_be_is_refused(wrong, message):
+    with pytest.raises(ValidationError, match=message):
+        TransmissionSettings.model_validate(wrong)
+
+
+def test_our_own_protocol_has_no_transmission():
+    drives = DriveSettings(transmission=TransmissionSettings(lead_m=0.005))
+    with pytest.raises(ConfigurationError, match=r"^drives\.transmission: protocol legs"):
+        PROTOCOLS["legs"](BusSettings(), drives)

@@ -27,8 +27,15 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     return LegsProtocol(bus.layout, drives.node_ids, drives.force_limit_N)
 
 
+def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    from drivers.mit.row import mit  # noqa: PLC0415 - as above
+
+    return mit(bus, drives)
+
+
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
     "legs": _legs,
+    "mit": _mit,
 }
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.
 

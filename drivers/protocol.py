@@ -166,7 +166,14 @@ class DriveProtocol(Protocol):
 
     @property
     def feedback_ids(self) -> frozenset[int]:
-        """Identifiers of all frames that make the six feedbacks of a tick: the drain waits for these."""
+        """What `awaited` returns for all frames that make the six feedbacks of a tick.
+
+        The drain waits for these. They are identifiers, but where `shares_identifiers`.
+        """
+
+    @property
+    def shares_identifiers(self) -> bool:
+        """Whether feedbacks share an identifier, or change it: then no interface can wait for them."""
 
     @property
     def command_delay_ticks(self) -> int:
@@ -180,6 +187,10 @@ class DriveProtocol(Protocol):
     def reset_ticks(self) -> int:
         """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
 
+    @property
+    def stop_latches(self) -> bool:
+        """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
+
     # controller's end
     def start(self, setup: DriveSetup) -> Dialogue:
         """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
@@ -192,6 +203,12 @@ class DriveProtocol(Protocol):
 
         since_ns: when the tick began, before the frames of `begin` were sent.
         """
+
+    def awaited(self, frame: Frame) -> int:
+        """Return which of `feedback_ids` a frame is; another number for what is no feedback."""
+
+    def fault_text(self, code: int) -> str:
+        """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
 
     def decode(
         self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
@@ -226,12 +243,12 @@ class DriveProtocol(Protocol):
         """Decode at the drives' end; no messages when the frame is not for them."""
 
     def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
     ) -> list[tuple[int, Frame]]:
         """Encode what the drives of `sync.legs` answer, each frame with its leg.
 
         length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
-        of no use. Raises ProtocolError on NaN.
+        of no use; fault (6,) DriveFault, for protocols whose feedback names it. Raises ProtocolError on NaN.
         """
 
     def status(self, status: Status) -> tuple[Frame, ...]:

@@ -90,6 +90,8 @@ class LegsProtocol:
     command_delay_ticks = 0
     set_up_frames = 1
     reset_ticks = 5
+    stop_latches = True
+    shares_identifiers = False
 
     def __init__(self, layout: str, node_ids: Sequence[int], rated_force_N: float = 60_000.0) -> None:
         if layout not in LAYOUTS:
@@ -284,6 +286,14 @@ class LegsProtocol:
         said = checksums_heard(dialogue.said, run, self._status_id, self._status.length, _SET_UP_AT)
         return dialogue._replace(confirmed=confirmed, said=said)
 
+    def awaited(self, frame: Frame) -> int:
+        """Return the identifier."""
+        return frame.id
+
+    def fault_text(self, _code: int) -> str:
+        """Return nothing: all codes are DriveFault."""
+        return ""
+
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is an intact feedback to this tick's SYNC."""
         t_ns, (identifier, data, flags) = received
@@ -345,7 +355,7 @@ class LegsProtocol:
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
 
     def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
     ) -> list[tuple[int, Frame]]:
         """Encode the six feedbacks to one SYNC, leg order; what exceeds its field saturates.
 

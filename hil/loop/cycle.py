@@ -149,7 +149,9 @@ class Cycle:
         for follower in self._followers:
             follower.sent(command.force)
         self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
-        if Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick)):
+        if Operator.ESTOP in inp.operator or (
+            self.estop and not confirmed(tick, parts.protocol.stop_latches)
+        ):
             frames = parts.protocol.emergency_stop() + frames
         frames += self._set_up(tick)
         setpoints = NO_SETPOINTS if steering is None else steering.counts

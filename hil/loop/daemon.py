@@ -162,13 +162,14 @@ def _run(course: Course, shell: Shell) -> Ending:
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:
     """Wait for the six feedbacks of a tick that began at `begun_ns`."""
-    wanted, fresh = cycle.parts.protocol.feedback_ids, cycle.parts.protocol.fresh
+    protocol = cycle.parts.protocol
+    wanted, fresh, awaited = protocol.feedback_ids, protocol.fresh, protocol.awaited
     answers: list[Received] = []
     missing = wanted
     while missing:
-        heard = bus.drain(deadline_ns, missing)
+        heard = bus.wait(deadline_ns) if protocol.shares_identifiers else bus.drain(deadline_ns, missing)
         if not heard:
             break
         answers += heard  # of a node, maybe an answer to an older tick, or one that is damaged or forged
-        missing = missing.difference([each.frame.id for each in heard if fresh(each, tick, begun_ns)])
+        missing = missing.difference([awaited(each.frame) for each in heard if fresh(each, tick, begun_ns)])
     return answers

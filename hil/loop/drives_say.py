@@ -19,11 +19,14 @@ def any_powered(tick: Record) -> bool:
     return any(state in _POWERED for state in tick["drive_state"].tolist())
 
 
-def unconfirmed(tick: Record) -> tuple[int, ...]:
+def unconfirmed(tick: Record, latches: bool) -> tuple[int, ...]:
     """Return the legs whose drive is not in FAULT or does not report the emergency stop as its reason.
 
-    A fault code of the drives' own is taken for it: what it means only their maker knows.
+    A fault code of the drives' own is taken for it: what it means only their maker knows. Of drives that do
+    not latch a stop, those that are still powered.
     """
+    if not latches:
+        return tuple(leg for leg, state in enumerate(tick["drive_state"].tolist()) if state == DriveState.RUN)
     faults, states = tick["drive_fault"].tolist(), tick["drive_state"].tolist()
     return tuple(
         leg
@@ -32,9 +35,9 @@ def unconfirmed(tick: Record) -> tuple[int, ...]:
     )
 
 
-def confirmed(tick: Record) -> bool:
-    """Tell whether all drives are in FAULT and report the emergency stop as their reason."""
-    return not unconfirmed(tick)
+def confirmed(tick: Record, latches: bool) -> bool:
+    """Tell whether all drives are in FAULT and report the emergency stop as their reason; or are off."""
+    return not unconfirmed(tick, latches)
 
 
 def all_ready(tick: Record, set_up: Iterable[bool]) -> bool:

@@ -5,10 +5,14 @@ from hil.loop.cycle import Cycle
 from hil.safety.standstill import REST_m_s
 
 
-def because(fault: int) -> str:
-    """Return a drive's reason in brackets; its number where the drive says something of its own."""
+def because(fault: int, meaning: str = "") -> str:
+    """Return a drive's reason in brackets; its number where the drive says something of its own.
+
+    meaning: what that number means, as the protocol says.
+    """
     known = {int(f): f.name for f in DriveFault}
-    return f" ({known.get(int(fault), int(fault))})" if fault else ""
+    own = f"{int(fault)}: {meaning}" if meaning else str(int(fault))
+    return f" ({known.get(int(fault), own)})" if fault else ""
 
 
 def moving_text(cycle: Cycle) -> str:
@@ -26,18 +30,19 @@ def waiting_text(cycle: Cycle) -> str:
     """Say what the drives still lack to be engaged."""
     last = cycle.tick
     lacking = []
-    lacks = cycle.parts.protocol.set_up_lacks(cycle.dialogue)
+    protocol = cycle.parts.protocol
+    lacks = protocol.set_up_lacks(cycle.dialogue)
     for leg in range(LEGS):
-        state = DriveState(int(last["drive_state"][leg]))
+        state, fault = DriveState(int(last["drive_state"][leg])), int(last["drive_fault"][leg])
+        why = because(fault, protocol.fault_text(fault))
         if last["age"][leg] >= NEVER:
             lacking.append(f"drive {leg} never answered")
         elif last["age"][leg] > 1:
             lacking.append(f"drive {leg} is silent")
         elif state is not DriveState.OFF:
-            lacking.append(f"drive {leg} stays in {state.name}{because(last['drive_fault'][leg])}")
+            lacking.append(f"drive {leg} stays in {state.name}{why}")
         elif lacks[leg]:
-            reason = because(last["drive_fault"][leg])
-            lacking.append(f"drive {leg} does not complete its set-up{reason}: {lacks[leg]}")
+            lacking.append(f"drive {leg} does not complete its set-up{why}: {lacks[leg]}")
     if not lacking:
         lengths = ", ".join(f"{q:.4f}" for q in last["length"])
         lacking.append(f"no pose near platform.home has the measured leg lengths {lengths} m")

@@ -15,7 +15,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from drivers.arrays import Ints
+from drivers.arrays import Array, Ints
 from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
 from drivers.protocol import (
@@ -31,6 +31,7 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import LEGS, DriveFault, Reaction
+from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
@@ -89,6 +90,8 @@ class Nodes:
         self._now_ns = t0_ns
         self._k = 0
         self._length, self._rate = self._plant.reset()
+        gear = self._settings.transmission
+        self._transmission = None if gear is None else Transmission.of(gear)
         self._drives = Drives(self._settings, self._emulation, self._h_s)
         self._memory = self._protocol.power_up()
         self._beats = 0
@@ -240,10 +243,15 @@ class Nodes:
 
     def _move(self, n: int) -> None:
         drives = self._drives
-        self._length, self._rate = self._plant.step(drives.force, drives.brake, self._wrench, n * self._h_s)
+        force = self._at_leg(drives.force)
+        self._length, self._rate = self._plant.step(force, drives.brake, self._wrench, n * self._h_s)
         if self._present.not_finite:
             self._length = np.full(LEGS, np.nan)
         self._k += n
+
+    def _at_leg(self, force: Array) -> Array:
+        """Return what the losses between motors and legs leave of forces (6,) N."""
+        return force if self._transmission is None else self._transmission.delivered(force, self._rate)
 
     def _weigh(self) -> None:
         """Set the wrench on the platform; a mass weighs where it is by now."""
@@ -325,20 +333,20 @@ class Nodes:
             self._drives.drift(present, t)
         force = self._plant.applied_force()
         if force is None:
-            force = self._drives.force
+            force = self._at_leg(self._drives.force)
         quantum = self._emulation.encoder_resolution_m
         length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
         if present.noise or any(present.late_ns):
             self._reading.spoil(present, t, length, rate)
         try:
-            frames = self._protocol.feedbacks(sync, length, rate, force, state)
+            frames = self._protocol.feedbacks(sync, length, rate, force, state, self._drives.fault)
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
         silent = present.silent
         out += [(t, frame) for leg, frame in frames if not silent[leg]]
         for leg, by_m in enumerate(present.forged_m):
             if by_m is not None:
-                other = self._protocol.feedbacks(sync, length + by_m, rate, force, state)
+                other = self._protocol.feedbacks(sync, length + by_m, rate, force, state, self._drives.fault)
                 out += [(t, frame) for k, frame in other if k == leg]
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:

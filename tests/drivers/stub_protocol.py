@@ -102,6 +102,8 @@ class StubProtocol:
     command_delay_ticks = 1
     set_up_frames = 2
     reset_ticks = 2
+    stop_latches = True
+    shares_identifiers = False
 
     def __init__(self, node_ids: list[int]) -> None:
         for leg, node in enumerate(node_ids):
@@ -147,6 +149,12 @@ class StubProtocol:
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         read = self._read(received.frame)
         return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
+
+    def awaited(self, frame: Frame) -> int:
+        return frame.id
+
+    def fault_text(self, code: int) -> str:
+        return f"code {code - OWN_FAULTS} of the stub" if code >= OWN_FAULTS else ""
 
     def decode(
         self,
@@ -281,7 +289,7 @@ class StubProtocol:
     }
 
     def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
     ) -> list[tuple[int, Frame]]:
         frames = []
         for leg in sync.legs:

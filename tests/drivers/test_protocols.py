@@ -196,8 +196,8 @@ def test_drives_whose_set_up_is_not_complete_are_named(row):
     ("changes", "message"),
     [
         (
-            [(NODES, f"protocol: mit\n  {NODES}")],
-            "drives.protocol: unknown value, allowed: legs, stub, given: mit",
+            [(NODES, f"protocol: hart\n  {NODES}")],
+            "drives.protocol: unknown value, allowed: legs, mit, stub, given: hart",
         ),
         (
             [(NODES, "node_ids: [1, 2, 3, 4, 5, 128]")],

@@ -97,13 +97,13 @@ def _bus(report: Report, c: Configuration) -> None:
     }
     protocol = build_protocol(c)
     opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
-    asked = {frame.id for frame in opening} | protocol.feedback_ids
-    times = {
-        f.id: frame_time_ns(len(f.data), f.flags, BitTiming.of(c.bus))
+    opens = {frame.id for frame in opening}
+    feedback_ns = sum(
+        frame_time_ns(len(f.data), f.flags, BitTiming.of(c.bus))
         for f in protocol.cyclic_frames()
-        if f.id in asked
-    }
-    feedback_us = sum(times.values()) / 1e3
+        if f.id in opens or protocol.awaited(f) in protocol.feedback_ids
+    )
+    feedback_us = feedback_ns / 1e3
     window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
     report.sections[title].append(
         f"SYNC to sixth feedback {feedback_us:.0f} us of a window of {window_us:.0f} us"

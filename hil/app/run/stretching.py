@@ -31,7 +31,9 @@ def begin(clock: BenchClock, c: Configuration, cycle: Cycle, window_ns: int) -> 
     """
     protocol, timing = cycle.parts.protocol, BitTiming.of(c.bus)
     asked = protocol.begin(cycle.dialogue, 0)
-    answers = [frame for frame in protocol.cyclic_frames() if frame.id in protocol.feedback_ids]
+    answers = [
+        frame for frame in protocol.cyclic_frames() if protocol.awaited(frame) in protocol.feedback_ids
+    ]
     bus_ns = sum(frame_time_ns(len(f.data), f.flags, timing) for f in (*asked, *answers))
     spare_ns = max(window_ns - bus_ns, _LEAST_NS)
     clock.begin(wake_ns=spare_ns // 6, work_ns=spare_ns // 3)

@@ -113,6 +113,7 @@ class Lockstep:
         self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
         self.wanted = self.cycle.parts.protocol.feedback_ids
         self.fresh = self.cycle.parts.protocol.fresh
+        self.awaited = self.cycle.parts.protocol.awaited
         self.nodes.start(0)
 
     def step(
@@ -186,7 +187,7 @@ class Lockstep:
         for n, answer in enumerate(answers):
             end_ns = answer.t_ns
             if self.fresh(answer, self.tick, t_ns):
-                missing.discard(answer.frame.id)
+                missing.discard(self.awaited(answer.frame))
             if end_ns > deadline or not missing:
                 taken = n if end_ns > deadline else n + 1
                 self._late = answers[taken:]

@@ -152,7 +152,8 @@ def drive(m: Moment) -> Iterator[Seen]:
         if not lost and (state == asked or not (late or all_ran)):
             continue
         name = DriveState(state).name
-        text = f"drive {leg} in {name}{because(fault)} where {asked.name} was asked for{since}"
+        why = because(fault, m.cycle.parts.protocol.fault_text(int(fault)))
+        text = f"drive {leg} in {name}{why} where {asked.name} was asked for{since}"
         if state == DriveState.OFF and not late:
             text += ": not on our command"
         yield Seen(name, asked.name, leg, text)

@@ -85,7 +85,7 @@ class Narrator:
         if states != self._states:
             self._states = states
             self._powered = any(each.powered for each in said(tick))
-            self._estop_done = confirmed(tick)
+            self._estop_done = confirmed(tick, cycle.parts.protocol.stop_latches)
         if cycle.estop:
             self._estops += not self._estop_done
         if self._off_tick is not None and self._all_off is None:
@@ -218,8 +218,8 @@ class Narrator:
         sent = f"the emergency stop was sent in {self._estops} ticks"
         if self._estop_done:
             return f"{sent}, until all six drives confirmed it"
-        tick = self._cycle.tick
-        return f"{sent}; not confirmed by drive {listed(unconfirmed(tick))}"
+        silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.stop_latches)
+        return f"{sent}; not confirmed by drive {listed(silent)}"
 
 
 def _off(mode: Mode) -> bool:

@@ -1,0 +1,230 @@
+"""RobStride's own protocol on 29-bit identifiers: MIT's four numbers in 16 bits each, the torque in the id.
+
+Identifier: type << 24 | data << 8 | target. Type 1 commands, data is the torque's code; 2 is the feedback,
+data is mode << 14 | faults << 8 | motor; 3 enables; 4 stops, and clears faults if its first byte is 1; 17
+reads and 18 writes a register. Positions and torques are big-endian, registers little-endian.
+"""
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.errors import ConfigurationError
+from drivers.mit.fields import TURN, Ranges, code, value
+from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
+from drivers.motors import OWN_CODE, Exchange, Heard, MotorDialogue, MotorMemory, MotorProtocol, put
+from drivers.protocol import (
+    ERROR,
+    EXTENDED,
+    FD,
+    OTHER_BUSES,
+    REMOTE,
+    Answer,
+    Configure,
+    DeviceMessage,
+    DriveSetup,
+    Frame,
+    Rejected,
+    Status,
+    Sync,
+)
+from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.transmission import Transmission
+
+CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 1, 2, 3, 4, 17, 18
+RUN_MODE = 0x7005
+OPERATION = 0
+"""Of RUN_MODE: MIT's five numbers."""
+RESETTING, CALIBRATING, RUNNING = range(3)
+"""Mode of a feedback."""
+NO_WATCHDOG_S = 1e6
+_STRANGE = FD | REMOTE | ERROR | OTHER_BUSES
+_ZEROS = bytes(8)
+_OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+
+
+class RobStrideProtocol(MotorProtocol):
+    """The tables of six drives."""
+
+    set_up_frames = 2
+
+    def __init__(self, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission) -> None:
+        """Take the ranges, six motor numbers and the host's. Raises ConfigurationError for others."""
+        super().__init__(transmission)
+        for leg, node in enumerate(nodes):
+            if not 1 <= node <= 127:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed with variant robstride: 1 to 127, "
+                    f"given: {node}"
+                )
+        if not 128 <= host <= 255:
+            raise ConfigurationError(
+                f"drives.options: host_id out of range, allowed: 128 to 255, given: {host}"
+            )
+        self.ranges, self._nodes, self._host = ranges, tuple(nodes), host
+        self._legs = {node: leg for leg, node in enumerate(nodes)}
+        self._codes = DRIVE_FAULT_CODES["robstride"]
+
+    @property
+    def torque_limit(self) -> float:
+        """N m."""
+        return self.ranges.torque
+
+    def fault_text(self, code: int) -> str:
+        """Return what the bits of a code of the column `drive_fault` mean."""
+        bits = code - OWN_CODE
+        return ", ".join(text for bit, text in ROBSTRIDE_FAULTS.items() if bits > 0 and bits & bit)
+
+    def _to(self, kind: int, leg: int, data: bytes = _ZEROS, middle: int | None = None) -> Frame:
+        middle = self._host if middle is None else middle
+        return Frame(kind << 24 | middle << 8 | self._nodes[leg], data, EXTENDED)
+
+    # controller's end
+
+    def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
+        """Return the writing and reading back of the run mode."""
+        asked = struct.pack("<HxxI", RUN_MODE, OPERATION)
+        read = struct.pack("<HxxI", RUN_MODE, 0)
+        return tuple(
+            (
+                Exchange(
+                    "run_mode (0x7005)",
+                    RUN_MODE,
+                    (self._to(WRITE, leg, asked), self._to(READ, leg, read)),
+                    OPERATION,
+                ),
+            )
+            for leg in range(LEGS)
+        )
+
+    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
+        """Return torque for an enabled drive, ENABLE for one that is to be, else STOP: a poll too."""
+        if dialogue.mode != DriveMode.RUN:
+            clears = dialogue.mode == DriveMode.RESET and dialogue.power[leg] == _FAULT
+            return self._to(STOP, leg, bytes((clears, *bytes(7))))
+        if not dialogue.ran[leg] and dialogue.power[leg] != _RUN:
+            return self._to(ENABLE, leg)
+        r = self.ranges
+        middle = struct.pack(
+            ">HHHH", code(0.0, -r.position, r.position, 16), code(0.0, -r.velocity, r.velocity, 16), 0, 0
+        )
+        return self._to(CONTROL, leg, middle, code(dialogue.torque[leg], -r.torque, r.torque, 16))
+
+    def hear(self, frame: Frame) -> Heard | None:
+        """Return what a feedback or a register's answer says."""
+        identifier, data, flags = frame
+        if not flags & EXTENDED or flags & _STRANGE:
+            return None
+        kind, middle, target = identifier >> 24, identifier >> 8 & 0xFFFF, identifier & 0xFF
+        if target in self._legs and kind in (CONTROL, ENABLE, STOP, READ, WRITE):
+            return Heard(self._legs[target], foreign=True)
+        leg = self._legs.get(middle & 0xFF)
+        if target != self._host or leg is None or kind not in (FEEDBACK, READ):
+            return None
+        if len(data) != 8:
+            return Heard(leg, broken=True)
+        if kind == READ:
+            register, number = struct.unpack("<HxxI", data)
+            return Heard(leg, answer=(register, float(number & 0xFF)))
+        return self._feedback(leg, data, middle >> 14, middle >> 8 & 0x3F)
+
+    def _feedback(self, leg: int, data: bytes, mode: int, faults: int) -> Heard:
+        r = self.ranges
+        p, v, t, _ = struct.unpack(">HHHH", data)
+        motion = (
+            value(p, -r.position, r.position, 16) / TURN,
+            value(v, -r.velocity, r.velocity, 16) / TURN,
+        )
+        power = _FAULT if faults else _RUN if mode == RUNNING else _OFF
+        return Heard(
+            leg,
+            motion=None if p in (0, 0xFFFF) else motion,
+            feedback=True,
+            torque=value(t, -r.torque, r.torque, 16),
+            power=power,
+            fault=OWN_CODE + faults if faults else 0,
+        )
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        """Return STOP for each drive: it does not latch."""
+        return tuple(self._to(STOP, leg) for leg in range(LEGS))
+
+    # drives' end
+
+    def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        """Decode at the drives' end. All but a register's reading is answered by feedback."""
+        identifier, data, flags = frame
+        leg = self._legs.get(identifier & 0xFF)
+        kind = identifier >> 24
+        if not flags & EXTENDED or flags & _STRANGE or leg is None:
+            return memory, ()
+        if kind not in (CONTROL, ENABLE, STOP, READ, WRITE):
+            return memory, ()
+        if len(data) != 8:
+            return memory, (Rejected(f"frame of {len(data)} bytes"),)
+        if kind in (READ, WRITE):
+            return self._on_register(memory, leg, kind, data)
+        modes: tuple[int, ...] = ()
+        torque, after = 0.0, memory.enabled[leg]
+        if kind == ENABLE:
+            modes, after = (() if after else (DriveMode.READY, DriveMode.RUN)), True
+        elif kind == STOP:
+            modes, after = (DriveMode.RESET if data[0] == 1 else DriveMode.OFF,), False
+        elif after:
+            end = self.ranges.torque
+            modes, torque = (DriveMode.RUN,), (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
+        memory, commands = self._commanded(memory, leg, modes, torque)
+        return memory._replace(enabled=put(memory.enabled, leg, after)), (*commands, Sync(0, (leg,)))
+
+    def _on_register(
+        self, memory: MotorMemory, leg: int, kind: int, data: bytes
+    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        register, number = struct.unpack("<HxxI", data)
+        if register != RUN_MODE:
+            return memory, (Rejected(f"register {register:#x}"),)
+        if kind == WRITE:
+            held = memory.registers
+            memory = memory._replace(registers=put(held, leg, ((register, float(number)),)))
+            return memory, (Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE), Sync(0, (leg,)))
+        # A drive leaves the factory in mode 0, and says so.
+        said = struct.pack("<HxxI", register, int(dict(memory.registers[leg]).get(register, OPERATION)))
+        identifier = READ << 24 | self._nodes[leg] << 8 | self._host
+        return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
+
+    def feedbacks(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        """Encode what the drives of `sync.legs` answer; it saturates, a lost encoder reads the lower end."""
+        codes = np.zeros(LEGS, np.int64) if fault is None else fault
+        turns, speeds, torques = self.motor(length, rate, force)
+        r, frames = self.ranges, []
+        for leg in sync.legs:
+            self.finite(leg, turns[leg], speeds[leg], torques[leg])
+            said = int(state[leg])
+            position = -r.position if said & INVALID else turns[leg] * TURN
+            numbers = ((position, r.position), (speeds[leg] * TURN, r.velocity), (torques[leg], r.torque))
+            data = b"".join(
+                int((min(max(x, -end), end) + end) * 0xFFFF / (2.0 * end)).to_bytes(2, "big")
+                for x, end in numbers
+            )
+            at = said & ~INVALID
+            faults = self._codes.get(DriveFault(int(codes[leg])), 4) if at == _FAULT else 0
+            mode = RUNNING if at == _RUN else RESETTING
+            identifier = FEEDBACK << 24 | mode << 22 | faults << 16 | self._nodes[leg] << 8 | self._host
+            frames.append((leg, Frame(identifier, data + (250).to_bytes(2, "big"), EXTENDED)))
+        return frames
+
+    def status(self, _status: Status) -> tuple[Frame, ...]:
+        """Return nothing: these drives speak when they are asked."""
+        return ()
+
+    # bus time
+
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """Return one example of every frame of a tick: six commands, six feedbacks."""
+        zeros = np.zeros(LEGS)
+        motion = self.transmission.length(zeros), zeros, zeros, np.full(LEGS, _RUN, np.int64)
+        commands = (self._to(STOP, leg) for leg in range(LEGS))
+        return (*commands, *(frame for _, frame in self.feedbacks(Sync(0), *motion)))

@@ -1,0 +1,33 @@
+"""The codec of a configuration with `drives.protocol: mit`."""
+
+from drivers.config import BusSettings, DriveSettings
+from drivers.mit.fields import Ranges
+from drivers.mit.protocol import MitProtocol
+from drivers.mit.robstride import RobStrideProtocol
+from drivers.mit.variants import VARIANTS
+from drivers.motors import Options, refuse_layout, refuse_torque, required
+
+_HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
+"""Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's."""
+_FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
+
+
+def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol | RobStrideProtocol:
+    """Return the variant's codec. Raises ConfigurationError for settings that it does not have."""
+    refuse_layout(bus, "mit", "classic")
+    transmission = required(drives.transmission, "mit")
+    options = Options(drives.options, "mit", ("variant", "model", "host_id", *_FIELDS))
+    variant = options.choice("variant", tuple(VARIANTS))
+    models = VARIANTS[variant].models
+    ranges: Ranges = models[options.choice("model", tuple(models))]
+    ranges = ranges._replace(
+        **{field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
+    )
+    host = options.whole("host_id", _HOSTS[variant])
+    protocol: MitProtocol | RobStrideProtocol
+    if variant == "robstride":
+        protocol = RobStrideProtocol(ranges, drives.node_ids, host, transmission)
+    else:
+        protocol = MitProtocol(variant, ranges, drives.node_ids, host, transmission)
+    refuse_torque(transmission, drives.force_limit_N, protocol.torque_limit, f"mit, variant {variant},")
+    return protocol

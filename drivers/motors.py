@@ -1,0 +1,421 @@
+"""What families of single-motor drives have in common: polled drives whose brake goes with their power stage.
+
+A drive of such a family knows "enabled" and "disabled". DriveMode.READY leaves it disabled, its brake shut;
+RUN enables it. The controller's end calls a disabled drive READY while READY is asked for, so a force cannot
+build up against the brake: it comes with the enabling, a tick later. A drive that was enabled and falls back
+by itself while RUN is asked for has restarted: BOOT. It is not enabled again until RUN is asked for anew.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.config import BusSettings, TransmissionSettings
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import (
+    ALWAYS,
+    DeviceCommand,
+    DeviceMessage,
+    DriveSetup,
+    Frame,
+    Received,
+    frames_of,
+)
+from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
+from drivers.tick_columns import Record
+from drivers.transmission import Transmission
+
+OWN_CODE = 0x100
+"""Added to a fault code of a family, so that none is taken for a DriveFault."""
+RETRY_TICKS = 10
+"""After which a request without an answer is repeated."""
+RESTART_TICKS = 20
+"""A drive that was silent for so long may have restarted: it is set up anew."""
+_KEPT = ("length", "rate", "drive_force", "drive_state", "drive_fault")
+_RUN, _OFF, _FAULT = DriveState.RUN, DriveState.OFF, DriveState.FAULT
+
+
+class Heard(NamedTuple):
+    """What one frame of a drive says."""
+
+    leg: int
+    broken: bool = False
+    """It cannot be trusted."""
+    foreign: bool = False
+    """It is a command, so another controller's."""
+    motion: tuple[float, float] | None = None
+    """Turns of the motor and turns/s; None in a frame that is no feedback, or where it is of no use."""
+    feedback: bool = False
+    """It answers the poll."""
+    torque: float | None = None
+    """N m."""
+    power: int | None = None
+    """DriveState OFF (disabled), RUN (enabled) or FAULT; None where it does not say: taken as it is asked."""
+    fault: int = 0
+    """DriveFault, or OWN_CODE and the family's code."""
+    answer: tuple[int, float] | None = None
+    """Register and value, of the start-up dialogue."""
+
+
+class Exchange(NamedTuple):
+    """One request of the start-up dialogue, and what its answer must be."""
+
+    name: str
+    register: int
+    frames: tuple[Frame, ...]
+    """Sent together; the last one is answered."""
+    value: float
+    """What the drive must answer, in the drive's unit."""
+
+
+class MotorDialogue(NamedTuple):
+    """The controller's end; tuples have one element a leg."""
+
+    exchanges: tuple[tuple[Exchange, ...], ...]
+    watchdog_s: float
+    mode: int = DriveMode.OFF
+    torque: tuple[float, ...] = (0.0,) * LEGS
+    """N m, of the last command."""
+    rate: tuple[float, ...] = (0.0,) * LEGS
+    """m/s, last read: it decides the losses."""
+    power: tuple[int, ...] = (int(_OFF),) * LEGS
+    """DriveState OFF, RUN or FAULT, as last heard."""
+    ran: tuple[bool, ...] = (False,) * LEGS
+    """Which were enabled since RUN is asked for."""
+    done: tuple[int, ...] = (0,) * LEGS
+    """1 for a drive that is heard, and 1 for each exchange that it has confirmed."""
+    asked: tuple[int, ...] = (-RETRY_TICKS,) * LEGS
+    """Tick of the last request."""
+    read: tuple[float | None, ...] = (None,) * LEGS
+    """What the last answer held that was not the right one."""
+
+
+class MotorMemory(NamedTuple):
+    """The drives' end; one element a leg."""
+
+    heard: tuple[int, ...] = (0,) * LEGS
+    """Commands so far: none is a repetition."""
+    enabled: tuple[bool, ...] = (False,) * LEGS
+    registers: tuple[tuple[tuple[int, float], ...], ...] = ((),) * LEGS
+    """What has been written, by leg."""
+
+
+def put(values: tuple[Any, ...], leg: int, value: Any) -> tuple[Any, ...]:
+    """Return the values with another one for a leg."""
+    return (*values[:leg], value, *values[leg + 1 :])
+
+
+def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
+    """Return the DriveState of a drive that says only whether it is enabled; see the module's docstring."""
+    if power in (_FAULT, _RUN):
+        return DriveState(power)
+    if not set_up or (ran and mode == DriveMode.RUN):
+        return DriveState.BOOT
+    return DriveState.READY if mode in (DriveMode.READY, DriveMode.RUN) else _OFF
+
+
+class Options:
+    """The options of a protocol: unknown keys are refused, each by its name."""
+
+    def __init__(
+        self, given: dict[str, str | int | float | bool], protocol: str, known: Sequence[str]
+    ) -> None:
+        """Take `drives.options`. Raises ConfigurationError for a key that is not known."""
+        self._given, self._protocol = given, protocol
+        unknown = [key for key in given if key not in known]
+        if unknown:
+            raise ConfigurationError(
+                f"drives.options: protocol {protocol} has {', '.join(known)}, given: {', '.join(unknown)}"
+            )
+
+    def choice(self, key: str, allowed: tuple[str, ...]) -> str:
+        """Return one of some words; the only one where nothing is given."""
+        value = self._given.get(key, allowed[0] if len(allowed) == 1 else None)
+        if value not in allowed:
+            raise self._wrong(key, f"one of {', '.join(allowed)}")
+        return str(value)
+
+    def positive(self, key: str, default: float) -> float:
+        """Return a number above 0."""
+        value = self._given.get(key, default)
+        if isinstance(value, (bool, str)) or not value > 0.0:
+            raise self._wrong(key, "a number greater than 0")
+        return float(value)
+
+    def whole(self, key: str, default: int) -> int:
+        """Return a whole number."""
+        value = self._given.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self._wrong(key, "a whole number")
+        return value
+
+    def _wrong(self, key: str, allowed: str) -> ConfigurationError:
+        given = self._given.get(key, "nothing")
+        return ConfigurationError(
+            f"drives.options: {key} of protocol {self._protocol}: allowed: {allowed}, given: {given}"
+        )
+
+
+def refuse_layout(bus: BusSettings, protocol: str, allowed: str) -> None:
+    """Raise ConfigurationError for a frame layout that a protocol does not have."""
+    if bus.layout != allowed:
+        raise ConfigurationError(f"bus.layout: allowed with {protocol}: {allowed}, given: {bus.layout}")
+
+
+def required(settings: TransmissionSettings | None, protocol: str) -> Transmission:
+    """Return the transmission. Raises ConfigurationError where there is none."""
+    if settings is None:
+        raise ConfigurationError(
+            f"drives.transmission: protocol {protocol} speaks of motors; state lead_m or pulley_radius_m, "
+            "gear_ratio, sign and offset_m"
+        )
+    return Transmission.of(settings)
+
+
+def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, protocol: str) -> None:
+    """Raise ConfigurationError if the rated force needs more torque than the family's field carries."""
+    needed = float(np.abs(force_N / transmission.N_per_Nm / transmission.driving).max())
+    if needed > torque_Nm:
+        per = float(np.abs(transmission.N_per_Nm).min())
+        raise ConfigurationError(
+            f"drives.force_limit_N: {force_N:g} N need {needed:.4g} N m of the motor ({per:.4g} N a N m "
+            f"without losses), {protocol} carries up to {torque_Nm:g} N m: lower it, or change gear_ratio or "
+            "lead_m"
+        )
+
+
+class MotorProtocol(ABC):
+    """Controller's end of such a family, and what the drives' ends share. Holds tables only."""
+
+    database: tuple[str, str] | None = None
+    command_delay_ticks = 1
+    set_up_frames = 1
+    reset_ticks = 3
+    stop_latches = False
+    shares_identifiers = True
+    reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
+    feedback_ids = frozenset(range(LEGS))
+    """Legs: answers of several drives may share an identifier, or change it."""
+
+    def __init__(self, transmission: Transmission) -> None:
+        self.transmission = transmission
+
+    # what a family gives
+
+    @abstractmethod
+    def hear(self, frame: Frame) -> Heard | None:
+        """Return what a drive's frame says; None for a frame that is nobody's."""
+
+    @abstractmethod
+    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
+        """Return what starts a tick for one drive."""
+
+    @abstractmethod
+    def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
+        """Return the start-up dialogue of each leg. Raises ProtocolError if the set-up does not fit."""
+
+    @abstractmethod
+    def fault_text(self, code: int) -> str:
+        """Return what a code of the column `drive_fault` means, OWN_CODE and more; empty if not known."""
+
+    @property
+    @abstractmethod
+    def torque_limit(self) -> float:
+        """N m, the largest that a command carries."""
+
+    # controller's end
+
+    def start(self, setup: DriveSetup) -> MotorDialogue:
+        """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
+        if not 0.0 < setup.watchdog_s <= 100.0:
+            raise ProtocolError(
+                f"drive watchdog of {setup.watchdog_s} s: more than 0 up to 100 s are allowed"
+            )
+        if setup.reaction not in self.reactions:
+            names = " or ".join(each.name.lower() for each in self.reactions)
+            raise ProtocolError(
+                f"reactions.silence {setup.reaction.name.lower()}: these drives {names} by themselves; "
+                "write that"
+            )
+        return MotorDialogue(self.exchanges(setup), setup.watchdog_s)
+
+    def begin(self, dialogue: MotorDialogue, _tick: int) -> tuple[Frame, ...]:
+        """Return one poll a drive; it carries the command of the tick before."""
+        return tuple([self.poll(dialogue, leg) for leg in range(LEGS)])
+
+    def awaited(self, frame: Frame) -> int:
+        """Return the leg whose feedback a frame is, -1 for none."""
+        heard = self.hear(frame)
+        return heard.leg if heard is not None and heard.feedback else -1
+
+    def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is feedback to this tick's poll: there is no counter, its time tells."""
+        return received.t_ns >= since_ns and self.awaited(received.frame) >= 0
+
+    def decode(
+        self, dialogue: MotorDialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> MotorDialogue:
+        """Fill the measurement of a tick; see `DriveProtocol.decode`.
+
+        Feedback from before the poll answers an older one: it is ignored, and counted in `rejected` once its
+        drive is set up. A second answer that says something else makes its node `doubled`.
+        """
+        for name in _KEPT:
+            tick[name] = last[name]
+        number, before = int(tick["tick"]), int(last["tick"])
+        tick["age"] = np.minimum(last["age"] + (number - before if before >= 0 else 1), NEVER)
+        tick["blind"] = 0
+        rejected, doubled, foreign = 0, 0, 0
+        answers: dict[int, Heard] = {}
+        faults = tick["drive_fault"]
+        power = list(dialogue.power)
+        asked = int(_RUN if dialogue.mode == DriveMode.RUN else _OFF)
+        for t_ns, frame in frames_of(run):
+            heard = self.hear(frame)
+            if heard is None:
+                continue
+            leg = heard.leg
+            if heard.broken:
+                rejected += 1
+            elif heard.foreign:
+                foreign = int(Foreign.COMMAND)
+            elif heard.answer is not None:
+                dialogue = self._confirm(dialogue, leg, *heard.answer)
+            elif heard.feedback and t_ns < since_ns:
+                rejected += dialogue.done[leg] > len(dialogue.exchanges[leg])
+            elif heard.feedback and leg in answers:
+                doubled |= (answers[leg] != heard) << leg
+            else:
+                power[leg] = asked if heard.power is None else heard.power
+                faults[leg] = heard.fault
+                if heard.feedback:
+                    answers[leg] = heard
+        if answers or tuple(power) != dialogue.power:
+            dialogue = self._measure(dialogue._replace(power=tuple(power)), answers, tick)
+        tick["counted_age"], tick["rejected"], tick["doubled"] = tick["age"], rejected, doubled
+        tick["foreign"] = foreign
+        return self._restarted(dialogue, tick)
+
+    def _measure(self, dialogue: MotorDialogue, answers: dict[int, Heard], tick: Record) -> MotorDialogue:
+        """Fill in what the answers of this tick say of the legs."""
+        t, mode = self.transmission, dialogue.mode
+        motion = [answers[leg].motion if leg in answers else None for leg in range(LEGS)]
+        turns, speeds = np.array([each or (0.0, 0.0) for each in motion]).T
+        length, rate = t.length(turns), t.rate(speeds)
+        torque = np.array([answers[leg].torque or 0.0 if leg in answers else 0.0 for leg in range(LEGS)])
+        force = t.force(torque, rate)
+        done, ran = list(dialogue.done), list(dialogue.ran)
+        for leg, heard in answers.items():
+            done[leg] = max(done[leg], 1)
+            if heard.motion is None:
+                tick["blind"][leg] = 1
+                continue
+            tick["length"][leg], tick["rate"][leg], tick["age"][leg] = length[leg], rate[leg], 0
+            if heard.torque is not None:
+                tick["drive_force"][leg] = force[leg]
+        for leg, power in enumerate(dialogue.power):
+            set_up = done[leg] > len(dialogue.exchanges[leg])
+            tick["drive_state"][leg] = wire_state(power, mode, set_up=set_up, ran=ran[leg])
+            ran[leg] = mode == DriveMode.RUN and (ran[leg] or power == _RUN)
+        rates = tuple(tick["rate"].tolist())
+        return dialogue._replace(done=tuple(done), ran=tuple(ran), rate=rates)
+
+    def _confirm(self, dialogue: MotorDialogue, leg: int, register: int, value: float) -> MotorDialogue:
+        step = dialogue.done[leg] - 1
+        if not 0 <= step < len(dialogue.exchanges[leg]):
+            return dialogue
+        asked = dialogue.exchanges[leg][step]
+        if register != asked.register:
+            return dialogue
+        if np.float32(value) != np.float32(asked.value):
+            return dialogue._replace(read=put(dialogue.read, leg, value))
+        return dialogue._replace(
+            done=put(dialogue.done, leg, step + 2),
+            asked=put(dialogue.asked, leg, -RETRY_TICKS),
+            read=put(dialogue.read, leg, None),
+        )
+
+    @staticmethod
+    def _restarted(dialogue: MotorDialogue, tick: Record) -> MotorDialogue:
+        """Forget the set-up of drives that were silent for long."""
+        for leg, age in enumerate(tick["age"].tolist()):
+            if age > RESTART_TICKS and dialogue.done[leg]:
+                dialogue = dialogue._replace(done=put(dialogue.done, leg, 0))
+        return dialogue
+
+    def command(
+        self, dialogue: MotorDialogue, command: Command, _tick: int
+    ) -> tuple[MotorDialogue, tuple[Frame, ...]]:
+        """Remember one tick's command for the next polls. Raises ProtocolError if a force does not fit."""
+        force = command.force
+        if force.shape != (LEGS,) or not np.isfinite(force).all():
+            raise ProtocolError(f"force command {force.tolist()} N: six finite ones are allowed")
+        torque = self.transmission.torque(force, np.array(dialogue.rate))
+        if np.abs(torque).max() > self.torque_limit * (1.0 + 1e-9):
+            raise ProtocolError(
+                f"force command {force.tolist()} N needs {np.abs(torque).max():.4g} N m: up to "
+                f"{self.torque_limit:g} N m are allowed; lower limits.force_N or change drives.transmission"
+            )
+        ran = dialogue.ran if command.mode == dialogue.mode else (False,) * LEGS
+        return dialogue._replace(mode=int(command.mode), torque=tuple(torque.tolist()), ran=ran), ()
+
+    def set_up(self, dialogue: MotorDialogue, tick: Record) -> tuple[MotorDialogue, tuple[Frame, ...]]:
+        """Return the next request of one drive, if it is heard and disabled."""
+        number = int(tick["tick"])
+        for leg, exchanges in enumerate(dialogue.exchanges):
+            step = dialogue.done[leg] - 1
+            waits = number - dialogue.asked[leg] < RETRY_TICKS
+            if not 0 <= step < len(exchanges) or waits or tick["age"][leg] > 1:
+                continue
+            if dialogue.power[leg] == _RUN or dialogue.mode in (DriveMode.READY, DriveMode.RUN):
+                continue
+            return dialogue._replace(asked=put(dialogue.asked, leg, number)), exchanges[step].frames
+        return dialogue, ()
+
+    def legs_set_up(self, dialogue: MotorDialogue) -> tuple[bool, ...]:
+        """Return which drives are heard and have confirmed all that was asked of them."""
+        return tuple(done > len(each) for done, each in zip(dialogue.done, dialogue.exchanges, strict=True))
+
+    def set_up_lacks(self, dialogue: MotorDialogue) -> tuple[str, ...]:
+        """Return what is missing: the drive itself, or the register that is not confirmed."""
+        return tuple(self._lack(dialogue, leg) for leg in range(LEGS))
+
+    def _lack(self, dialogue: MotorDialogue, leg: int) -> str:
+        done, exchanges = dialogue.done[leg], dialogue.exchanges[leg]
+        if done == 0:
+            return "it has not answered"
+        if done > len(exchanges):
+            return ""
+        asked, read = exchanges[done - 1], dialogue.read[leg]
+        if read is None:
+            return f"{asked.name} is not confirmed"
+        return f"{asked.name} is {read:.7g} in the drive, {asked.value:.7g} here"
+
+    # drives' end
+
+    def power_up(self) -> MotorMemory:
+        """Return the memory of six drives that have heard nothing."""
+        return MotorMemory()
+
+    def _commanded(
+        self, memory: MotorMemory, leg: int, modes: Sequence[int], torque: float
+    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        """Return the commands of one frame to one drive, each new."""
+        force = np.array([torque * self.transmission.N_per_Nm[leg]])
+        count = memory.heard[leg]
+        commands = tuple(DeviceCommand((leg,), int(m), force, count + n + 1) for n, m in enumerate(modes))
+        return memory._replace(heard=put(memory.heard, leg, count + len(modes))), commands
+
+    @staticmethod
+    def finite(leg: int, *values: float) -> None:
+        """Raise ProtocolError for a feedback that is no number."""
+        if not np.isfinite(values).all():
+            raise ProtocolError(f"feedback of leg {leg} is not a number: {values}")
+
+    def motor(self, length: Array, rate: Array, force: Array) -> tuple[list[float], list[float], list[float]]:
+        """Return turns, turns/s and N m of the motors at lengths m, rates m/s, leg forces N, each (6,)."""
+        t = self.transmission
+        return t.turns(length).tolist(), t.turns_per_s(rate).tolist(), t.torque(force, rate).tolist()

@@ -33,9 +33,16 @@ def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     return mit(bus, drives)
 
 
+def _odrive(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    from drivers.odrive import odrive  # noqa: PLC0415 - as above
+
+    return odrive(bus, drives)
+
+
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
     "legs": _legs,
     "mit": _mit,
+    "odrive": _odrive,
 }
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.
 

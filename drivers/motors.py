@@ -35,6 +35,10 @@ RETRY_TICKS = 10
 RESTART_TICKS = 20
 """A drive that was silent for so long may have restarted: it is set up anew."""
 _KEPT = ("length", "rate", "drive_force", "drive_state", "drive_fault")
+_NO_BRAKE = (
+    "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
+    "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
+)
 _RUN, _OFF, _FAULT = DriveState.RUN, DriveState.OFF, DriveState.FAULT
 
 
@@ -53,7 +57,7 @@ class Heard(NamedTuple):
     torque: float | None = None
     """N m."""
     power: int | None = None
-    """DriveState OFF (disabled), RUN (enabled) or FAULT; None where it does not say: taken as it is asked."""
+    """DriveState OFF (disabled), RUN (enabled) or FAULT; None where it does not say."""
     fault: int = 0
     """DriveFault, or OWN_CODE and the family's code."""
     answer: tuple[int, float] | None = None
@@ -81,8 +85,8 @@ class MotorDialogue(NamedTuple):
     """N m, of the last command."""
     rate: tuple[float, ...] = (0.0,) * LEGS
     """m/s, last read: it decides the losses."""
-    power: tuple[int, ...] = (int(_OFF),) * LEGS
-    """DriveState OFF, RUN or FAULT, as last heard."""
+    power: tuple[int, ...] = (int(DriveState.BOOT),) * LEGS
+    """DriveState OFF, RUN or FAULT, as last heard; BOOT: not yet."""
     ran: tuple[bool, ...] = (False,) * LEGS
     """Which were enabled since RUN is asked for."""
     done: tuple[int, ...] = (0,) * LEGS
@@ -117,6 +121,14 @@ def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
     return DriveState.READY if mode in (DriveMode.READY, DriveMode.RUN) else _OFF
 
 
+def unwatched(family: str) -> str:
+    """Return the danger of drives whose watchdog nobody sets."""
+    return (
+        f"drives.watchdog_ms: {family} has no watchdog that is set from here; set the drive's own with its "
+        "maker's tool if it has one, else it keeps its last torque for ever when the controller stops"
+    )
+
+
 class Options:
     """The options of a protocol: unknown keys are refused, each by its name."""
 
@@ -128,7 +140,8 @@ class Options:
         unknown = [key for key in given if key not in known]
         if unknown:
             raise ConfigurationError(
-                f"drives.options: protocol {protocol} has {', '.join(known)}, given: {', '.join(unknown)}"
+                f"drives.options: protocol {protocol} has {', '.join(known) or 'none'}, "
+                f"given: {', '.join(unknown)}"
             )
 
     def choice(self, key: str, allowed: tuple[str, ...]) -> str:
@@ -195,6 +208,8 @@ class MotorProtocol(ABC):
     set_up_frames = 1
     reset_ticks = 3
     stop_latches = False
+    reports_power = True
+    """Whether a drive says that it is enabled; else it is taken to be what it is asked for."""
     shares_identifiers = True
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     feedback_ids = frozenset(range(LEGS))
@@ -227,6 +242,16 @@ class MotorProtocol(ABC):
         """N m, the largest that a command carries."""
 
     # controller's end
+
+    @property
+    def dangers(self) -> tuple[str, ...]:
+        """No brake, and what the family says of its watchdog."""
+        return tuple(filter(None, (_NO_BRAKE, self.watchdog_danger)))
+
+    @property
+    @abstractmethod
+    def watchdog_danger(self) -> str:
+        """What is wrong with the drives' own watchdog; empty where `start` sets it and reads it back."""
 
     def start(self, setup: DriveSetup) -> MotorDialogue:
         """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
@@ -289,8 +314,9 @@ class MotorProtocol(ABC):
             elif heard.feedback and leg in answers:
                 doubled |= (answers[leg] != heard) << leg
             else:
-                power[leg] = asked if heard.power is None else heard.power
-                faults[leg] = heard.fault
+                if heard.power is not None or not self.reports_power:
+                    power[leg] = asked if heard.power is None else heard.power
+                    faults[leg] = heard.fault
                 if heard.feedback:
                     answers[leg] = heard
         if answers or tuple(power) != dialogue.power:
@@ -317,7 +343,7 @@ class MotorProtocol(ABC):
             if heard.torque is not None:
                 tick["drive_force"][leg] = force[leg]
         for leg, power in enumerate(dialogue.power):
-            set_up = done[leg] > len(dialogue.exchanges[leg])
+            set_up = done[leg] > len(dialogue.exchanges[leg]) and power != DriveState.BOOT
             tick["drive_state"][leg] = wire_state(power, mode, set_up=set_up, ran=ran[leg])
             ran[leg] = mode == DriveMode.RUN and (ran[leg] or power == _RUN)
         rates = tuple(tick["rate"].tolist())
@@ -377,7 +403,7 @@ class MotorProtocol(ABC):
 
     def legs_set_up(self, dialogue: MotorDialogue) -> tuple[bool, ...]:
         """Return which drives are heard and have confirmed all that was asked of them."""
-        return tuple(done > len(each) for done, each in zip(dialogue.done, dialogue.exchanges, strict=True))
+        return tuple(not self._lack(dialogue, leg) for leg in range(LEGS))
 
     def set_up_lacks(self, dialogue: MotorDialogue) -> tuple[str, ...]:
         """Return what is missing: the drive itself, or the register that is not confirmed."""
@@ -388,7 +414,7 @@ class MotorProtocol(ABC):
         if done == 0:
             return "it has not answered"
         if done > len(exchanges):
-            return ""
+            return "" if dialogue.power[leg] != DriveState.BOOT else "it has not said whether it is enabled"
         asked, read = exchanges[done - 1], dialogue.read[leg]
         if read is None:
             return f"{asked.name} is not confirmed"

@@ -188,6 +188,10 @@ class DriveProtocol(Protocol):
         """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
 
     @property
+    def dangers(self) -> tuple[str, ...]:
+        """What the drives do not do for safety, one sentence each, for `hil check`."""
+
+    @property
     def stop_latches(self) -> bool:
         """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
 

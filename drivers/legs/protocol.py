@@ -91,6 +91,7 @@ class LegsProtocol:
     set_up_frames = 1
     reset_ticks = 5
     stop_latches = True
+    dangers = ()
     shares_identifiers = False
 
     def __init__(self, layout: str, node_ids: Sequence[int], rated_force_N: float = 60_000.0) -> None:

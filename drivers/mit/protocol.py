@@ -23,7 +23,16 @@ from drivers.mit.fields import (
     unpack_motion,
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
-from drivers.motors import OWN_CODE, Exchange, Heard, MotorDialogue, MotorMemory, MotorProtocol, put
+from drivers.motors import (
+    OWN_CODE,
+    Exchange,
+    Heard,
+    MotorDialogue,
+    MotorMemory,
+    MotorProtocol,
+    put,
+    unwatched,
+)
 from drivers.protocol import (
     ERROR,
     EXTENDED,
@@ -65,9 +74,10 @@ class MitProtocol(MotorProtocol):
         Raises ConfigurationError for nodes that the frames cannot tell apart.
         """
         super().__init__(transmission)
-        self.variant, self.ranges = VARIANTS[variant], ranges
+        self.name, self.variant, self.ranges = variant, VARIANTS[variant], ranges
         self.damiao = variant == "damiao"
         self.set_up_frames = 1 if self.damiao else 0
+        self.reports_power = self.damiao
         self._codes = DRIVE_FAULT_CODES.get(variant, {})
         most = 15 if self.damiao else 127
         for leg, node in enumerate(nodes):
@@ -92,6 +102,11 @@ class MitProtocol(MotorProtocol):
     def torque_limit(self) -> float:
         """N m of the top code that is sent."""
         return self._top
+
+    @property
+    def watchdog_danger(self) -> str:
+        """Damiao alone has one that can be set."""
+        return "" if self.damiao else unwatched(self.name)
 
     def fault_text(self, code: int) -> str:
         """Return what a code of the column `drive_fault` means."""

@@ -14,7 +14,16 @@ from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError
 from drivers.mit.fields import TURN, Ranges, code, value
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
-from drivers.motors import OWN_CODE, Exchange, Heard, MotorDialogue, MotorMemory, MotorProtocol, put
+from drivers.motors import (
+    OWN_CODE,
+    Exchange,
+    Heard,
+    MotorDialogue,
+    MotorMemory,
+    MotorProtocol,
+    put,
+    unwatched,
+)
 from drivers.protocol import (
     ERROR,
     EXTENDED,
@@ -71,6 +80,11 @@ class RobStrideProtocol(MotorProtocol):
     def torque_limit(self) -> float:
         """N m."""
         return self.ranges.torque
+
+    @property
+    def watchdog_danger(self) -> str:
+        """It is set with the maker's tool."""
+        return unwatched("robstride")
 
     def fault_text(self, code: int) -> str:
         """Return what the bits of a code of the column `drive_fault` mean."""

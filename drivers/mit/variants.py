@@ -1,7 +1,7 @@
 """Who took MIT framing over, and what is different there: a table.
 
-The ranges are the factory's, as the libraries named in `tests/data/drives` have them; what the drive is set to
-decides. `docs/guides/drives.md` names where they disagree.
+The ranges are the factory's, as the libraries named in `tests/data/drives` have them; what a drive is set
+to decides. `docs/guides/drives.md` names where they disagree.
 """
 
 from typing import NamedTuple

@@ -103,6 +103,7 @@ class StubProtocol:
     set_up_frames = 2
     reset_ticks = 2
     stop_latches = True
+    dangers = ()
     shares_identifiers = False
 
     def __init__(self, node_ids: list[int]) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from drivers.signals import Fault
 from hil.app.check.brakes import brake_dangers
 from hil.app.check.silence import Silence
+from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits
 from hil.app.reachability import Walk
@@ -53,6 +54,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
             "a hard end; shorten drives.watchdog_ms, engage.brake_close_s to what the brakes take, or speed "
             "or stroke of the reference"
         )
+    yield from build_protocol(c).dangers
     yield from _loose(c, w)
     yield from _blind(c)
     yield from brake_dangers(c, w)

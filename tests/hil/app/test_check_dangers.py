@@ -123,3 +123,15 @@ def test_the_way_after_silence_names_its_time_and_the_keys_that_shorten_it():
     assert "drives.watchdog_ms and engage.brake_close_s" in told
     (warning,) = [each for each in report.warnings if "after silence at t" in each]
     assert "shorten drives.watchdog_ms, engage.brake_close_s" in warning
+
+
+def test_drives_without_a_brake_and_without_a_watchdog_are_dangers():
+    assert [w for w in warnings("lab") if w.startswith("drives.")] == []
+    found = [w for w in warnings("desktop") if w.startswith("drives.")]
+    assert len(found) == 1
+    assert found[0].startswith(
+        "drives.protocol: no frame of these drives works a brake, so a platform without"
+    )
+    cubemars = ("{variant: damiao, model: DM4310}", "{variant: cubemars, model: AK80-9}")
+    found = [w for w in warnings("desktop", cubemars) if w.startswith("drives.watchdog_ms")]
+    assert found[0].startswith("drives.watchdog_ms: cubemars has no watchdog that is set from here")

@@ -16,7 +16,7 @@ from hil.app.configuration.platform import platform_dict
 
 ROOT = Path(__file__).parents[3]
 BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())
-NAMES = ["bench", "ideal", "lab", "socketcan", "vcan50", "virtual"]
+NAMES = ["bench", "desktop", "ideal", "lab", "socketcan", "vcan50", "virtual"]
 
 
 class Floats(yaml.SafeLoader):

@@ -1,0 +1,285 @@
+"""ODrive CAN Simple of firmware 0.6, both ends: torque control of axes that are asked for their encoders.
+
+Identifier: node << 5 | command. Each tick asks for Get_Encoder_Estimates by a remote frame, and sends
+Set_Input_Torque, which feeds the axis' watchdog. The heartbeat has state and error, Estop latches,
+Clear_Errors clears. Fields are little-endian, singles in turns, turns/s and N m (ODrive documentation, CAN
+Protocol).
+The watchdog is a setting of the axis (`config.enable_watchdog`, `watchdog_timeout`), off as delivered; no
+message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set with odrivetool.
+"""
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.config import BusSettings, DriveSettings
+from drivers.errors import ConfigurationError
+from drivers.motors import (
+    OWN_CODE,
+    Exchange,
+    Heard,
+    MotorDialogue,
+    MotorMemory,
+    MotorProtocol,
+    Options,
+    put,
+    refuse_layout,
+    refuse_torque,
+    required,
+)
+from drivers.protocol import (
+    ERROR,
+    EXTENDED,
+    FD,
+    OTHER_BUSES,
+    REMOTE,
+    Configure,
+    DeviceMessage,
+    DriveSetup,
+    EmergencyStop,
+    Frame,
+    Rejected,
+    Status,
+    Sync,
+)
+from drivers.signals import INVALID, LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.transmission import Transmission
+
+HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
+IDLE, CLOSED_LOOP = 1, 8
+"""Axis states."""
+TORQUE_CONTROL, PASSTHROUGH = 1, 1
+ERRORS = {
+    0x1: "initializing",
+    0x2: "system level",
+    0x4: "timing error",
+    0x8: "missing estimate",
+    0x10: "bad configuration",
+    0x20: "gate driver fault",
+    0x40: "missing input",
+    0x100: "DC bus over voltage",
+    0x200: "DC bus under voltage",
+    0x400: "DC bus over current",
+    0x800: "DC bus over regeneration current",
+    0x1000: "current limit violation",
+    0x2000: "motor over temperature",
+    0x4000: "inverter over temperature",
+    0x8000: "velocity limit violation",
+    0x10000: "position limit violation",
+    0x1000000: "watchdog timer expired",
+    0x2000000: "emergency stop requested",
+    0x4000000: "spinout detected",
+    0x8000000: "brake resistor disarmed",
+    0x10000000: "thermistor disconnected",
+    0x40000000: "calibration error",
+}
+_FAULTS = {
+    DriveFault.WATCHDOG: 0x1000000,
+    DriveFault.ESTOP: 0x2000000,
+    DriveFault.OVERFORCE: 0x1000,
+    DriveFault.SENSOR: 0x8,
+    DriveFault.STROKE: 0x10000,
+}
+_CAUSES = {bit: fault for fault, bit in _FAULTS.items() if fault in (DriveFault.WATCHDOG, DriveFault.ESTOP)}
+_STRANGE = EXTENDED | FD | ERROR | OTHER_BUSES
+_MAX_TORQUE = 1e4
+"""N m: more is a mistake, whatever a single can hold."""
+_OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+_SIZES = {ESTOP: (), AXIS_STATE: (4, 8), MODES: (8,), TORQUE: (4, 8), CLEAR: (0, 1)}
+"""Lengths that an axis accepts of what it hears; of Estop any."""
+
+
+class ODriveProtocol(MotorProtocol):
+    """The tables of six axes."""
+
+    command_delay_ticks = 0
+    set_up_frames = 0
+    reset_ticks = 3
+    stop_latches = True
+    shares_identifiers = False
+
+    def __init__(self, nodes: Sequence[int], watchdog_s: float, transmission: Transmission) -> None:
+        """Take six node numbers and the watchdog that odrivetool has set in the axes.
+
+        Raises ConfigurationError for a node over 62: 63 is "not set".
+        """
+        super().__init__(transmission)
+        self._watchdog_s = watchdog_s
+        for leg, node in enumerate(nodes):
+            if not 0 <= node <= 62:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed with odrive: 0 to 62, given: {node}"
+                )
+        self._nodes = tuple(nodes)
+        self._legs = {node: leg for leg, node in enumerate(nodes)}
+        self.feedback_ids = frozenset(node << 5 | ESTIMATES for node in nodes)
+        self._polls = tuple(Frame(node << 5 | ESTIMATES, b"", REMOTE) for node in nodes)
+
+    def _to(self, leg: int, command: int, data: bytes) -> Frame:
+        return Frame(self._nodes[leg] << 5 | command, data)
+
+    @property
+    def torque_limit(self) -> float:
+        """N m."""
+        return _MAX_TORQUE
+
+    @property
+    def watchdog_danger(self) -> str:
+        """It is set with odrivetool."""
+        return (
+            "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off as delivered: "
+            "set config.watchdog_timeout and config.enable_watchdog with odrivetool, else an axis keeps its "
+            "last torque for ever when the controller stops"
+        )
+
+    def fault_text(self, code: int) -> str:
+        """Return what the bits of a code of the column `drive_fault` mean."""
+        bits = code - OWN_CODE
+        return ", ".join(text for bit, text in ERRORS.items() if bits > 0 and bits & bit)
+
+    # controller's end
+
+    def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
+        """Return nothing: an axis confirms no setting. Its control mode is sent with each enabling."""
+        return ((),) * LEGS
+
+    def begin(self, _dialogue: MotorDialogue, _tick: int) -> tuple[Frame, ...]:
+        """Return the six remote frames."""
+        return self._polls
+
+    def awaited(self, frame: Frame) -> int:
+        """Return the identifier of estimates, -1 for a remote frame."""
+        return frame.id if super().awaited(frame) >= 0 else -1
+
+    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
+        """Return what one axis is told: its torque, state or control mode, or to clear its errors."""
+        if dialogue.mode == DriveMode.RESET and dialogue.power[leg] == _FAULT:
+            return self._to(leg, CLEAR, b"\0")
+        if dialogue.mode == DriveMode.READY and dialogue.power[leg] == _OFF:
+            return self._to(leg, MODES, struct.pack("<II", TORQUE_CONTROL, PASSTHROUGH))
+        if dialogue.mode != DriveMode.RUN:
+            return self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", IDLE))
+        if not dialogue.ran[leg] and dialogue.power[leg] != _RUN:
+            return self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP))
+        return self._to(leg, TORQUE, struct.pack("<fxxxx", dialogue.torque[leg]))
+
+    def command(
+        self, dialogue: MotorDialogue, command: Command, tick: int
+    ) -> tuple[MotorDialogue, tuple[Frame, ...]]:
+        """Return one frame an axis. Raises ProtocolError as the base."""
+        dialogue, _ = super().command(dialogue, command, tick)
+        return dialogue, tuple(self.poll(dialogue, leg) for leg in range(LEGS))
+
+    def hear(self, frame: Frame) -> Heard | None:
+        """Return what estimates or a heartbeat say."""
+        identifier, data, flags = frame
+        leg, kind = self._legs.get(identifier >> 5), identifier & 0x1F
+        if flags & (_STRANGE | REMOTE) or identifier > 0x7FF or leg is None:
+            return None
+        if kind in _SIZES:
+            return Heard(leg, foreign=True)
+        if kind not in (HEARTBEAT, ESTIMATES):
+            return None
+        if len(data) != 8:
+            return Heard(leg, broken=True)
+        if kind == HEARTBEAT:
+            error, state = struct.unpack("<IB", data[:5])
+            power = _FAULT if error else _RUN if state == CLOSED_LOOP else _OFF
+            fault = int(_CAUSES.get(error, OWN_CODE + error)) if error else 0
+            return Heard(leg, power=power, fault=fault)
+        turns, speed = struct.unpack("<ff", data)
+        if not np.isfinite((turns, speed)).all():
+            return Heard(leg, feedback=True, power=None)
+        return Heard(leg, motion=(turns, speed), feedback=True)
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        """Return Estop for each axis: it latches."""
+        return tuple(self._to(leg, ESTOP, b"") for leg in range(LEGS))
+
+    # drives' end
+
+    def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        """Decode at the drives' end."""
+        leg, kind = self._legs.get(frame.id >> 5), frame.id & 0x1F
+        if frame.flags & _STRANGE or leg is None:
+            return memory, ()
+        if frame.flags & REMOTE:
+            if kind != ESTIMATES or frame.data:
+                return memory, ()
+            return memory, (Sync(0, (leg,)),)
+        if kind == ESTOP:
+            return memory._replace(enabled=put(memory.enabled, leg, False)), (EmergencyStop((leg,)),)
+        if kind not in _SIZES:
+            return memory, ()
+        if len(frame.data) not in _SIZES[kind]:
+            return memory, (Rejected(f"command {kind:#x} of {len(frame.data)} bytes"),)
+        return self._obey(memory, leg, kind, frame.data)
+
+    def _obey(
+        self, memory: MotorMemory, leg: int, kind: int, data: bytes
+    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        after, torque = memory.enabled[leg], 0.0
+        modes: tuple[int, ...] = ()
+        if kind == MODES:
+            held = dict(memory.registers[leg]) | {MODES: float(struct.unpack("<I", data[:4])[0])}
+            return memory._replace(registers=put(memory.registers, leg, tuple(held.items()))), ()
+        if kind == CLEAR:
+            modes, after = (DriveMode.RESET,), False
+        elif kind == AXIS_STATE:
+            (state,) = struct.unpack("<I", data[:4])
+            if state not in (IDLE, CLOSED_LOOP):
+                return memory, (Rejected(f"axis state {state}"),)
+            torque_controlled = dict(memory.registers[leg]).get(MODES) == TORQUE_CONTROL
+            enables = state == CLOSED_LOOP and torque_controlled and not after
+            modes = (DriveMode.OFF,) if state == IDLE else (DriveMode.READY, DriveMode.RUN) * enables
+            after = state == CLOSED_LOOP and (after or enables)
+        elif after:
+            (torque,) = struct.unpack("<f", data[:4])
+            modes = (DriveMode.RUN,)
+            if not np.isfinite(torque):
+                return memory, (Rejected("torque that is no number"),)
+        memory, commands = self._commanded(memory, leg, modes, torque)
+        memory = memory._replace(enabled=put(memory.enabled, leg, after))
+        tool: tuple[DeviceMessage, ...] = ()
+        if kind == AXIS_STATE and state == IDLE:
+            tool = (Configure(leg, self._watchdog_s, Reaction.BRAKE),)
+        return memory, (*commands, *tool)
+
+    def feedbacks(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        """Encode what the axes of `sync.legs` answer; a lost encoder has no estimate: it is NaN."""
+        turns, speeds, torques = self.motor(length, rate, force)
+        frames = []
+        for leg in sync.legs:
+            self.finite(leg, turns[leg], speeds[leg], torques[leg])
+            lost = bool(int(state[leg]) & INVALID)
+            values = (float("nan"),) * 2 if lost else (turns[leg], speeds[leg])
+            frames.append((leg, self._to(leg, ESTIMATES, struct.pack("<ff", *values))))
+        return frames
+
+    def status(self, status: Status) -> tuple[Frame, ...]:
+        """Encode an axis' heartbeat: error, state, procedure result, trajectory done."""
+        error = _FAULTS.get(DriveFault(status.fault), 0)
+        state = CLOSED_LOOP if status.state == _RUN else IDLE
+        return (self._to(status.leg, HEARTBEAT, struct.pack("<IBBBx", error, state, 0, 0)),)
+
+    # bus time
+
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """Return one example of every frame of a tick: six remote frames, estimates and torques."""
+        zeros = np.zeros(LEGS)
+        motion = self.transmission.length(zeros), zeros, zeros, np.full(LEGS, _RUN, np.int64)
+        torques = (self._to(leg, TORQUE, bytes(8)) for leg in range(LEGS))
+        return (*self._polls, *torques, *(frame for _, frame in self.feedbacks(Sync(0), *motion)))
+
+
+def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
+    """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
+    refuse_layout(bus, "odrive", "classic")
+    transmission = required(drives.transmission, "odrive")
+    Options(drives.options, "odrive", ())
+    refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
+    return ODriveProtocol(drives.node_ids, 1e-3 * drives.watchdog_ms, transmission)

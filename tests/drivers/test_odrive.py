@@ -1,0 +1,184 @@
+"""ODrive CAN Simple 0.6: the contract, and bytes of the vendor's own headers."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import PROTOCOLS
+from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.errors import ConfigurationError
+from drivers.odrive import ODriveProtocol
+from drivers.protocol import REMOTE, DeviceCommand, DriveSetup, Frame, Received, Status, Sync, run_of
+from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
+from drivers.transmission import Transmission
+from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
+
+VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/odrive.json").read_text("utf-8"))["vectors"]
+GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+UNIT = Transmission.of(TransmissionSettings(lead_m=1.0))
+SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
+NODES = (0, 1, 2, 3, 5, 62)
+
+
+class TestODrive(ProtocolContract):
+    RESOLUTION = (1e-7, 1e-6, None, 1e-3)
+    SETS_WATCHDOG = TELLS_BOOT = False
+
+    @pytest.fixture
+    def protocol(self):
+        return ODriveProtocol(NODES, 0.05, GEAR)
+
+
+def vectors(name: str) -> list[dict[str, Any]]:
+    found = [each for each in VECTORS if each["what"] == f"0.6: {name}"]
+    assert found
+    return found
+
+
+def leg_of(vector: dict[str, Any]) -> int:
+    return NODES.index(vector["inputs"]["node_id"])
+
+
+def unit() -> ODriveProtocol:
+    return ODriveProtocol(NODES, 0.05, UNIT)
+
+
+def frame(vector: dict[str, Any]) -> Frame:
+    return Frame(vector["id"], bytes.fromhex(vector["data"]))
+
+
+@pytest.mark.parametrize("vector", vectors("Set_Input_Torque"), ids=lambda v: v["data"])
+def test_a_torque_is_sent_as_the_vendors_header_packs_it(vector):
+    leg = leg_of(vector)
+    dialogue = (
+        unit()
+        .start(SETUP)
+        ._replace(mode=DriveMode.RUN, ran=(True,) * 6, torque=(vector["inputs"]["Input_Torque"],) * 6)
+    )
+    assert unit().poll(dialogue, leg) == frame(vector)
+
+
+def test_states_modes_errors_and_stops_are_the_vendors_frames():
+    start = unit().start(SETUP)
+    closed = unit().poll(start._replace(mode=DriveMode.RUN), 3)
+    ready = unit().poll(start._replace(mode=DriveMode.READY, power=(DriveState.OFF,) * 6), 0)
+    clear = unit().poll(start._replace(mode=DriveMode.RESET, power=(DriveState.FAULT,) * 6), 1)
+    for sent, vector in (
+        (closed, vectors("Set_Axis_State")[0]),
+        (ready, vectors("Set_Controller_Mode")[0]),
+        (clear, vectors("Clear_Errors")[0]),
+        (unit().emergency_stop()[1], vectors("Estop")[0]),
+    ):
+        assert sent == frame(vector)
+    assert unit().begin(start, 0)[1] == Frame(vectors("Get_Encoder_Estimates")[0]["id"], b"", REMOTE)
+
+
+@pytest.mark.parametrize("vector", vectors("Get_Encoder_Estimates"), ids=lambda v: v["data"])
+def test_estimates_are_read_and_sent_as_the_vendors_header_has_them(vector):
+    leg, said = leg_of(vector), vector["inputs"]
+    heard = unit().hear(frame(vector))
+    assert heard is not None
+    assert (heard.leg, heard.feedback) == (leg, True)
+    assert heard.motion is not None
+    np.testing.assert_allclose(heard.motion, (said["Pos_Estimate"], said["Vel_Estimate"]), rtol=1e-7)
+    length, rate = (np.full(6, said[key]) for key in ("Pos_Estimate", "Vel_Estimate"))
+    sent = unit().feedbacks(Sync(0, (leg,)), length, rate, np.zeros(6), np.ones(6, np.int64))
+    assert sent == [(leg, frame(vector))]
+
+
+@pytest.mark.parametrize("vector", vectors("Heartbeat"), ids=lambda v: v["data"])
+def test_heartbeats_are_read_with_state_and_error(vector):
+    heard, said = unit().hear(frame(vector)), vector["inputs"]
+    if said["node_id"] not in NODES:
+        assert heard is None
+        return
+    assert heard is not None
+    assert not heard.feedback
+    error = said["Axis_Error"]
+    state = DriveState.RUN if said["Axis_State"] == 8 else DriveState.OFF
+    assert heard.power == (DriveState.FAULT if error else state)
+    assert heard.fault == (0x100 + error if error else 0)
+
+
+def test_the_emulated_heartbeat_of_an_idle_axis_is_the_vendors():
+    (sent,) = unit().status(Status(0, DriveState.OFF, DriveFault.NONE))
+    assert sent == frame(vectors("Heartbeat")[0])
+
+
+def test_errors_have_words_and_watchdog_and_stop_are_known_by_name():
+    heard = unit().hear(Frame(0x21, struct.pack("<IBBBx", 0x2000 | 0x8, 1, 0, 0)))
+    assert heard is not None
+    assert unit().fault_text(heard.fault) == "missing estimate, motor over temperature"
+    for fault in (DriveFault.WATCHDOG, DriveFault.ESTOP):
+        (beat,) = unit().status(Status(1, DriveState.FAULT, fault))
+        again = unit().hear(beat)
+        assert again is not None
+        assert again.fault == fault
+
+
+@given(st.floats(-1e4, 1e4), st.integers(0, 5))
+def test_a_torque_comes_out_as_the_single_that_went_in(torque, leg):
+    protocol = unit()
+    dialogue = protocol.start(SETUP)._replace(mode=DriveMode.RUN, ran=(True,) * 6, torque=(torque,) * 6)
+    memory = protocol.power_up()._replace(enabled=(True,) * 6)
+    _, (command,) = protocol.parse(memory, protocol.poll(dialogue, leg))
+    assert isinstance(command, DeviceCommand)
+    assert command.force[0] == pytest.approx(2 * np.pi * float(np.float32(torque)), rel=1e-12)
+
+
+def test_an_axis_whose_control_mode_was_never_set_does_not_close_its_loop():
+    protocol = unit()
+    closed = protocol.poll(protocol.start(SETUP)._replace(mode=DriveMode.RUN), 1)
+    memory, messages = protocol.parse(protocol.power_up(), closed)
+    assert messages == ()
+    assert memory.enabled == (False,) * 6
+
+
+def test_a_lost_encoder_is_a_blind_leg_and_another_controller_is_heard():
+    ends = Ends(ODriveProtocol(NODES, 0.05, GEAR))
+    ends.until_set_up()
+    begun = ends.tick * PERIOD_NS
+    state = np.array([DriveState.OFF, DriveState.OFF | INVALID, *[DriveState.OFF] * 4])
+    zeros = np.zeros(6)
+    frames = [f for _, f in ends.protocol.feedbacks(Sync(0), zeros + 1.7, zeros, zeros, state)]
+    m = at_tick(ends.tick + 1)
+    received = [Received(begun, each) for each in (*frames, Frame(0x2E, bytes(8)))]
+    ends.protocol.decode(ends.dialogue, run_of(received), ends.measurement, m, begun)
+    assert m["blind"].tolist() == [0, 1, 0, 0, 0, 0]
+    assert m["foreign"] == Foreign.COMMAND
+
+
+def test_silence_trips_the_watchdog_that_the_axis_has_and_the_heartbeat_says_so():
+    ends = Ends(ODriveProtocol(NODES, 0.05, GEAR))
+    ends.running()
+    for _ in range(20):
+        ends.tick += 1
+        ends._to_drives(ends.tick * PERIOD_NS, ())
+    for _ in range(2):
+        ends.step(Command(DriveMode.OFF, np.zeros(6)))
+    assert ends.measurement["drive_state"].tolist() == [DriveState.FAULT] * 6
+    assert ends.measurement["drive_fault"].tolist() == [DriveFault.WATCHDOG] * 6
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"transmission": None}, "drives.transmission: protocol odrive"),
+        ({"node_ids": [1, 2, 3, 4, 5, 63]}, "drives.node_ids[5]: out of range, allowed with odrive: 0 to 62"),
+        ({"options": {"gain": 1}}, "drives.options: protocol odrive has none, given: gain"),
+    ],
+)
+def test_a_row_names_what_it_does_not_have(change, message):
+    values: dict[str, Any] = {"protocol": "odrive", "transmission": {"lead_m": 0.02}}
+    drives = DriveSettings.model_validate(values | change)
+    with pytest.raises(ConfigurationError) as caught:
+        PROTOCOLS["odrive"](BusSettings(layout="classic"), drives)
+    assert message in str(caught.value)

@@ -39,9 +39,16 @@ def _odrive(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     return odrive(bus, drives)
 
 
+def _moteus(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    from drivers.moteus import moteus  # noqa: PLC0415 - as above
+
+    return moteus(bus, drives)
+
+
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
     "legs": _legs,
     "mit": _mit,
+    "moteus": _moteus,
     "odrive": _odrive,
 }
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.

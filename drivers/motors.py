@@ -286,7 +286,8 @@ class MotorProtocol(ABC):
         """Fill the measurement of a tick; see `DriveProtocol.decode`.
 
         Feedback from before the poll answers an older one: it is ignored, and counted in `rejected` once its
-        drive is set up. A second answer that says something else makes its node `doubled`.
+        drive is set up. A second answer that says something else makes its node `doubled`, unless the drive
+        owes the one of the tick before: then the first one may be that, and the second counts.
         """
         for name in _KEPT:
             tick[name] = last[name]
@@ -311,7 +312,7 @@ class MotorProtocol(ABC):
                 dialogue = self._confirm(dialogue, leg, *heard.answer)
             elif heard.feedback and t_ns < since_ns:
                 rejected += dialogue.done[leg] > len(dialogue.exchanges[leg])
-            elif heard.feedback and leg in answers:
+            elif heard.feedback and leg in answers and last["age"][leg] == 0:
                 doubled |= (answers[leg] != heard) << leg
             else:
                 if heard.power is not None or not self.reports_power:

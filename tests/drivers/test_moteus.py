@@ -1,0 +1,200 @@
+"""moteus: the contract, 10^4 commands byte for byte as the vendor's package makes them, replies read alike."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import PROTOCOLS
+from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.errors import ConfigurationError
+from drivers.moteus import QUERY, STOP, MoteusProtocol, pad, registers, torque_command
+from drivers.protocol import BRS, EXTENDED, FD, DeviceCommand, DriveSetup, Frame
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.transmission import Transmission
+from tests.drivers import moteus_foreign as foreign
+from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
+
+DATA = Path(__file__).parents[1] / "data/drives"
+VECTORS = json.loads((DATA / "moteus.json").read_text("utf-8"))["vectors"]
+RANDOM = json.loads(foreign.FILE.read_text("utf-8"))
+GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+UNIT = Transmission.of(TransmissionSettings(lead_m=1.0))
+NODES = (1, 2, 3, 4, 5, 126)
+SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
+
+
+class TestMoteus(ProtocolContract):
+    RESOLUTION = (1e-7, 1e-6, 1e-3, 1e-3)
+    SETS_WATCHDOG = TELLS_BOOT = False
+
+    @pytest.fixture
+    def protocol(self):
+        return MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR)
+
+
+class TestMoteusStopped(ProtocolContract):
+    RESOLUTION = (1e-7, 1e-6, 1e-3, 1e-3)
+    SETS_WATCHDOG = TELLS_BOOT = False
+
+    @pytest.fixture
+    def protocol(self):
+        return MoteusProtocol(NODES, 10, Reaction.BRAKE, 1000.0, GEAR)
+
+
+def read(data: bytes) -> str:
+    said = registers(data, 0x20)
+    assert said is not None
+    return foreign.line(said[0], said[1], said[2], said[3], said[0xF])
+
+
+def test_ten_thousand_commands_are_those_of_the_vendors_package():
+    ours = foreign.digest(torque_command(t, most, wait) for _, t, most, wait in foreign.commands())
+    assert (ours, RANDOM["count"]) == (RANDOM["commands"], 10_000)
+    assert RANDOM["package"] == "moteus 1.1.1 from PyPI (Apache-2.0)"
+
+
+def test_ten_thousand_replies_are_read_as_by_the_vendors_package():
+    assert foreign.digest(read(each).encode() for each in foreign.replies()) == RANDOM["replies"]
+
+
+def test_the_package_itself_where_it_is_installed_says_the_same():
+    package = pytest.importorskip("moteus")
+    assert version("moteus") == "1.1.1"
+    for each in foreign.commands():
+        assert bytes(foreign.foreign_command(package, *each).data) == torque_command(*each[1:]), each
+    for data in foreign.replies():
+        assert foreign.foreign_line(package, data) == read(data), data.hex()
+
+
+def test_commands_and_stops_are_the_vectors_with_their_identifiers():
+    found = {
+        each["what"]: each for each in VECTORS if each["inputs"].get("query") and each["inputs"]["id"] == 1
+    }
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    stop = protocol.poll(protocol.start(SETUP), 0)
+    assert stop == Frame(found["stop"]["id"], pad(bytes.fromhex(found["stop"]["data"])), EXTENDED | FD | BRS)
+    assert found["stop"]["extended"]
+    assert STOP[-3:] == b"PPP"
+    assert QUERY.hex() == next(each["data"] for each in VECTORS if each["what"] == "query default")
+    limited = next(
+        each for each in VECTORS if each["what"].startswith("position mode, float: torque only with limit")
+    )
+    data = torque_command(-1.25, 2.0, 0.1)
+    assert data == bytes.fromhex(limited["data"]) + QUERY
+    dialogue = protocol.start(SETUP._replace(watchdog_s=0.1))._replace(
+        mode=DriveMode.RUN, torque=(-1.25,) * 6
+    )
+    assert protocol.poll(dialogue, 5) == Frame(0x8000 | 126, pad(data), EXTENDED | FD | BRS)
+    assert len(pad(data)) == 48
+
+
+@pytest.mark.parametrize(
+    "vector", [v for v in VECTORS if v["what"].startswith("reply")], ids=lambda v: v["what"]
+)
+def test_replies_are_those_of_the_vectors(vector):
+    said = registers(bytes.fromhex(vector["data"]), 0x20)
+    assert said is not None
+    names = {"MODE": 0, "POSITION": 1, "VELOCITY": 2, "TORQUE": 3, "Q_CURRENT": 4, "FAULT": 15}
+    for name, register in names.items():
+        if name in vector["decoded"] and name != "Q_CURRENT":
+            value = vector["decoded"][name]
+            assert said[register] == pytest.approx(float(value), rel=1e-5, nan_ok=True)
+    heard = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT).hear(
+        Frame(vector["id"], bytes.fromhex(vector["data"]), FD | BRS)
+    )
+    assert heard is not None
+    fault = vector["decoded"].get("FAULT")
+    if fault is None:
+        assert heard.broken, "an error in place of what was asked for"
+    elif fault:
+        assert (heard.power, heard.fault) == (DriveState.FAULT, 0x100 + fault)
+
+
+@given(st.floats(-1e3, 1e3), st.integers(0, 5))
+def test_a_torque_comes_out_as_the_single_that_went_in_and_saturates_at_the_limit_sent_with_it(torque, leg):
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 100.0, UNIT)
+    dialogue = protocol.start(SETUP)._replace(mode=DriveMode.RUN, torque=(torque,) * 6)
+    memory = protocol.power_up()._replace(enabled=(True,) * 6)
+    _, (command, _) = protocol.parse(memory, protocol.poll(dialogue, leg))
+    assert isinstance(command, DeviceCommand)
+    expected = 2 * np.pi * float(np.float32(min(max(torque, -100.0), 100.0)))
+    assert command.force[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_drive_that_is_left_enabled_damps_when_the_time_of_its_last_command_is_over_until_a_stop():
+    ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
+    ends.running()
+    waits_ns = ends.nodes._drives.watchdog_ns
+    np.testing.assert_allclose(waits_ns, 50e6, rtol=1e-7, err_msg="of the command, not the drive's own 0.1 s")
+    for _ in range(20):
+        ends.tick += 1
+        ends._to_drives(ends.tick * PERIOD_NS, ())
+    snapshot = ends.nodes.snapshot()
+    assert snapshot.state.tolist() == [DriveState.FAULT] * 6
+    assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6
+    assert not snapshot.brake.any(), "it damps"
+    run = Command(DriveMode.RUN, np.zeros(6))
+    ends.dialogue, _ = ends.protocol.command(ends.dialogue, run, ends.tick)
+    ends.step(run)
+    assert ends.measurement["drive_fault"].tolist() == [DriveFault.WATCHDOG] * 6
+    for _ in range(3):
+        ends.step()
+    assert ends.measurement["drive_state"].tolist() == [DriveState.OFF] * 6
+
+
+def test_a_drive_that_restarts_in_motion_obeys_again_from_the_next_command_on():
+    ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
+    ends.running()
+    ends.nodes._drives.state[3], ends.nodes._drives.configured[3] = DriveState.BOOT, False
+    ends.nodes._memory = ends.nodes._memory._replace(enabled=(True, True, True, False, True, True))
+    states = []
+    for _ in range(10):
+        ends.step(Command(DriveMode.RUN, np.zeros(6)))
+        states.append(int(ends.measurement["drive_state"][3]))
+    assert states == [DriveState.RUN] * 10
+    assert ends.nodes.snapshot().state[3] == DriveState.RUN
+
+
+@pytest.mark.parametrize("data", ["21", "2100", "2f01000000", "ff", "210001", "2c", "2c7f7f", "7f01"])
+def test_a_reply_that_is_not_whole_is_refused(data):
+    heard = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT).hear(
+        Frame(0x100, bytes.fromhex(data), FD | BRS)
+    )
+    assert heard is not None
+    assert heard.broken
+    assert at_tick(0)["rejected"] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"transmission": None}, "drives.transmission: protocol moteus"),
+        (
+            {"node_ids": [1, 2, 3, 4, 5, 127]},
+            "drives.node_ids[5]: out of range, allowed with moteus: 1 to 126",
+        ),
+        ({"options": {}}, "timeout_mode of protocol moteus: allowed: one of stopped, zero_velocity"),
+        ({"options": {"timeout_mode": "stopped", "host_id": 3}}, "drives.node_ids[2]: out of range"),
+        # 300 N x 20 mm / 2 pi = 0.955 N m
+        ({"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}}, "300 N need 0.9549 N m of the motor"),
+    ],
+)
+def test_a_row_names_what_it_does_not_have(change, message):
+    values: dict[str, Any] = {
+        "protocol": "moteus",
+        "transmission": {"lead_m": 0.02},
+        "options": {"timeout_mode": "stopped"},
+        "force_limit_N": 300,
+    }
+    drives = DriveSettings.model_validate(values | change)
+    with pytest.raises(ConfigurationError) as caught:
+        PROTOCOLS["moteus"](BusSettings(layout="fd"), drives)
+    assert message in str(caught.value)

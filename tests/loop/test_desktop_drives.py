@@ -1,0 +1,87 @@
+"""The desktop hexapod with each family of drives that can be bought, in lockstep, beside our own protocol."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from drivers.signals import DriveState
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.sim.command import simulate
+from hil.record.log import Log
+
+TEXT = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+MIT = "  protocol: mit\n  options: {variant: damiao, model: DM4310}\n"
+GEAR = TEXT[TEXT.index("  transmission:\n") : TEXT.index("  watchdog_ms")]
+SLOW = ("rate_Hz: 400\n", "rate_Hz: 312.5\n")
+FAMILIES: dict[str, tuple[tuple[str, str], ...]] = {
+    "legs": ((MIT, ""), (GEAR, "")),
+    "damiao": (),
+    "cubemars": (("variant: damiao, model: DM4310", "variant: cubemars, model: AK80-9"),),
+    "mini_cheetah": (("variant: damiao, model: DM4310", "variant: mini_cheetah"),),
+    "robstride": (("variant: damiao, model: DM4310", "variant: robstride, model: rs-02"), SLOW),
+    "odrive": ((MIT, "  protocol: odrive\n"), SLOW),
+    "moteus": (
+        (MIT, "  protocol: moteus\n  options: {timeout_mode: stopped, torque_N_m: 7}\n"),
+        ("layout: classic\n", "layout: fd\n"),
+    ),
+}
+
+
+def desktop(*changes: tuple[str, str]) -> Configuration:
+    text = TEXT
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return loads(text, "desktop")
+
+
+@cache
+def simulated(family: str) -> tuple[dict[str, Any], Any]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        summary = simulate(desktop(*FAMILIES[family]), log=path, duration_s=4.0)
+        return summary, Log.open(path).rows()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_it_runs_to_parked_and_replays_to_the_bit(family):
+    summary, rows = simulated(family)
+    assert summary["success"], summary
+    assert summary["replay"]["exact"]
+    assert summary["rejected_frames"] == 0
+    assert (rows["drive_state"][-1] == DriveState.OFF).all() or (
+        rows["drive_state"][-1] == DriveState.READY
+    ).all()
+    assert rows["age"][10:].max() <= 1
+    assert rows["doubled"].max() == rows["foreign"].max() == 0
+
+
+@pytest.mark.parametrize("family", [name for name in FAMILIES if name != "legs"])
+def test_it_errs_as_with_our_own_protocol_because_friction_decides(family):
+    ours, theirs = (simulated(name)[0]["tracking"]["rms_leg_error_mm"] for name in ("legs", family))
+    assert theirs == pytest.approx(ours, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("family", "rate_Hz", "arithmetic"),
+    [
+        ("damiao", 500, "12 x classic  8 byte: 135 bit = 135.0 us each, 1620.0 us"),
+        ("robstride", 400, "12 x classic  8 byte: 160 bit = 160.0 us each, 1920.0 us"),
+        ("odrive", 400, "6 x classic  0 byte: 55 bit = 55.0 us each, 330.0 us"),
+        ("moteus", 1000, "6 x CAN FD  48 byte: 57 bit + 519 fast bit = 160.8 us"),
+    ],
+)
+def test_a_bus_that_is_too_small_is_refused_with_the_arithmetic(family, rate_Hz, arithmetic):
+    changes = [each for each in FAMILIES[family] if each != SLOW]
+    if rate_Hz != 400:
+        changes.append(("rate_Hz: 400\n", f"rate_Hz: {rate_Hz}\n"))
+    with pytest.raises(ConfigurationError) as caught:
+        desktop(*changes)
+    assert arithmetic in str(caught.value)

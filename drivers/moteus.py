@@ -19,6 +19,7 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
+from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import (
     OWN_CODE,
     Exchange,
@@ -26,11 +27,7 @@ from drivers.motors import (
     MotorDialogue,
     MotorMemory,
     MotorProtocol,
-    Options,
     put,
-    refuse_layout,
-    refuse_torque,
-    required,
 )
 from drivers.protocol import (
     BRS,

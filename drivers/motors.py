@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.config import BusSettings, TransmissionSettings
-from drivers.errors import ConfigurationError, ProtocolError
+from drivers.errors import ProtocolError
 from drivers.protocol import (
     ALWAYS,
     DeviceCommand,
@@ -129,77 +128,6 @@ def unwatched(family: str) -> str:
     )
 
 
-class Options:
-    """The options of a protocol: unknown keys are refused, each by its name."""
-
-    def __init__(
-        self, given: dict[str, str | int | float | bool], protocol: str, known: Sequence[str]
-    ) -> None:
-        """Take `drives.options`. Raises ConfigurationError for a key that is not known."""
-        self._given, self._protocol = given, protocol
-        unknown = [key for key in given if key not in known]
-        if unknown:
-            raise ConfigurationError(
-                f"drives.options: protocol {protocol} has {', '.join(known) or 'none'}, "
-                f"given: {', '.join(unknown)}"
-            )
-
-    def choice(self, key: str, allowed: tuple[str, ...]) -> str:
-        """Return one of some words; the only one where nothing is given."""
-        value = self._given.get(key, allowed[0] if len(allowed) == 1 else None)
-        if value not in allowed:
-            raise self._wrong(key, f"one of {', '.join(allowed)}")
-        return str(value)
-
-    def positive(self, key: str, default: float) -> float:
-        """Return a number above 0."""
-        value = self._given.get(key, default)
-        if isinstance(value, (bool, str)) or not value > 0.0:
-            raise self._wrong(key, "a number greater than 0")
-        return float(value)
-
-    def whole(self, key: str, default: int) -> int:
-        """Return a whole number."""
-        value = self._given.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self._wrong(key, "a whole number")
-        return value
-
-    def _wrong(self, key: str, allowed: str) -> ConfigurationError:
-        given = self._given.get(key, "nothing")
-        return ConfigurationError(
-            f"drives.options: {key} of protocol {self._protocol}: allowed: {allowed}, given: {given}"
-        )
-
-
-def refuse_layout(bus: BusSettings, protocol: str, allowed: str) -> None:
-    """Raise ConfigurationError for a frame layout that a protocol does not have."""
-    if bus.layout != allowed:
-        raise ConfigurationError(f"bus.layout: allowed with {protocol}: {allowed}, given: {bus.layout}")
-
-
-def required(settings: TransmissionSettings | None, protocol: str) -> Transmission:
-    """Return the transmission. Raises ConfigurationError where there is none."""
-    if settings is None:
-        raise ConfigurationError(
-            f"drives.transmission: protocol {protocol} speaks of motors; state lead_m or pulley_radius_m, "
-            "gear_ratio, sign and offset_m"
-        )
-    return Transmission.of(settings)
-
-
-def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, protocol: str) -> None:
-    """Raise ConfigurationError if the rated force needs more torque than the family's field carries."""
-    needed = float(np.abs(force_N / transmission.N_per_Nm / transmission.driving).max())
-    if needed > torque_Nm:
-        per = float(np.abs(transmission.N_per_Nm).min())
-        raise ConfigurationError(
-            f"drives.force_limit_N: {force_N:g} N need {needed:.4g} N m of the motor ({per:.4g} N a N m "
-            f"without losses), {protocol} carries up to {torque_Nm:g} N m: lower it, or change gear_ratio or "
-            "lead_m"
-        )
-
-
 class MotorProtocol(ABC):
     """Controller's end of such a family, and what the drives' ends share. Holds tables only."""
 
@@ -242,6 +170,10 @@ class MotorProtocol(ABC):
         """N m, the largest that a command carries."""
 
     # controller's end
+
+    def reported_lengths(self) -> tuple[Array, Array] | None:
+        """Return None: positions are turns without an end."""
+        return None
 
     @property
     def dangers(self) -> tuple[str, ...]:
@@ -435,6 +367,11 @@ class MotorProtocol(ABC):
         count = memory.heard[leg]
         commands = tuple(DeviceCommand((leg,), int(m), force, count + n + 1) for n, m in enumerate(modes))
         return memory._replace(heard=put(memory.heard, leg, count + len(modes))), commands
+
+    def lengths_between(self, turns: float) -> tuple[Array, Array]:
+        """Return the shortest and longest leg lengths (6,) m within so many turns of position zero."""
+        ends = self.transmission.length(np.full(LEGS, -turns)), self.transmission.length(np.full(LEGS, turns))
+        return np.minimum(*ends), np.maximum(*ends)
 
     @staticmethod
     def finite(leg: int, *values: float) -> None:

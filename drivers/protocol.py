@@ -188,12 +188,19 @@ class DriveProtocol(Protocol):
         """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
 
     @property
+    def reactions(self) -> tuple[Reaction, ...]:
+        """What the drives can do by themselves after silence; `start` refuses another."""
+
+    @property
     def dangers(self) -> tuple[str, ...]:
         """What the drives do not do for safety, one sentence each, for `hil check`."""
 
     @property
     def stop_latches(self) -> bool:
         """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
+
+    def reported_lengths(self) -> tuple[Array, Array] | None:
+        """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
 
     # controller's end
     def start(self, setup: DriveSetup) -> Dialogue:

@@ -92,6 +92,7 @@ class LegsProtocol:
     reset_ticks = 5
     stop_latches = True
     dangers = ()
+    reactions = tuple(Reaction)
     shares_identifiers = False
 
     def __init__(self, layout: str, node_ids: Sequence[int], rated_force_N: float = 60_000.0) -> None:
@@ -286,6 +287,10 @@ class LegsProtocol:
             return dialogue
         said = checksums_heard(dialogue.said, run, self._status_id, self._status.length, _SET_UP_AT)
         return dialogue._replace(confirmed=confirmed, said=said)
+
+    def reported_lengths(self) -> tuple[Array, Array] | None:
+        """Return None: the field is wider than any leg."""
+        return None
 
     def awaited(self, frame: Frame) -> int:
         """Return the identifier."""

@@ -112,6 +112,10 @@ class MitProtocol(MotorProtocol):
         """Return what a code of the column `drive_fault` means."""
         return self.variant.faults.get(code - OWN_CODE, "")
 
+    def reported_lengths(self) -> tuple[Array, Array] | None:
+        """Return the leg lengths at the ends of the position's range."""
+        return self.lengths_between(self.ranges.position / TURN)
+
     # controller's end
 
     def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:

@@ -95,6 +95,10 @@ class RobStrideProtocol(MotorProtocol):
         middle = self._host if middle is None else middle
         return Frame(kind << 24 | middle << 8 | self._nodes[leg], data, EXTENDED)
 
+    def reported_lengths(self) -> tuple[Array, Array] | None:
+        """Return the leg lengths at the ends of the position's range."""
+        return self.lengths_between(self.ranges.position / TURN)
+
     # controller's end
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:

@@ -5,7 +5,7 @@ from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.mit.variants import VARIANTS
-from drivers.motors import Options, refuse_layout, refuse_torque, required
+from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 
 _HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
 """Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's."""

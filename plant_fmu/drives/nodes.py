@@ -92,7 +92,11 @@ class Nodes:
         self._length, self._rate = self._plant.reset()
         gear = self._settings.transmission
         self._transmission = None if gear is None else Transmission.of(gear)
-        self._drives = Drives(self._settings, self._emulation, self._h_s)
+        settings = self._settings
+        if self._transmission is not None:  # the rated force is the leg's, what a drive clips is its torque
+            rated_N = settings.force_limit_N / float(self._transmission.driving.min())
+            settings = settings.model_copy(update={"force_limit_N": rated_N})
+        self._drives = Drives(settings, self._emulation, self._h_s)
         self._memory = self._protocol.power_up()
         self._beats = 0
         self._next_beat_ns = t0_ns

@@ -113,8 +113,7 @@ def at_tick(tick: int) -> Any:
 
 def reaction_of(protocol: DriveProtocol) -> Reaction:
     """Return DAMP, or what the protocol's drives do instead."""
-    reactions = getattr(protocol, "reactions", tuple(Reaction))
-    return Reaction.DAMP if Reaction.DAMP in reactions else reactions[0]
+    return Reaction.DAMP if Reaction.DAMP in protocol.reactions else protocol.reactions[0]
 
 
 class Ends:

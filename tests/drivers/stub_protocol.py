@@ -104,6 +104,7 @@ class StubProtocol:
     reset_ticks = 2
     stop_latches = True
     dangers = ()
+    reactions = tuple(Reaction)
     shares_identifiers = False
 
     def __init__(self, node_ids: list[int]) -> None:
@@ -150,6 +151,9 @@ class StubProtocol:
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         read = self._read(received.frame)
         return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
+
+    def reported_lengths(self) -> None:
+        return None
 
     def awaited(self, frame: Frame) -> int:
         return frame.id

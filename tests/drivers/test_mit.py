@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import PROTOCOLS
+from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.mit.fields import Ranges, device_motion, pack_command, unpack_command, unpack_motion
@@ -21,7 +22,9 @@ from drivers.mit.variants import VARIANTS
 from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync, run_of
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
+from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, ProtocolContract, at_tick
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
@@ -422,3 +425,32 @@ def test_each_variant_can_be_configured(variant):
     model = next(iter(VARIANTS[variant].models))
     protocol = PROTOCOLS["mit"](*settings(options={"variant": variant, "model": model}))
     assert len(protocol.cyclic_frames()) == 12
+
+
+class Pushed(Given):
+    """A plant that keeps what pushes its legs."""
+
+    force = np.zeros(6)
+
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        self.force = force.copy()
+        return super().step(force, brake, wrench, dt_s)
+
+
+def test_what_friction_takes_the_command_has_added_and_the_drive_reports_the_force_of_the_leg():
+    lossy = TransmissionSettings(
+        lead_m=LEAD_m, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75, efficiency=0.9, back_driving_efficiency=0.6
+    )
+    protocol = MitProtocol("damiao", WIDE, NODES, 16, Transmission.of(lossy))
+    ends, plant = Ends(protocol), Pushed()
+    drives = DriveSettings(heartbeat_ms=24.0, transmission=lossy, force_limit_N=3000.0)
+    ends.nodes = Nodes(plant, protocol, DriveEmulation(encoder_resolution_m=0.0), drives)
+    force = np.array(
+        [1000.0, 2000.0, 3000.0, -3000.0, 0.0, -500.0]
+    )  # both ways against RATE, and the rated one
+    ends.running(force)
+    ends.step(Command(DriveMode.RUN, force), set_up=False)
+    np.testing.assert_allclose(plant.force, force, rtol=0, atol=STEP_N)
+    np.testing.assert_allclose(ends.measurement["drive_force"], force, rtol=0, atol=2 * STEP_N)
+    torque = ends.nodes._drives.command[0] / NEWTONS
+    assert torque == pytest.approx(1000.0 / 0.9 / NEWTONS, rel=0.01)

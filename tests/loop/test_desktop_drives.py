@@ -85,3 +85,26 @@ def test_a_bus_that_is_too_small_is_refused_with_the_arithmetic(family, rate_Hz,
     with pytest.raises(ConfigurationError) as caught:
         desktop(*changes)
     assert arithmetic in str(caught.value)
+
+
+def refused(*changes: tuple[str, str]) -> str:
+    with pytest.raises(ConfigurationError) as caught:
+        desktop(*changes)
+    return str(caught.value)
+
+
+def test_a_reaction_that_the_drives_do_not_have_is_refused():
+    damp = ("recording:\n", "reactions:\n  silence: damp\n\nrecording:\n")
+    assert (
+        "reactions.silence: not what these drives do by themselves, allowed with drives.protocol mit"
+        in refused(damp)
+    )
+    zero_velocity = [(old, new.replace("stopped", "zero_velocity")) for old, new in FAMILIES["moteus"]]
+    desktop(*zero_velocity, damp)
+    assert "options: damp, given: brake" in refused(*zero_velocity)
+
+
+def test_a_stroke_that_the_position_field_does_not_hold_is_refused():
+    # 12.5 rad x 5 mm = 62.5 mm on each side of 325 mm
+    text = refused(("pulley_radius_m: 0.02", "pulley_radius_m: 0.005"))
+    assert "the position that drive 0 reports ends at leg lengths of 0.2625 and 0.3875 m" in text

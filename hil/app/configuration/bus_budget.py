@@ -6,7 +6,6 @@ from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
-from drivers.signals import Reaction
 
 
 def bus_budget(
@@ -20,7 +19,7 @@ def bus_budget(
     nodes = SensorProtocol(bus, sensors)
     protocol = PROTOCOLS[drives.protocol](bus, drives)
     try:
-        protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, Reaction.BRAKE, rate_Hz))
+        protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, protocol.reactions[0], rate_Hz))
     except ProtocolError as error:
         raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
     frames = protocol.cyclic_frames()

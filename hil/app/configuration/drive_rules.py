@@ -1,0 +1,55 @@
+"""Rules on what the drives of a family can report and can do by themselves."""
+
+from collections.abc import Iterator
+
+from drivers import PROTOCOLS
+from drivers.config import BusSettings, DriveSettings
+from drivers.errors import HilError
+from drivers.protocol import DriveProtocol
+from drivers.signals import Reaction
+from hil.app.configuration.yaml_positions import Path
+from hil.config.platform import PlatformSettings
+from hil.config.reactions import ReactionSettings
+
+
+def _protocol(bus: BusSettings, drives: DriveSettings) -> DriveProtocol | None:
+    """Return the codec; None where its settings are wrong, which the rule on the bus load says."""
+    try:
+        return PROTOCOLS[drives.protocol](bus, drives)
+    except HilError:
+        return None
+
+
+def own_reaction(
+    bus: BusSettings, drives: DriveSettings, reactions: ReactionSettings, _: object
+) -> Iterator[tuple[Path, str]]:
+    """Refuse a reaction to silence that the drives do not have."""
+    protocol = _protocol(bus, drives)
+    if protocol is not None and Reaction[reactions.silence.upper()] not in protocol.reactions:
+        allowed = ", ".join(each.name.lower() for each in protocol.reactions)
+        message = (
+            f"not what these drives do by themselves, allowed with drives.protocol {drives.protocol} and its "
+            f"options: {allowed}, given: {reactions.silence}"
+        )
+        yield ("reactions", "silence"), message
+
+
+def reported_stroke(
+    bus: BusSettings, drives: DriveSettings, platform: PlatformSettings, _: object
+) -> Iterator[tuple[Path, str]]:
+    """Refuse leg lengths that the drives' position field cannot carry."""
+    protocol = _protocol(bus, drives)
+    reported = None if protocol is None else protocol.reported_lengths()
+    if reported is None:
+        return
+    low, high = reported
+    for leg, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+        if platform.length_min_m < least or platform.length_max_m > most:
+            message = (
+                f"the position that drive {leg} reports ends at leg lengths of {least:.4g} and {most:.4g} m, "
+                f"allowed: platform.length_min_m {platform.length_min_m:g} to length_max_m "
+                f"{platform.length_max_m:g} within them; change offset_m, gear_ratio or lead, or the range "
+                "of the drive"
+            )
+            yield ("drives", "transmission"), message
+            return

@@ -12,8 +12,10 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from drivers.signals import DriveState
+from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.sim.command import simulate
+from hil.loop.report import waiting_text
 from hil.record.log import Log
 
 TEXT = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
@@ -108,3 +110,10 @@ def test_a_stroke_that_the_position_field_does_not_hold_is_refused():
     # 12.5 rad x 5 mm = 62.5 mm on each side of 325 mm
     text = refused(("pulley_radius_m: 0.02", "pulley_radius_m: 0.005"))
     assert "the position that drive 0 reports ends at leg lengths of 0.2625 and 0.3875 m" in text
+
+
+def test_a_fault_code_is_told_with_its_leg_and_what_the_maker_means_by_it():
+    cycle = build_cycle(desktop(), 400.0, 0.01)
+    cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
+    cycle.tick["drive_state"][4], cycle.tick["drive_fault"][4] = DriveState.FAULT, 0x100 + 8
+    assert "drive 4 stays in FAULT (264: over voltage)" in waiting_text(cycle)

@@ -26,7 +26,7 @@ from plant_fmu.faults.plan import FaultPlan
 from tests.records import altered, record_of
 
 RATE_Hz = 100.0
-SET_UP = SimpleNamespace(set_up_lacks=lambda _: ("",) * 6)
+SET_UP = SimpleNamespace(set_up_lacks=lambda _: ("",) * 6, fault_text=lambda _: "", stop_latches=True)
 HEARD = {"age": 0, "counted_age": 0, "drive_state": DriveState.OFF}
 
 

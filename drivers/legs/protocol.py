@@ -23,6 +23,7 @@ from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_comm
 from drivers.legs.kernels import FOREIGN, QUANTITIES, encode, fold
 from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
 from drivers.legs.set_up import NOT_HEARD, checksums_heard, lack
+from drivers.legs.traits import Traits
 from drivers.protocol import (
     ALWAYS,
     Configure,
@@ -79,7 +80,7 @@ class LegsDialogue(NamedTuple):
     """What the last status of each drive that has not confirmed its set-up says of it."""
 
 
-class LegsProtocol:
+class LegsProtocol(Traits):
     """The own protocol in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
 
     `node_ids` are the drives' node numbers, leg order, 1..127, all different; `rated_force_N` is the unit of
@@ -90,10 +91,6 @@ class LegsProtocol:
     command_delay_ticks = 0
     set_up_frames = 1
     reset_ticks = 5
-    stop_latches = True
-    dangers = ()
-    reactions = tuple(Reaction)
-    shares_identifiers = False
 
     def __init__(self, layout: str, node_ids: Sequence[int], rated_force_N: float = 60_000.0) -> None:
         if layout not in LAYOUTS:
@@ -287,18 +284,6 @@ class LegsProtocol:
             return dialogue
         said = checksums_heard(dialogue.said, run, self._status_id, self._status.length, _SET_UP_AT)
         return dialogue._replace(confirmed=confirmed, said=said)
-
-    def reported_lengths(self) -> tuple[Array, Array] | None:
-        """Return None: the field is wider than any leg."""
-        return None
-
-    def awaited(self, frame: Frame) -> int:
-        """Return the identifier."""
-        return frame.id
-
-    def fault_text(self, _code: int) -> str:
-        """Return nothing: all codes are DriveFault."""
-        return ""
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is an intact feedback to this tick's SYNC."""

@@ -77,7 +77,7 @@ def main() -> None:
       hil faults             what becomes of every kind of fault, at every moment
 
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
-    socketcan, lab, bench, vcan50. Logs are MCAP files; without --log they go into the
+    socketcan, lab, desktop, bench, vcan50. Logs are MCAP files; without --log they go into the
     folder recording.folder of the configuration, `runs`, under the name and the time.
     No log is ever overwritten.
 

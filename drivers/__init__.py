@@ -27,6 +27,12 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     return LegsProtocol(bus.layout, drives.node_ids, drives.force_limit_N)
 
 
+def _cia402(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    from drivers.cia402.options import cia402  # noqa: PLC0415 - as above
+
+    return cia402(bus, drives)
+
+
 def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     from drivers.mit.row import mit  # noqa: PLC0415 - as above
 
@@ -47,6 +53,7 @@ def _moteus(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
 
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
     "legs": _legs,
+    "cia402": _cia402,
     "mit": _mit,
     "moteus": _moteus,
     "odrive": _odrive,

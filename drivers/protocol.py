@@ -103,6 +103,16 @@ class DeviceCommand(NamedTuple):
     Whether it is that of the present SYNC has been checked: an older one, or a future one, is Rejected."""
 
 
+class UnwatchedCommand(DeviceCommand):
+    """A command that does not feed the drives' watchdogs: `Alive` does."""
+
+
+class Alive(NamedTuple):
+    """What the watchdogs of the drives of `legs` wait for, where that is not the command itself."""
+
+    legs: tuple[int, ...] = ALL_LEGS
+
+
 class Configure(NamedTuple):
     """Set-up of one drive (leg 0..5)."""
 
@@ -130,7 +140,7 @@ class Rejected(NamedTuple):
     reason: str
 
 
-DeviceMessage = Sync | DeviceCommand | Configure | EmergencyStop | Answer | Rejected
+DeviceMessage = Sync | DeviceCommand | Alive | Configure | EmergencyStop | Answer | Rejected
 
 
 class Status(NamedTuple):
@@ -268,3 +278,25 @@ class DriveProtocol(Protocol):
     # bus time
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame sent once per tick, `begin` included: lengths and flags count."""
+
+
+class RememberingDrives(Protocol):
+    """What a protocol has besides whose drives answer by what they remember: emulated drives ask these then.
+
+    `answer` takes the place of `feedbacks`, and `report` that of `status`.
+    """
+
+    def answer(
+        self,
+        memory: Memory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[Memory, list[tuple[int, Frame]]]:
+        """Encode as `feedbacks` does, and return what the drives remember of it."""
+
+    def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
+        """Learn what a drive is in, at its heartbeat and at each change, and return what it sends of it."""

@@ -216,3 +216,5 @@ class Command(NamedTuple):
     mode: DriveMode
     force: Array
     """(6,) N, > 0 extends the leg."""
+    stop: bool = False
+    """An emergency stop goes with it."""

@@ -143,15 +143,15 @@ class Cycle:
         warnings = verdict.warnings | Warn.SENSOR if parts.wrench.late else verdict.warnings
         self._latch(inp, verdict)
 
-        command = self._command(tick)
+        latches = parts.protocol.stop_latches
+        stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))
+        command = self._command(tick)._replace(stop=stops)
         limited = warnings and self.mode in CONTROLLED  # no limit acts without a warning
         self.effort.shortfall = tick["tau"] - tick["tau_asked"] if limited else ZERO6
         for follower in self._followers:
             follower.sent(command.force)
         self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
-        if Operator.ESTOP in inp.operator or (
-            self.estop and not confirmed(tick, parts.protocol.stop_latches)
-        ):
+        if stops:
             frames = parts.protocol.emergency_stop() + frames
         frames += self._set_up(tick)
         setpoints = NO_SETPOINTS if steering is None else steering.counts

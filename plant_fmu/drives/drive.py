@@ -11,12 +11,21 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import DriveSettings
 from drivers.signals import INVALID, LEGS, DriveFault, Reaction
+from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import kernels
-from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS
+from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, READY, RUN, WORKS
 from plant_fmu.faults.fault import Present
 
 _NO_COUNTER = -1
+
+
+def at_motor(settings: DriveSettings, transmission: Transmission | None) -> DriveSettings:
+    """Return the settings with the force that a drive clips: its torque's, before the losses on the way."""
+    if transmission is None:
+        return settings
+    rated_N = settings.force_limit_N / float(transmission.driving.min())
+    return settings.model_copy(update={"force_limit_N": rated_N})
 
 
 class Drives:
@@ -74,6 +83,21 @@ class Drives:
         self.enter = partial(kernels.enter, integers, reals)
         self.obey = partial(kernels.obey, integers, reals, common)
         self.actuate = partial(kernels.actuate, integers, reals, common)
+
+    def heard(self, legs: Ints, t_ns: int) -> None:
+        """Feed the watchdogs of drives that are powered."""
+        powered = legs[np.isin(self.state[legs], (READY, RUN))]
+        self.deadline_ns[powered] = t_ns + self.watchdog_ns[powered]
+
+    def obey_unwatched(
+        self, length: Array, rate: Array, legs: Ints, force: Array, mode: int, counter: int, t_ns: int
+    ) -> tuple[bool, bool, int, int]:
+        """Obey as `obey` does, and feed no watchdog but that of a drive that is powered just now."""
+        before, powered = self.deadline_ns.copy(), np.isin(self.state, (READY, RUN))
+        done = self.obey(length, rate, legs, force, mode, counter, t_ns)
+        same = powered & np.isin(self.state, (READY, RUN))
+        self.deadline_ns[same] = before[same]
+        return done
 
     def disturb(self, present: Present, length: Array, rate: Array, t_ns: int) -> None:
         """Let the faults of this instant act, the plant being there.

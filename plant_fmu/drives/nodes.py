@@ -19,6 +19,7 @@ from drivers.arrays import Array, Ints
 from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
 from drivers.protocol import (
+    Alive,
     Answer,
     Configure,
     DeviceCommand,
@@ -29,11 +30,13 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
+    UnwatchedCommand,
 )
 from drivers.signals import LEGS, DriveFault, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.drive import Drives
+from plant_fmu.drives.answers import drives_of
+from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
 from plant_fmu.drives.reading import Reading
 from plant_fmu.drives.snapshot import Snapshot
@@ -75,6 +78,7 @@ class Nodes:
     ) -> None:
         self._plant = plant
         self._protocol = protocol
+        self._answers = drives_of(protocol)
         self._emulation = emulation
         self._settings = drives
         self._faults = FaultPlan() if faults is None else faults
@@ -92,11 +96,7 @@ class Nodes:
         self._length, self._rate = self._plant.reset()
         gear = self._settings.transmission
         self._transmission = None if gear is None else Transmission.of(gear)
-        settings = self._settings
-        if self._transmission is not None:  # the rated force is the leg's, what a drive clips is its torque
-            rated_N = settings.force_limit_N / float(self._transmission.driving.min())
-            settings = settings.model_copy(update={"force_limit_N": rated_N})
-        self._drives = Drives(settings, self._emulation, self._h_s)
+        self._drives = Drives(at_motor(self._settings, self._transmission), self._emulation, self._h_s)
         self._memory = self._protocol.power_up()
         self._beats = 0
         self._next_beat_ns = t0_ns
@@ -316,6 +316,8 @@ class Nodes:
                     self._latch(message, t, out)
                 case DeviceCommand():
                     self._obey(message, t, out)
+                case Alive(legs=legs):
+                    self._drives.heard(_indices(legs), t)
                 case Configure():
                     self._configure(message, t, out)
                 case EmergencyStop(legs=legs):
@@ -338,27 +340,28 @@ class Nodes:
         force = self._plant.applied_force()
         if force is None:
             force = self._at_leg(self._drives.force)
-        quantum = self._emulation.encoder_resolution_m
+        quantum, fault = self._emulation.encoder_resolution_m, self._drives.fault
         length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
         if present.noise or any(present.late_ns):
             self._reading.spoil(present, t, length, rate)
         try:
-            frames = self._protocol.feedbacks(sync, length, rate, force, state, self._drives.fault)
+            self._memory, frames = self._answers.answer(self._memory, sync, length, rate, force, state, fault)
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
         silent = present.silent
         out += [(t, frame) for leg, frame in frames if not silent[leg]]
         for leg, by_m in enumerate(present.forged_m):
             if by_m is not None:
-                other = self._protocol.feedbacks(sync, length + by_m, rate, force, state, self._drives.fault)
+                _, other = self._answers.answer(self._memory, sync, length + by_m, rate, force, state, fault)
                 out += [(t, frame) for k, frame in other if k == leg]
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
         self._advance(t)
         legs, mode, force, counter = command
-        fresh, controls, entered, earliest = self._drives.obey(
-            self._length, self._rate, _indices(legs), force, mode, counter, t
-        )
+        drives, watched = self._drives, not isinstance(command, UnwatchedCommand)
+        obey = drives.obey if watched else drives.obey_unwatched
+        length, rate = self._length, self._rate
+        fresh, controls, entered, earliest = obey(length, rate, _indices(legs), force, mode, counter, t)
         if entered:
             for leg in legs:
                 if entered >> leg & 1:
@@ -388,7 +391,8 @@ class Nodes:
         holds = None
         if drives.configured[leg]:
             holds = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
-        self._send(leg, t, self._protocol.status(Status(leg, state, fault, holds)), out)
+        self._memory, frames = self._answers.report(self._memory, Status(leg, state, fault, holds))
+        self._send(leg, t, frames, out)
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:
         """Queue frames of one drive, as far as it is not silent."""

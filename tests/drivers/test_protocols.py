@@ -197,7 +197,7 @@ def test_drives_whose_set_up_is_not_complete_are_named(row):
     [
         (
             [(NODES, f"protocol: hart\n  {NODES}")],
-            "drives.protocol: unknown value, allowed: legs, mit, moteus, odrive, stub, given: hart",
+            "drives.protocol: unknown value, allowed: legs, cia402, mit, moteus, odrive, stub, given: hart",
         ),
         (
             [(NODES, "node_ids: [1, 2, 3, 4, 5, 128]")],

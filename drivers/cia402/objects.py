@@ -1,0 +1,171 @@
+"""Objects of CiA 301 and CiA 402 that a run uses, and the expedited SDO frames that read and write them.
+
+Identifiers and services: CiA 301 (EN 50325-4), 7.2 and 7.3. Drive objects: CiA 402-2 (IEC 61800-7-201).
+Integers are little-endian. No state, no clock.
+"""
+
+from typing import NamedTuple
+
+NMT_ID, SYNC_ID, EMCY_ID = 0x000, 0x080, 0x080
+TPDO_ID = 0x180, 0x280, 0x380, 0x480
+RPDO_ID = 0x200, 0x300, 0x400, 0x500
+SDO_REPLY_ID, SDO_REQUEST_ID, HEARTBEAT_ID = 0x580, 0x600, 0x700
+"""The predefined connection set; the node number is added, but for NMT and SYNC."""
+START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+"""NMT commands."""
+BOOTS, STOPPED, OPERATES, PREPARES = 0, 4, 5, 127
+"""NMT states in a heartbeat: initialising (its boot-up), stopped, operational, pre-operational."""
+NOT_VALID = 1 << 31
+"""Bit of a PDO's COB-ID: the PDO does not exist."""
+AT_EVERY_SYNC, AT_ONCE = 1, 255
+"""Transmission types of a PDO."""
+CYCLIC_TORQUE = 10
+"""Mode of operation: cyclic synchronous torque."""
+SUPPORTS_CYCLIC_TORQUE = 1 << 9
+"""Bit of `SUPPORTED_MODES`."""
+PROFILE_402 = 0x0192
+"""Low word of the device type."""
+
+Key = tuple[int, int]
+"""Index and sub-index."""
+DEVICE_TYPE: Key = 0x1000, 0
+CONSUMER_HEARTBEAT: Key = 0x1016, 1
+PRODUCER_HEARTBEAT: Key = 0x1017, 0
+COMMUNICATION_ERROR: Key = 0x1029, 1
+ABORT_CONNECTION: Key = 0x6007, 0
+ERROR_CODE: Key = 0x603F, 0
+CONTROLWORD: Key = 0x6040, 0
+STATUSWORD: Key = 0x6041, 0
+QUICK_STOP: Key = 0x605A, 0
+FAULT_REACTION: Key = 0x605E, 0
+MODE: Key = 0x6060, 0
+MODE_SHOWN: Key = 0x6061, 0
+POSITION: Key = 0x6064, 0
+VELOCITY: Key = 0x606C, 0
+TARGET_TORQUE: Key = 0x6071, 0
+MAX_TORQUE: Key = 0x6072, 0
+RATED_TORQUE: Key = 0x6076, 0
+TORQUE: Key = 0x6077, 0
+ENCODER_INCREMENTS: Key = 0x608F, 1
+MOTOR_REVOLUTIONS: Key = 0x608F, 2
+PERIOD_MANTISSA: Key = 0x60C2, 1
+PERIOD_EXPONENT: Key = 0x60C2, 2
+SUPPORTED_MODES: Key = 0x6502, 0
+RPDO, RPDO_MAP, TPDO, TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
+"""Indices of the first PDO's parameters and mapping."""
+
+NAMES: dict[Key, str] = {
+    DEVICE_TYPE: "device type",
+    CONSUMER_HEARTBEAT: "consumer heartbeat time",
+    PRODUCER_HEARTBEAT: "producer heartbeat time",
+    COMMUNICATION_ERROR: "reaction to a communication error",
+    ABORT_CONNECTION: "abort connection option code",
+    QUICK_STOP: "quick stop option code",
+    FAULT_REACTION: "fault reaction option code",
+    MODE: "mode of operation",
+    MODE_SHOWN: "mode of operation display",
+    MAX_TORQUE: "max torque",
+    RATED_TORQUE: "motor rated torque",
+    ENCODER_INCREMENTS: "encoder increments",
+    MOTOR_REVOLUTIONS: "motor revolutions",
+    PERIOD_MANTISSA: "interpolation time period",
+    PERIOD_EXPONENT: "interpolation time index",
+    SUPPORTED_MODES: "supported drive modes",
+}
+
+NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
+BAD_COMMAND, READ_ONLY, WRITE_ONLY = 0x0504_0001, 0x0601_0002, 0x0601_0001
+CANNOT_MAP, MAPPING_TOO_LONG = 0x0604_0041, 0x0604_0042
+TOO_LONG, TOO_SHORT = 0x0607_0012, 0x0607_0013
+BAD_VALUE, BAD_STATE = 0x0609_0030, 0x0800_0022
+ABORTS: dict[int, str] = {
+    0x0503_0000: "toggle bit not alternated",
+    0x0504_0000: "SDO protocol timed out",
+    BAD_COMMAND: "command specifier not valid or unknown",
+    0x0504_0005: "out of memory",
+    0x0601_0000: "unsupported access to an object",
+    WRITE_ONLY: "attempt to read a write only object",
+    READ_ONLY: "attempt to write a read only object",
+    NO_OBJECT: "object does not exist in the object dictionary",
+    CANNOT_MAP: "object cannot be mapped to the PDO",
+    MAPPING_TOO_LONG: "number and length of the objects to be mapped would exceed the PDO length",
+    0x0604_0043: "general parameter incompatibility",
+    0x0604_0047: "general internal incompatibility in the device",
+    0x0606_0000: "access failed due to a hardware error",
+    0x0607_0010: "data type or length of the service parameter does not match",
+    TOO_LONG: "length of the service parameter too high",
+    TOO_SHORT: "length of the service parameter too low",
+    NO_SUB_INDEX: "sub-index does not exist",
+    BAD_VALUE: "invalid value for the parameter",
+    0x0609_0031: "value of the parameter too high",
+    0x0609_0032: "value of the parameter too low",
+    0x0800_0000: "general error",
+    0x0800_0020: "data cannot be transferred or stored",
+    0x0800_0021: "data cannot be transferred or stored because of local control",
+    BAD_STATE: "data cannot be transferred or stored because of the present device state",
+}
+"""Abort codes of CiA 301, table 22, in its words."""
+
+
+def place(key: Key) -> str:
+    """Return how an object is written, with its name where it has one here: `0x6060:0 mode of operation`."""
+    text = f"0x{key[0]:04X}:{key[1]}"
+    return f"{text} {NAMES[key]}" if key in NAMES else text
+
+
+def abort_text(code: int) -> str:
+    """Return an abort code with its meaning."""
+    return f"abort 0x{code:08X} ({ABORTS.get(code, 'a code of the device or of a newer document')})"
+
+
+def head(specifier: int, key: Key) -> bytes:
+    """Return the first four bytes of an SDO frame."""
+    return bytes((specifier, key[0] & 0xFF, key[0] >> 8, key[1]))
+
+
+def download(key: Key, value: int, size: int) -> bytes:
+    """Return the request that writes an object of 1, 2 or 4 bytes; a negative value as two's complement."""
+    number = value & ((1 << 8 * size) - 1)
+    return head(0x23 | 4 - size << 2, key) + number.to_bytes(4, "little")
+
+
+def upload(key: Key) -> bytes:
+    """Return the request that reads an object."""
+    return head(0x40, key) + bytes(4)
+
+
+def abort(key: Key, code: int) -> bytes:
+    """Return the frame that ends a transfer."""
+    return head(0x80, key) + code.to_bytes(4, "little")
+
+
+class Reply(NamedTuple):
+    """What a server has answered."""
+
+    key: Key
+    abort: int
+    """Abort code; 0: none."""
+    wrote: bool
+    """It confirms a download."""
+    value: int
+    """What was read, as an unsigned number."""
+
+
+def read_reply(data: bytes) -> Reply | None:
+    """Return the answer in an SDO frame of 8 bytes; None for one that is no expedited answer."""
+    if len(data) != 8:
+        return None
+    specifier, key = data[0], (data[1] | data[2] << 8, data[3])
+    if specifier == 0x80:
+        return Reply(key, int.from_bytes(data[4:], "little") or BAD_COMMAND, wrote=False, value=0)
+    if specifier >> 5 == 3:
+        return Reply(key, 0, wrote=True, value=0)
+    if specifier >> 5 == 2 and specifier & 2:
+        size = 4 - (specifier >> 2 & 3) if specifier & 1 else 4
+        return Reply(key, 0, wrote=False, value=int.from_bytes(data[4 : 4 + size], "little"))
+    return None
+
+
+def mapped(key: Key, bits: int) -> int:
+    """Return the entry of a PDO mapping."""
+    return key[0] << 16 | key[1] << 8 | bits

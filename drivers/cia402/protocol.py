@@ -1,0 +1,287 @@
+"""CiA 402 drives over CANopen as a `DriveProtocol`: cyclic synchronous torque by SYNC and PDO.
+
+A tick: SYNC without counter; each drive answers with TPDO1 (statusword, position, torque), where asked for
+with TPDO2 (velocity) too; each gets RPDO1 (controlword, target torque), which acts at once; every few ticks
+our heartbeat follows. A TPDO carries no counter: it answers the SYNC after which it arrived. No clock.
+"""
+
+import struct
+from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.cia402 import objects as o
+from drivers.cia402.devices import Devices, Memory
+from drivers.cia402.emergency import meaning
+from drivers.cia402.feedback import FOREIGN, Feedback
+from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan, watchdog_ms
+from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
+from drivers.cia402.states import RESET_FAULT, STOP_QUICKLY, State, controlword
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.protocol import (
+    ALWAYS,
+    DeviceMessage,
+    DriveSetup,
+    Frame,
+    Received,
+    Status,
+    Sync,
+)
+from drivers.signals import LEGS, Command, DriveMode, DriveState
+from drivers.tick_columns import Record
+from drivers.transmission import Transmission
+
+MAX_NODE = 127
+MOST_PERMILLE = 32_767
+_RPDO = struct.Struct("<Hh")
+_RUNNING = (DriveMode.READY, DriveMode.RUN)
+_BEATS = 4
+"""Heartbeats of ours within the drives' watchdog, where the rate allows."""
+
+
+_BRAKES = (
+    "drives.protocol cia402: the drives keep their own brakes, open in Operation Enabled alone, and give no "
+    "force while these are closed: the brake tests prove that the brakes carry the platform, but a brake "
+    "that slips is not backed by a force (modes LOADING, UNLOADING and HELD); set the drives' own delays "
+    "between torque and brake"
+)
+_DIFFERENCE = (
+    "drives.options.velocity difference: leg rates are differences of lengths, with the noise of the encoder "
+    "times the rate of the loop"
+)
+
+
+class Cia402Protocol:
+    """Six CiA 402 drives. Holds tables only.
+
+    `node_ids` are the drives' node numbers, leg order; `transmission` says what a turn and a torque are at
+    the leg; `rated_torque_Nm` is the motors' (0x6076), the unit of torques being its thousandth;
+    `velocity` asks for TPDO2, else leg rates are differences of lengths. Raises ConfigurationError on node
+    numbers that are not six different ones of 1..127 beside the controller's own.
+    """
+
+    database = None
+    command_delay_ticks = 0
+    set_up_frames = 3
+    shares_identifiers = False
+    stop_latches = True
+    reactions = tuple(FAULT_REACTIONS)
+    reset_ticks = 6
+
+    def __init__(
+        self,
+        node_ids: Sequence[int],
+        transmission: Transmission,
+        rated_torque_Nm: float,
+        *,
+        force_limit_N: float = 60_000.0,
+        heartbeat_ms: float = 100.0,
+        velocity: bool = True,
+        controller_node: int = MAX_NODE,
+        check_encoder: bool = True,
+    ) -> None:
+        self.node_ids = _nodes(node_ids, controller_node)
+        self.transmission, self.velocity = transmission, velocity
+        self.controller_node = controller_node
+        self._permille_Nm = 1e-3 * rated_torque_Nm
+        self.dangers = (_BRAKES,) if velocity else (_BRAKES, _DIFFERENCE)
+        N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
+        self._lossless = bool(
+            (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
+        )
+        self._permille_per_N = [1.0 / scale for scale in N_per_permille]
+        counts = round(float(transmission.counts[0]))
+        self._settings = Settings(
+            rated_torque_mNm=round(1e3 * rated_torque_Nm),
+            increments=counts if check_encoder else 0,
+            max_torque_permille=max_torque(force_limit_N / float(transmission.driving.min()), N_per_permille),
+            heartbeat_ms=min(max(round(heartbeat_ms), 1), 0xFFFF),
+            controller_node=controller_node,
+            velocity=velocity,
+        )
+        self._heartbeat = Frame(o.HEARTBEAT_ID + controller_node, bytes((o.OPERATES,)))
+        self._sync = (Frame(o.SYNC_ID, b""),)
+        self._rpdo_ids = [o.RPDO_ID[0] + node for node in self.node_ids]
+        self._feedback = Feedback(self.node_ids, transmission, N_per_permille, velocity, controller_node)
+        self.feedback_ids = self._feedback.ids
+        self._devices = Devices(
+            self.node_ids, transmission, self._settings.rated_torque_mNm, N_per_permille, velocity
+        )
+
+    def reported_lengths(self) -> tuple[Array, Array]:
+        """Return the ends of 0x6064 as leg lengths."""
+        edges = np.full(LEGS, -float(1 << 31)), np.full(LEGS, float((1 << 31) - 1))
+        ends = [self.transmission.length_of_counts(edge) for edge in edges]
+        return np.minimum(*ends), np.maximum(*ends)
+
+    # controller's end
+
+    def start(self, setup: DriveSetup) -> Cia402Dialogue:
+        """Return the dialogue before its first request.
+
+        Raises ProtocolError if the watchdog does not fit or is too short for the rate, and for a reaction
+        that such drives do not have.
+        """
+        watchdog_ms(setup)
+        beat = max(2, int(setup.watchdog_s * setup.rate_Hz) // _BEATS)
+        return Cia402Dialogue(setup, tuple(plan(node, setup, self._settings) for node in self.node_ids), beat)
+
+    def begin(self, _dialogue: Cia402Dialogue, _tick: int) -> tuple[Frame, ...]:
+        """Return the SYNC, without counter."""
+        return self._sync
+
+    def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is a TPDO that arrived after the tick's SYNC."""
+        t_ns, (identifier, data, flags) = received
+        expected = self._feedback.sizes.get(identifier)
+        return expected == len(data) and not flags & FOREIGN and t_ns >= since_ns
+
+    def awaited(self, frame: Frame) -> int:
+        """Return its identifier."""
+        return frame.id
+
+    def fault_text(self, code: int) -> str:
+        """Return what the code of an EMCY means, with the code as the documents write it."""
+        return f"EMCY 0x{code:04X}, {meaning(code)}"
+
+    def decode(
+        self, dialogue: Cia402Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> Cia402Dialogue:
+        """Fill the measurement of a tick, see `Feedback.fold`."""
+        return self._feedback.fold(dialogue, run, last, tick, since_ns)
+
+    def command(
+        self, dialogue: Cia402Dialogue, command: Command, tick: int
+    ) -> tuple[Cia402Dialogue, tuple[Frame, ...]]:
+        """Return six RPDO1, and our heartbeat where it is due.
+
+        force (6,) N, > 0 extends. Raises ProtocolError if a torque is not finite or not -32767..32767
+        thousandths of the rated one.
+        """
+        mode, stopped = command.mode, dialogue.stopped
+        torques = self._permille(command.force, dialogue.rate)
+        resets = dialogue.resets
+        if mode == DriveMode.RESET:
+            stopped = 0
+            resets = sum(1 << leg for leg in range(LEGS) if not dialogue.done(leg))
+        if command.stop:
+            stopped = (1 << LEGS) - 1
+        late = [leg for leg in range(LEGS) if resets >> leg & 1 and dialogue.done(leg)] if resets else []
+        resets &= ~sum(1 << leg for leg in late)
+        if (mode, stopped, resets) != (dialogue.mode, dialogue.stopped, dialogue.resets):
+            dialogue = dialogue._replace(mode=mode, stopped=stopped, resets=resets)
+        powered, edge = mode in _RUNNING, tick & 1 == 0
+        frames = []
+        for leg, (identifier, state, torque) in enumerate(
+            zip(self._rpdo_ids, dialogue.states, torques, strict=True)
+        ):
+            halted = bool(stopped >> leg & 1)
+            word = controlword(mode, state, edge=edge, stopped=halted)
+            if leg in late and state == State.FAULT and mode == DriveMode.OFF:
+                word = RESET_FAULT
+            frames.append(Frame(identifier, _RPDO.pack(word, torque if powered and not halted else 0)))
+        if tick % dialogue.beat == 0:
+            frames.append(self._heartbeat)
+        return dialogue, tuple(frames)
+
+    def _permille(self, force: Array, rate: tuple[float, ...]) -> list[int]:
+        """Return torques in thousandths of the rated one."""
+        values = force.tolist()
+        if len(values) == LEGS and all(map(isfinite, values)):
+            if self._lossless:
+                shares = [f * scale for f, scale in zip(values, self._permille_per_N, strict=True)]
+            else:
+                shares = (self.transmission.torque(force, np.array(rate)) / self._permille_Nm).tolist()
+            torques = [round(share) for share in shares]
+            if max(map(abs, torques)) <= MOST_PERMILLE:
+                return torques
+        most = min(MOST_PERMILLE / abs(scale) for scale in self._permille_per_N)
+        raise ProtocolError(
+            f"force command {values} N does not fit 0x6071: six of up to {most:.6g} N are allowed; lower "
+            "limits.force_N, or correct drives.options.rated_torque_Nm or drives.transmission"
+        )
+
+    def set_up(self, dialogue: Cia402Dialogue, tick: Record) -> tuple[Cia402Dialogue, tuple[Frame, ...]]:
+        """Return the requests of this tick, see `drivers.cia402.plan`."""
+        return next_frames(dialogue, tick, self.node_ids, self.set_up_frames)
+
+    def legs_set_up(self, dialogue: Cia402Dialogue) -> tuple[bool, ...]:
+        """Tell which drives hold on their own word what was set, and answer the SYNC."""
+        return tuple(dialogue.done(leg) for leg in range(LEGS))
+
+    def set_up_lacks(self, dialogue: Cia402Dialogue) -> tuple[str, ...]:
+        """Return the object that a drive refused, reads otherwise or does not answer for."""
+        return tuple(lack(dialogue, leg) for leg in range(LEGS))
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        """Return a quick stop for each drive: its option code 2 ends in Switch On Disabled, brake shut."""
+        return tuple(Frame(identifier, _RPDO.pack(STOP_QUICKLY, 0)) for identifier in self._rpdo_ids)
+
+    # drives' end
+
+    def power_up(self) -> Memory:
+        """Return the memory of six drives that have just been powered up."""
+        return self._devices.power_up()
+
+    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
+        """Decode at the drives' end, see `Devices`."""
+        return self._devices.parse(memory, frame)
+
+    def answer(
+        self,
+        memory: Memory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        _fault: Ints | None = None,
+    ) -> tuple[Memory, list[tuple[int, Frame]]]:
+        """Encode the TPDOs of the drives that send some, see `Devices`."""
+        return self._devices.answer(memory, sync, length, rate, force, state)
+
+    def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
+        """Encode boot-up, EMCY and heartbeat of a drive, see `Devices`."""
+        return self._devices.report(memory, status)
+
+    def feedbacks(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        """Encode the TPDOs of drives that have been set up; what exceeds its field saturates.
+
+        Raises ProtocolError on NaN.
+        """
+        memory = self._devices.set_up(self._settings, state)
+        return self._devices.answer(memory, sync, length, rate, force, state)[1]
+
+    def status(self, status: Status) -> tuple[Frame, ...]:
+        """Encode what a drive that has been set up sends of its state."""
+        state = np.full(LEGS, status.state, np.int64)
+        return self._devices.report(self._devices.set_up(self._settings, state), status)[1]
+
+    # bus time
+
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """Return one example of every frame of a tick: SYNC, RPDOs, TPDOs.
+
+        The heartbeats, of which no tick needs one, are left to the free part of the bus, as are SDO and EMCY.
+        """
+        zeros, off = np.zeros(LEGS), np.full(LEGS, DriveState.OFF, np.int64)
+        answers = self.feedbacks(Sync(0), zeros, zeros, zeros, off)
+        commands = [Frame(identifier, _RPDO.pack(0, 0)) for identifier in self._rpdo_ids]
+        return (*self._sync, *commands, *(frame for _, frame in answers))
+
+
+def _nodes(node_ids: Sequence[int], controller_node: int) -> tuple[int, ...]:
+    nodes = tuple(node_ids)
+    if len(nodes) != LEGS or len(set(nodes)) != LEGS:
+        raise ConfigurationError(f"drives.node_ids: allowed: {LEGS} different ones, given: {list(nodes)}")
+    for leg, node in enumerate(nodes):
+        if not 1 <= node <= MAX_NODE or node == controller_node:
+            raise ConfigurationError(
+                f"drives.node_ids[{leg}]: allowed with cia402: 1 to {MAX_NODE} without the controller's own "
+                f"{controller_node}, given: {node}"
+            )
+    return nodes

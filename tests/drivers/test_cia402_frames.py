@@ -1,0 +1,254 @@
+"""CiA 402 frames, byte for byte as the package canopen 2.4.1 makes and reads them (tests/data)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.cia402 import objects as o
+from drivers.cia402.device import booted, emergency
+from drivers.cia402.plan import plan
+from drivers.cia402.states import STATE_OF, State, controlword
+from drivers.errors import ProtocolError
+from drivers.protocol import DriveSetup, Frame, Received, Sync, run_of
+from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
+from drivers.tick_columns import new_record
+from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, drives
+
+DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
+VECTORS = DATA["vectors"]
+SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
+NODES = (1, 2, 3, 4, 5, 6)
+LEG = 4
+"""Of node 5."""
+P = drives(NODES)
+
+
+def vectors(what: str):
+    found = [v for v in VECTORS if v["what"].startswith(what)]
+    assert found, what
+    return found
+
+
+def frame(vector) -> Frame:
+    return Frame(vector["id"], bytes.fromhex(vector["data"]))
+
+
+def decoded(frames, protocol=P, *, since_ns=0, t_ns=1):
+    m = new_record()
+    m["tick"] = 0
+    dialogue = protocol.decode(
+        protocol.start(SETUP), run_of([Received(t_ns, f) for f in frames]), new_record(), m, since_ns
+    )
+    return dialogue, m
+
+
+def test_the_set_up_maps_the_pdos_in_the_order_and_with_the_bytes_of_canopen():
+    steps = [step for step in plan(5, SETUP, P._settings) if step.kind == "write"]
+    sent = [step.frame(5) for step in steps]
+    for pdo in ("remap RPDO1", "remap TPDO1"):
+        expected = [frame(v) for v in vectors(pdo)]
+        at = sent.index(expected[0])
+        assert sent[at : at + len(expected)] == expected
+
+
+def test_nmt_commands_have_the_bytes_of_canopen():
+    steps = [step.frame(5) for step in plan(5, SETUP, P._settings) if step.kind == "nmt"]
+    expected = [
+        frame(v)
+        for v in VECTORS
+        if v["what"] in ("NMT to node 5: PRE-OPERATIONAL", "NMT to node 5: OPERATIONAL")
+    ]
+    assert sorted(steps) == sorted(expected)
+
+
+def test_sync_and_the_heartbeat_have_the_bytes_of_canopen():
+    assert P.begin(P.start(SETUP), 7) == (frame(vectors("SYNC without counter")[0]),)
+    _, sent = P.command(P.start(SETUP), Command(DriveMode.OFF, np.zeros(LEGS)), 0)
+    assert sent[-1] == Frame(0x700 + 127, frame(vectors("heartbeat OPERATIONAL")[0]).data)
+
+
+@pytest.mark.parametrize("vector", vectors("SDO request: download"), ids=lambda v: v["what"])
+def test_a_download_has_the_bytes_of_canopen(vector):
+    said = vector["inputs"]
+    size = {"u16": 2, "i16": 2, "i8": 1, "i32": 4}[said["type"]]
+    assert o.download((int(said["index"], 16), said["sub"]), said["value"], size) == frame(vector).data
+
+
+@pytest.mark.parametrize("vector", vectors("SDO request: upload"), ids=lambda v: v["what"])
+def test_an_upload_has_the_bytes_of_canopen(vector):
+    said = vector["inputs"]
+    assert o.upload((int(said["index"], 16), said["sub"])) == frame(vector).data
+
+
+@pytest.mark.parametrize("vector", vectors("SDO reply: upload"), ids=lambda v: v["what"])
+def test_an_answer_is_read_as_canopen_reads_it(vector):
+    said = vector["inputs"]
+    reply = o.read_reply(frame(vector).data)
+    assert reply is not None
+    bits = {0x4B: 16, 0x43: 32}[frame(vector).data[0]]
+    assert reply.key == (int(said["index"], 16), said["sub"])
+    assert reply.value == vector["decoded"]["value"] % (1 << bits)
+
+
+@pytest.mark.parametrize("vector", vectors("SDO abort"), ids=lambda v: v["what"])
+def test_an_abort_is_read_with_its_meaning_and_written_as_canopen_does(vector):
+    said, data = vector["inputs"], frame(vector).data
+    reply = o.read_reply(data)
+    assert reply is not None
+    assert reply.abort == int.from_bytes(data[4:], "little")
+    assert o.abort(reply.key, reply.abort) == data
+    meanings = {"0x2000": "does not exist in", "0x1600": "sub-index does not", "0x6041": "write a read only"}
+    assert meanings[said["index"]] in o.abort_text(reply.abort)
+
+
+@pytest.mark.parametrize(
+    "vector", vectors("statusword decoded"), ids=lambda v: hex(v["inputs"]["statusword"])
+)
+def test_a_statusword_is_the_state_that_canopen_reads(vector):
+    names = {
+        "READY TO SWITCH ON": State.READY_TO_SWITCH_ON,
+        "SWITCHED ON": State.SWITCHED_ON,
+        "OPERATION ENABLED": State.ENABLED,
+        "QUICK STOP ACTIVE": State.QUICK_STOP,
+        "FAULT REACTION ACTIVE": State.FAULT_REACTION,
+        "FAULT": State.FAULT,
+        "UNKNOWN": -1,
+    }
+    assert STATE_OF[vector["inputs"]["statusword"] & 0x7F] == names[vector["decoded"]["state"]]
+
+
+@pytest.mark.parametrize(
+    ("state", "mode", "word"),
+    [
+        ("SWITCH ON DISABLED", DriveMode.READY, "shutdown"),
+        ("READY TO SWITCH ON", DriveMode.READY, "switch_on"),
+        ("OPERATION ENABLED", DriveMode.READY, "switch_on"),
+        ("SWITCHED ON", DriveMode.RUN, "enable_operation"),
+        ("OPERATION ENABLED", DriveMode.RUN, "enable_operation"),
+        ("SWITCH ON DISABLED", DriveMode.RUN, "disable_voltage"),
+        ("READY TO SWITCH ON", DriveMode.RUN, "disable_voltage"),
+        ("FAULT", DriveMode.RUN, "disable_voltage"),
+        ("QUICK STOP ACTIVE", DriveMode.RUN, "disable_voltage"),
+        ("FAULT", DriveMode.RESET, "fault_reset"),
+    ],
+)
+def test_a_controlword_is_that_of_canopens_table(state, mode, word):
+    masks = DATA["tables"]["statusword_masks"][state]
+    known = STATE_OF[int(masks["value"], 16)]
+    assert controlword(mode, known, edge=True, stopped=False) == DATA["tables"]["controlwords"][word]
+
+
+@pytest.mark.parametrize("vector", vectors("TPDO1 statusword"), ids=lambda v: v["data"])
+def test_a_tpdo_of_node_5_is_length_force_and_state(vector):
+    said = vector["inputs"]
+    protocol = drives(NODES, velocity=False)
+    _, m = decoded([frame(vector)], protocol)
+    assert m["age"].tolist() == [NEVER] * 4 + [0, NEVER]
+    assert m["length"][LEG] == pytest.approx(0.75 + SCREW_m * said["position_counts"] / COUNTS, abs=1e-9)
+    assert m["drive_force"][LEG] == pytest.approx(PERMILLE_N * said["torque_permille"])
+    states = {561: DriveState.OFF, 567: DriveState.RUN, 536: DriveState.FAULT}
+    assert m["drive_state"][LEG] == states[said["statusword"]]
+
+
+def test_emcy_and_boot_up_have_the_bytes_of_canopen():
+    device = P.power_up().devices[LEG]
+    assert booted(device)[1] == frame(vectors("heartbeat INITIALISING")[0])
+    for v in (vectors("EMCY 0x8130")[0], vectors("EMCY error reset")[0]):
+        assert emergency(device, v["inputs"]["error_code"]) == frame(v)
+
+
+@pytest.mark.parametrize("vector", vectors("EMCY"), ids=lambda v: v["what"])
+def test_an_emcy_is_the_drives_fault(vector):
+    _, m = decoded([frame(vector)])
+    assert m["drive_fault"].tolist() == [0] * 4 + [vector["inputs"]["error_code"], 0]
+
+
+inside = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6)
+
+
+@given(st.lists(st.integers(-(1 << 31), (1 << 31) - 1), min_size=6, max_size=6), inside, inside)
+def test_length_rate_and_force_come_back_over_the_whole_range(counts, speed, torque):
+    sign, offset = np.array([1, -1, 1, -1, 1, 1]), np.array([0.75] * 5 + [0.5])
+    length = offset + sign * STEP_m * np.array(counts)
+    rate = np.array(speed) * 300.0
+    force = np.array(torque) * 32767 * PERMILLE_N
+    frames = [f for _, f in P.feedbacks(Sync(0), length, rate, force, np.full(6, DriveState.RUN))]
+    _, m = decoded(frames)
+    np.testing.assert_allclose(m["length"], length, rtol=0, atol=STEP_m / 2 * 1.001 + 1e-9)
+    np.testing.assert_allclose(m["rate"], rate, rtol=0, atol=STEP_m / 2 * 1.001)
+    np.testing.assert_allclose(m["drive_force"], force, rtol=0, atol=PERMILLE_N / 2 * 1.001)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_reading_saturates_at_the_edge_of_its_field(side):
+    far = np.full(6, side * 1e9)
+    frames = [f for _, f in P.feedbacks(Sync(0), far, far, far, np.full(6, DriveState.RUN))]
+    m = decoded(frames)[1]
+    assert abs(m["length"][0] - 0.75) == pytest.approx((1 << 31) * STEP_m, abs=2 * STEP_m)
+    assert abs(m["rate"][0]) == pytest.approx((1 << 31) * STEP_m, abs=2 * STEP_m)
+    assert abs(m["drive_force"][0]) == pytest.approx(32768 * PERMILLE_N, rel=1e-4)
+    assert m["length"][1] > 0 if side > 0 else m["length"][1] < 0
+
+
+@given(st.lists(st.integers(-32767, 32767), min_size=6, max_size=6))
+def test_a_force_is_thousandths_of_the_rated_torque_with_the_legs_sign(permille):
+    sign = np.array([1, -1, 1, -1, 1, 1])
+    command = Command(DriveMode.RUN, sign * PERMILLE_N * np.array(permille))
+    _, frames = P.command(P.start(SETUP)._replace(states=(State.ENABLED,) * 6), command, 1)
+    assert [f.data for f in frames] == [b"\x0f\0" + p.to_bytes(2, "little", signed=True) for p in permille]
+
+
+def test_a_force_just_beyond_the_field_is_refused():
+    fits = 32767.4 * PERMILLE_N
+    for force, ok in ((fits, True), (fits + 0.2 * PERMILLE_N, False)):
+        command = Command(DriveMode.RUN, np.array([0, force, 0, 0, 0, 0]))
+        if ok:
+            P.command(P.start(SETUP), command, 0)
+        else:
+            with pytest.raises(ProtocolError, match="0x6071"):
+                P.command(P.start(SETUP), command, 0)
+
+
+def test_wrong_lengths_and_statuswords_are_counted_and_frames_of_others_named():
+    good = Frame(0x185, bytes.fromhex("3702000000000000"))
+    speed = Frame(0x285, bytes(4))
+    for bad in (
+        good._replace(data=good.data[:7]),
+        good._replace(data=b"\xff" + good.data[1:]),
+        speed._replace(data=bytes(8)),
+        Frame(0x085, bytes(7)),
+        Frame(0x705, b"\x06"),
+        Frame(0x705, b""),
+        Frame(0x585, bytes(8)),
+    ):
+        _, m = decoded([bad])
+        assert (m["rejected"], m["age"][LEG]) == (1, NEVER), bad
+    _, m = decoded([good._replace(id=0x18A), Frame(0x48A, bytes(8)), good, speed])
+    assert (m["rejected"], m["foreign"], m["age"][LEG]) == (0, 0, 0)
+    for stranger, name in (
+        (Frame(0x080, b""), Foreign.SYNC),
+        (Frame(0x000, b"\x01\x05"), Foreign.CONFIG),
+        (Frame(0x205, bytes(4)), Foreign.COMMAND),
+        (Frame(0x605, bytes(8)), Foreign.CONFIG),
+        (Frame(0x77F, b"\x05"), Foreign.COMMAND),
+    ):
+        assert decoded([stranger])[1]["foreign"] == name
+
+
+def test_an_answer_from_before_the_sync_is_a_tick_old_and_a_second_one_doubles_the_node():
+    first, speed = Frame(0x185, bytes.fromhex("3702640000000000")), Frame(0x285, bytes(4))
+    _, m = decoded([first, speed], since_ns=10, t_ns=9)
+    assert m["age"][LEG] == 1
+    assert not P.fresh(Received(9, first), 0, 10)
+    assert P.fresh(Received(10, first), 0, 10)
+    second = first._replace(data=bytes.fromhex("3702650000000000"))
+    _, m = decoded([first, speed, second])
+    assert (m["doubled"], m["length"][LEG]) == (1 << LEG, pytest.approx(0.75 + 100 * STEP_m))
+    assert decoded([first, speed, first])[1]["doubled"] == 0
+    assert decoded([first])[1]["age"][LEG] == NEVER, "a length without its rate is none"

@@ -1,0 +1,123 @@
+"""The row of CiA 402: its bus time, the keys that it checks, and the data sheet of a drive."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from drivers import PROTOCOLS
+from drivers.can.bus_time import BitTiming, budget
+from drivers.cia402.eds import check_eds
+from drivers.config import BusSettings, DriveSettings
+from drivers.errors import ConfigurationError
+from drivers.protocol import BUS
+from tests.drivers.cia402_drives import drives, settings
+from tests.drivers.cia402_sheet import sheet
+
+OPTIONS: dict[str, str | int | float | bool] = {"rated_torque_Nm": 9.0}
+
+
+def made(*, layout="classic", transmission=None, **options):
+    bus = BusSettings(layout=layout)
+    screw = settings() if transmission is None else transmission
+    found = DriveSettings(protocol="cia402", options=OPTIONS | options, transmission=screw)
+    return PROTOCOLS["cia402"](bus, found)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "buses", "rate"),
+    [
+        (False, 1, 487.8),
+        (False, 2, 939.6),
+        (False, 3, 1359.2),
+        (True, 1, 349.1),
+        (True, 2, 679.6),
+        (True, 3, 992.9),
+    ],
+)
+def test_the_rate_that_a_bus_of_1_Mbit_s_carries_at_70_percent(velocity, buses, rate):
+    """SYNC 55 bit; a leg: RPDO of 4 bytes 95, TPDO of 8 bytes 135, one with the velocity 95 more."""
+    protocol = drives(velocity=velocity)
+    frames = []
+    for frame in protocol.cyclic_frames():
+        node = frame.id & 0x7F
+        on = range(buses) if node == 0 else [(node - 1) % buses]
+        frames += [frame._replace(flags=frame.flags + BUS * k) for k in on]
+    found = budget(frames, BitTiming(1_000_000, 1_000_000), 100.0)
+    by_hand = 0.7e6 / (55 + 6 // buses * (95 + 135 + 95 * velocity))
+    assert found.allowed_rate_Hz == pytest.approx(by_hand)
+    assert found.allowed_rate_Hz == pytest.approx(rate, abs=0.05)
+
+
+def test_a_configuration_makes_the_codec():
+    protocol = made(velocity="difference", controller_node=100)
+    assert not protocol.velocity
+    assert protocol.controller_node == 100
+    assert len(protocol.feedback_ids) == 6
+    assert len(protocol.dangers) == 2
+    assert len(made().dangers) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"layout": "fd"}, r"bus\.layout: allowed with cia402: classic.*given: fd"),
+        ({"rated_torque_Nm": 0.0}, r"drives\.options\.rated_torque_Nm: .*given: 0\.0"),
+        ({"rated_torque_Nm": True}, r"drives\.options\.rated_torque_Nm: .*given: True"),
+        ({"velocity": "both"}, r"drives\.options\.velocity: allowed: pdo, difference, given: both"),
+        ({"controller_node": 128}, r"drives\.options\.controller_node: .*given: 128"),
+        ({"controller_node": 3}, r"drives\.node_ids\[2\]: .*given: 3"),
+        ({"check_encoder": 1}, r"drives\.options\.check_encoder: allowed: true, false, given: 1"),
+        ({"speed": 1}, r"drives\.options\.speed: unknown, allowed with cia402: rated_torque_Nm"),
+        ({"eds": "nowhere.eds"}, r"drives\.options\.eds: no such file: nowhere\.eds"),
+    ],
+)
+def test_a_key_that_does_not_fit_is_refused_by_name(changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        made(**changes)
+
+
+def test_it_needs_a_transmission_and_a_rated_torque():
+    with pytest.raises(ConfigurationError, match=r"drives\.transmission: missing"):
+        PROTOCOLS["cia402"](BusSettings(layout="classic"), DriveSettings(protocol="cia402", options=OPTIONS))
+    with pytest.raises(ConfigurationError, match=r"rated_torque_Nm: .*given: None"):
+        PROTOCOLS["cia402"](
+            BusSettings(layout="classic"), DriveSettings(protocol="cia402", transmission=settings())
+        )
+
+
+def test_a_data_sheet_that_has_all_is_taken(tmp_path):
+    path = tmp_path / "drive.eds"
+    path.write_text(sheet(), encoding="ascii")
+    made(eds=str(path))
+
+
+def test_a_data_sheet_names_all_that_the_drive_lacks(tmp_path):
+    path = tmp_path / "drive.eds"
+    text = sheet(0x605E, 0x1801)
+    mode = text.index("[6060]")
+    text = text[:mode] + text[mode:].replace("AccessType=rw", "AccessType=ro", 1)
+    torque = text.index("[6077]")
+    text = text[:torque] + text[torque:].replace("PDOMapping=1", "PDOMapping=0", 1)
+    path.write_text(text, encoding="ascii")
+    with pytest.raises(ConfigurationError) as refused:
+        check_eds(str(path), velocity=True)
+    for lack in (
+        "0x605E:0 fault reaction option code is not there",
+        "0x1801:1 is not there",
+        "0x6060:0 mode of operation cannot be written",
+        "0x6077:0 cannot be mapped",
+    ):
+        assert lack in str(refused.value)
+    with pytest.raises(ConfigurationError) as refused:
+        check_eds(str(path), velocity=False)
+    assert "0x1801" not in str(refused.value)
+
+
+def test_without_the_package_a_data_sheet_is_refused_with_what_to_install(monkeypatch, tmp_path):
+    path = tmp_path / "drive.eds"
+    path.write_text(sheet(), encoding="ascii")
+    monkeypatch.setitem(sys.modules, "canopen", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'hexapod-hil\[canopen\]'"):
+        check_eds(str(path), velocity=True)

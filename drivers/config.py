@@ -5,15 +5,16 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from drivers import PROTOCOLS
+from drivers.bus_address import BusAddress
 from drivers.section import Section
 
 
 class BusSettings(Section):
     """The CAN bus and how the frames are laid out on it."""
 
-    interface: str = "localcan"
+    interface: str = BusAddress().interface
     """python-can interface: localcan, socketcan, udp_multicast, ..."""
-    channel: str = "hil0"
+    channel: str = BusAddress().channel
     """Channel of that interface (vcan0, can0, a localcan name, a multicast group)."""
     layout: Literal["classic", "fd", "ideal"] = "fd"
     """Frame layout; `ideal` takes no bus time and is for theory only."""

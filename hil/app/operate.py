@@ -5,7 +5,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from hil.app.configuration.configuration import Configuration
+from drivers.bus_address import BusAddress
 from hil.operate.client import OperatorClient
 
 KEY_S = 0.02
@@ -27,22 +27,17 @@ SHOWN = {
 }
 
 
-def connect(c: Configuration) -> OperatorClient:
-    """Return a connection to the controller of a configuration. Raises RunError where none runs."""
-    return OperatorClient(c.bus.interface, c.bus.channel)
-
-
-def command(c: Configuration, words: Sequence[str]) -> dict[str, Any]:
+def command(bus: BusAddress, words: Sequence[str]) -> dict[str, Any]:
     """Say one command; return the summary. Raises RunError where no controller runs or answers."""
-    with connect(c) as client:
+    with OperatorClient(*bus) as client:
         answer = client.say(" ".join(words))
     result = {"success": answer.taken, "kind": "ctl", "command": " ".join(words)}
     return result if answer else result | {"trouble": f"refused: {answer.why}"}
 
 
-def status(c: Configuration) -> dict[str, Any]:
+def status(bus: BusAddress) -> dict[str, Any]:
     """Return the controller's status as a summary. Raises RunError where no controller runs or answers."""
-    with connect(c) as client:
+    with OperatorClient(*bus) as client:
         return {"success": True, "kind": "ctl", **client.status()}
 
 
@@ -59,13 +54,13 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value) or "nothing"
 
 
-def hold_key(c: Configuration, seconds: float | None = None) -> dict[str, Any]:
+def hold_key(bus: BusAddress, seconds: float | None = None) -> dict[str, Any]:
     """Send a key frame every 20 ms until Ctrl-C, or for `seconds`; return the summary.
 
     Raises RunError where no controller runs, or it has ended.
     """
     sent, begun = 0, time.monotonic()
-    with connect(c) as client, contextlib.suppress(KeyboardInterrupt):
+    with OperatorClient(*bus) as client, contextlib.suppress(KeyboardInterrupt):
         while seconds is None or time.monotonic() - begun < seconds:
             client.key()
             sent += 1

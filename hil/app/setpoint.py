@@ -3,30 +3,17 @@
 from collections.abc import Iterable
 from typing import Any
 
-from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import Configuration
-from hil.config.reference import LiveReference
+from drivers.bus_address import BusAddress
 from hil.operate.client import OperatorClient
 
 
-def require_live(c: Configuration) -> None:
-    """Raise ConfigurationError for a reference that takes no set-points."""
-    if not isinstance(c.reference, LiveReference):
-        raise ConfigurationError(
-            f"{c.source}: reference.type: {c.reference.type} takes no set-points, allowed: live"
-        )
-
-
-def send_setpoints(configuration: Configuration, lines: Iterable[str]) -> dict[str, Any]:
+def send_setpoints(bus: BusAddress, lines: Iterable[str]) -> dict[str, Any]:
     """Send each line `x y z [rx ry rz]` (m, deg) as it comes; return the summary.
 
-    Raises ConfigurationError when the reference takes no set-points, RunError when no controller listens or
-    answers.
+    Raises RunError when no controller listens or answers.
     """
-    c = configuration
-    require_live(c)
     sent, refused = 0, []
-    with OperatorClient(c.bus.interface, c.bus.channel) as client:
+    with OperatorClient(*bus) as client:
         for line in lines:
             if not line.strip():
                 continue

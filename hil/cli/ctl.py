@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import POSITIVE, finish, finish_lines, reporting
+from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, reporting
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -49,16 +49,16 @@ def command(
       2  not said: no such configuration, or no controller runs or answers there
     """
     from hil.app import operate
-    from hil.app.configuration.configuration import load
+    from hil.app.configuration.address import address
 
-    loaded = load(configuration)
     if seconds is not None and words[0] != "key":
         raise click.UsageError("--for goes with the word key.")
+    bus = address(configuration).bus
     if words == ("status",):
-        summary = operate.status(loaded)
+        summary = operate.status(bus)
         finish_lines(operate.status_lines(summary), summary, json_file)
     if words == ("key",):
         if seconds is None:
             click.echo("the key is held; Ctrl-C lets go of it", err=True)
-        finish("ctl", operate.hold_key(loaded, seconds), json_file)
-    finish("ctl", operate.command(loaded, words), json_file)
+        finish_briefly("ctl", operate.hold_key(bus, seconds), json_file)
+    finish_briefly("ctl", operate.command(bus, words), json_file)

@@ -25,6 +25,11 @@ from hil.cli.shared import (
     is_flag=True,
     help="Let the platform move as soon as all drives are ready, without asking for Enter.",
 )
+@click.option(
+    "--wait-for-arm",
+    is_flag=True,
+    help="Let the platform move on `hil ctl CONFIG arm` from another terminal; none is needed here.",
+)
 @click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
 @click.option(
     "--release",
@@ -45,6 +50,7 @@ def command(
     configuration: str,
     with_plant: bool,
     arm: bool,
+    wait_for_arm: bool,
     reset: bool,
     release: bool,
     with_watch: bool,
@@ -55,7 +61,8 @@ def command(
 ) -> None:
     """Run the daemon in real time.
 
-    Waits for six drives, and for the operator's word that the platform may move: Enter, or --arm. Then it
+    Waits for six drives, and for the operator's word that the platform may move: Enter, --arm, or
+    `hil ctl CONFIG arm` from another terminal, for which --wait-for-arm waits without one here. Then it
     builds up the holding force against the closed brakes, opens them, moves to the start of the reference,
     tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C is an
     emergency stop. Ends with a summary, a picture and the result of replaying its log.
@@ -91,6 +98,8 @@ def command(
         from hil.app.run.command import release_held
 
         finish("release", release_held(read(configuration)), json_file)
+    if arm and wait_for_arm:
+        raise click.UsageError("--arm lets the platform move by itself: leave out --wait-for-arm, or --arm.")
     loaded = load(configuration, "run")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.run.command import run_daemon
@@ -106,6 +115,7 @@ def command(
         reset=reset,
         with_plant=with_plant,
         arm=arm,
+        wait_for_arm=wait_for_arm,
         faults=faults,
         with_watch=with_watch,
     )

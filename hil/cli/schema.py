@@ -28,7 +28,7 @@ def command(file: Path | None, json_file: Path | None) -> None:
       2  FILE cannot be read or written
     """
     from hil.app.configuration.schema import schema_line, schema_path, with_schema
-    from hil.app.configuration.section_file import read_text
+    from hil.app.configuration.text_file import read_text
     from hil.app.files import write_whole
 
     lines = [str(schema_path()), f"first line of a configuration: {schema_line()}"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import configuration_argument, finish, reporting
+from hil.cli.shared import configuration_argument, finish_briefly, reporting
 
 
 @click.command()
@@ -43,11 +43,16 @@ def command(
       1  some were refused, or there were none; the summary says why
       2  nothing was sent: no such configuration, its reference is not live, or no controller listens
     """
-    from hil.app.configuration.configuration import load
+    from hil.app.configuration.address import address
     from hil.app.setpoint import send_setpoints
 
     if position is None and rotation is not None:
         raise click.UsageError("--rotation needs --position: a set-point is a whole pose")
     pose = (*(position or ()), *(rotation or ()))
     lines = [" ".join(map(repr, pose))] if pose else sys.stdin
-    finish("setpoint", send_setpoints(load(configuration), lines), json_file)
+    controller = address(configuration)
+    if not controller.live:
+        from hil.app.configuration.configuration import load
+
+        load(configuration).require_live()
+    finish_briefly("setpoint", send_setpoints(controller.bus, lines), json_file)

@@ -83,6 +83,22 @@ def finish(
     finish_lines((), summary, json_file)
 
 
+def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
+    """As `finish`, for a few plain figures, without the imports that lay out tables: an operator waits."""
+    if summary.get("trouble"):
+        click.echo(f"hil: {summary['trouble']}", err=True)
+    good = bool(summary["success"])
+    outcome = "success" if good else "failed"
+    click.echo(click.style(f"{title}: {outcome}", fg="green" if good else "red", bold=True))
+    for key, value in summary.items():
+        if key not in {"success", "kind", "trouble"}:
+            shown = "; ".join(value) or "none" if isinstance(value, list) else value
+            click.echo(f"{key:<{max(map(len, summary)) + 2}}{shown}")
+    if json_file is not None:
+        finish_lines((), summary, json_file)
+    sys.exit(0 if good else 1)
+
+
 def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> None:
     """Print a report, write its JSON twin, exit 0 only on success."""
     from hil.app.output import show_lines, write_json

@@ -24,7 +24,8 @@ from hil.operate.channel import OperatorChannel
 from hil.record import Recording
 from hil.signals import TickInput
 
-CONSENT = "all six drives are ready: Enter lets the platform move, Ctrl-C ends the run"
+_READY = "all six drives are ready: {} lets the platform move, Ctrl-C ends the run"
+CONSENT, WORD = _READY.format("Enter"), _READY.format("`hil ctl CONFIG arm`")
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
 """Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
@@ -46,7 +47,8 @@ class Shell(NamedTuple):
     channel: OperatorChannel | None = None
     """Where the operator's lines come in."""
     consent: Callable[[], bool] | None = None
-    """Tells whether the operator has said that the platform may move; None: that was said at the start."""
+    """Tells whether the operator has said that the platform may move; None: that was said at the start,
+    or comes over `channel`."""
     say: Callable[[str], None] = lambda _: None
     """Tells the operator what the run waits for, or why it goes on after a fault."""
 
@@ -110,7 +112,7 @@ def _run(course: Course, shell: Shell) -> Ending:
     cycle, (bus, deadlines, recording, panel, window_ns, *_) = course.cycle, shell
     console = Console(course, panel, shell.channel, shell.consent)
     sends_failed = compute_ns = 0
-    said = ""
+    said, ask = "", WORD if shell.consent is None else CONSENT
     clock, stood_ns = bus.clock, bus.clock.stretched()
     panel.running()
     while True:
@@ -151,8 +153,8 @@ def _run(course: Course, shell: Shell) -> Ending:
         ending = course.ending(tick)
         if ending is not None:
             return ending
-        if course.waits_for_consent and said != CONSENT:
-            said = CONSENT
+        if course.waits_for_consent and said != ask:
+            said = ask
             shell.say(said)
         if cycle.mode in _AFTER_FAULT and course.stays_for != said:
             said = course.stays_for

@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Self
 
 from drivers.errors import RunError
+from hil.operate.answers import REFUSED, TAKEN
 from hil.operate.client import socket_path
-from hil.operate.words import LONGEST, REFUSED, TAKEN, parse, split
+from hil.operate.words import LONGEST, parse, split
 from hil.signals import Operator, Order, SetPoint
 
 AT_MOST = 8

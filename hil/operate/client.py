@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import RunError
-from hil.operate.words import REFUSED, TAKEN
+from hil.operate.answers import REFUSED, TAKEN
 
 ANSWER_S = 1.0
 """How long an answer is waited for."""

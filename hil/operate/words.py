@@ -11,8 +11,6 @@ from hil.signals import Operator, Order, SetPoint
 
 LONGEST = 512
 """Bytes of a line."""
-TAKEN = "taken"
-REFUSED = "refused: "
 STATUS = "status"
 SETPOINT_FORM = "six numbers, x y z in m and the rotation vector rx ry rz in deg"
 

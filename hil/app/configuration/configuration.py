@@ -3,7 +3,6 @@
 Every problem of a file is reported at once, each as `file:line:column: path: what, allowed, given`.
 """
 
-import importlib.resources
 import json
 from functools import cache
 from pathlib import Path
@@ -19,7 +18,7 @@ from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.fault_rules import cannot_serve
-from hil.app.configuration.section_file import read_text
+from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
 from hil.config.limits import LimitSettings
@@ -110,6 +109,13 @@ class Configuration(Section):
         if found:
             raise ConfigurationError(*found)
 
+    def require_live(self) -> None:
+        """Raise ConfigurationError for a reference that takes no set-points."""
+        if self.reference.type != "live":
+            raise ConfigurationError(
+                f"{self._source}: reference.type: {self.reference.type} takes no set-points, allowed: live"
+            )
+
 
 @cache
 def json_schema() -> dict[str, Any]:
@@ -124,25 +130,12 @@ _ALONE: dict[str, type[Section]] = {
 """Each section as a model of its own: one that is wrong must not hide what is wrong in another."""
 
 
-def shipped() -> tuple[str, ...]:
-    """Return the names of the configurations that come with the product."""
-    files = importlib.resources.files("configs").iterdir()
-    return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
-
-
 def load(path: str | Path) -> Configuration:
     """Read a configuration from a file, or by the name of a shipped one (`virtual`).
 
     Raises ConfigurationError with all problems found.
     """
-    file = Path(path)
-    if not file.exists() and str(path) in shipped():
-        file = Path(str(importlib.resources.files("configs") / f"{path}.yaml"))
-    try:
-        text = read_text(file)
-    except FileNotFoundError:
-        names = ", ".join(shipped())
-        raise ConfigurationError(f"{path}: no such file; shipped configurations are: {names}") from None
+    file, text = read_configuration(path)
     return loads(text, str(file), file.parent)
 
 

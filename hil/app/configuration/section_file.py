@@ -14,29 +14,11 @@ from pydantic import ValidationError
 from drivers.errors import ConfigurationError
 from drivers.section import Section
 from hil.app.configuration import problems as translate
+from hil.app.configuration.text_file import read_text
 from hil.app.configuration.yaml_positions import Document, lines, parse
 from hil.app.files import write_whole
 
 Kind = TypeVar("Kind", bound=Section)
-
-
-def read_text(path: Path) -> str:
-    """Return the text of a file.
-
-    Raises FileNotFoundError where there is none, ConfigurationError where it cannot be read as UTF-8.
-    """
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError as error:
-        before = raw[: error.start]
-        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
-        raise ConfigurationError(f"{path}:{line}:{column}: not UTF-8 text") from None
 
 
 def read_section(path: Path, kind: type[Kind]) -> tuple[Kind, Document]:

@@ -53,19 +53,21 @@ def run_daemon(
     draw: bool = True,
     reset: bool = False,
     arm: bool = False,
+    wait_for_arm: bool = False,
     faults: Sequence[str] = (),
     with_watch: bool = False,
 ) -> dict[str, Any]:
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
-    arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for. `faults` are
-    words for its plant. with_watch: serve the live page beside it.
+    arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for, or, with
+    wait_for_arm, the operator channel's word alone. `faults` are words for its plant. with_watch: serve the
+    live page beside it.
     Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
     c.require("run")
     panel = OperatorPanel()
-    consent = None if arm else EnterKey(lambda: _hung_up(panel)).pressed
+    consent = None if arm or wait_for_arm else EnterKey(lambda: _hung_up(panel)).pressed
     plant_summary: dict[str, Any] | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(_startable())

@@ -1,4 +1,4 @@
-"""The operator's word that the platform may move: `--arm`, or Enter at the terminal."""
+"""The operator's word that the platform may move, at the terminal: Enter."""
 
 import os
 import select
@@ -29,7 +29,7 @@ class EnterKey:
         if not ours:
             raise RunError(
                 "nothing moves without the operator's word, and there is no terminal to press Enter in: "
-                "add --arm"
+                "add --arm, or --wait-for-arm and say `hil ctl CONFIG arm`"
             )
         self._fd = fd
         self._hung_up = hung_up

@@ -19,7 +19,6 @@ from hil.app.output import closing, log_path, told
 from hil.app.plant import plant_row
 from hil.app.plant_columns import PLANT
 from hil.app.replay import replay_log
-from hil.app.setpoint import require_live
 from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
 from hil.loop.clock import collector_paused
@@ -41,7 +40,7 @@ class Script:
     """
 
     def __init__(self, c: Configuration, cycle: Cycle, path: Path) -> None:
-        require_live(c)
+        c.require_live()
         t, chi = read_poses(path, at_least=1)
         self._t = t.tolist()
         self._setpoints = [SetPoint(*words) for words in chi.tolist()]

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.section_file import read_text
+from hil.app.configuration.text_file import read_text
 from hil.app.sim.lockstep import NOTHING, Given
 from hil.operate.words import Said, parse
 from hil.signals import Operator

@@ -11,7 +11,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from hil.app.configuration.configuration import load, shipped
+from hil.app.configuration.configuration import load
+from hil.app.configuration.text_file import shipped
 from hil.app.output import fold, log_path, replay_sentence, show, table, write_json
 from hil.cli import main
 

@@ -11,8 +11,9 @@ import pytest
 import yaml
 
 from hil.app.configuration import schema
-from hil.app.configuration.configuration import load, shipped
+from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import platform_dict
+from hil.app.configuration.text_file import shipped
 
 ROOT = Path(__file__).parents[3]
 BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())

@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import json_schema, load, loads, shipped
+from hil.app.configuration.configuration import json_schema, load, loads
 from hil.app.configuration.platform import platform_dict
 from hil.app.configuration.problems import FORMER_KEYS, at
+from hil.app.configuration.text_file import shipped
 from hil.app.configuration.yaml_positions import Position, parse
 from hil.robot.geometry import Platform
 

@@ -14,11 +14,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from drivers.errors import RunError
 from drivers.signals import Fault, Mode
 from hil.app.run.command import _hung_up
 from hil.app.run.consent import EnterKey
+from hil.cli import main
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.signals import Operator
@@ -66,6 +68,7 @@ AT_A_TERMINAL_THAT_GOES = """
 import signal, sys, time
 from hil.app.run.command import _hung_up
 from hil.app.run.consent import EnterKey
+from hil.cli import main
 from hil.loop.panel import OperatorPanel
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
 panel = OperatorPanel()
@@ -154,6 +157,12 @@ def test_hil_run_without_a_word_ends_before_it_opens_the_bus():
     )
     assert ended.returncode == 2
     assert "add --arm" in ended.stderr
+
+
+def test_waiting_for_arm_and_arming_by_itself_exclude_each_other():
+    result = CliRunner().invoke(main, ["run", "virtual", "--arm", "--wait-for-arm"])
+    assert result.exit_code == 2
+    assert "leave out --wait-for-arm, or --arm" in result.stderr
 
 
 def cycle(mode: Mode) -> Any:

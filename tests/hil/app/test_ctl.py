@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import tempfile
 import threading
+from pathlib import Path
 from typing import Self
 
 import pytest
@@ -15,7 +19,7 @@ from hil.app.configuration.configuration import load
 from hil.app.sim.commands import read_commands
 from hil.cli import main
 from hil.operate.channel import OperatorChannel
-from hil.signals import Operator, Order
+from hil.signals import Operator, Order, SetPoint
 
 STATUS = {
     "mode": "TRACKING",
@@ -115,6 +119,85 @@ def test_without_a_controller_nothing_is_said(monkeypatch):
         result = ctl("estop")
     assert result.exit_code == 2
     assert "no controller runs on bus localcan:hil0" in result.stderr
+
+
+HEAVY = """
+import sys
+from click.testing import CliRunner
+from hil.cli import main
+result = CliRunner().invoke(main, ["ctl", "virtual", *sys.argv[1:]])
+assert result.exit_code == 2 and "no controller runs" in result.stderr, result.output
+heavy = {"numpy", "numba", "pydantic", "rich", "cantools", "mcap"} & set(sys.modules)
+assert not heavy, heavy
+"""
+
+
+@pytest.mark.parametrize("word", ["estop", "jog x 1", "status", "key"])
+def test_a_word_is_said_without_a_heavy_import(tmp_path, word):
+    tmp_path.chmod(0o700)
+    ended = subprocess.run(
+        [sys.executable, "-c", HEAVY, *word.split()],
+        env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert not ended.returncode, ended.stderr
+
+
+def changed(tmp_path, old, new):
+    text = Path(load("virtual").source).read_text()
+    assert old in text
+    file = tmp_path / "changed.yaml"
+    file.write_text(text.replace(old, new))
+    return str(file)
+
+
+def test_a_wrong_value_elsewhere_does_not_hold_up_an_emergency_stop(controller, tmp_path):
+    file = changed(tmp_path, "mass_kg: 1150", "mass_kg: heavy")
+    with pytest.raises(ConfigurationError, match=r"platform\.platform\.mass_kg"):
+        load(file)
+    assert CliRunner().invoke(main, ["ctl", file, "estop"]).exit_code == 0
+    assert controller.heard == [Operator.ESTOP]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("channel: hil0", "channel: 7", "bus.channel: wrong type, allowed: text"),
+        ("channel: hil0", "channel: hil0\n  channel: hil1", "bus.channel: key given twice"),
+        ("\nbus:", "\nbuss:", "bus: missing"),
+    ],
+)
+def test_a_file_that_does_not_say_where_gets_the_whole_check(controller, tmp_path, old, new, complaint):
+    result = CliRunner().invoke(main, ["ctl", changed(tmp_path, old, new), "estop"])
+    assert result.exit_code == 2
+    assert complaint in result.stderr
+    assert not controller.heard
+
+
+def test_the_channel_of_the_file_is_the_one_that_is_spoken_to(controller, tmp_path):
+    result = CliRunner().invoke(main, ["ctl", changed(tmp_path, "channel: hil0", "channel: other"), "estop"])
+    assert result.exit_code == 2
+    assert "no controller runs on bus localcan:other" in result.stderr
+    default = changed(tmp_path, "channel: hil0", "")
+    assert CliRunner().invoke(main, ["ctl", default, "estop"]).exit_code == 0
+    assert controller.heard == [Operator.ESTOP]
+
+
+def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
+    words = ["--position", "0", "0", "1"]
+    result = CliRunner().invoke(main, ["setpoint", "virtual", *words])
+    assert result.exit_code == 2
+    assert "takes no set-points, allowed: live" in result.stderr
+    assert not controller.heard
+    file = changed(tmp_path, "type: waypoints", "type: live")
+    controller.why = "not now"
+    result = CliRunner().invoke(main, ["setpoint", file, *words])
+    assert result.exit_code == 1
+    assert "not now" in result.output
+    assert controller.heard == [SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]
 
 
 def test_a_file_of_commands_has_times_words_and_remarks(tmp_path):

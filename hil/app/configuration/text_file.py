@@ -1,0 +1,49 @@
+"""Where the text of a configuration stands: in a file, or in a shipped one, by its name.
+
+Cheap to import: `hil ctl CONFIG estop` reads no more than this and section `bus`.
+"""
+
+import importlib.resources
+from pathlib import Path
+
+from drivers.errors import ConfigurationError
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises FileNotFoundError where there is none, ConfigurationError where it cannot be read as UTF-8.
+    """
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
+        raise ConfigurationError(f"{path}:{line}:{column}: not UTF-8 text") from None
+
+
+def shipped() -> tuple[str, ...]:
+    """Return the names of the configurations that come with the product."""
+    files = importlib.resources.files("configs").iterdir()
+    return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
+
+
+def read_configuration(path: str | Path) -> tuple[Path, str]:
+    """Return the file of a configuration, or of a shipped one by its name (`virtual`), and its text.
+
+    Raises ConfigurationError where there is none, or it cannot be read.
+    """
+    file = Path(path)
+    if not file.exists() and str(path) in shipped():
+        file = Path(str(importlib.resources.files("configs") / f"{path}.yaml"))
+    try:
+        return file, read_text(file)
+    except FileNotFoundError:
+        names = ", ".join(shipped())
+        raise ConfigurationError(f"{path}: no such file; shipped configurations are: {names}") from None

@@ -31,6 +31,8 @@ class Operator(IntEnum):
     """The operator's key is held."""
     END = 12
     """End a run that stays; it decides nothing in the cycle."""
+    JOG = 13
+    """Move along one axis or leg from hold: index in JOG_NAMES, and -1 .. 1 of the set-up speed."""
 
 
 NUMBERS = {
@@ -40,10 +42,15 @@ NUMBERS = {
     Operator.SPEED: 1,
     Operator.PARK: 0,
     Operator.KEY: 0,
+    Operator.JOG: 2,
 }
 """Commands for the motion, and how many numbers each has."""
 ORDERS = frozenset(NUMBERS) - {Operator.SETPOINT}
 """Those that TickInput has as `orders`."""
+
+
+JOG_NAMES = ("x", "y", "z", "rx", "ry", "rz", "leg0", "leg1", "leg2", "leg3", "leg4", "leg5")
+"""What can be jogged: axes of the base frame, turns about them through the platform's origin, legs."""
 
 
 class Order(NamedTuple):

@@ -50,6 +50,7 @@ from hil.safety.certificate import Watch
 from hil.stability.monitor import build_watch
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.live import LiveTrajectory
+from hil.trajectory.override import PEAK
 from hil.trajectory.path import Trajectory, axis_limits
 from hil.trajectory.time_optimal import plan
 from plant_fmu.config import BenchPlant
@@ -107,9 +108,9 @@ def build_cycle(
     p, R = pose_arrays(c.platform.home)
     if trajectory is None:
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder, 1.0 / rate_Hz, recorded)
-    steering = None
+    steering, admission = None, build_admission(c, platform)
     if isinstance(trajectory, LiveTrajectory):
-        steering = Steering(trajectory, build_admission(c, platform))
+        steering = Steering(trajectory, admission)
     predictor = build_predictor(c.controller, platform, c.platform.leg_spin, 1.0 / rate_Hz)
     context = LawContext(
         platform,
@@ -135,6 +136,7 @@ def build_cycle(
             setup=drive_setup(c, rate_Hz, watchdog_s),
             wrench=_external_wrench(c, platform, 1.0 / rate_Hz),
             operator=c.operator,
+            admission=admission if steering is None else None,
             steering=steering,
             sensors=build_sensors(c),
             fusion=_fusion(c, platform, rate_Hz),
@@ -173,8 +175,12 @@ def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> E
 
 
 def build_admission(c: Configuration, platform: Platform) -> Admission:
-    """Return what judges the set-points of a live reference."""
-    assert isinstance(c.reference, LiveReference)
+    """Return what judges the set-points of a live reference, and where a jog may go on any other."""
+    if isinstance(c.reference, LiveReference):
+        ddchi = axis_limits(c.reference.limits)[1]
+    else:
+        operator, rate = c.operator, PEAK / c.engage.stop_s
+        ddchi = rate * np.repeat([operator.setup_speed_m_s, np.deg2rad(operator.setup_speed_deg_s)], 3)
     return Admission(
         platform,
         Model(platform, leg_spin=c.platform.leg_spin),
@@ -182,7 +188,7 @@ def build_admission(c: Configuration, platform: Platform) -> Admission:
         length_min=c.platform.length_min_m,
         length_max=c.platform.length_max_m,
         drive_force_limit=c.drives.force_limit_N,
-        ddchi=axis_limits(c.reference.limits)[1],
+        ddchi=ddchi,
     )
 
 

@@ -8,8 +8,8 @@ from typing import Any
 from drivers.bus_address import BusAddress
 from hil.operate.client import OperatorClient
 
-KEY_S = 0.02
-"""Between two key frames."""
+REPEAT_S = 0.02
+"""Between two key frames, or words of a jog."""
 SHOWN = {
     "mode": "mode",
     "faults": "faults",
@@ -64,5 +64,22 @@ def hold_key(bus: BusAddress, seconds: float | None = None) -> dict[str, Any]:
         while seconds is None or time.monotonic() - begun < seconds:
             client.key()
             sent += 1
-            time.sleep(KEY_S)
+            time.sleep(REPEAT_S)
     return {"success": True, "kind": "ctl", "command": "key", "sent": sent}
+
+
+def jog(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
+    """Say a jog word every 20 ms until Ctrl-C, for `seconds`, or until it is refused; return the summary.
+
+    Raises RunError where no controller runs, or it has ended.
+    """
+    line, sent, begun = " ".join(words), 0, time.monotonic()
+    result = {"success": True, "kind": "ctl", "command": line}
+    with OperatorClient(*bus) as client, contextlib.suppress(KeyboardInterrupt):
+        while seconds is None or time.monotonic() - begun < seconds:
+            answer = client.say(line)
+            if not answer:
+                return result | {"success": False, "sent": sent, "trouble": f"refused: {answer.why}"}
+            sent += 1
+            time.sleep(REPEAT_S)
+    return result | {"sent": sent}

@@ -10,7 +10,9 @@ from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, reporting
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("configuration")
 @click.argument("words", nargs=-1, required=True, metavar="WORD [ARGUMENTS]")
-@click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Let go of the key after S seconds.")
+@click.option(
+    "--for", "seconds", type=POSITIVE, metavar="S", help="Let go of the key, or of the jog, after S seconds."
+)
 @reporting
 def command(
     configuration: str, words: tuple[str, ...], seconds: float | None, json_file: Path | None
@@ -24,6 +26,8 @@ def command(
       start         go on along the path, or begin it (operator.start: asked)
       hold          slow down along the path to rest and stay, brakes open
       speed P       speed along the path in percent, 0 .. 100; it changes smoothly
+      jog AXIS F    from hold, move along x, y, z, turn about rx, ry, rz, or move leg0 .. leg5
+                    alone, at F (-1 .. 1) of the set-up speed, until Ctrl-C, or for --for S
       park          back to the first pose at set-up speed, brakes shut
       stop          stop along the path, brakes shut, as Ctrl-C
       estop         drives off and brakes shut, at once
@@ -41,6 +45,7 @@ def command(
       hil ctl my.yaml status
       hil ctl my.yaml speed 25
       hil ctl my.yaml key --for 10
+      hil ctl my.yaml jog leg3 -0.5
 
     \b
     Exit code:
@@ -51,8 +56,8 @@ def command(
     from hil.app import operate
     from hil.app.configuration.address import address
 
-    if seconds is not None and words[0] != "key":
-        raise click.UsageError("--for goes with the word key.")
+    if seconds is not None and words[0] not in {"key", "jog"}:
+        raise click.UsageError("--for goes with the words key and jog.")
     bus = address(configuration).bus
     if words == ("status",):
         summary = operate.status(bus)
@@ -61,4 +66,6 @@ def command(
         if seconds is None:
             click.echo("the key is held; Ctrl-C lets go of it", err=True)
         finish_briefly("ctl", operate.hold_key(bus, seconds), json_file)
+    if words[0] == "jog":
+        finish_briefly("ctl", operate.jog(bus, words, seconds), json_file)
     finish_briefly("ctl", operate.command(bus, words), json_file)

@@ -20,6 +20,7 @@ from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, new_record, row_of
 from hil.loop import modes
 from hil.loop.drives_say import all_free, all_ready, any_powered, confirmed, measured_at_rest
 from hil.loop.effort import Effort
+from hil.loop.jogging import Jogging
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.obedience import Obedience
@@ -61,7 +62,8 @@ class Cycle:
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self.effort = Effort(parts, self.durations)
         self.obedience = Obedience(self.effort.model, parts.rate_Hz)
-        self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s)
+        jogging = Jogging(parts.operator, parts.rate_Hz, parts.platform, parts.admission)
+        self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging)
         self._under_control = parts.reactions.led_to("ss1")
         self._torque_off = parts.reactions.led_to("sto")
         followers = (parts.predictor, parts.wrench.observer)
@@ -135,7 +137,7 @@ class Cycle:
         t = self.motion.time(number)
         fill_reference(parts.platform, self._sample(tick), tick)
         tick["reference_time_s"] = t
-        if self.mode is Mode.TRACKING and self.motion.override.full:
+        if self.mode is Mode.TRACKING and self.motion.on_clock:
             tick["t_d"] = t
         self._effort(tick)
         tick["mode"] = self.mode
@@ -210,8 +212,9 @@ class Cycle:
 
     def _finished(self, tick: Record) -> bool:
         """Tell whether the motion has ended, with nothing to follow, and the legs are at rest."""
-        ended = self.motion.finished(int(tick["tick"])) and not self.operating.to_return(self.mode)
-        return ended and max(abs(tick["dq"]).tolist()) < REST_m_s
+        motion = self.motion
+        ended = motion.finished(int(tick["tick"])) and not motion.away
+        return ended and not self.operating.to_return(self.mode) and max(abs(tick["dq"]).tolist()) < REST_m_s
 
     def _provable(self, tick: Record) -> bool:
         """Tell whether a test could prove the brakes: all legs are heard, believed and at rest."""

@@ -107,7 +107,7 @@ class Effort:
         if predictor is not None and mode in CONTROLLED:
             sample, t = motion.ahead(number, predictor.horizon_s)
             if t is None:
-                along = mode is Mode.TRACKING and motion.override.full
+                along = mode is Mode.TRACKING and motion.on_clock
                 t = motion.time(number) + predictor.horizon_s if along else nan
             fill_reference(self.parts.platform, sample, ahead)
             ahead["t_d"] = t

@@ -1,5 +1,7 @@
 """Which path the platform is on, and where along it."""
 
+import numpy as np
+
 from drivers.arrays import Array
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
@@ -13,7 +15,8 @@ class Motion:
 
     A trajectory whose state goes from tick to tick (`LiveTrajectory`) is not slowed down along a path: it has
     a speed of its own.
-    Mutable state: all of these, and what comes next. `start`, `rest` and `stop` replace the trajectory.
+    Mutable state: all of these, what comes next, and the path that was left for another trajectory with the
+    time along it. `start`, `rest` and `stop` replace the trajectory and forget what was left.
     """
 
     def __init__(self, period_s: float, p: Array, R: Array, change_s: float) -> None:
@@ -32,6 +35,7 @@ class Motion:
         self._stopped: int | None = None
         """Of a stop from less than full speed: the tick at which it came to rest, -1 before that."""
         self._then = then
+        self._left: tuple[Trajectory, float] | None = None
         self._last = 0
         """Length of the trajectory in whole periods: the first tick at which `finished` is true."""
         if then is not None and trajectory.duration_s is not None:
@@ -42,6 +46,39 @@ class Motion:
     def rest(self, p: Array, R: Array, tick: int) -> None:
         """Stay at a pose from this tick on."""
         self.start(HoldTrajectory(p, R), tick)
+
+    def leave(self, trajectory: Trajectory, tick: int) -> None:
+        """Rest at the start of another trajectory; `resume` comes back to the path that is left at rest."""
+        left = self._left or (self.trajectory, self.time(tick))
+        self.start(trajectory, tick)
+        self._left = left
+        self.override.settle(tick, 0.0)
+
+    def resume(self, tick: int) -> None:
+        """Rest on the path that was left, where it was left."""
+        assert self._left is not None
+        trajectory, s = self._left
+        self.start(trajectory, tick)
+        self.override.place(tick, s)
+
+    @property
+    def left(self) -> tuple[PoseSample, float] | None:
+        """Where the path was left: the pose at rest, and the time along it, s. None while on it."""
+        if self._left is None:
+            return None
+        trajectory, s = self._left
+        sample = trajectory.sample(s)
+        return PoseSample(sample.p, sample.R, np.zeros(6), np.zeros(6)), s
+
+    @property
+    def away(self) -> bool:
+        """Whether a path has been left that `resume` comes back to."""
+        return self._left is not None
+
+    @property
+    def on_clock(self) -> bool:
+        """Whether the platform is on its path, and path time is the clock's."""
+        return self._left is None and self.override.full
 
     def aim(self, tick: int, speed: float, *, go: bool) -> None:
         """Let the speed change smoothly to a share 0 .. 1 of the configured one, or to rest."""
@@ -68,7 +105,7 @@ class Motion:
 
         Where the speed is just rising it takes up to a third longer.
         """
-        self._then = None
+        self._then = self._left = None
         if isinstance(self.trajectory, LiveTrajectory):
             self.trajectory.brake()
         elif self.override.full:
@@ -80,6 +117,10 @@ class Motion:
     def time(self, tick: int) -> float:
         """Return the time along the present trajectory, s."""
         return self.override.time(tick)
+
+    def rests_at(self, tick: int, speed: float) -> float:
+        """Return the time at rest, s, if it goes toward a speed for one more tick and then brakes."""
+        return self.override.rests_at(tick, speed)
 
     @property
     def resting(self) -> bool:

@@ -1,4 +1,4 @@
-"""What the operator lets the platform do: go or hold, how fast, park; and whether the key is held.
+"""What the operator lets the platform do: go or hold, how fast, jog, park; and whether the key is held.
 
 Pure: it judges by ticks. Orders come with a tick's input.
 """
@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from drivers.signals import Mode
 from hil.config.operator import OperatorSettings
+from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.setup_moves import at_setup_speed
 from hil.signals import Operator, Order
@@ -21,11 +22,13 @@ class Operating:
     """Turns the operator's orders into the speed along the path.
 
     Mutable state: whether the platform may go, the speed that was asked for, whether it is to park at the
-    first pose or on its way there, the tick of the last key frame, and the answers to the last tick's orders.
+    first pose or on its way there, the tick of the last key frame, the answers to the last tick's orders, the
+    way back to the path after a jog, and what `jogging` keeps.
     """
 
-    def __init__(self, settings: OperatorSettings, rate_Hz: float, least_s: float) -> None:
+    def __init__(self, settings: OperatorSettings, rate_Hz: float, least_s: float, jogging: Jogging) -> None:
         """Take the least time of a move at set-up speed, s."""
+        self.jogging = jogging
         self.settings = settings
         self.least_s = least_s
         deadman_s = settings.deadman_s
@@ -45,6 +48,8 @@ class Operating:
         self.go = True
         self.speed = 1.0
         self.parks = False
+        self.jogging.reset()
+        self._way_back: GeodesicMove | None = None
         self.key_tick: int | None = None
         self.answers: list[str] = []
         """Why each order of the last tick was refused, in their order; empty where it was taken."""
@@ -66,14 +71,45 @@ class Operating:
     def step(self, orders: Sequence[Order], tick: int, mode: Mode, motion: Motion) -> None:
         """Go on to a tick along the motion, take its orders, look at the key, and set the speed from here."""
         motion.advance(tick)
-        if not orders and self.patience is None:
+        if not orders and self.patience is None and not motion.away:
             if self.answers:
                 self.answers = []
             return
-        self.answers = [self._orders[order.command](order, tick, mode) for order in orders]
+        self.answers = [self._take(order, tick, mode, motion) for order in orders]
         if self.moves(mode):
             self.go = self.go and self.holds_key(tick)
+            if motion.away and self.go and not self.parks:
+                self._return(tick, motion)
             self._aim(tick, mode, motion)
+            if mode is Mode.TRACKING and not self.go:
+                self._jog(orders, tick, motion)
+
+    def _take(self, order: Order, tick: int, mode: Mode, motion: Motion) -> str:
+        if order.command is not Operator.JOG:
+            return self._orders[order.command](order, tick, mode)
+        on_hold = mode is Mode.TRACKING and not self.go
+        return self.jogging.take(order, tick, motion, on_hold=on_hold, key=self.holds_key(tick))
+
+    def _jog(self, orders: Sequence[Order], tick: int, motion: Motion) -> None:
+        """Go on with a jog; where a limit has stopped it in this tick, its words are refused."""
+        jogging = self.jogging
+        jogging.step(tick, motion, key=self.holds_key(tick))
+        if jogging.refusal:
+            self.answers = [
+                answer or (jogging.refusal if order.command is Operator.JOG else "")
+                for order, answer in zip(orders, self.answers, strict=True)
+            ]
+
+    def _return(self, tick: int, motion: Motion) -> None:
+        """Go back to where the path was left, and on along it; a jog comes to rest first."""
+        self.jogging.let_go()
+        if motion.finished(tick):
+            motion.resume(tick)
+        elif motion.trajectory is not self._way_back and motion.resting:
+            left = motion.left
+            assert left is not None
+            self._way_back = self.way_back(motion.sample(tick), left[0])
+            motion.leave(self._way_back, tick)
 
     def engage(self, tick: int, motion: Motion) -> None:
         """Begin to move, where the key is held."""
@@ -88,9 +124,9 @@ class Operating:
             motion.settle(tick, 0.0)
         self._aim(tick, mode, motion)
 
-    def way_back(self, here: PoseSample, first: PoseSample) -> GeodesicMove:
-        """Return the move from a pose at rest to the first one of the reference."""
-        return at_setup_speed(self.settings, self.least_s, here, first)
+    def way_back(self, here: PoseSample, there: PoseSample) -> GeodesicMove:
+        """Return the move from a pose at rest to one of the reference."""
+        return at_setup_speed(self.settings, self.least_s, here, there)
 
     def _aim(self, tick: int, mode: Mode, motion: Motion) -> None:
         waits = self.parks and mode is not Mode.STOPPING  # for rest, from which the way back begins

@@ -5,6 +5,7 @@ It only names the parts, `hil.app.compose` makes them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,9 @@ class Parts:
     wrench: ExternalWrench
     operator: OperatorSettings
     """What the operator has to do."""
+    admission: Callable[[Array], int] | None = None
+    """Judges poses (6,) m, rad that a jog would come to rest at, see `hil.loop.admission`; None where the
+    reference is live: it goes to set-points instead."""
     steering: Steering | None = None
     """What takes set-points, where the reference is live."""
     sensors: SensorProtocol | None = None

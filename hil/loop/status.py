@@ -24,7 +24,9 @@ def waits_for(course: Course) -> str:
     if mode in {Mode.FAULT, Mode.PARKED} and course.goes_on:
         return "reset, then arm"
     if operating.moves(mode) and not operating.go:
-        return "start" if operating.holds_key(int(cycle.tick["tick"])) else NO_KEY
+        if not operating.holds_key(int(cycle.tick["tick"])):
+            return NO_KEY
+        return "start, which first goes back to where the path was left" if cycle.motion.away else "start"
     if operating.moves(mode) and operating.speed == 0.0:
         return "a speed above 0 %"
     return ""
@@ -37,6 +39,8 @@ def status_text(course: Course, malformed: int) -> str:
     number = int(tick["tick"])
     needed = operating.patience is not None
     key = ("held" if operating.holds_key(number) else "missing") if needed else "not needed"
+    left = motion.left
+    along = motion.time(number) if left is None else left[1]
     length = cycle.parts.trajectory.duration_s
     return json.dumps(
         {
@@ -48,7 +52,7 @@ def status_text(course: Course, malformed: int) -> str:
             "position_m": tick["p"].tolist(),
             "rotation_vector_deg": np.rad2deg(rotation_vector(tick["R"])).tolist(),
             "leg_lengths_m": tick["q"].tolist(),
-            "path_s": motion.time(number) if cycle.mode is Mode.TRACKING else None,
+            "path_s": along if cycle.mode is Mode.TRACKING else None,
             "path_length_s": length,
             "held": operating.moves(cycle.mode) and not operating.go,
             "key": key,

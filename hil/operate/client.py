@@ -127,6 +127,18 @@ class OperatorClient:
         """
         self._send("key")
 
+    def jog_axis(self, axis: str, fraction: float) -> Answer:
+        """Move along x, y or z of the base frame, or turn about one (rx, ry, rz), from hold.
+
+        fraction: of the set-up speed, -1 .. 1. It lasts for 100 ms: say it again, at 50 Hz for instance, for
+        as long as it is to go on. The answer says why it does not.
+        """
+        return self.say(f"jog {axis} {fraction!r}")
+
+    def jog_leg(self, leg: int, fraction: float) -> Answer:
+        """Make leg 0 .. 5 longer or shorter, from hold; the other five keep their lengths. See `jog_axis`."""
+        return self.say(f"jog leg{leg} {fraction!r}")
+
     def release(self) -> Answer:
         """Let go of a platform that force holds because its brakes are not proven shut. Support it first."""
         return self.say("release")

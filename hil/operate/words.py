@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from hil.signals import Operator, Order, SetPoint
+from hil.signals import JOG_NAMES, Operator, Order, SetPoint
 
 LONGEST = 512
 """Bytes of a line."""
@@ -57,6 +57,18 @@ def _speed(words: Sequence[str]) -> Said:
     return Said(order=Order(Operator.SPEED, (percent / 100.0,)))
 
 
+def _jog(words: Sequence[str]) -> Said:
+    form = "an axis or leg and a fraction of the set-up speed, -1 .. 1, as `jog x 0.5`"
+    if len(words) != 2:
+        raise ValueError(f"jog: {len(words)} words; allowed: {form}")
+    if words[0] not in JOG_NAMES:
+        raise ValueError(f"jog: {words[0][:40]!r} is no axis and no leg; allowed: {', '.join(JOG_NAMES)}")
+    (fraction,) = _numbers(words[1:], form)
+    if not -1.0 <= fraction <= 1.0:
+        raise ValueError(f"jog: {fraction:g}; allowed: -1 .. 1 of the set-up speed")
+    return Said(order=Order(Operator.JOG, (float(JOG_NAMES.index(words[0])), fraction)))
+
+
 def _alone(name: str, said: Said) -> Callable[[Sequence[str]], Said]:
     def parse(words: Sequence[str]) -> Said:
         if words:
@@ -79,6 +91,7 @@ WORDS: dict[str, Callable[[Sequence[str]], Said]] = {
     **{name: _alone(name, Said(operator=operator)) for name, operator in _PLAIN.items()},
     **{name: _alone(name, Said(order=Order(operator))) for name, operator in _ORDERS.items()},
     "speed": _speed,
+    "jog": _jog,
     "setpoint": _setpoint,
     STATUS: _alone(STATUS, Said()),
 }

@@ -34,6 +34,18 @@ def change(
     return ds, sigma1, w
 
 
+@kernel(REAL, REAL, REAL, REAL, REAL)
+def braking(sigma: float, dsigma: float, limit: float, step: float, period: float) -> float:
+    """Return by how much path time still advances, s, when it brakes to rest from sigma and its rate."""
+    s = 0.0
+    for _ in range(int(8.0 / (limit * period)) + 8):  # braking from full speed takes 1.5 to 2/limit
+        if sigma == 0.0 and dsigma == 0.0:
+            break
+        ds, sigma, dsigma = change(sigma, dsigma, 0.0, limit, step, period)
+        s += ds
+    return s
+
+
 class Override:
     """Path time from tick to tick.
 
@@ -53,6 +65,11 @@ class Override:
     def begin(self, tick: int) -> None:
         """Let path time be zero at a tick; the speed stays as it is."""
         self._tick, self._s = tick, 0.0
+
+    def place(self, tick: int, s: float) -> None:
+        """Rest at path time s (s) from a tick on."""
+        self.settle(tick, 0.0)
+        self._s = s
 
     def settle(self, tick: int, sigma: float) -> None:
         """Run at sigma from a tick on, at once."""
@@ -95,6 +112,12 @@ class Override:
     def time(self, tick: int) -> float:
         """Return path time in s at a tick to which it has been advanced; while sigma is constant, at any."""
         return self._s + self.sigma * ((tick - self._tick) * self._period)
+
+    def rests_at(self, tick: int, target: float) -> float:
+        """Return path time at rest, s, if sigma goes toward a target for one more tick and then to zero."""
+        limits = self._limit, self._step, self._period
+        ds, sigma, dsigma = change(self.sigma, self.dsigma, target, *limits)
+        return self.time(tick) + ds + braking(sigma, dsigma, *limits)
 
     def ahead(self, tick: int, h: float) -> tuple[float, float, float]:
         """Return path time, sigma and its rate `h` seconds after a tick, as they go on by themselves."""

@@ -8,12 +8,16 @@ from pathlib import Path
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.text_file import read_text
+from hil.app.operate import REPEAT_S
 from hil.app.sim.lockstep import NOTHING, Given
 from hil.operate.words import Said, parse
 from hil.signals import Operator
 
+LONGEST_S = 3600.0
+"""A word is repeated for so long at most."""
 TimedCommand = tuple[float, str]
-"""Simulated s since the first tick, and a word of the operator channel, as (2.5, "speed 40")."""
+"""Simulated s since the first tick, and a word of the operator channel, as (2.5, "speed 40"); a word that a
+client repeats has its length behind it, as (2.5, "jog x 1 for 1.5")."""
 
 
 class CommandScript:
@@ -25,7 +29,9 @@ class CommandScript:
 
     def __init__(self, commands: Iterable[TimedCommand], rate_Hz: float, source: str = "commands") -> None:
         said = [
-            (_tick(t, rate_Hz, source, n), _read(text, source, n)) for n, (t, text) in enumerate(commands, 1)
+            (_tick(at, rate_Hz, source, n), _read(word, source, n))
+            for n, (t, text) in enumerate(commands, 1)
+            for at, word in _repeated(t, text, source, n)
         ]
         self._said = sorted(said, key=lambda each: each[0])
         self._given = 0
@@ -70,6 +76,22 @@ def read_commands(path: Path) -> list[TimedCommand]:
             ) from None
         found.append((t, words[1] if len(words) > 1 else ""))
     return found
+
+
+def _repeated(t: float, text: str, source: str, n: int) -> list[TimedCommand]:
+    """Return a word at its time, or `jog x 1 for 1.5` as the words that a client says meanwhile."""
+    word, repeats, length = text.partition(" for ")
+    if not repeats:
+        return [(t, text)]
+    try:
+        seconds = float(length)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds <= LONGEST_S:
+        raise ConfigurationError(
+            f"{source}: command {n}: for {length.strip()!r}, allowed: seconds up to {LONGEST_S:g}"
+        )
+    return [(t + k * REPEAT_S, word) for k in range(math.ceil(seconds / REPEAT_S - 1e-9))]
 
 
 def _tick(t: float, rate_Hz: float, source: str, n: int) -> int:

@@ -1,0 +1,155 @@
+"""Jogging: one axis or leg at set-up speed from hold, while the operator's words keep coming.
+
+Pure: it judges by ticks. Before each tick the pose is judged at which the platform would come to rest if it
+went on for this tick and then braked. Where that is refused it brakes at once, to the rest that was judged a
+tick before: so each pose on the way has been judged, and it stops inside.
+"""
+
+from collections.abc import Callable
+from math import hypot, radians
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.signals import Refusal
+from hil.config.operator import OperatorSettings
+from hil.loop.jog_paths import AxisJog, JogPath, LegJog
+from hil.loop.motion import Motion
+from hil.mathematics.rotations import rotation_vector_kernel
+from hil.robot.geometry import Platform
+from hil.signals import JOG_NAMES, Order, explain
+from hil.trajectory.path import PoseSample
+
+WORD_S = 0.1
+"""A jog whose word is not heard again for so long ends."""
+ON_HOLD = "jog: only on hold, in mode TRACKING: say hold first"
+NOT_RESTING = "jog: the platform still comes to rest: wait for it"
+NO_KEY = "jog: the key is not held (operator.deadman_s): hold it while you jog"
+LIVE = "jog: the reference is live, and moves to set-points alone: say start, then setpoint"
+
+
+class Word(NamedTuple):
+    """The last jog word."""
+
+    axis: int
+    """Index in JOG_NAMES."""
+    fraction: float
+    """-1 .. 1 of the set-up speed."""
+    tick: int
+
+    @property
+    def way(self) -> tuple[int, bool]:
+        """Axis and direction."""
+        return self.axis, self.fraction > 0.0
+
+
+class Jogging:
+    """Moves the platform along one axis or leg, and stops it before a limit.
+
+    Mutable state: the last word, the path it is on with its way, and the way on which a limit stopped it with
+    the reason, until the words cease.
+    """
+
+    def __init__(
+        self,
+        settings: OperatorSettings,
+        rate_Hz: float,
+        platform: Platform,
+        admission: Callable[[Array], int] | None,
+    ) -> None:
+        """Take the judge of poses (6,) m, rad: bits of Refusal; None: the reference is live."""
+        self._speeds = settings.setup_speed_m_s, radians(settings.setup_speed_deg_s)
+        self._patience = max(1, int(WORD_S * rate_Hz + 1e-9))
+        self._platform, self._admission = platform, admission
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the start: no word."""
+        self._word: Word | None = None
+        self._path: JogPath | None = None
+        self._way = (0, False)
+        self._stopped: Word | None = None
+        self.refusal = ""
+        """Why the jog does not go on; empty unless a limit has stopped it."""
+
+    def let_go(self) -> None:
+        """Come to rest."""
+        self._word = self._stopped = None
+        self.refusal = ""
+
+    def take(self, order: Order, tick: int, motion: Motion, *, on_hold: bool, key: bool) -> str:
+        """Take a jog word; return why it is refused, empty where it counts."""
+        if self._admission is None:
+            return LIVE
+        if not on_hold:
+            return ON_HOLD
+        if not key:
+            return NO_KEY
+        if not motion.resting and motion.trajectory is not self._path:
+            return NOT_RESTING
+        axis, fraction = order.numbers
+        word = Word(int(axis), fraction, tick)
+        stopped = self._stopped
+        if stopped is not None and stopped.way == word.way and tick - stopped.tick < self._patience:
+            self._stopped = word
+            return self.refusal
+        self.let_go()
+        self._word = word
+        return ""
+
+    def step(self, tick: int, motion: Motion, *, key: bool) -> None:
+        """Set how the jog goes on from a tick on, to which the motion has been advanced."""
+        word = self._word
+        if word is not None and not (key and word.fraction and tick - word.tick < self._patience):
+            word = self._word = None
+        under_way = motion.trajectory is self._path
+        speed = 0.0
+        if word is not None and under_way and self._way == word.way:
+            assert self._path is not None
+            speed = self._judged(self._path, word, tick, motion, 0.0)
+        elif word is not None and motion.resting:
+            path = self._begun(word, motion.sample(tick))
+            speed = self._judged(path, word, tick, motion, motion.time(tick))
+            if speed > 0.0:
+                motion.leave(path, tick)
+                self._path, self._way, under_way = path, word.way, True
+        if under_way:
+            motion.aim(tick, speed, go=True)
+
+    def _begun(self, word: Word, here: PoseSample) -> JogPath:
+        rate = np.zeros(6)
+        if word.axis < 6:
+            rate[word.axis] = np.copysign(self._speeds[word.axis >= 3], word.fraction)
+            return AxisJog(here, rate)
+        rate[word.axis - 6] = np.copysign(self._speeds[0], word.fraction)
+        return LegJog(self._platform, here, rate)
+
+    def _judged(self, path: JogPath, word: Word, tick: int, motion: Motion, zero_s: float) -> float:
+        """Return the speed to go on at, 0 .. 1 of the path's; 0 where a limit is ahead, which is noted.
+
+        zero_s: the motion's time at which the path begins.
+        """
+        assert self._admission is not None
+        here = path.ahead(motion.time(tick) - zero_s)
+        speed = abs(word.fraction) * self._share(here)
+        rest = path.ahead(motion.rests_at(tick, speed) - zero_s)
+        slower = min(speed, abs(word.fraction) * self._share(rest))
+        if slower < speed:
+            speed, rest = slower, path.ahead(motion.rests_at(tick, slower) - zero_s)
+        against = int(Refusal.CONDITION)
+        if rest is not None:
+            against = self._admission(np.concatenate([rest.p, rotation_vector_kernel(rest.R)]))
+        if not against:
+            return speed
+        self._word, self._stopped = None, word
+        self.refusal = f"jog {JOG_NAMES[word.axis]}: it stops, since beyond, {explain(against)}"
+        return 0.0
+
+    def _share(self, sample: PoseSample | None) -> float:
+        """Return at which share of the path's speed the platform is no faster than at set-up."""
+        if sample is None:
+            return 1.0
+        vx, vy, vz, wx, wy, wz = sample.twist.tolist()
+        v, w = hypot(vx, vy, vz), hypot(wx, wy, wz)
+        return min(1.0, self._speeds[0] / v if v else 1.0, self._speeds[1] / w if w else 1.0)

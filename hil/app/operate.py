@@ -10,6 +10,8 @@ from hil.operate.client import OperatorClient
 
 REPEAT_S = 0.02
 """Between two key frames, or words of a jog."""
+REPEATED = frozenset({"key", "jog"})
+"""Words that count for as long as they are said again."""
 SHOWN = {
     "mode": "mode",
     "faults": "faults",
@@ -75,11 +77,13 @@ def jog(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> 
     """
     line, sent, begun = " ".join(words), 0, time.monotonic()
     result = {"success": True, "kind": "ctl", "command": line}
-    with OperatorClient(*bus) as client, contextlib.suppress(KeyboardInterrupt):
-        while seconds is None or time.monotonic() - begun < seconds:
-            answer = client.say(line)
-            if not answer:
-                return result | {"success": False, "sent": sent, "trouble": f"refused: {answer.why}"}
-            sent += 1
-            time.sleep(REPEAT_S)
+    with OperatorClient(*bus) as client:
+        with contextlib.suppress(KeyboardInterrupt):
+            while seconds is None or time.monotonic() - begun < seconds:
+                answer = client.say(line)
+                if not answer:
+                    return result | {"success": False, "sent": sent, "trouble": f"refused: {answer.why}"}
+                sent += 1
+                time.sleep(REPEAT_S)
+        client.say(f"jog {words[1]} 0")
     return result | {"sent": sent}

@@ -56,7 +56,7 @@ def command(
     from hil.app import operate
     from hil.app.configuration.address import address
 
-    if seconds is not None and words[0] not in {"key", "jog"}:
+    if seconds is not None and words[0] not in operate.REPEATED:
         raise click.UsageError("--for goes with the words key and jog.")
     bus = address(configuration).bus
     if words == ("status",):

@@ -15,7 +15,7 @@ class OperatorSettings(Section):
     """Motion needs the operator's held key (`hil ctl key`), heard not longer ago than this. Else the platform
     comes to rest along its path, and goes on with a new `start` only. Default: no key. No safety function."""
     setup_speed_m_s: Positive = 0.05
-    """Of the way back to the first pose, before parking there."""
+    """Of a jog, and of the ways back to the path and to the first pose."""
     setup_speed_deg_s: Positive = 5.0
     """The same for turns."""
     stays: bool = False

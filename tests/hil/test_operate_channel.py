@@ -74,6 +74,10 @@ class Loop:
         ("key", Said(order=Order(Operator.KEY))),
         ("speed 40", Said(order=Order(Operator.SPEED, (0.4,)))),
         ("speed 100%", Said(order=Order(Operator.SPEED, (1.0,)))),
+        ("jog x 1", Said(order=Order(Operator.JOG, (0.0, 1.0)))),
+        ("jog rz -0.5", Said(order=Order(Operator.JOG, (5.0, -0.5)))),
+        ("jog leg0 0", Said(order=Order(Operator.JOG, (6.0, 0.0)))),
+        ("jog leg5 1e-1", Said(order=Order(Operator.JOG, (11.0, 0.1)))),
         ("setpoint 0.1,-0.2,1e0", Said(setpoint=SetPoint(0.1, -0.2, 1.0, 0, 0, 0))),
         (
             "setpoint 0.1 -0.2 1 10 20 -30",
@@ -97,6 +101,11 @@ def test_a_line_means(line, said):
         ("speed -1", "speed: -1 %"),
         ("speed nan", "not finite"),
         ("speed fast", "'fast' is not one number"),
+        ("jog", "jog: 0 words; allowed: an axis or leg and a fraction"),
+        ("jog leg6 1", "'leg6' is no axis and no leg; allowed: x, y, z, rx, ry, rz, leg0, leg1"),
+        ("jog x fast", "'fast' is not an axis or leg and a fraction"),
+        ("jog x -1.01", "jog: -1.01; allowed: -1 .. 1"),
+        ("jog x nan", "not finite"),
         ("setpoint 1 2", "2 words; allowed: six numbers"),
         ("setpoint 1 2 x", "'1 2 x' is not six numbers, x y z in m"),
         ("setpoint 1 2 3 4 5 inf", "not finite"),
@@ -118,15 +127,19 @@ def test_each_method_of_the_client_says_its_word_and_gets_the_answer(channel):
         assert client.status() == {"mode": "TRACKING"}
         client.key()
         assert client.start()
+        assert client.jog_axis("ry", -0.25)
+        assert client.jog_leg(3, 1)
     heard = loop.heard
     assert [each for one in heard for each in one.operator] == [
         *(Operator.ENGAGE, Operator.STOP, Operator.RESET, Operator.ESTOP, Operator.RELEASE, Operator.END)
     ]
     given = [order for one in heard for order in one.orders]
     assert [each.command for each in given] == [
-        *(Operator.START, Operator.HOLD, Operator.PARK, Operator.SPEED, Operator.KEY, Operator.START)
+        *(Operator.START, Operator.HOLD, Operator.PARK, Operator.SPEED, Operator.KEY, Operator.START),
+        *(Operator.JOG, Operator.JOG),
     ]
     assert given[3].numbers == (0.4,)
+    assert [each.numbers for each in given[-2:]] == [(4.0, -0.25), (9.0, 1.0)]
     assert [each for one in heard for each in one.setpoints] == [SetPoint(0.1, 0, 1, 0, 0, math.pi / 2)]
 
 

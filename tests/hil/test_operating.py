@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from drivers.signals import Mode
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
 from hil.config.operator import OperatorSettings
+from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
 from hil.signals import Operator, Order
@@ -16,8 +19,13 @@ START, HOLD, PARK, KEY = (
 )
 
 
+def no_jogging(rate_Hz):
+    settings = OperatorSettings()
+    return Jogging(settings, rate_Hz, build_platform(load("lab").platform), None)
+
+
 def made(rate_Hz=1000.0, **settings):
-    operating = Operating(OperatorSettings(**settings), rate_Hz, 0.5)
+    operating = Operating(OperatorSettings(**settings), rate_Hz, 0.5, no_jogging(rate_Hz))
     motion = Motion(1.0 / rate_Hz, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 60.0), 0)
     return operating, motion

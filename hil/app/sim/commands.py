@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.text_file import read_text
-from hil.app.operate import REPEAT_S
+from hil.app.operate import REPEAT_S, REPEATED
 from hil.app.sim.lockstep import NOTHING, Given
 from hil.operate.words import Said, parse
 from hil.signals import Operator
@@ -81,7 +81,7 @@ def read_commands(path: Path) -> list[TimedCommand]:
 def _repeated(t: float, text: str, source: str, n: int) -> list[TimedCommand]:
     """Return a word at its time, or `jog x 1 for 1.5` as the words that a client says meanwhile."""
     word, repeats, length = text.partition(" for ")
-    if not repeats:
+    if not repeats or text.split(maxsplit=1)[0] not in REPEATED:
         return [(t, text)]
     try:
         seconds = float(length)

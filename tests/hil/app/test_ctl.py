@@ -108,7 +108,21 @@ def test_the_key_is_held_for_as_long_as_it_is_asked_for(controller):
     assert 5 <= len(controller.heard) <= 26
 
 
-def test_a_time_is_for_the_key_alone(controller):
+def test_a_jog_is_said_again_and_let_go_of_at_the_end_or_ends_with_why_it_is_refused(controller):
+    assert ctl("jog", "leg3", "-0.5", "--for", "0.3").exit_code == 0
+    *said, last = controller.heard
+    assert set(said) == {Order(Operator.JOG, (9.0, -0.5))}
+    assert 3 <= len(said) <= 16
+    assert last == Order(Operator.JOG, (9.0, 0.0))
+    controller.heard.clear()
+    controller.why = "a limit"
+    result = ctl("jog", "x", "1")
+    assert result.exit_code == 1
+    assert "hil: refused: a limit" in result.stderr
+    assert controller.heard == [Order(Operator.JOG, (0.0, 1.0))]
+
+
+def test_a_time_is_for_the_key_and_the_jog_alone(controller):
     assert ctl("hold", "--for", "1").exit_code == 2
     assert not controller.heard
 

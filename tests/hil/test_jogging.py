@@ -1,0 +1,306 @@
+"""Jogging: the paths against independent formulas, the stop before a limit, and what ends or refuses a jog."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.signals import Mode, Refusal
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.config.operator import OperatorSettings
+from hil.loop.jog_paths import AxisJog, LegJog
+from hil.loop.jogging import LIVE, NO_KEY, NOT_RESTING, ON_HOLD, Jogging
+from hil.loop.motion import Motion
+from hil.loop.operating import Operating
+from hil.signals import JOG_NAMES, Operator, Order
+from hil.trajectory.move import GeodesicMove
+from hil.trajectory.path import PoseSample
+
+LAB = load("lab").platform
+OFFSETS = np.random.default_rng(5).uniform(-0.04, 0.04, (2, 6, 3))
+PLATFORM = build_platform(LAB)
+PLATFORM = replace(
+    PLATFORM,
+    base_joints=PLATFORM.base_joints + OFFSETS[0],
+    platform_joints=PLATFORM.platform_joints + OFFSETS[1],
+)
+"""No symmetry left that could hide which leg is which."""
+HOME_P, HOME_R = pose_arrays(LAB.home)
+TURNED = Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix() @ HOME_R
+HERE = PoseSample(HOME_P + np.array([0.02, -0.01, 0.03]), TURNED, np.zeros(6), np.zeros(6))
+STOP_S, SPEED, TURN_deg_s = 0.4, 0.05, 5.0
+HOLD, START, KEY = Order(Operator.HOLD), Order(Operator.START), Order(Operator.KEY)
+
+
+def lengths(p, R):
+    return np.linalg.norm(p + PLATFORM.platform_joints @ R.T - PLATFORM.base_joints, axis=1)
+
+
+Q = lengths(HERE.p, HERE.R)
+
+
+def rates(path, t, h=1e-4):
+    """Twist and its rate by central differences of poses and twists, (6,) each."""
+    before, after = path.sample(t - h), path.sample(t + h)
+    turn = Rotation.from_matrix(after.R @ before.R.T).as_rotvec()
+    twist = np.concatenate([after.p - before.p, turn]) / (2 * h)
+    return twist, (after.twist - before.twist) / (2 * h)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_jog_keeps_five_lengths_and_its_rates_are_those_of_its_poses(leg):
+    rate = np.zeros(6)
+    rate[leg] = 0.05
+    path = LegJog(PLATFORM, HERE, rate)
+    for t in np.arange(0.0, 1.2, 0.01):
+        sample = path.sample(t)
+        np.testing.assert_allclose(lengths(sample.p, sample.R), Q + t * rate, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(sample.R @ sample.R.T, np.eye(3), atol=1e-12)
+    for t in (0.2, 0.7, 1.1):
+        sample = path.sample(t)
+        twist, dtwist = rates(path, t)
+        np.testing.assert_allclose(sample.twist, twist, atol=1e-6 * np.abs(twist).max() + 1e-9)
+        np.testing.assert_allclose(sample.dtwist, dtwist, atol=1e-4 * np.abs(dtwist).max() + 1e-8)
+
+
+def test_a_look_ahead_does_not_move_a_leg_jog():
+    rate = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+    one, other = LegJog(PLATFORM, HERE, rate), LegJog(PLATFORM, HERE, rate)
+    for t in np.arange(0.001, 0.1, 0.001):
+        other.ahead(t + 0.3)
+        np.testing.assert_array_equal(one.sample(t).R, other.sample(t).R)
+
+
+def test_lengths_of_no_pose_leave_a_leg_jog_where_it_is():
+    path = LegJog(PLATFORM, HERE, np.array([1.0, 0, 0, 0, 0, 0]))
+    last = path.sample(0.01)
+    assert path.ahead(50.0) is None
+    assert path.sample(50.0) is last
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_an_axis_jog_goes_along_or_about_one_axis_of_the_base(axis):
+    rate = np.zeros(6)
+    rate[axis] = -0.08
+    sample = AxisJog(HERE, rate).sample(1.5)
+    np.testing.assert_allclose(sample.p, HERE.p + 1.5 * rate[:3], atol=1e-15)
+    turn = Rotation.from_rotvec(1.5 * rate[3:]).as_matrix()
+    np.testing.assert_allclose(sample.R, turn @ HERE.R, atol=1e-14)
+    np.testing.assert_array_equal(sample.twist, rate)
+    assert not sample.dtwist.any()
+
+
+class Box:
+    """Refuses poses at which a leg is outside low .. high, m; notes what it was asked."""
+
+    def __init__(self, room=0.02):
+        self.low, self.high = Q.min() - room, Q.max() + room
+        self.asked = 0
+
+    def __call__(self, chi):
+        self.asked += 1
+        q = lengths(chi[:3], Rotation.from_rotvec(chi[3:]).as_matrix())
+        return 0 if (q >= self.low).all() and (q <= self.high).all() else int(Refusal.STROKE)
+
+
+class Held:
+    """A platform on hold at HERE, and what operating makes of orders."""
+
+    def __init__(self, admission, rate_Hz=1000.0, **settings):
+        self.settings = OperatorSettings(
+            **{"setup_speed_m_s": SPEED, "setup_speed_deg_s": TURN_deg_s} | settings
+        )
+        self.rate_Hz, self.tick = rate_Hz, 0
+        jogging = Jogging(self.settings, rate_Hz, PLATFORM, admission)
+        self.operating = Operating(self.settings, rate_Hz, STOP_S, jogging)
+        self.motion = Motion(1.0 / rate_Hz, HERE.p, HERE.R, STOP_S)
+        self.path = GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0)
+        self.motion.start(self.path, 0)
+        self.operating.go = False
+        self.motion.settle(0, 0.0)
+
+    def say(self, *orders):
+        """One tick; the answers and the sample."""
+        self.operating.step(orders, self.tick, Mode.TRACKING, self.motion)
+        sample = self.motion.sample(self.tick)
+        self.tick += 1
+        return self.operating.answers, sample
+
+    def run(self, ticks, *orders, every=20):
+        """Orders every so many ticks; the samples, and the answers that are none to the key."""
+        answers, samples = [], []
+        for k in range(ticks):
+            answer, sample = self.say(*(orders if k % every == 0 else ()))
+            answers += answer
+            samples.append(sample)
+        return answers, samples
+
+
+def jog(name, fraction=1.0):
+    return Order(Operator.JOG, (float(JOG_NAMES.index(name)), fraction))
+
+
+def speed(samples):
+    return np.array([[np.linalg.norm(s.twist[:3]), np.linalg.norm(s.twist[3:])] for s in samples])
+
+
+@pytest.mark.parametrize("fraction", [1.0, -1.0])
+@pytest.mark.parametrize("name", JOG_NAMES)
+def test_each_way_stops_smoothly_just_inside_the_limit_and_says_why(name, fraction):
+    box = Box(0.015)
+    held = Held(box)
+    answers, samples = held.run(6000, jog(name, fraction))
+    q = np.array([lengths(s.p, s.R) for s in samples])
+    assert q.min() >= box.low
+    assert q.max() <= box.high
+    assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "it uses what room there is"
+    assert not samples[-1].twist.any()
+    assert answers[0] == ""
+    assert f"jog {name}: it stops, since beyond, a leg would be outside" in answers[-1]
+    refused = [why != "" for why in answers]
+    assert refused == sorted(refused), "it does not take the same way again while its words keep coming"
+    v = np.array([s.twist for s in samples])
+    a = np.array([s.dtwist for s in samples])
+    np.testing.assert_allclose(np.diff(v, axis=0) * 1e3, 0.5 * (a[1:] + a[:-1]), atol=2e-3)
+    highest = np.array([SPEED, np.deg2rad(TURN_deg_s)])
+    assert (speed(samples).max(axis=0) <= highest * (1 + 1e-3)).all()
+    still = np.flatnonzero(v.any(axis=1))[-1]
+    assert (np.diff(v[:still].any(axis=1).astype(int)) >= 0).all(), "it stops once and does not creep"
+    back, _ = held.run(100, jog(name, -fraction))
+    assert back[0] == "", "the other way is free"
+
+
+def test_the_acceleration_is_bounded_and_does_not_jump():
+    held = Held(Box(1.0))
+    _, samples = held.run(1500, jog("x"))
+    _, more = held.run(1000)
+    a = np.array([s.dtwist[0] for s in samples + more])
+    v = np.array([s.twist[0] for s in samples + more])
+    assert v.max() == pytest.approx(SPEED)
+    assert v[1000] == pytest.approx(SPEED)
+    assert np.abs(a).max() <= 1.5 / STOP_S * SPEED * (1 + 1e-9)
+    assert np.abs(np.diff(a)).max() <= 4.5 / STOP_S**2 * SPEED * 1e-3 * (1 + 1e-9)
+
+
+def test_a_leg_of_a_small_platform_is_slower_so_that_it_turns_no_faster_than_set_up():
+    held = Held(Box(1.0), setup_speed_deg_s=0.7)
+    _, samples = held.run(1500, jog("leg2"))
+    fastest = speed(samples).max(axis=0)
+    assert fastest[1] == pytest.approx(np.deg2rad(0.7), rel=1e-3)
+    assert fastest[0] < SPEED
+
+
+@pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 100), (500.0, 50), (250.0, 25)])
+def test_a_jog_whose_words_cease_brakes_100_ms_after_the_last_one(rate_Hz, ticks):
+    held = Held(Box(1.0), rate_Hz)
+    held.run(int(rate_Hz), jog("y"), every=1)
+    last = held.tick - 1
+    _, samples = held.run(int(rate_Hz))
+    slower = np.flatnonzero(speed(samples)[:, 0] < SPEED * (1 - 1e-9))[0] + last + 1
+    assert slower == last + ticks + 1
+    assert not samples[-1].twist.any()
+
+
+def test_a_fraction_is_one_of_the_set_up_speed_and_zero_lets_go():
+    held = Held(Box(1.0))
+    _, samples = held.run(600, jog("z", -0.3))
+    assert samples[-1].twist[2] == pytest.approx(-0.3 * SPEED)
+    held.say(jog("z", 0.0))
+    _, samples = held.run(5)
+    assert abs(samples[-1].twist[2]) < 0.3 * SPEED
+
+
+def test_another_axis_waits_for_rest():
+    held = Held(Box(1.0))
+    held.run(600, jog("x"))
+    _, samples = held.run(1000, jog("leg4"))
+    v = np.array([s.twist for s in samples])
+    straight = (v[:, 1:] == 0.0).all(axis=1)
+    turns = int(np.flatnonzero(~straight)[0])
+    assert not v[turns - 1].any()
+    assert v[-1, 3:].any()
+
+
+def test_without_the_key_a_jog_is_refused_and_a_key_that_is_let_go_of_ends_it():
+    held = Held(Box(1.0), deadman_s=0.05)
+    assert held.say(jog("x"))[0] == [NO_KEY]
+    held.run(600, KEY, jog("x"))
+    answers, samples = held.run(700, jog("x"))
+    assert NO_KEY in answers
+    assert not samples[-1].twist.any()
+
+
+def test_a_jog_is_refused_in_motion_without_hold_and_with_a_live_reference():
+    held = Held(Box(1.0))
+    held.say(START)
+    assert held.say(jog("x"))[0] == [ON_HOLD]
+    held.run(300)
+    assert held.say(HOLD, jog("x"))[0] == ["", NOT_RESTING]
+    assert Held(None).say(jog("x"))[0] == [LIVE]
+    held.operating.step([jog("x")], held.tick, Mode.APPROACH, held.motion)
+    assert held.operating.answers == [ON_HOLD]
+
+
+def test_start_goes_back_to_where_the_path_was_left_and_on_from_there():
+    held = Held(Box(1.0))
+    held.say(START)
+    held.run(1000)
+    held.say(HOLD)
+    held.run(500)
+    left = held.motion.sample(held.tick)
+    s = held.motion.time(held.tick)
+    held.run(500, jog("ry"))
+    held.run(600, jog("leg1", -1.0))
+    held.run(600)
+    assert np.abs(held.motion.sample(held.tick).p - left.p).max() > 1e-3
+    assert held.motion.away
+    held.say(START)
+    _, samples = held.run(300)
+    held.say(HOLD)
+    held.run(700)
+    assert not held.motion.sample(held.tick).twist.any()
+    held.say(START)
+    _, more = held.run(4000)
+    assert not held.motion.away
+    assert (speed(samples + more).max(axis=0) <= [SPEED * (1 + 1e-9), np.deg2rad(TURN_deg_s)]).all()
+    assert held.motion.trajectory is held.path
+    now = held.motion.time(held.tick - 1)
+    assert s < now < s + 4.0
+    np.testing.assert_allclose(more[-1].p, held.path.sample(now).p, atol=1e-12)
+    v = np.array([x.twist for x in more])
+    p = np.array([x.p for x in more])
+    assert np.abs(np.diff(p, axis=0) * 1e3 - 0.5 * (v[1:, :3] + v[:-1, :3])).max() < 1e-5, "no jump"
+
+
+def test_at_full_speed_a_jog_is_not_on_the_clock_of_the_path():
+    held = Held(Box(1.0))
+    held.run(600, jog("x"))
+    assert held.motion.override.full
+    assert not held.motion.on_clock
+
+
+def test_a_stop_ends_a_jog_for_good():
+    held = Held(Box(1.0))
+    held.run(600, jog("x"))
+    held.motion.stop(held.tick, STOP_S)
+    assert not held.motion.away
+    p = held.motion.sample(held.tick).p
+    for _ in range(1000):
+        held.operating.step([jog("x")], held.tick, Mode.STOPPING, held.motion)
+        held.tick += 1
+    assert held.operating.answers == [ON_HOLD]
+    assert held.motion.finished(held.tick)
+    assert 0.0 < held.motion.sample(held.tick).p[0] - p[0] < SPEED * STOP_S
+
+
+def test_where_the_platform_rests_it_is_not_judged():
+    box = Box(1.0)
+    held = Held(box)
+    held.run(300)
+    held.run(300, jog("x"))
+    asked = box.asked
+    assert asked > 0
+    held.run(1500)
+    assert box.asked <= asked + 100

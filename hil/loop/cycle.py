@@ -185,7 +185,7 @@ class Cycle:
             waits = self.mode is Mode.PARKING  # for brakes that may not have shut
             self._enter(Mode.HELD if waits else self._after(Fault.DRIVE, tick), tick)
             return
-        if self.mode in ENDING and motion.overdue(number, REST_PATIENCE_S):
+        if self._restless(tick):
             self.faults |= Fault.FOLLOWING
             mode = self._after(Fault.FOLLOWING, tick)
             self._enter(Mode.PARKING if mode is Mode.STOPPING else mode, tick)  # a stop did not help
@@ -215,6 +215,11 @@ class Cycle:
         motion = self.motion
         ended = motion.finished(int(tick["tick"])) and not motion.away
         return ended and not self.operating.to_return(self.mode) and max(abs(tick["dq"]).tolist()) < REST_m_s
+
+    def _restless(self, tick: Record) -> bool:
+        """Tell whether the legs are not at rest long after the motion has ended, with nothing to follow."""
+        ended = self.mode in ENDING and self.motion.overdue(int(tick["tick"]), REST_PATIENCE_S)
+        return ended and not self.operating.to_return(self.mode) and not self._finished(tick)
 
     def _provable(self, tick: Record) -> bool:
         """Tell whether a test could prove the brakes: all legs are heard, believed and at rest."""

@@ -119,8 +119,9 @@ class Operating:
     def enter(self, mode: Mode, tick: int, motion: Motion) -> None:
         """Begin TRACKING, or the way back: at rest where the operator has to start it."""
         if mode is Mode.TRACKING:
-            self.go = self.go and self.settings.start == "automatic" and self.holds_key(tick)
-        if not self.go or mode is Mode.STOPPING:
+            begins = self.parks or self.settings.start == "automatic"
+            self.go = self.go and begins and self.holds_key(tick)
+        if not self.go or self.parks:
             motion.settle(tick, 0.0)
         self._aim(tick, mode, motion)
 

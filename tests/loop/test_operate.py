@@ -151,6 +151,34 @@ def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
     assert np.abs(rows["p_d"][-1] - rows["p_d"][3500]).max() < 0.05
 
 
+@pytest.mark.parametrize(
+    ("start", "t"), [("asked", 1.1), ("asked", 0.9), ("automatic", 1.1), ("automatic", 1.2)]
+)
+def test_a_park_in_the_approach_parks_however_the_path_begins(tmp_path, start, t):
+    settings = BRISK | {"start": start}
+    run, rows = simulated(tmp_path, [(t, "park")], duration_s=10.0, operator=settings)
+    assert run.success
+    assert run.summary["replay"]["different_ticks"] == 0
+    assert rows["tick"][-1] < 5000, "parked, not stopped by the end of the run"
+    assert modes(rows)[-4:] == PARKING
+    np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
+
+
+SHORT = {"reference": {"periods": 1}, "engage": {"stop_s": 3.0}}
+"""A path that ends at tick 3208, and a stop in which 1.5 s of path time go by."""
+
+
+@pytest.mark.parametrize(
+    ("then", "ends"), [((), ["TRACKING", *PARKING]), (((5.0, "start"),), ["TRACKING", *PARKING[1:]])]
+)
+def test_a_park_just_before_the_end_of_the_path_is_no_fault(tmp_path, then, ends):
+    commands = [(3.15, "park"), *then]
+    run, rows = simulated(tmp_path, commands, duration_s=30.0, operator=BRISK, **SHORT)
+    assert run.success, run.summary["trouble"]
+    assert run.summary["replay"]["different_ticks"] == 0
+    assert modes(rows)[-len(ends) :] == ends
+
+
 def test_a_hold_in_the_approach_and_on_the_way_back_is_one_too(tmp_path):
     run, rows = simulated(
         tmp_path,

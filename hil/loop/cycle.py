@@ -178,7 +178,6 @@ class Cycle:
             self.obedience.reset()
             self.parts.wrench.forget()
             self.parts.safety.reset()
-        motion = self.motion
         elapsed = (number - self.mode_tick) * self.period_s
         if overdue(self.mode, elapsed, self.durations):
             self.faults |= Fault.DRIVE

@@ -84,8 +84,8 @@ class Course:
     `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a platform
     that is held with force is held until the operator releases it, and one that moves after a fault is stayed
     with until it rests, or the operator asks for an emergency stop in FAULT. Otherwise both are simulated,
-    and end in time. `event` takes what each fault tells in its tick. `goes_on`: once it was engaged, a run
-    goes on, parked or after a fault, until it is asked to end: by END, or when `duration_s` is over.
+    and end in time. `event` takes what each fault tells in its tick. `goes_on`: parked or after a fault a run
+    goes on until it is asked to end: by END, or when `duration_s` is over. A fault takes `armed` back.
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
     over before the drives were ready; the first fault's tick and the last one's text; when a leg last moved.
     """
@@ -127,6 +127,8 @@ class Course:
             self.goes_on = False
             self._late = self.cycle.mode is Mode.WAITING
             operator = (Operator.STOP, *operator)
+        if self.cycle.mode is Mode.FAULT:
+            self._armed = False  # what follows a RESET is the operator's to begin
         if not self._engaged and self.cycle.mode is Mode.IDLE:
             if self._armed:
                 self._engaged = True
@@ -175,7 +177,9 @@ class Course:
         mode, since = cycle.mode, cycle.mode_tick
         self._note_faults(tick)
         match mode:
-            case Mode.PARKED | Mode.FAULT | Mode.WAITING if self.goes_on and self._engaged:
+            case Mode.PARKED | Mode.FAULT if self.goes_on:
+                return None
+            case Mode.WAITING if self.goes_on and self._engaged:
                 return None
             case Mode.PARKED if tick - since >= self._tail or (cycle.proven and _all_off(cycle)):
                 why = cycle.stop_requested

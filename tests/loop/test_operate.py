@@ -143,6 +143,13 @@ def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(t
     assert modes(rows) == ["WAITING", *once, *PARKING, "WAITING", *once, "FAULT", "WAITING", *once, *PARKING]
 
 
+def test_an_emergency_stop_before_the_platform_moved_leaves_a_run_that_stays_to_be_armed(tmp_path):
+    commands = [(0.2, "estop"), (0.5, "reset"), (1.0, "arm"), (2.6, "end")]
+    run, rows = simulated(tmp_path, commands, operator=BRISK | {"stays": True})
+    assert run.success, run.summary["trouble"]
+    assert modes(rows) == ["WAITING", "IDLE", "FAULT", *AS_ALWAYS, *PARKING]
+
+
 @pytest.mark.parametrize("word", ["stop", "estop"])
 def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
     run, rows = simulated(tmp_path, [(2.2, "park"), (3.5, word)], check_replay=False)

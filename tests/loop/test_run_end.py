@@ -77,6 +77,41 @@ def test_engages_once_idle_and_never_twice():
     assert course.commands(2) == ()
 
 
+@pytest.mark.parametrize("duration_s", [None, 5.0])
+def test_a_fault_before_the_platform_moved_takes_the_consent_back(duration_s):
+    now = cycle(Mode.FAULT, faults=Fault.ESTOP)
+    course = Course(now, duration_s)
+    assert course.commands(0, (Operator.RESET,)) == (Operator.RESET,)
+    now.mode = Mode.WAITING
+    assert course.commands(1) == ()
+    now.mode = Mode.IDLE
+    assert course.commands(2) == ()
+    assert course.waits_for_consent
+    assert course.commands(3, (Operator.ENGAGE,)) == (Operator.ENGAGE,)
+
+
+def test_a_reset_of_the_drives_while_they_are_waited_for_takes_no_consent_back():
+    now = cycle(Mode.WAITING)
+    course = Course(now)
+    course.commands(0, (Operator.RESET,))
+    now.mode = Mode.IDLE
+    assert course.commands(1) == (Operator.ENGAGE,)
+
+
+@pytest.mark.parametrize("mode", [Mode.FAULT, Mode.PARKED])
+def test_a_run_that_stays_does_so_before_it_was_ever_armed(mode):
+    now = cycle(mode, faults=Fault.ESTOP if mode is Mode.FAULT else Fault.NONE)
+    course = Course(now, armed=False, goes_on=True)
+    assert first_end(course, 1000) is None
+    course.commands(1000, (Operator.END,))
+    assert first_end(course, 1000) is not None
+
+
+def test_a_run_that_stays_and_finds_no_drives_ends():
+    now = cycle(Mode.WAITING, age=NEVER)
+    assert first_end(Course(now, armed=False, goes_on=True), 1000) is not None
+
+
 def test_stops_once_at_its_duration_also_where_that_tick_is_skipped():
     course = Course(cycle(Mode.TRACKING), 0.5)
     assert course.commands(49) == ()

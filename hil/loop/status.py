@@ -4,7 +4,8 @@ import json
 
 import numpy as np
 
-from drivers.signals import Fault, Mode
+from drivers.arrays import Array
+from drivers.signals import NEVER, Fault, Mode
 from hil.loop.operating import NO_KEY
 from hil.loop.report import waiting_text
 from hil.loop.run_end import Course
@@ -32,6 +33,11 @@ def waits_for(course: Course) -> str:
     return ""
 
 
+def _known(values: Array) -> list[float] | None:
+    """Return values as a list; None where one is not finite, for which JSON has no number."""
+    return values.tolist() if np.isfinite(values).all() else None
+
+
 def status_text(course: Course, malformed: int) -> str:
     """Return the status as JSON; `hil.operate.client.OperatorClient.status` names its keys."""
     cycle = course.cycle
@@ -42,6 +48,8 @@ def status_text(course: Course, malformed: int) -> str:
     left = motion.left
     along = motion.time(number) if left is None else left[1]
     length = cycle.parts.trajectory.duration_s
+    heard = bool((tick["age"] < NEVER).all())
+    turn = np.rad2deg(rotation_vector(tick["R"])) if np.isfinite(tick["R"]).all() else tick["R"]
     return json.dumps(
         {
             "mode": cycle.mode.name,
@@ -49,9 +57,9 @@ def status_text(course: Course, malformed: int) -> str:
             "tick": number,
             "speed_percent": 100.0 * operating.speed,
             "speed_now_percent": 100.0 * motion.override.sigma,
-            "position_m": tick["p"].tolist(),
-            "rotation_vector_deg": np.rad2deg(rotation_vector(tick["R"])).tolist(),
-            "leg_lengths_m": tick["q"].tolist(),
+            "position_m": _known(tick["p"]),
+            "rotation_vector_deg": _known(turn),
+            "leg_lengths_m": _known(tick["q"]) if heard else None,
             "path_s": along if cycle.mode is Mode.TRACKING else None,
             "path_length_s": length,
             "held": operating.moves(cycle.mode) and not operating.go,

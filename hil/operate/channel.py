@@ -19,7 +19,8 @@ AT_MOST = 8
 """Lines read in one tick."""
 QUEUED = 4096
 """More lines than can wait in a socket."""
-_TAG = 18
+_LONGEST = LONGEST + 18
+"""With a tag."""
 Sender = str | bytes | None
 _Waiting = list[tuple[str, Sender]]
 
@@ -70,6 +71,8 @@ class OperatorChannel:
         setpoints: list[SetPoint] = []
         for data, sender in lines:
             tag, line = split(data.decode("ascii", "replace"))
+            if len(data) > _LONGEST:  # cut off, maybe within a number
+                line = data.decode("ascii", "replace")
             try:
                 said = parse(line)
             except ValueError as error:
@@ -94,7 +97,7 @@ class OperatorChannel:
         lines: list[tuple[bytes, Sender]] = []
         with contextlib.suppress(OSError):  # nothing more is there
             while len(lines) < at_most:
-                lines.append(self._socket.recvfrom(LONGEST + _TAG))
+                lines.append(self._socket.recvfrom(_LONGEST + 1))
         return lines
 
     def answer(

@@ -118,7 +118,7 @@ class OperatorClient:
 
     def speed(self, percent: float) -> Answer:
         """Set the speed along the path in percent of the configured one, 0 .. 100; it changes smoothly."""
-        return self.say(f"speed {percent!r}")
+        return self.say(f"speed {float(percent)!r}")
 
     def key(self) -> None:
         """Say that the operator holds the key (operator.deadman_s). There is no answer, and no wait for one.
@@ -147,9 +147,9 @@ class OperatorClient:
         self, x: float, y: float, z: float, rx: float = 0.0, ry: float = 0.0, rz: float = 0.0
     ) -> Answer:
         """Send a live reference to a pose: m, and the rotation vector in deg, in the base frame."""
-        return self.say(f"setpoint {x!r} {y!r} {z!r} {rx!r} {ry!r} {rz!r}")
+        return self.say("setpoint " + " ".join(repr(float(each)) for each in (x, y, z, rx, ry, rz)))
 
-    def stream(self, poses: Iterable[tuple[float, ...]], rate_Hz: float) -> Streamed:
+    def stream(self, poses: Iterable[Iterable[float]], rate_Hz: float) -> Streamed:
         """Send set-points (x y z [rx ry rz], m and deg) at a fixed rate, without waiting for each answer.
 
         rate_Hz: at most that of the loop, of which each tick follows the last set-point that has come.
@@ -160,7 +160,7 @@ class OperatorClient:
             wait = begun + sent / rate_Hz - time.perf_counter()
             if wait > 0.0:
                 time.sleep(wait)
-            self._send("setpoint " + " ".join(map(repr, pose)))
+            self._send("setpoint " + " ".join(repr(float(x)) for x in pose))
             sent += 1
             answers += self._arrived()
         until = time.perf_counter() + ANSWER_S
@@ -175,8 +175,8 @@ class OperatorClient:
         """Return what the controller says of itself.
 
         Keys: `mode` and `faults` by name, `tick`, `speed_percent` asked for and `speed_now_percent`,
-        `position_m`, `rotation_vector_deg`, `leg_lengths_m`, `path_s` and `path_length_s` (None without an
-        end), `held`, `key` (`not needed`, `held` or `missing`), `waits_for` (a sentence, or empty),
+        `position_m`, `rotation_vector_deg`, `leg_lengths_m` (None where they are not known), `path_s` and
+        `path_length_s` (None without an end), `held`, `key` (`not needed`, `held` or `missing`), `waits_for` (a sentence, or empty),
         `refused_lines`.
         """
         found: dict[str, Any] = json.loads(self._ask("status"))

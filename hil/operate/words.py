@@ -27,6 +27,8 @@ class Said(NamedTuple):
 
 def _numbers(words: Sequence[str], form: str) -> list[float]:
     try:
+        if not all(word.isascii() and "_" not in word for word in words):
+            raise ValueError
         numbers = [float(word) for word in words]
     except ValueError:
         raise ValueError(f"{' '.join(words)!r} is not {form}") from None

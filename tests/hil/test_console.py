@@ -136,4 +136,20 @@ def test_the_status_names_mode_pose_key_and_what_is_waited_for():
     assert (status["key"], status["waits_for"]) == ("held", "start")
     assert status["path_length_s"] == 20.0
     cycle.mode = Mode.IDLE
-    assert json.loads(status_text(course, 0))["waits_for"].startswith("arm")
+    status = json.loads(status_text(course, 0))
+    assert status["waits_for"].startswith("arm")
+    assert status["leg_lengths_m"] is None, "no leg was ever heard"
+
+
+def test_a_status_has_no_number_that_json_lacks():
+    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
+    cycle.tick["age"] = 0
+    cycle.tick["p"][0] = cycle.tick["R"][0, 0] = cycle.tick["q"][3] = np.nan
+
+    def complain(constant):
+        raise AssertionError(constant)
+
+    status = json.loads(status_text(Course(cycle), 0), parse_constant=complain)
+    assert status["position_m"] is status["rotation_vector_deg"] is status["leg_lengths_m"] is None
+    cycle.tick["q"] = 1.25
+    assert json.loads(status_text(Course(cycle), 0))["leg_lengths_m"] == [1.25] * 6

@@ -8,6 +8,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.errors import RunError
@@ -106,6 +107,8 @@ def test_a_line_means(line, said):
         ("jog x fast", "'fast' is not an axis or leg and a fraction"),
         ("jog x -1.01", "jog: -1.01; allowed: -1 .. 1"),
         ("jog x nan", "not finite"),
+        ("speed 1_0", "'1_0' is not one number"),
+        ("speed \u0665", "is not one number"),
         ("setpoint 1 2", "2 words; allowed: six numbers"),
         ("setpoint 1 2 x", "'1 2 x' is not six numbers, x y z in m"),
         ("setpoint 1 2 3 4 5 inf", "not finite"),
@@ -174,6 +177,15 @@ def test_a_stream_sends_at_its_rate_and_counts_the_answers(channel):
     assert [each.z for one in loop.heard for each in one.setpoints] == [z for _, _, z in poses]
 
 
+def test_numbers_of_arrays_are_sent_as_numbers(channel):
+    poses = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]])
+    with Loop(channel) as loop, OperatorClient("localcan", "hil/0") as client:
+        assert client.stream(poses, 100.0).taken == 2
+        assert client.setpoint(*poses[1])
+        assert client.speed(np.float64(40.0))
+    assert [each.x for one in loop.heard for each in one.setpoints] == [0.0, 0.1, 0.1]
+
+
 def test_nothing_there_is_nothing_at_once(channel):
     begun = time.perf_counter()
     assert channel.take() == Heard()
@@ -182,6 +194,7 @@ def test_nothing_there_is_nothing_at_once(channel):
 
 MALFORMED = (
     *(b"", b"\0", b"\xff\xfe\x00", b"#", b"# ", b"#1", b"#" * 400, b"9" * 4000, "start １".encode()),
+    *(b"#" + b"t" * 20 + b" setpoint 0 0 1." + b"0" * 497 + b"12", b"#1 speed " + b" " * 600 + b"50"),
     *(b"speed 1e999", b"speed --1", b"setpoint " + b"1 " * 250, b"hold\nstart", b"start" + b"\0" * 100),
 )
 

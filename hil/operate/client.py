@@ -176,8 +176,8 @@ class OperatorClient:
 
         Keys: `mode` and `faults` by name, `tick`, `speed_percent` asked for and `speed_now_percent`,
         `position_m`, `rotation_vector_deg`, `leg_lengths_m` (None where they are not known), `path_s` and
-        `path_length_s` (None without an end), `held`, `key` (`not needed`, `held` or `missing`), `waits_for` (a sentence, or empty),
-        `refused_lines`.
+        `path_length_s` (None without an end), `held`, `key` (`not needed`, `held` or `missing`),
+        `waits_for` (a sentence, or empty), `refused_lines`.
         """
         found: dict[str, Any] = json.loads(self._ask("status"))
         return found

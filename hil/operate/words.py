@@ -26,14 +26,15 @@ class Said(NamedTuple):
 
 
 def _numbers(words: Sequence[str], form: str) -> list[float]:
+    text = " ".join(words)
     try:
-        if not all(word.isascii() and "_" not in word for word in words):
-            raise ValueError
         numbers = [float(word) for word in words]
     except ValueError:
-        raise ValueError(f"{' '.join(words)!r} is not {form}") from None
+        numbers = []
+    if not numbers or not text.isascii() or "_" in text:  # Python reads 1_0 and other scripts' digits
+        raise ValueError(f"{text!r} is not {form}")
     if not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{' '.join(words)!r} has a number that is not finite")
+        raise ValueError(f"{text!r} has a number that is not finite")
     return numbers
 
 

@@ -152,19 +152,19 @@ class MirrorReader:
             status = os.fstat(fd)
             self.inode = status.st_ino
             if status.st_size != HEAD_BYTES + SLOTS * SLOT_BYTES:
-                raise _foreign(path)
+                raise foreign(path)
             self._map = mmap.mmap(fd, status.st_size, access=mmap.ACCESS_READ)
         finally:
             os.close(fd)
         self._words = memoryview(self._map).cast("q")
         length = self._words[_LENGTH]
         if self._words[_MAGIC] != MAGIC or not 0 < length <= HEAD_BYTES - _WORDS:
-            raise _foreign(path)
+            raise foreign(path)
         try:
             self.about: dict[str, Any] = json.loads(self._map[_WORDS : _WORDS + length])
             self.dtype = Table("", columns_of(self.about["columns"])).dtype
         except (ValueError, KeyError, TypeError) as error:
-            raise _foreign(path) from error
+            raise foreign(path) from error
 
     @property
     def ended(self) -> bool:
@@ -204,5 +204,6 @@ def _place(number: int) -> int:
     return HEAD_BYTES + number % SLOTS * SLOT_BYTES
 
 
-def _foreign(path: Path) -> LogError:
+def foreign(path: Path) -> LogError:
+    """Return the error for a file that is no mirror, or that of another version."""
     return LogError(f"{path} is not what this version of hil shows of a run: use the version that runs there")

@@ -7,7 +7,7 @@ from typing import Any
 
 from drivers.errors import LogError
 from hil.app.watch.state import state
-from hil.record.mirror import MirrorReader
+from hil.record.mirror import MirrorReader, foreign
 
 LOOK_S = 0.5
 """Between two looks for a run that has followed."""
@@ -24,6 +24,8 @@ class Feed:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._reader: MirrorReader | None = None
+        self._foreign = False
+        """What is there cannot be shown. It stays mapped, so that no other file gets its inode."""
         self._looked = self._made = float("-inf")
         self._number = 0
         self._events: list[dict[str, Any]] = []
@@ -44,15 +46,19 @@ class Feed:
             self._looked = now
             self._follow()
         reader = self._reader
-        if reader is None or (reader.newest == self._number and now - self._made < REPEAT_S):
+        if reader is None or self._foreign or (reader.newest == self._number and now - self._made < REPEAT_S):
             return False
         piece = reader.read()
         if piece is None:
             return False
         self._number, self._made = piece.number, now
-        shown = state(piece, reader.about, time.monotonic_ns())
-        shown |= {"run": self.run, "ended": reader.ended, "said": self.said}
-        self.state = event("state", shown)
+        try:
+            shown = state(piece, reader.about, time.monotonic_ns())
+            self.state = event("state", shown | {"run": self.run, "ended": reader.ended, "said": self.said})
+        except (LookupError, TypeError, ValueError):  # columns or figures have other names or shapes
+            self._foreign, self.state = True, b""
+            self._complain(str(foreign(self._path)))
+            return False
         if piece.events != self._events:
             self._events = piece.events
             self.heard += 1
@@ -69,17 +75,21 @@ class Feed:
         except FileNotFoundError:
             return  # what was shown last stays
         except (LogError, OSError) as error:
-            if str(error) != self._trouble:
-                self._trouble = str(error)
-                self.run += 1
-                self.about = event("about", {"trouble": str(error), "run": self.run})
+            self._complain(str(error))
             return
         self._reader, self._number, self._events, self._trouble = reader, 0, [], ""
+        self._foreign = False
         self.run += 1
         self.heard += 1
         self.state, self.events = b"", event("events", [])
         about = {name: value for name, value in reader.about.items() if name != "columns"}
         self.about = event("about", {**about, "run": self.run})
+
+    def _complain(self, trouble: str) -> None:
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self.run += 1
+            self.about = event("about", {"trouble": trouble, "run": self.run})
 
 
 def event(name: str, data: Any) -> bytes:

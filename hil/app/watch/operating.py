@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from drivers.errors import RunError
+from drivers.errors import HilError
 from hil.operate.client import OperatorClient
 from hil.operate.words import WORDS as KNOWN
 from hil.operate.words import parse
@@ -42,7 +42,7 @@ class Operating:
                     client.key()
                     return True, ""
                 answer = client.say(line)
-        except RunError as error:
+        except HilError as error:
             return False, str(error)
         return answer.taken, answer.why
 
@@ -51,5 +51,5 @@ class Operating:
         try:
             with OperatorClient(*self._bus) as client:
                 return client.status()
-        except (RunError, ValueError):
+        except (HilError, ValueError):
             return None

@@ -85,6 +85,8 @@ class Server:
         self._feed, self._access, self._assets = feed, access, assets
         self._operating = operating
         self._connections: set[asyncio.StreamWriter] = set()
+        self._waiting: dict[asyncio.StreamWriter, None] = {}
+        """Connections on which no whole request has come yet, the longest wait first."""
         self._watchers: set[Watcher] = set()
         self._commands = 0
         self._workers = ThreadPoolExecutor(MOST_COMMANDS + 1, "command")
@@ -135,8 +137,13 @@ class Server:
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._connections) >= MOST_CONNECTIONS:
-            writer.transport.abort()
-            return
+            first = next(iter(self._waiting), None)
+            if first is None:
+                writer.transport.abort()
+                return
+            first.transport.abort()  # those who only wait keep nobody out
+            self._waiting.pop(first)
+            self._connections.discard(first)
         self._connections.add(writer)
         try:
             await self._serve(reader, writer)
@@ -148,11 +155,17 @@ class Server:
         except (OSError, asyncio.CancelledError):
             pass
         finally:
+            self._waiting.pop(writer, None)
             self._connections.discard(writer)
             writer.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        while (request := await read_request(reader)) is not None:
+        while True:
+            self._waiting[writer] = None
+            request = await read_request(reader)
+            self._waiting.pop(writer, None)
+            if request is None:
+                return
             if request.path == "/stream" and request.method == "GET":
                 self._access.check(request)
                 await self._stream(request, reader, writer)

@@ -17,7 +17,7 @@ from hil.loop.console import Console
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.loop.status import status_text
-from hil.operate.channel import OperatorChannel
+from hil.operate.channel import AT_MOST, OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.signals import Operator
 
@@ -73,6 +73,20 @@ def test_each_word_counts_where_it_means_something_and_is_refused_elsewhere(cycl
         assert heard.operator == ()
         assert answer.startswith("refused: ")
         assert events == [f"operator's command refused: {answer.removeprefix('refused: ')}"]
+
+
+def test_no_release_that_waited_before_the_platform_was_held_lets_go_of_it(cycle, ends):
+    channel, client = ends
+    console = Console(Course(cycle, armed=False), OperatorPanel(), channel)
+    cycle.mode = Mode.TRACKING
+    console.take()
+    for _ in range(AT_MOST + 2):
+        client._socket.send(b"release")
+    cycle.mode = Mode.HELD
+    heard = [console.take().operator for _ in range(3)]
+    assert heard == [(), (), ()]
+    client._socket.send(b"release")
+    assert console.take().operator == (Operator.RELEASE,)
 
 
 def test_a_parked_run_is_reset_only_where_it_stays(cycle, ends):

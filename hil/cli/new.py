@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ class _Asked(click.Command):
         asked: list[click.Parameter] = []
         for question in QUESTIONS:
             default = "" if question.default is None else "; has a default"
-            kind = click.Choice(question.choices) if question.choices else None
+            kind = click.Choice(question.choices, case_sensitive=False) if question.choices else None
             unit = question.unit.upper().replace(" ", "_") or None
             asked.append(
                 click.Option(
@@ -62,35 +63,40 @@ def command(
     """
     from hil.app.check.command import inspect
     from hil.app.files import new_file, write_whole
-    from hil.app.new.answers import QUESTIONS
-    from hil.app.new.command import new_configuration
+    from hil.app.new.answers import QUESTIONS, SLOW_PLANT
+    from hil.app.new.command import new_configuration, recognised
+    from hil.app.output import show_lines
 
     new_file(file, force=force, option="")
-    answers = _answers(QUESTIONS, given, ask=not yes)
-    text, configuration = new_configuration(answers, file, fmu)
+    plant = None if fmu is None else (fmu, recognised(fmu))
+    known = {SLOW_PLANT: plant is not None and plant[1].needs_tool}
+    answers = known | _answers(QUESTIONS, given, known, ask=not yes)
+    text, configuration = new_configuration(answers, file, plant)
     report = inspect(configuration)
     write_whole(file, text)
-    lines = [f"{file}: written", *(f"warning: {w}" for w in report.warnings), f"next: hil sim {file}"]
+    show_lines([f"{file}: written", *(f"warning: {w}" for w in report.warnings)])
+    click.echo(f"next: hil sim {shlex.quote(str(file))}")  # in one line: it is to be copied
     summary = {"success": True, "kind": "new", "file": str(file), "warnings": report.warnings}
-    finish_lines(lines, summary, json_file)
+    finish_lines((), summary, json_file)
 
 
-def _answers(questions: tuple[Question, ...], given: dict[str, str | None], *, ask: bool) -> dict[str, Any]:
+def _answers(
+    questions: tuple[Question, ...], given: dict[str, str | None], known: dict[str, Any], *, ask: bool
+) -> dict[str, Any]:
     """Return all answers: options, then prompts or defaults. Raises ConfigurationError."""
     from drivers.errors import ConfigurationError
 
     missing = [q.option for q in questions if given[q.key] is None and q.default is None]
     if missing and not ask:
         raise ConfigurationError(f"hil new --yes: no default for {', '.join(missing)}: give them as options")
-    answers: dict[str, Any] = {}
+    answers = dict(known)
     for question in questions:
         text = given[question.key]
         while True:
             default = None if question.default is None else question.default(answers)
             asked = text is None and ask
             if asked:
-                click.echo(f"{question.text}{question.range_text}")
-                text = click.prompt(f"  {question.key}", default=question.shown(default))
+                text = _typed(question, default)
             try:
                 answers[question.key] = default if text is None else question.parse(text)
                 trouble = question.trouble(answers)
@@ -103,3 +109,18 @@ def _answers(questions: tuple[Question, ...], given: dict[str, str | None], *, a
             click.echo(f"  cannot work: {trouble}", err=True)
             text = None
     return answers
+
+
+def _typed(question: Question, default: Any) -> str:
+    """Return what is typed at a question. Raises ConfigurationError: Ctrl-C, Ctrl-D, or the input ended."""
+    from drivers.errors import ConfigurationError
+
+    click.echo(f"{question.text}{question.range_text}")
+    try:
+        return str(click.prompt(f"  {question.key}", default=question.shown(default)))
+    except click.Abort:
+        click.echo()
+        raise ConfigurationError(
+            f"hil new: ended at {question.key}, nothing is written; begin again, or give what was answered "
+            f"as options ({question.option} for this one)"
+        ) from None

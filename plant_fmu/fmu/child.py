@@ -145,7 +145,8 @@ class ChildHost:
         return y[:6], y[6:]
 
     def reset(self) -> tuple[Array, Array]:
-        """As FmuHost.reset."""
+        """As FmuHost.reset. From here on the child has the real-time scheduling of the calling process."""
+        _follow(self._process.pid)
         self._ask(_RESET, self._start_timeout_s, "reset")
         return self._measured()
 
@@ -192,6 +193,19 @@ class ChildHost:
         self._ended = self._ended or f"{self.spec.path}: the FMU is closed"
         self._board.release()
         self._folder.cleanup()
+
+
+def _follow(child: int) -> None:
+    """Give the child our SCHED_FIFO, one priority below ours: who waits for it can stop it when it hangs.
+
+    A loop that waits for a process without it waits for whatever else runs on the machine. Without the
+    right to it, or in a process that has none, the child keeps what it has.
+    """
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
+        return
+    priority = max(1, os.sched_getparam(0).sched_priority - 1)
+    with contextlib.suppress(OSError):  # it has ended, which the next question says
+        os.sched_setscheduler(child, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def _end_with_parent(life_fd: int, parent: int, folder: str) -> None:

@@ -127,6 +127,46 @@ def test_a_killed_child_is_reported():
     host.close()
 
 
+@pytest.fixture
+def on_one_processor():
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(5))
+    except PermissionError:
+        os.sched_setaffinity(0, before)
+        pytest.skip("no right to SCHED_FIFO")
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    yield
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.sched_setaffinity(0, before)
+
+
+def test_the_child_of_a_real_time_loop_runs_one_priority_below_it(on_one_processor):
+    """Who waits for it waits for nothing else on the machine, and can stop it when it hangs."""
+    host = ChildHost(spec(build("3.0")))
+    child = host._process.pid
+    host.reset()
+    assert os.sched_getscheduler(child) == os.SCHED_OTHER
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(5))
+    host.reset()
+    assert os.sched_getscheduler(child) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    assert os.sched_getparam(child).sched_priority == 4
+    host.close()
+
+
+def test_a_child_that_spins_on_the_only_processor_is_stopped_by_who_waits(tmp_path, on_one_processor):
+    host = ChildHost(spec(altered(tmp_path, f"if (time > 0.0005) for (;;); {STEP_LINE}")), step_timeout_s=0.5)
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(5))
+    host.reset()
+    host.step(FORCE, OPEN, OPEN, 1e-3)
+    begun = time.monotonic()
+    with pytest.raises(PlantError, match=r"did not step within 0\.5 s"):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+    assert time.monotonic() - begun < 2.0
+    host.close()
+
+
 def alive(pid):
     try:
         return not re.search(r"^State:\s+[ZX]", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)

@@ -57,6 +57,11 @@ def test_its_mobility_is_that_of_the_controllers_model(own):
     np.testing.assert_allclose(report.figures["fmu"]["mobility_1_kg"], expected, atol=2e-3 * expected.max())
 
 
+def test_an_fmu_that_needs_its_interpreter_gets_a_rate_with_room_for_it(own):
+    """The bus would carry 1000 Hz."""
+    assert load(own).loop.rate_Hz == 250
+
+
 def test_without_brakes_it_is_warned_of_before_it_falls(own):
     text = own.read_text()
     line = next(line for line in text.splitlines() if line.strip().startswith("brake: ["))

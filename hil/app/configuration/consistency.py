@@ -8,6 +8,7 @@ import contextlib
 import re
 from collections.abc import Callable, Iterator
 from inspect import signature
+from math import ceil
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -318,9 +319,11 @@ def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> I
     step_us: float = getattr(plant.model, key)
     steps = 1e6 / loop.rate_Hz / step_us
     if steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps:
+        period_us = 1e6 / loop.rate_Hz
         message = (
-            f"the period is no whole number of steps, allowed: {1e6 / loop.rate_Hz:g} us (loop.rate_Hz "
-            f"{loop.rate_Hz:g}) divided by a whole number, given: {step_us:g}"
+            f"the period is no whole number of steps, allowed: {period_us:g} us (loop.rate_Hz "
+            f"{loop.rate_Hz:g}) divided by a whole number, as {period_us / ceil(steps):.12g}, given: "
+            f"{step_us:g}"
         )
         yield ("plant", "model", key), message
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import HilError
+from hil.app.new import derive
 from hil.app.new.robot import HOLD_SHARE, WORST_CONDITION, condition_at_home, joints_apart_m, robot_at_home
 
 Answers = dict[str, Any]
@@ -55,27 +56,30 @@ class Question:
 
     def parse(self, text: str) -> Any:
         """Return the answer that a text is. Raises ValueError: no number, out of range, no such choice."""
+        text = text.strip()
         if self.choices:
-            if text not in self.choices:
+            if text.lower() not in self.choices:
                 raise ValueError(f"allowed: {', '.join(self.choices)}, given: {text}")
-            return text
+            return text.lower()
         if self.key == "inertia_kg_m2":
             return _moments(text)
-        value = _number(text)
+        value = _number(text, f" in {self.unit} without the unit")
         if not self.low <= value <= self.high:
             raise ValueError(f"allowed: {self.low:g} to {self.high:g} {self.unit}, given: {value:g}")
         return value
 
 
+SLOW_PLANT = "slow_plant"
+"""Known before the first question: whether the plant is an FMU that needs its tool to run."""
 ESTIMATE = "estimate"
 """Answer of who does not know the moments of inertia."""
 
 
-def _number(text: str) -> float:
+def _number(text: str, unit: str = "") -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"allowed: a number, given: {text}") from None
+        raise ValueError(f"allowed: a number{unit}, with a decimal point, given: {text}") from None
     if not isfinite(value):
         raise ValueError(f"allowed: a finite number, given: {text}")
     return value
@@ -84,7 +88,10 @@ def _number(text: str) -> float:
 def _moments(text: str) -> list[float] | None:
     if text == ESTIMATE:
         return None
-    values = [_number(word) for word in text.split(",")]
+    try:
+        values = [_number(word) for word in text.split(",")]
+    except ValueError:
+        values = []
     if len(values) != 3 or min(values) <= 0.0:
         raise ValueError(f"allowed: three numbers above 0 with commas, or {ESTIMATE}, given: {text}")
     return values
@@ -156,6 +163,10 @@ def _speed(a: Answers) -> str | None:
     return None
 
 
+def _rate(a: Answers) -> str | None:
+    return derive.rate_trouble(derive.bus_section(a, ""), a["rate_Hz"])
+
+
 QUESTIONS: tuple[Question, ...] = (
     Question("base_radius_m", "radius of the circle of base joints", "m", 1e-3, 100.0),
     Question("platform_radius_m", "radius of the circle of platform joints", "m", 1e-3, 100.0),
@@ -205,6 +216,11 @@ QUESTIONS: tuple[Question, ...] = (
     Question(
         "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s",
         default=lambda _: "fd", choices=("fd", "classic"),
+    ),
+    Question(
+        "rate_Hz", "rate of the loop", "Hz", 10.0, 4000.0,
+        lambda a: float(derive.loop_rate_Hz(derive.bus_section(a, ""), slow=a.get(SLOW_PLANT, False))),
+        trouble=_rate,
     ),
 )  # fmt: skip
 """In the order in which they are asked: each looks at the answers before it only."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -31,17 +33,17 @@ FMU_PARAMETERS: dict[str, Callable[[dict[str, Any], dict[str, Any]], float]] = {
 
 
 def new_configuration(
-    answers: dict[str, Any], path: Path, fmu: Path | None = None
+    answers: dict[str, Any], path: Path, fmu: tuple[Path, Proposal] | None = None
 ) -> tuple[str, Configuration]:
     """Return the text of a configuration that will stand at `path`, and the configuration that it is.
 
-    fmu: the plant instead of ours. Raises ConfigurationError: the bus is too slow for any rate, or what was
-    derived is refused; PlantError: no FMU, or one that cannot be mapped.
+    fmu: the plant instead of ours, as `recognised` read it. Raises ConfigurationError: what was derived is
+    refused.
     """
     sections = _sections(answers, path.stem)
     comments = dict(_COMMENTS)
     if fmu is not None:
-        sections["plant"] = _fmu_plant(answers, sections, fmu, path.parent)
+        sections["plant"] = _fmu_plant(answers, sections, *fmu, path.parent)
     elif answers["interface"] != "localcan":
         comments["plant"] = "for `hil sim`; `hil run` drives what is on the bus"
     if answers["inertia_kg_m2"] is not None:
@@ -51,9 +53,10 @@ def new_configuration(
 
 
 def _head(path: Path) -> list[str]:
+    name = shlex.quote(str(path))
     return [
         "",
-        f"Written by `hil new`. Next: `hil check {path}`, then `hil sim {path}`.",
+        f"Written by `hil new`. Next: `hil check {name}`, then `hil sim {name}`.",
         "Numbers without a comment are answers. The others follow from them by the rule beside them; replace",
         "them as you learn more of your robot. Lengths count from joint centre to joint centre.",
         "",
@@ -63,7 +66,7 @@ def _head(path: Path) -> list[str]:
 def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
     home = robot_at_home(a)
     bus = derive.bus_section(a, "hil0" if a["interface"] == "localcan" else "can0")
-    rate = derive.loop_rate_Hz(bus)
+    rate = a["rate_Hz"]
     reference = derive.reference_section(a, home)
     w = derive.walked(a, reference, rate)
     approach = derive.lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
@@ -76,10 +79,10 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
         "drives": {
             "protocol": "legs",
             "node_ids": [1, 2, 3, 4, 5, 6],
-            "watchdog_ms": max(10.0, 5e3 / rate),
+            "watchdog_ms": max(10.0, float(ceil(5e3 / rate))),
             "force_limit_N": a["drive_force_N"],
         },
-        "loop": {"rate_Hz": float(rate)},
+        "loop": {"rate_Hz": rate},
         "controller": derive.controller_section(a, derive.wn_rad_s(rate)),
         "monitor": {"length_noise_m": 2.0 * a["encoder_resolution_m"]},
         "engage": {
@@ -95,7 +98,11 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
-def _fmu_plant(a: dict[str, Any], sections: dict[str, Any], fmu: Path, folder: Path) -> dict[str, Any]:
+def recognised(fmu: Path) -> Proposal:
+    """Read which variables of an FMU are what.
+
+    Raises PlantError: no FMU; ConfigurationError: no six variables that look like force, length and rate.
+    """
     proposal = propose(fmu)
     if proposal.missing:
         raise ConfigurationError(
@@ -103,11 +110,18 @@ def _fmu_plant(a: dict[str, Any], sections: dict[str, Any], fmu: Path, folder: P
             f"{', '.join(proposal.missing)}; `hil fmu show {fmu}` lists what there is: name them in "
             "plant.model by hand in a configuration that `hil new` wrote without --fmu"
         )
+    return proposal
+
+
+def _fmu_plant(
+    a: dict[str, Any], sections: dict[str, Any], fmu: Path, proposal: Proposal, folder: Path
+) -> dict[str, Any]:
     file = fmu.resolve()
     near = file.is_relative_to(folder.resolve())
     own = sections["plant"]["drives"]
     return {
         "model": _fmu_model(proposal, str(file.relative_to(folder.resolve()) if near else file))
+        | derive.step_us(a["rate_Hz"], "step_us", 1000.0)
         | _parameters(proposal, a, sections["platform"]),
         "drives": own | {"force_bandwidth_Hz": derive.LAG_Hz},
     }
@@ -137,7 +151,7 @@ _COMMENTS = {
     "platform.rod": "ESTIMATE: the rest, likewise",
     "platform.home.position_m": "all legs at mid-stroke",
     "platform.length_max_m": "retracted length + stroke",
-    "loop.rate_Hz": "the highest of 1000, 500, 250, 200, 100 that the bus carries",
+    "loop.rate_Hz": "by default the highest of 1000, 500, 250, 200, 100 that the bus carries",
     "drives.watchdog_ms": "five periods, at least 10",
     "controller.wn_rad_s": f"delay costs {derive.PHASE_deg:g} deg at the crossover, 2.06 wn",
     "controller": "gains that hold in every pose; `hil compare` on this file shows the other laws",
@@ -158,6 +172,8 @@ _COMMENTS = {
     "plant.drives.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",
     "plant.drives.damping_N_s_m": "2 m w, w = 2 pi 5 Hz: what a drive does by itself, if told to",
     "plant.drives.hold_stiffness_N_m": "m w^2",
+    "plant.model.internal_step_us": "a whole part of the period",
+    "plant.model.step_us": "a whole part of the period",
     "plant.model.allow_execution_tool": "it says that it needs the tool that made it",
     "plant.model.assume_unit": "the FMU states none: make sure",
     "plant.model.brake": "1 holds the leg; empty: it falls",

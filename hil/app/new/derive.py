@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
 from math import ceil, floor, log10, pi
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from hil.trajectory.build import build_trajectory
 
 RATES_Hz = (1000, 500, 250, 200, 100)
 """Rates that are tried, the first that fits the bus is taken."""
+SLOW_Hz = 250
+"""For an FMU that needs its tool, mostly an interpreter: half a millisecond a step leaves 1 kHz no room."""
 LAG_Hz = 200.0
 """Force loop of the emulated drives."""
 PHASE_deg = 10.0
@@ -56,17 +59,19 @@ def bus_section(a: dict[str, Any], channel: str) -> dict[str, Any]:
     return bus | ({"data_bitrate_bit_s": 5_000_000} if a["layout"] == "fd" else {})
 
 
-def loop_rate_Hz(bus: dict[str, Any]) -> int:
-    """Return the highest of `RATES_Hz` whose frames fit the bus. Raises ConfigurationError."""
-    for rate in RATES_Hz:
-        try:
-            bus_budget(BusSettings(**bus), DriveSettings(watchdog_ms=5e3 / rate), SensorSettings(), rate)
-        except ConfigurationError:
-            if rate == RATES_Hz[-1]:
-                raise
-        else:
-            return rate
-    raise AssertionError(bus)
+def loop_rate_Hz(bus: dict[str, Any], *, slow: bool) -> int:
+    """Return the highest of `RATES_Hz` whose frames fit the bus; for a slow plant at most `SLOW_Hz`."""
+    tried = [rate for rate in RATES_Hz if rate <= SLOW_Hz or not slow]
+    return next((rate for rate in tried if rate_trouble(bus, rate) is None), tried[-1])
+
+
+def rate_trouble(bus: dict[str, Any], rate_Hz: float) -> str | None:
+    """Return why the bus does not carry the frames at a rate; None where it does."""
+    try:
+        bus_budget(BusSettings(**bus), DriveSettings(watchdog_ms=5e3 / rate_Hz), SensorSettings(), rate_Hz)
+    except ConfigurationError as error:
+        return str(error)
+    return None
 
 
 def wn_rad_s(rate_Hz: float) -> float:
@@ -160,6 +165,17 @@ def closing_s(a: dict[str, Any], home: AtHome, speed_m_s: float) -> float:
     return raised(1.2 * (1e-3 * a["brake_ms"] + home.leg_mass_kg * speed_m_s / spare_N))
 
 
+def step_us(rate_Hz: float, key: str, longest_us: float) -> dict[str, Decimal]:
+    """Return the plant's step under its key, where the default `longest_us` does not divide the period.
+
+    To twelve digits: a period is a whole number of steps to 1e-9.
+    """
+    period_us = 1e6 / rate_Hz
+    steps = ceil(period_us / longest_us - 1e-9)
+    whole = abs(period_us - steps * longest_us) <= 1e-9 * period_us
+    return {} if whole else {key: Decimal(f"{period_us / steps:.12g}")}
+
+
 def plant_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
     """Return the plant with our FMU, and what the emulated drives add."""
     w_hold = 2.0 * pi * HOLD_Hz
@@ -169,6 +185,7 @@ def plant_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
             "force_bandwidth_Hz": LAG_Hz,
             "reflected_mass_kg": a["reflected_mass_kg"],
             "brake_force_N": a["brake_force_N"],
+            **step_us(a["rate_Hz"], "internal_step_us", 100.0),
         },
         "drives": {
             "encoder_resolution_m": a["encoder_resolution_m"],

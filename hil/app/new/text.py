@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+_PLAIN = re.compile(r"[^\W\d_][\w./ -]*[\w./-]|[^\W\d_]")
+_NOT_TEXT = frozenset(("true", "false", "null", "yes", "no", "on", "off", "y", "n"))
+"""What YAML 1.1 or 1.2 reads as something else."""
 COLUMN = 40
 """Where comments begin."""
 
@@ -39,7 +44,7 @@ def _commented(line: str, comment: str | None) -> str:
 
 
 def _flow(value: Any) -> str:
-    """Return a value on one line; floats to seven digits, as numbers of YAML 1.2."""
+    """Return a value on one line; floats to seven digits as numbers of YAML 1.2, a Decimal as it is."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{k}: {_flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -49,8 +54,5 @@ def _flow(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.7g}"
     text = str(value)
-    return (
-        f'"{text}"'
-        if isinstance(value, str) and (not text or not text[0].isalpha() or ": " in text)
-        else text
-    )
+    plain = not isinstance(value, str) or (_PLAIN.fullmatch(text) and text.lower() not in _NOT_TEXT)
+    return text if plain else json.dumps(text, ensure_ascii=False)

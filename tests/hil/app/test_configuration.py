@@ -68,7 +68,7 @@ ONE_PROBLEM = [
     ("com_m: [0, 0, 0]", "com_m: [0, 0]", "[0, 0]\n", "platform.platform.com_m: wrong number of entries, allowed: a list of 3 numbers, given: 2 entries"),
     ("[0, 0, 285]]", "[0, 0, 28]]", "[[570, 0, 0], [0, 285, 0], [0, 0, 28]]", "platform.platform.inertia_kg_m2: got principal moments 28, 285, 570"),
     ("stale_warn_ticks: 2", "stale_warn_ticks: 6", "force_N: 25000", "limits: stale_warn_ticks is above stale_fault_ticks"),
-    ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is no whole number of steps, allowed: 1000 us"),
+    ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is no whole number of steps, allowed: 1000 us (loop.rate_Hz 1000) divided by a whole number, as 250, given: 300"),
     ("{t_s: 1, pos", "{t_s: 0, pos", "0, position_m: [0.25", "reference.points[1].t_s: 0 s is not after the point before it"),
     ("{t_s: 2, position_m: [0, 0, 1]", "{t_s: 2, position_m: [0, 0, 1.1]", "- {t_s: 0", "reference.points: periods is 10, but the path ends"),
 ]  # fmt: skip

@@ -137,6 +137,14 @@ def test_twice_the_robot_has_twice_every_mass_and_force(tmp_path):
         ({"drive_speed": 20}, "--drive-speed: the whole stroke in less than 20 ms"),
         ({"mass": "nan"}, "--mass: allowed: a finite number"),
         ({"mass": "heavy"}, "--mass: allowed: a number"),
+        (
+            {"base_radius": "0,35"},
+            "--base-radius: allowed: a number in m without the unit, with a decimal point",
+        ),
+        ({"stroke": "200mm"}, "--stroke: allowed: a number in m without the unit"),
+        ({"inertia": "1;1;1"}, "--inertia: allowed: three numbers above 0 with commas"),
+        ({"rate": 1500}, "--rate: bus: the frames of one tick do not fit"),
+        ({"rate": 5}, "--rate: allowed: 10 to 4000 Hz"),
         ({"base_radius": -1}, "--base-radius: allowed: 0.001 to 100 m"),
     ],
 )
@@ -158,7 +166,7 @@ def test_yes_names_every_answer_that_has_no_default(tmp_path):
 
 def test_a_dialogue_asks_again_at_the_question_that_cannot_work(tmp_path):
     path = tmp_path / "r.yaml"
-    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan fd"
+    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan FD 1000"
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
     assert done.exit_code == 0, done.output
     assert done.output.count("cannot work") == 2
@@ -167,6 +175,68 @@ def test_a_dialogue_asks_again_at_the_question_that_cannot_work(tmp_path):
     assert new(asked, given).exit_code == 0
     a, b = (yaml.safe_load(file.read_text()) for file in (path, asked))
     assert {k: v for k, v in a.items() if k != "name"} == {k: v for k, v in b.items() if k != "name"}
+
+
+def test_a_dialogue_that_ends_early_says_where_and_writes_nothing(tmp_path):
+    done = new(tmp_path / "r.yaml", "", answers="0.35\n0.25\n")
+    assert done.exit_code == 2
+    assert "ended at base_half_angle_deg, nothing is written" in done.output
+    assert "--base-half-angle" in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_fmu_that_is_not_there_is_refused_before_the_first_question(tmp_path):
+    done = new(tmp_path / "r.yaml", "", "--fmu", str(tmp_path / "none.fmu"), answers="")
+    assert done.exit_code == 2
+    assert "none.fmu: no such FMU file" in done.output
+    assert "base_radius" not in done.output
+
+
+@pytest.mark.parametrize(
+    "stem",
+    [
+        "Grüße 机器人",
+        "null",
+        "true",
+        "Off",
+        "1e3",
+        "a #b",
+        "a: b",
+        "#x",
+        "e:",
+        "q\"'\\n",
+        "-",
+        "@a",
+        "my robot",
+    ],
+)
+def test_any_name_of_a_file_becomes_the_name_of_the_robot(stem, tmp_path):
+    path = tmp_path / f"{stem}.yaml"
+    assert new(path, ROBOTS["desktop"]).exit_code == 0
+    assert load(path).name == stem
+    assert yaml.safe_load(path.read_text())["name"] == stem  # YAML 1.1 reads the same
+
+
+def test_what_to_type_next_is_quoted_for_the_shell(tmp_path):
+    path = tmp_path / "my robot.yaml"
+    done = new(path, ROBOTS["desktop"])
+    assert f"next: hil sim '{path}'" in done.output
+    assert f"`hil check '{path}'`" in path.read_text()
+
+
+@pytest.mark.parametrize(("rate", "watchdog_ms"), [(300, 17), (333.3, 16), (700, 10)])
+def test_any_rate_that_the_bus_carries_is_taken_and_runs(rate, watchdog_ms, tmp_path):
+    path = tmp_path / "r.yaml"
+    done = new(path, changed(ROBOTS["table"], rate=rate))
+    assert done.exit_code == 0, done.output
+    written = yaml.safe_load(path.read_text())
+    assert (written["loop"]["rate_Hz"], written["drives"]["watchdog_ms"]) == (rate, watchdog_ms)
+    steps = 1e6 / rate / written["plant"]["model"]["internal_step_us"]
+    assert steps == pytest.approx(round(steps), abs=1e-8)
+    assert written["plant"]["model"]["internal_step_us"] <= 100.0
+    summary = simulate(load(path), log=tmp_path / "run.mcap", duration_s=0.2)
+    assert summary["success"]
+    assert summary["rate_Hz"] == rate
 
 
 def test_a_file_that_is_there_is_not_overwritten_without_force(tmp_path):

@@ -78,4 +78,6 @@ def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
     from hil.app.fmu import show_fmu
 
     lines, summary = show_fmu(fmu)
-    finish_lines(lines, summary, json_file)
+    for line in lines:
+        click.echo(line)  # not folded: the section is to be copied
+    finish_lines((), summary, json_file)

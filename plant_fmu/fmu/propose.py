@@ -16,14 +16,18 @@ from plant_fmu.fmu.archive import checked_members, open_archive
 from plant_fmu.fmu.check import FLOATS, stated_unit
 
 _ROLES = {
-    "brake": ("input", None, ("brake", "lock", "clamp")),
+    "brake": ("input", None, ("brake", "lock", "clamp", "hold")),
     "force": ("input", "N", ("force", "f", "tau", "effort", "thrust", "u")),
-    "rate": ("output", "m/s", ("rate", "velocity", "speed", "v", "dq", "qd", "der_q", "dl", "ldot", "qdot")),
-    "length": ("output", "m", ("length", "position", "q", "l", "stroke", "x")),
+    "rate": (
+        "output",
+        "m/s",
+        ("rate", "velocity", "vel", "speed", "v", "dq", "qd", "der_q", "dl", "ldot", "qdot"),
+    ),
+    "length": ("output", "m", ("length", "position", "pos", "len", "q", "l", "stroke", "x")),
 }
-"""Key -> causality, unit, words that begin or end the name of such a variable."""
+"""Key -> causality, unit, words that are or end the name of such a variable; long ones may be within it."""
 _UNITS = {"force": "N", "length": "m", "rate": "m/s"}
-_NUMBERED = re.compile(r"(.*?)[_.\[(]?(\d+)[\])]?")
+_NUMBER = re.compile(r"[_.\[(]?(\d+)[\])]?")
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,11 @@ def propose(path: Path) -> Proposal:
 def _sixes(variables: Sequence[Any]) -> list[list[Any]]:
     """Return what comes in sixes: arrays of six elements, and names that differ by a number 0..5 or 1..6."""
     arrays = [[v] for v in variables if v.shape and tuple(v.shape) == (6,)]
-    numbered: dict[tuple[str, str], dict[int, Any]] = {}
+    numbered: dict[tuple[str, str, str], dict[int, Any]] = {}
     for v in variables:
-        found = None if v.shape else _NUMBERED.fullmatch(v.name)
-        if found is not None:
-            numbered.setdefault((found[1], v.causality), {})[int(found[2])] = v
+        for number in () if v.shape else _NUMBER.finditer(v.name):  # leg_3_force, force[3], leg[3].force
+            around = v.name[: number.start()], v.name[number.end() :], v.causality
+            numbered.setdefault(around, {})[int(number[1])] = v
     runs = ((numbers, range(6)) if 0 in numbers else (numbers, range(1, 7)) for numbers in numbered.values())
     return arrays + [[n[i] for i in run] for n, run in runs if set(run) == set(n)]
 
@@ -109,8 +113,7 @@ def _best(
         first = group[0]
         if first.causality != causality:
             continue
-        found = _NUMBERED.fullmatch(first.name)
-        name = (first.name if found is None else found[1]).lower()
+        name = _NUMBER.sub(" ", first.name).strip(" _.").lower()
         parts = [part for part in re.split(r"[._\s]+", name) if part]
         exact = name in words or (bool(parts) and parts[-1] in words)
         loose = any(len(word) > 2 and word in name for word in words)

@@ -11,7 +11,10 @@ import sys
 import tomllib
 from pathlib import Path
 
+import click
 import pytest
+
+from hil.cli import main as cli
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = ROOT / "configs/systemd/hil@.service"
@@ -98,9 +101,29 @@ def test_the_package_says_for_whom_it_is():
     assert said == {f"3.{n}" for n in range(low, high)}
 
 
-def test_the_readme_has_at_most_ten_commands_from_a_clone_to_a_plot():
-    block = (ROOT / "README.md").read_text().split("## Your robot, in nine commands")[1].split("```")[1]
-    commands = [line for line in block.splitlines()[1:] if line]
-    numbers = [int(n) for line in commands for n in re.findall(r"# (\d+)", line)]
-    assert numbers == list(range(1, len(commands) + 1))
-    assert len(commands) == 8  # the clone is the ninth
+def test_the_readme_has_at_most_ten_commands_from_a_clone_to_a_live_page_and_a_plot():
+    block = (ROOT / "README.md").read_text().split("## Your robot, in ten commands")[1].split("```")[1]
+    lines = [line for line in block.splitlines()[1:] if line]
+    commands, remarks = zip(*(line.split("#", 1) for line in lines), strict=True)
+    assert [int(remark.split()[0]) for remark in remarks] == list(range(1, len(lines) + 1))
+    assert len(lines) + 1 == 10  # the clone is one
+    assert not [command for command in commands if re.search(r"[;|&]", command)]
+    (live,) = (command.split() for command in commands if "--watch" in command)
+    assert live[:4] == ["hil", "run", "my.yaml", "--plant"]
+    log = live[live.index("--log") + 1]
+    assert commands[-1].split() == ["hil", "plot", log, "-c", "tau"]
+
+
+def test_every_hil_command_of_the_readme_has_the_options_that_it_is_given():
+    """Of all fenced lines; a renamed option would leave the reader with a usage error."""
+    blocks = (ROOT / "README.md").read_text().split("```")[1::2]
+    lines = [line.split("#")[0].split() for block in blocks for line in block.splitlines()]
+    called = [words for words in lines if words[:1] == ["hil"]]
+    assert len(called) > 20
+    for _, name, *words in called:
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None, name
+        if isinstance(command, click.Group):
+            continue
+        known = {option for p in command.get_params(click.Context(command)) for option in p.opts}
+        assert {w for w in words if w.startswith("-")} <= known, words

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from click.testing import CliRunner
 from pydantic import ValidationError
 
 from drivers.errors import PlantError
+from hil.cli import main
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant
 from plant_fmu.fmu.host import FmuHost
@@ -125,6 +128,44 @@ def test_the_map_of_our_fmu_is_proposed_with_and_without_units(version, changes,
         assert found.mapped[key] == tuple(key + name for name in names)
     assert found.unstated == (UNITS if changes else {})
     assert "mass" in found.parameters
+
+
+def platform_of_names(force, length, rate, brake):
+    """The description of our FMI 2.0 file with names of another maker; {} is the leg."""
+    return [
+        (
+            re.escape(f'name="{key}[{i}]"').encode(),
+            f'name="{name.format(i - 1 if "{}_" in name else i)}"'.encode(),
+        )
+        for key, name in {"force": force, "length": length, "rate": rate, "brake": brake}.items()
+        for i in range(1, 7)
+    ]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("cyl_{}_thrust_in", "cyl_{}_pos", "cyl_{}_vel", "hold_{}"),
+        ("leg[{}].force", "leg[{}].length", "leg[{}].rate", "leg[{}].brake"),
+        ("axis{}.tau", "axis{}.q", "axis{}.qd", "axis{}.lock"),
+    ],
+)
+def test_names_with_the_leg_in_their_middle_are_recognised_in_leg_order(names, tmp_path):
+    path = rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, *platform_of_names(*names))
+    found = propose(path)
+    for key, name in zip(("force", "length", "rate", "brake"), names, strict=True):
+        first = 0 if "{}_" in name else 1
+        assert found.mapped[key] == tuple(name.format(i) for i in range(first, first + 6)), key
+
+
+def test_the_proposed_section_can_be_copied_from_the_terminal(tmp_path):
+    long = "a_long_name_of_the_{}_th_leg_"
+    names = [long + word for word in ("force", "length", "rate", "brake")]
+    path = rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, *platform_of_names(*names))
+    done = CliRunner().invoke(main, ["fmu", "show", str(path)])
+    section = yaml.safe_load("plant:" + done.output.split("\nplant:")[1])
+    assert section["plant"]["model"]["force"] == [names[0].format(i) for i in range(6)]
+    FmuPlant.model_validate(section["plant"]["model"])
 
 
 def test_nothing_is_proposed_for_names_that_say_nothing(tmp_path):

@@ -79,10 +79,28 @@ def collector_paused() -> Iterator[None]:
 
 @contextlib.contextmanager
 def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
+    """Ask for real-time scheduling as `real_time_rights`, and keep the garbage collector, frozen, out.
+
+    Undone on exit; what others had frozen before stays so. Compile and allocate before entering.
+    """
+    with real_time_rights(priority, cpu) as report:
+        others = gc.get_freeze_count()
+        gc.collect()
+        gc.freeze()
+        try:
+            with collector_paused():
+                yield report
+        finally:
+            if not others:
+                gc.unfreeze()
+
+
+@contextlib.contextmanager
+def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
     """Ask for real-time scheduling of this process, each part only as far as the rights go.
 
-    SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep,
-    garbage collector frozen and off. Undone on exit. Compile and allocate before entering.
+    SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep.
+    Undone on exit.
     """
     report = RealTime()
     latency = None
@@ -97,13 +115,9 @@ def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
         report.granted.append("cpu_dma_latency 0")
     except OSError as error:
         report.missing.append(f"cpu_dma_latency ({error.strerror})")
-    gc.collect()
-    gc.freeze()
     try:
-        with collector_paused():
-            yield report
+        yield report
     finally:
-        gc.unfreeze()
         if latency is not None:
             os.close(latency)
         if report.fifo:

@@ -6,6 +6,7 @@ import gc
 import itertools
 import os
 import time
+from collections.abc import Iterator
 
 import pytest
 
@@ -58,6 +59,15 @@ def test_a_wake_up_is_never_early() -> None:
         assert time.monotonic_ns() >= wake.t_ns
 
 
+@pytest.fixture
+def thawed() -> Iterator[None]:
+    """Nothing is frozen but what the test freezes; the suite's own is frozen again afterwards."""
+    gc.unfreeze()
+    yield
+    gc.freeze()
+
+
+@pytest.mark.usefixtures("thawed")
 def test_real_time_names_each_part_once_and_undoes_all() -> None:
     affinity = os.sched_getaffinity(0)
     with real_time(1, None) as report:
@@ -69,6 +79,14 @@ def test_real_time_names_each_part_once_and_undoes_all() -> None:
     assert gc.get_freeze_count() == 0
     assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
     assert os.sched_getaffinity(0) == affinity
+
+
+@pytest.mark.usefixtures("thawed")
+def test_what_others_had_frozen_stays_so() -> None:
+    gc.freeze()
+    with real_time(1, None):
+        pass
+    assert gc.get_freeze_count() > 0
 
 
 def test_real_time_is_undone_after_an_exception() -> None:

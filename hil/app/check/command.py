@@ -26,7 +26,7 @@ from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.encoder_limits import encoder_limits
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
 from hil.config.reference import LiveReference
-from hil.loop.clock import real_time
+from hil.loop.clock import real_time_rights
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
@@ -277,7 +277,7 @@ def _changes(w: Walk, period: float) -> tuple[float, float]:
 
 
 def _permissions(report: Report, c: Configuration) -> None:
-    with real_time(c.loop.priority, c.loop.cpu) as granted:
+    with real_time_rights(c.loop.priority, c.loop.cpu) as granted:
         lines = [f"granted: {', '.join(granted.granted) or 'nothing'}"]
         lines.append(f"missing: {', '.join(granted.missing) or 'nothing'}")
         fifo = granted.fifo

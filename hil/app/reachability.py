@@ -174,11 +174,13 @@ def _singularity(w: Walk, limit: float) -> Violation | None:
 
 def window_swing(forces: Array, ticks: int) -> Array:
     """Return (n, 6) N, the largest change of each leg's force against any of the `ticks` rows before."""
-    swing = np.zeros_like(forces)
-    for lag in range(1, min(ticks, len(forces) - 1) + 1):
-        change = np.abs(forces[lag:] - forces[:-lag])
-        np.maximum(swing[lag:], change, out=swing[lag:])
-    return swing
+    low, high, covered = forces.copy(), forces.copy(), 1  # over that many rows, up to each
+    while covered < ticks + 1:
+        step = min(covered, ticks + 1 - covered)
+        low[step:] = np.minimum(low[step:], low[:-step])
+        high[step:] = np.maximum(high[step:], high[:-step])
+        covered += step
+    return np.maximum(forces - low, high - forces)
 
 
 def _first(w: Walk, bad: Flags, value: Array, text: str, unit: str) -> Violation | None:

@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve, lfilter
 
 from drivers.arrays import Array
 from hil.stability.disturbance import Linearised
-from hil.stability.sampled import Axis, Sampled
+from hil.stability.sampled import Axis, Sampled, of_each
 from hil.trajectory.path import Trajectory
 
 _APART_s, _NARROW_s = 4e-3, 1e-5
@@ -73,7 +73,7 @@ def late(
     """
     T = axis.period_s
     worst = np.zeros((3, 6))
-    responses = [loop.impulse_responses() for loop in loops]
+    responses = of_each(loops, Sampled.impulse_responses)
     for begin, end in stretches:
         settled = end + min(max(loop.steps for loop in loops) * T, end - begin + 1.0)
         count = int(np.ceil((settled - begin) / T)) + 1

@@ -6,6 +6,7 @@ bus, drives and sampling. The controller gives u from y = [e, de] and the loop i
 its eigenvalues tell whether the sampled loop is stable, exactly and with all delays.
 """
 
+from collections.abc import Callable, Sequence
 from math import inf
 from typing import NamedTuple
 
@@ -97,6 +98,12 @@ class Sampled(NamedTuple):
         """Periods after which a stable loop has forgotten an impulse, to a hundred thousandth."""
         slowest = -np.log(max(np.abs(self.poles).max(), 1e-300))
         return min(200_000, int(np.ceil(12.0 / slowest)) + len(self.poles))
+
+
+def of_each(loops: Sequence[Sampled], figures: Callable[[Sampled], Array]) -> list[Array]:
+    """Return the figures of each loop; of axes that share one loop they are worked out once."""
+    found = {id(loop): figures(loop) for loop in {id(loop): loop for loop in loops}.values()}
+    return [found[id(loop)] for loop in loops]
 
 
 def disturbed_axis(axis: Axis) -> LinearSystem:

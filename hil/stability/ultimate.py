@@ -32,7 +32,7 @@ from drivers.arrays import Array
 from hil.config.axis_model import AxisSpace
 from hil.stability.disturbance import Linearised, Local, Survey, around, summary
 from hil.stability.lateness import Late
-from hil.stability.sampled import Sampled
+from hil.stability.sampled import Sampled, of_each
 from hil.trajectory.path import PoseSample
 
 ROUNDS = 12
@@ -103,7 +103,7 @@ def ultimate(
     samples = [path[k] for k in sorted(worst)]
     every = max(1, len(path) // INSTANTS)
     extremes = np.vstack([local.extremes for local in found_along[::every]])
-    gains = np.column_stack([loop.peak_gains()[:3] for loop in loops])
+    gains = np.column_stack(of_each(loops, lambda loop: loop.peak_gains()[:3]))
     equal = bool(np.ptp(gains, axis=1).max() == 0.0) and not extra.d.any()
     found = _bound(reference, gains, late, extra)
     for _ in range(ROUNDS):

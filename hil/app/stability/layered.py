@@ -12,6 +12,7 @@ from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
 from hil.stability.assessment import Assessment
 from hil.stability.reaching import Reaching, Sector, redesign, sliding
+from hil.stability.sampled import of_each
 from hil.stability.ultimate import Ultimate
 
 RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
@@ -60,11 +61,14 @@ class Layered(NamedTuple):
     def inside(self, judged: Judged) -> float:
         """Return the largest |s| of a leg, or |y| of all, as measured, of the linear loop, m/s."""
         slope, step = self.slope, self.subject.step_m
-        largest = max(
-            float(loop.peak_gains(slope)[3] * d + late_s + (loop.measured_gains(slope)[3] + slope) * step)
-            for loops, bound in judged.bounds
-            for loop, d, late_s in zip(loops, bound.d, bound.late_rate + slope * bound.late, strict=True)
-        )
+        largest = 0.0
+        for loops, bound in judged.bounds:
+            peaks, measured = (
+                np.array(of_each(loops, figures))[:, 3]
+                for figures in (lambda loop: loop.peak_gains(slope), lambda loop: loop.measured_gains(slope))
+            )
+            late_s = bound.late_rate + slope * bound.late
+            largest = max(largest, float(np.max(peaks * bound.d + late_s + (measured + slope) * step)))
         return largest if self.name == "s" else sqrt(6.0) * largest
 
     def beyond(self, alpha: float) -> tuple[Ultimate, float] | None:

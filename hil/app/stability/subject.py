@@ -28,7 +28,7 @@ from hil.robot.kinematics import jacobian
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.stability.disturbance import Friction, Linearised, Load, Local, along, summary
 from hil.stability.lateness import Late, late, stale_s
-from hil.stability.sampled import Axis, Sampled
+from hil.stability.sampled import Axis, Sampled, of_each
 from hil.stability.ultimate import Extra, Ultimate, ultimate
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.path import PoseSample
@@ -297,7 +297,7 @@ class Subject:
         if axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
             step = self.step_m * np.max([np.abs(np.linalg.inv(one)).sum(axis=1) for one in J], axis=0)
-        gains = np.array([loop.measured_gains() for loop in loops])
+        gains = np.array(of_each(loops, Sampled.measured_gains))
         if self.nothing and unknown.d == 0.0:
             pushed = np.zeros(6)
         d = np.full(6, unknown.d)

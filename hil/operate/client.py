@@ -75,10 +75,11 @@ class OperatorClient:
     def __init__(self, interface: str, channel: str) -> None:
         self._where = f"bus {interface}:{channel}"
         self._number = 0
+        path = socket_path(interface, channel)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         try:
             self._socket.bind("")  # Linux gives it an address of its own, outside the file system
-            self._socket.connect(str(socket_path(interface, channel)))
+            self._socket.connect(str(path))
         except OSError:
             self._socket.close()
             raise RunError(f"no controller runs on {self._where}: start `hil run` there first") from None

@@ -55,7 +55,7 @@ class LiveView:
             else:
                 parts.append(f"{t:6.1f} s")
             parts.append(f"leg error {np.abs(row['q_d'] - row['q']).max() * 1e3:6.3f} mm")
-        parts.append(f"force {np.abs(row['tau']).max() / 1e3:5.2f} kN")
+        parts.append(f"force {np.abs(row['tau']).max():7.1f} N")
         parts.append(f"late {self._late_us:4.0f} us")
         parts.append(f"stale {self._stale}, skipped {self._skipped}")
         return "  ".join(parts)

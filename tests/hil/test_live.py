@@ -28,7 +28,7 @@ def test_tracking_shows_progress_error_force_and_what_was_missed():
     for text in (
         "5.0 of 20 s",
         "leg error  0.250 mm",
-        "force  8.12 kN",
+        "force  8123.0 N",
         "late   41 us",
         "stale 3, skipped 2",
     ):

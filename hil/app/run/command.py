@@ -79,13 +79,13 @@ def run_daemon(
         path = log_path(c.recording.folder, c.name, log)
         removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         plant = None
+        if with_watch:
+            stack.enter_context(WatchProcess(c))  # first: its link comes before the question to move
         if with_plant:
             plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap"), faults))
         recording = stack.enter_context(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
         )
-        if with_watch:
-            stack.enter_context(WatchProcess(c))
         channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
         if removed:
             recording.event(bus.clock.now(), "info", f"removed for recording.budget_GB: {', '.join(removed)}")

@@ -75,7 +75,7 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
         "legs": {
             "q": [x if h else None for x, h in zip(numbers(row["q"], 5), heard.tolist(), strict=True)],
             "margin": _margins(row, heard, about),
-            "tau": numbers(row["tau"] * 1e-3, 3),
+            "tau": numbers(row["tau"], 3),
             "share": numbers(row["tau"] / limit, 4),
             "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
             "state": [_name(DriveState, x) for x in row["drive_state"].tolist()],

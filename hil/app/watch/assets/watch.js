@@ -80,7 +80,7 @@ const watching = (() => {
     put(at("run"), known ? [given.law, given.rate_Hz + " Hz", given.bus].join(" · ") : given.trouble || "");
     document.title = (known ? given.name + " – " : "") + "hil watch";
     if (!known) return;
-    const limit = given.force_limit_N * 1e-3;
+    const limit = given.force_limit_N;
     curves.tau.clear([-limit, limit]);
     curves.e.clear([]);
     curves.late.clear([]);
@@ -129,7 +129,7 @@ const watching = (() => {
       const legs = s.legs;
       put(cells.q, show(legs.q[i], 4));
       put(cells.margin, show(legs.margin[i], 1));
-      put(cells.tau, show(legs.tau[i], 2));
+      put(cells.tau, show(legs.tau[i], 1));
       const share = Math.abs(legs.share[i] || 0);
       cells.meter.value = Math.min(1, share);
       put(cells.percent, (100 * share).toFixed(0).padStart(3, "\u2007") + " %");

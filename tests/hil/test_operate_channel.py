@@ -99,6 +99,8 @@ def test_a_line_means(line, said):
         ("hold now", "hold: takes no further words, given: 'now'"),
         ("speed", "speed: 0 words; allowed: one number of percent"),
         ("speed 101", "speed: 101 %; allowed: 0 .. 100"),
+        ("speed 100.0001", "speed: 100 %; allowed: 0 .. 100"),
+        ("hold".ljust(513), "longer than 512 bytes"),
         ("speed -1", "speed: -1 %"),
         ("speed nan", "not finite"),
         ("speed fast", "'fast' is not one number"),
@@ -184,6 +186,24 @@ def test_numbers_of_arrays_are_sent_as_numbers(channel):
         assert client.setpoint(*poses[1])
         assert client.speed(np.float64(40.0))
     assert [each.x for one in loop.heard for each in one.setpoints] == [0.0, 0.1, 0.1]
+
+
+def test_the_longest_line_and_the_longest_tag_are_taken_and_come_back(channel):
+    assert parse("hold".ljust(512)) == Said(order=Order(Operator.HOLD))
+    with OperatorClient("localcan", "hil/0") as client:
+        client._socket.send(b"#" + b"t" * 15 + b" " + b"hold".ljust(512))
+        assert len(channel.take().orders) == 1
+        channel.answer([], [""], [], str)
+        assert client._socket.recv(4096) == b"#" + b"t" * 15 + b" taken"
+
+
+def test_who_was_not_answered_in_his_tick_gets_no_answer_of_another(channel):
+    with OperatorClient("localcan", "hil/0") as client:
+        for line in (b"#1 hold", b"#2 start"):
+            client._socket.send(line)
+            assert len(channel.take().orders) == 1
+        channel.answer([], ["no"], [], str)
+        assert client._socket.recv(4096) == b"#2 refused: no"
 
 
 def test_nothing_there_is_nothing_at_once(channel):

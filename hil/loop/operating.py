@@ -130,7 +130,8 @@ class Operating:
         return at_setup_speed(self.settings, self.least_s, here, there)
 
     def _aim(self, tick: int, mode: Mode, motion: Motion) -> None:
-        waits = self.parks and mode is not Mode.STOPPING  # for rest, from which the way back begins
+        jogs = motion.away and motion.trajectory is not self._way_back
+        waits = jogs or (self.parks and mode is not Mode.STOPPING)  # for rest, from which the way back begins
         motion.aim(tick, self.speed, go=self.go and not waits)
 
     def _start(self, _order: Order, tick: int, mode: Mode) -> str:

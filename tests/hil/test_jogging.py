@@ -214,9 +214,10 @@ def test_a_fraction_is_one_of_the_set_up_speed_and_zero_lets_go():
 
 def test_another_axis_waits_for_rest():
     held = Held(Box(1.0))
-    held.run(600, jog("x"))
+    _, before = held.run(600, jog("x"))
     _, samples = held.run(1000, jog("leg4"))
-    v = np.array([s.twist for s in samples])
+    v = np.array([s.twist for s in before[-1:] + samples])
+    assert np.abs(np.diff(v[:, :3], axis=0)).max() <= 1.5 / STOP_S * SPEED * 1e-3 * (1 + 1e-6), "no jump"
     straight = (v[:, 1:] == 0.0).all(axis=1)
     turns = int(np.flatnonzero(~straight)[0])
     assert not v[turns - 1].any()
@@ -304,3 +305,28 @@ def test_where_the_platform_rests_it_is_not_judged():
     assert asked > 0
     held.run(1500)
     assert box.asked <= asked + 100
+
+
+@pytest.mark.parametrize("name", JOG_NAMES[:6])
+def test_an_axis_moves_at_its_own_set_up_speed(name):
+    held = Held(Box(1.0))
+    _, samples = held.run(600, jog(name))
+    wanted = np.zeros(6)
+    axis = JOG_NAMES.index(name)
+    wanted[axis] = SPEED if axis < 3 else np.deg2rad(TURN_deg_s)
+    np.testing.assert_allclose(samples[-1].twist, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("command", [Operator.START, Operator.PARK])
+def test_a_jog_comes_to_rest_before_the_way_back(command):
+    held = Held(Box(1.0))
+    _, samples = held.run(600, jog("x"))
+    held.say(Order(command))
+    _, more = held.run(600)
+    v = np.array([s.twist[0] for s in samples[-1:] + more])
+    assert np.abs(np.diff(v)).max() <= 2 * 1.5 / STOP_S * SPEED * 1e-3
+    if command is Operator.PARK:
+        assert held.motion.resting, "the way back to the first pose is the cycle's"
+        assert not more[-1].twist.any()
+    else:
+        assert v[-1] < 0.0

@@ -137,6 +137,21 @@ def test_a_stop_in_a_jog_ends_the_run_there_and_armed_again_it_jogs_again(tmp_pa
     assert rows["twist_d"][9200][1] < -0.05
 
 
+def test_a_hold_that_ends_with_the_way_back_to_the_path_parks_nothing(tmp_path):
+    run, rows = simulated(
+        tmp_path,
+        [(1.6, "hold"), (2.4, "jog x -1 for 0.2"), (4.0, "start"), (4.7, "hold"), (6.0, "start")],
+        duration_s=7.0,
+        operator=BRISK,
+        check_replay=False,
+    )
+    assert run.success
+    assert (rows["mode"][1300:6900] == Mode.TRACKING).all()
+    assert not rows["twist_d"][5300:6000].any()
+    np.testing.assert_allclose(rows["p_d"][5900], rows["p_d"][2390], atol=1e-12)
+    assert rows["reference_time_s"][6900] > rows["reference_time_s"][2390] + 0.2
+
+
 def test_the_key_that_is_let_go_of_ends_a_jog(tmp_path):
     run, rows = simulated(
         tmp_path,

@@ -140,7 +140,7 @@ def test_a_stop_in_a_jog_ends_the_run_there_and_armed_again_it_jogs_again(tmp_pa
 def test_a_hold_that_ends_with_the_way_back_to_the_path_parks_nothing(tmp_path):
     run, rows = simulated(
         tmp_path,
-        [(1.6, "hold"), (2.4, "jog x -1 for 0.2"), (4.0, "start"), (4.7, "hold"), (6.0, "start")],
+        [(1.6, "hold"), (2.4, "jog x -1 for 0.2"), (4.0, "start"), (4.73, "hold"), (6.0, "start")],
         duration_s=7.0,
         operator=BRISK,
         check_replay=False,

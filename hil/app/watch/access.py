@@ -6,11 +6,15 @@ acts carries the token.
 """
 
 import ipaddress
+import re
 import secrets
 from dataclasses import dataclass
 from http import HTTPStatus
 
 from hil.app.watch.http import Refused, Request
+
+HTTP_PORT = 80
+_PORT = re.compile(r":\d+$")
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,8 @@ class Access:
         return f"hil-watch-{self.port}"
 
     def _check_host(self, host: str) -> None:
+        if self.port == HTTP_PORT and not _PORT.search(host):
+            host += f":{HTTP_PORT}"  # browsers leave it out
         name, _, port = host.lower().rpartition(":")
         literal = name.removeprefix("[").removesuffix("]")
         if port == str(self.port) and (literal in self.names or (self.beyond and _is_address(literal))):

@@ -5,12 +5,9 @@ from typing import Any
 
 from drivers.errors import HilError
 from hil.operate.client import OperatorClient
-from hil.operate.words import WORDS as KNOWN
 from hil.operate.words import parse
 
-WORDS = frozenset(
-    {"arm", "start", "hold", "stop", "park", "reset", "estop", "speed", "jog", "key"} & KNOWN.keys()
-)
+WORDS = frozenset({"arm", "start", "hold", "stop", "park", "reset", "estop", "speed", "jog", "key"})
 """Of the operator's words, those that the page has controls for."""
 KEY = "key"
 

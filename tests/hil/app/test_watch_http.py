@@ -135,6 +135,22 @@ def test_beyond_the_loopback_all_need_the_token(given, status):
     assert status_of(BEYOND.check, given) is status
 
 
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1", HTTPStatus.OK),
+        ("127.0.0.1:80", HTTPStatus.OK),
+        ("[::1]", HTTPStatus.OK),
+        ("127.0.0.1:8642", HTTPStatus.FORBIDDEN),
+        ("evil.example", HTTPStatus.FORBIDDEN),
+    ],
+)
+def test_at_port_80_browsers_leave_the_port_out(host, status):
+    access = Access(TOKEN, 80, LOCAL.names, beyond=False, operate=True)
+    assert status_of(access.check, request(host=host)) is status
+    assert status_of(access.check, request(host=host, origin=f"http://{host}")) is status
+
+
 GOOD = {"origin": f"http://{HOST}", "content_type": "application/json"}
 
 
@@ -169,6 +185,7 @@ def test_the_words_of_the_page_are_passed_on_and_no_others():
         "estop",
         "key",
         "speed 40",
+        "jog leg3 -0.5",
     ):
         assert line_of(b'{"line": "%s"}' % line.encode()) == line
         assert line.split()[0] in WORDS

@@ -11,7 +11,6 @@ import pytest
 from drivers.signals import DriveFault, Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
-from hil.app.watch.operating import WORDS
 from hil.record.log import Log
 from tests.browser import Browser, needs_chromium
 from tests.live_run import Listening, LiveRun, Watch, operating
@@ -227,7 +226,6 @@ def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, tmp_pa
         assert browser.errors == []
 
 
-@pytest.mark.skipif("jog" not in WORDS, reason="the operator's channel has no word jog")
 def test_who_jogs_holds_the_key(rows, tmp_path):
     with (
         Watch(operating(tmp_path)) as watch,

@@ -127,7 +127,7 @@ def test_tracking_within_15_degrees_takes_at_most_four_iterations():
 
 
 @given(SMALL, SMALL)
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_jacobian_is_the_derivative_of_the_lengths(x, twist):
     """d/dt of |p + R b - a| by central differences, along p + t v, exp(t w) R."""
     p, R, h = HOME[0] + x[:3], rotation(x[3:]), 1e-5
@@ -142,7 +142,7 @@ def test_jacobian_is_the_derivative_of_the_lengths(x, twist):
 
 
 @given(SMALL, SMALL)
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_forward_kinematics_undoes_inverse_kinematics(x, guess):
     p, R = HOME[0] + x[:3], rotation(x[3:])
     start = p + 0.1 * guess[:3], rotation(0.1 * guess[3:]) @ R

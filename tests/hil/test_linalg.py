@@ -68,7 +68,6 @@ def test_condition_agrees_with_the_engines_files():
 
 
 @given(VECTOR)
-@settings(deadline=None)
 def test_rotation_vector_and_matrix_agree_with_scipy(r):
     R = rotation_from_vector(r)
     assert np.abs(R - Rotation.from_rotvec(r).as_matrix()).max() <= 4e-15
@@ -87,7 +86,7 @@ def test_half_turns_and_no_turn():
 
 
 @given(VECTOR, VECTOR, VECTOR)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_motion_of_a_rotation_vector_by_differences(r, dr, ddr):
     h = 1e-4
     _, omega, alpha = rotation_motion_kernel(r, dr, ddr)

@@ -5,6 +5,7 @@ YAML 1.1: ``1e3`` is a number, ``010`` is ten, ``no`` and ``12:30`` are text. Wh
 and a reader of the file would not expect (two equal keys, aliases, tags) is a problem.
 """
 
+import copy
 import functools
 import re
 from collections.abc import Callable, Iterable
@@ -76,13 +77,15 @@ def path_text(path: Path) -> str:
     return text
 
 
-@functools.lru_cache(maxsize=32)
 def parse(text: str) -> Document:
-    """Parse one YAML document whose root is a mapping; all problems found are in the result.
+    """Parse one YAML document whose root is a mapping; all problems found are in the result."""
+    document = _parsed(text)
+    return document._replace(value=copy.deepcopy(document.value))
 
-    The same text gives the same document, which nobody changes: a run, its replay and `hil compare` read one
-    text several times.
-    """
+
+@functools.lru_cache(maxsize=32)
+def _parsed(text: str) -> Document:
+    """Parse a text once: a run, its replay and `hil compare` read the same one several times."""
     try:
         loader = _Loader(text)
         try:

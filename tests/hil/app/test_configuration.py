@@ -247,6 +247,13 @@ def test_scalars_are_those_of_yaml_1_2():
     assert isinstance(value[0], int)
 
 
+def test_who_changes_the_values_of_a_text_changes_no_others():
+    text = "a:\n  b: [1, {c: 2}]\n"
+    value: Any = parse(text).value
+    value["a"]["b"][1]["c"] = 3
+    assert parse(text).value == {"a": {"b": [1, {"c": 2}]}}
+
+
 def test_positions_count_lines_and_columns_from_one():
     document = parse("a:\n  b: [1, {c: 2}]\n")
     assert document.values["a", "b", 1, "c"] == Position(2, 14)

@@ -32,7 +32,7 @@ def damaged(draw):
     return "\n".join(lines) + "\n"
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(damaged())
 def test_a_damaged_file_never_ends_in_a_traceback(text):
     found: tuple[str, ...] = ()

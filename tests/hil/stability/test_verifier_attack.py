@@ -170,7 +170,7 @@ def _sum(terms):
     ).map(lambda parts: sum(c * e for e, c in parts))
 
 
-@settings(max_examples=6, deadline=None, derandomize=True, database=None)
+@settings(max_examples=6, derandomize=True, database=None)
 @given(_sum(TERMS), _sum(TERMS), st.lists(_sum(BOWLS), min_size=2, max_size=2))
 def test_a_proven_V_holds_at_random_points_and_two_V_never_contradict(dx, dy, candidates):
     f = {x: dx, y: dy}
@@ -210,7 +210,7 @@ def _do_not_contradict(said):
         assert not (one.asymptotic is Truth.PROVEN and other.asymptotic is Truth.REFUTED)
 
 
-@settings(max_examples=15, deadline=None, derandomize=True, database=None)
+@settings(max_examples=15, derandomize=True, database=None)
 @given(st.lists(st.integers(-3, 3), min_size=9, max_size=9))
 def test_eigenvalues_of_random_matrices_lie_where_lapack_finds_them(entries):
     A = np.array(entries).reshape(3, 3)

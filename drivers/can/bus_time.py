@@ -196,6 +196,6 @@ def check(
             f"bus: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
             f"(data phase {timing.data_bitrate / 1e6:g} Mbit/s), worst-case stuffing:\n{result.table()}\n"
             f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
-            "the bus): lower loop.rate_Hz, raise the bit rates, or use bus.layout: fd"
+            "the bus): lower loop.rate_Hz, raise the bit rates, or use bus.layout: fd if the drives know it"
         )
     return result

@@ -41,7 +41,6 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
-    Status,
     Sync,
 )
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
@@ -288,19 +287,13 @@ class MoteusProtocol(MotorProtocol):
             frames.append((leg, Frame(identifier, pad(data), FD | BRS | EXTENDED * (identifier > 0x7FF))))
         return frames
 
-    def status(self, _status: Status) -> tuple[Frame, ...]:
-        """Return nothing: these drives speak when they are asked."""
-        return ()
-
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six torques, six replies."""
-        zeros = np.zeros(LEGS)
-        motion = self.transmission.length(zeros), zeros, zeros, np.full(LEGS, _RUN, np.int64)
         data = pad(torque_command(0.0, 1.0, 1.0))
         commands = (Frame(each, data, EXTENDED | FD | BRS) for each in self._command_ids)
-        return (*commands, *(frame for _, frame in self.feedbacks(Sync(0), *motion)))
+        return (*commands, *self.example_feedbacks())
 
 
 _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}

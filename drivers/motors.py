@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Ints
 from drivers.errors import ProtocolError
 from drivers.protocol import (
     ALWAYS,
@@ -21,6 +21,8 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Received,
+    Status,
+    Sync,
     frames_of,
 )
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
@@ -359,6 +361,22 @@ class MotorProtocol(ABC):
         """Return the memory of six drives that have heard nothing."""
         return MotorMemory()
 
+    def status(self, _status: Status) -> tuple[Frame, ...]:
+        """Return nothing: such drives speak when they are asked."""
+        return ()
+
+    @abstractmethod
+    def feedbacks(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        """See `DriveProtocol.feedbacks`."""
+
+    def example_feedbacks(self) -> list[Frame]:
+        """Return the feedbacks of six running drives at rest at position zero."""
+        zeros, running = np.zeros(LEGS), np.full(LEGS, DriveState.RUN, np.int64)
+        length = self.transmission.length(zeros)
+        return [frame for _, frame in self.feedbacks(Sync(0), length, zeros, zeros, running)]
+
     def _commanded(
         self, memory: MotorMemory, leg: int, modes: Sequence[int], torque: float
     ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
@@ -367,11 +385,6 @@ class MotorProtocol(ABC):
         count = memory.heard[leg]
         commands = tuple(DeviceCommand((leg,), int(m), force, count + n + 1) for n, m in enumerate(modes))
         return memory._replace(heard=put(memory.heard, leg, count + len(modes))), commands
-
-    def lengths_between(self, turns: float) -> tuple[Array, Array]:
-        """Return the shortest and longest leg lengths (6,) m within so many turns of position zero."""
-        ends = self.transmission.length(np.full(LEGS, -turns)), self.transmission.length(np.full(LEGS, turns))
-        return np.minimum(*ends), np.maximum(*ends)
 
     @staticmethod
     def finite(leg: int, *values: float) -> None:

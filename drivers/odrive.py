@@ -267,10 +267,8 @@ class ODriveProtocol(MotorProtocol):
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six remote frames, estimates and torques."""
-        zeros = np.zeros(LEGS)
-        motion = self.transmission.length(zeros), zeros, zeros, np.full(LEGS, _RUN, np.int64)
         torques = (self._to(leg, TORQUE, bytes(8)) for leg in range(LEGS))
-        return (*self._polls, *torques, *(frame for _, frame in self.feedbacks(Sync(0), *motion)))
+        return (*self._polls, *torques, *self.example_feedbacks())
 
 
 def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:

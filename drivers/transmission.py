@@ -91,6 +91,11 @@ class Transmission:
         """Return leg lengths (6,) m at motor positions (6,) turns."""
         return self.offset_m + self.m_per_turn * turns
 
+    def lengths_within(self, turns: float) -> tuple[Array, Array]:
+        """Return the shortest and longest leg lengths (6,) m within so many turns of position zero."""
+        ends = self.length(np.full(LEGS, -turns)), self.length(np.full(LEGS, turns))
+        return np.minimum(*ends), np.maximum(*ends)
+
     def turns(self, length: Array) -> Array:
         """Return motor positions (6,) turns at leg lengths (6,) m."""
         return (length - self.offset_m) / self.m_per_turn

@@ -45,7 +45,6 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
-    Status,
     Sync,
 )
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
@@ -114,7 +113,7 @@ class MitProtocol(MotorProtocol):
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the leg lengths at the ends of the position's range."""
-        return self.lengths_between(self.ranges.position / TURN)
+        return self.transmission.lengths_within(self.ranges.position / TURN)
 
     # controller's end
 
@@ -274,18 +273,12 @@ class MitProtocol(MotorProtocol):
         tail = bytes((30, code)) if self.variant.reply_bytes == (8,) else b"\x99"
         return Frame(self._replies[leg], bytes((node,)) + body + tail)
 
-    def status(self, _status: Status) -> tuple[Frame, ...]:
-        """Return nothing: these drives speak when they are asked."""
-        return ()
-
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six commands, six feedbacks."""
-        zeros = np.zeros(LEGS)
-        motion = self.transmission.length(zeros), zeros, zeros, np.full(LEGS, _RUN, np.int64)
         commands = (Frame(node, DISABLE) for node in self._nodes)
-        return (*commands, *(frame for _, frame in self.feedbacks(Sync(0), *motion)))
+        return (*commands, *self.example_feedbacks())
 
 
 _KIND = {CTRL_MODE: "<I", TIMEOUT: "<I", PMAX: "<f", VMAX: "<f", TMAX: "<f"}

@@ -36,7 +36,6 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
-    Status,
     Sync,
 )
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
@@ -97,7 +96,7 @@ class RobStrideProtocol(MotorProtocol):
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the leg lengths at the ends of the position's range."""
-        return self.lengths_between(self.ranges.position / TURN)
+        return self.transmission.lengths_within(self.ranges.position / TURN)
 
     # controller's end
 
@@ -234,15 +233,9 @@ class RobStrideProtocol(MotorProtocol):
             frames.append((leg, Frame(identifier, data + (250).to_bytes(2, "big"), EXTENDED)))
         return frames
 
-    def status(self, _status: Status) -> tuple[Frame, ...]:
-        """Return nothing: these drives speak when they are asked."""
-        return ()
-
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six commands, six feedbacks."""
-        zeros = np.zeros(LEGS)
-        motion = self.transmission.length(zeros), zeros, zeros, np.full(LEGS, _RUN, np.int64)
         commands = (self._to(STOP, leg) for leg in range(LEGS))
-        return (*commands, *(frame for _, frame in self.feedbacks(Sync(0), *motion)))
+        return (*commands, *self.example_feedbacks())

@@ -9,7 +9,7 @@ import yaml
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.output import closing
-from hil.app.sim.lockstep import build_lockstep, no_setpoints
+from hil.app.sim.lockstep import build_lockstep
 from hil.loop.clock import collector_paused
 from plant_fmu.faults.plan import FaultPlan
 
@@ -43,7 +43,6 @@ def run(controller: Configuration, plant: Configuration, log: Path, faults: Faul
                 lambda inp, opening, out: recording.tick(
                     out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints
                 ),
-                no_setpoints,
                 recording.event,
             )
             recording.close(closing(ending, ending.trouble))

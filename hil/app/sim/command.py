@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from hil.app.plant import plant_row
 from hil.app.plant_columns import PLANT
 from hil.app.replay import replay_log
 from hil.app.sim.commands import CommandScript, TimedCommand
-from hil.app.sim.lockstep import Lockstep, build_lockstep, no_setpoints
+from hil.app.sim.lockstep import Given, Lockstep, build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Ending
@@ -67,7 +67,7 @@ def _run(
     recording: Recording,
     truth: Recording | None,
     duration_s: float | None,
-    setpoints: Callable[[int], tuple[SetPoint, ...]],
+    setpoints: Script | None,
     script: CommandScript,
 ) -> Ending:
     def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
@@ -79,8 +79,12 @@ def _run(
         assert truth is not None
         truth.tick(plant_row(inp.tick, lockstep.nodes.snapshot()), (), ())
 
+    def said(tick: int) -> Given:
+        given = script(tick)
+        return given if setpoints is None else given._replace(setpoints=setpoints(tick) + given.setpoints)
+
     observer = observe if truth is None else observe_both
-    return lockstep.run(duration_s, observer, setpoints, recording.event, script, armed=not script.arms)
+    return lockstep.run(duration_s, observer, recording.event, said, armed=not script.arms)
 
 
 def _record_plant(c: Configuration, path: Path) -> Recording:
@@ -142,7 +146,7 @@ def simulate(
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
             begun = time.perf_counter()
-            ending = _run(lockstep, recording, truth, duration_s, script or no_setpoints, operator)
+            ending = _run(lockstep, recording, truth, duration_s, script, operator)
             wall = time.perf_counter() - begun
             if ending.trouble:
                 recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)

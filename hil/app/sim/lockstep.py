@@ -51,12 +51,6 @@ def nothing_given(tick: int) -> Given:
     return NOTHING
 
 
-def no_setpoints(tick: int) -> tuple[SetPoint, ...]:
-    """Return the set-points of a tick where there are none."""
-    del tick
-    return ()
-
-
 Shape = tuple[int, int, int]
 """(identifier, bytes, flags): decides a frame's priority and its time on the wire."""
 
@@ -255,7 +249,6 @@ class Lockstep:
         self,
         duration_s: float | None,
         observe: Observer,
-        setpoints: Callable[[int], tuple[SetPoint, ...]] = no_setpoints,
         event: EventSink = no_event,
         commands: Callable[[int], Given] = nothing_given,
         *,
@@ -263,8 +256,8 @@ class Lockstep:
     ) -> Ending:
         """Engage, run the reference, park. Return how the run ended.
 
-        `setpoints` gives those of a tick, `commands` all that the operator says in it; armed: it engages by
-        itself. It ends with its plant, too. `event` takes what each fault tells in its tick.
+        `commands` gives all that the operator says in a tick; armed: it engages by itself. It ends with its
+        plant, too. `event` takes what each fault tells in its tick.
         """
         goes_on = self.cycle.parts.operator.stays
         course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=goes_on)
@@ -272,9 +265,9 @@ class Lockstep:
         while ending is None:
             tick = self.tick + 1
             said = commands(tick)
-            operator, given = course.commands(tick, said.operator), setpoints(tick) + said.setpoints
+            operator = course.commands(tick, said.operator)
             try:
-                stepped = self.step(operator, given, said.orders)
+                stepped = self.step(operator, said.setpoints, said.orders)
             except PlantError as error:
                 return course.failed(str(error), tick)
             observe(*stepped)

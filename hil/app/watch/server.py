@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from hil.app.watch.access import Access
 from hil.app.watch.feed import Feed, event
 from hil.app.watch.http import HEAD_BYTES, Refused, Request, read_request, refusal, response, stream_head
-from hil.app.watch.operating import WORDS, line_of
+from hil.app.watch.operating import line_of
 
 PERIOD_S = 0.01
 """Between two looks at the mirror, which the recorder fills every 20 ms."""
@@ -200,7 +200,7 @@ class Server:
         sock = writer.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # what waits is old
         may = self._operating is not None and self._access.operate and self._access.knows(request)
-        hello = {"operate": may, "allowed": self._access.operate, "words": sorted(WORDS)}
+        hello = {"operate": may, "allowed": self._access.operate}
         writer.write(stream_head() + event("hello", hello))
         watcher = Watcher(writer)
         self._watchers.add(watcher)

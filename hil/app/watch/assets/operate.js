@@ -99,9 +99,8 @@
     at("jogs").append(box);
   });
 
-  watching.on("may", ({ operate, allowed, words }) => {
+  watching.on("may", ({ operate, allowed }) => {
     document.querySelectorAll(".operate").forEach((each) => { each.hidden = !operate; });
-    at("jogging").hidden = !words.includes("jog");
     at("read-only").hidden = operate || !allowed;
     at("read-only").textContent = "Read only: open the link with the token that hil watch has printed to operate.";
     if (!operate) releaseAll();

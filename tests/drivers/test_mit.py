@@ -197,6 +197,28 @@ def test_damiao_feedback_is_read_with_its_status(vector):
         assert protocol.fault_text(heard.fault)
 
 
+def running(protocol: MitProtocol, leg: int) -> Frame:
+    """Return what a running drive at rest answers."""
+    zeros, run = np.zeros(6), np.full(6, DriveState.RUN)
+    return dict(protocol.feedbacks(Sync(0), protocol.transmission.length(zeros), zeros, zeros, run))[leg]
+
+
+@pytest.mark.parametrize(("code", "words"), [(1, "motor over temperature"), (6, "phase current unbalance")])
+def test_a_cubemars_reply_with_a_code_is_of_a_drive_in_fault(code, words):
+    protocol: Any = MitProtocol("cubemars", WIDE, NODES, 0, GEAR)
+    good = running(protocol, 4)
+    bad = protocol.hear(good._replace(data=good.data[:7] + bytes((code,))))
+    assert protocol.hear(good).power != DriveState.FAULT
+    assert (bad.leg, bad.power, protocol.fault_text(bad.fault)) == (4, DriveState.FAULT, words)
+
+
+def test_a_damiao_reply_that_names_another_motor_than_its_identifier_is_broken():
+    protocol: Any = damiao()
+    frame = running(protocol, 2)
+    assert not protocol.hear(frame).broken
+    assert protocol.hear(frame._replace(data=bytes((frame.data[0] ^ 1,)) + frame.data[1:])).broken
+
+
 @pytest.mark.parametrize("vector", vectors("damiao", "parameter reply"), ids=lambda v: v["what"])
 def test_damiao_registers_are_read(vector):
     heard = damiao().hear(Frame(vector["id"], bytes.fromhex(vector["data"])))

@@ -16,7 +16,7 @@ from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.moteus import QUERY, STOP, MoteusProtocol, pad, registers, torque_command
-from drivers.protocol import BRS, EXTENDED, FD, DeviceCommand, DriveSetup, Frame
+from drivers.protocol import BRS, EXTENDED, FD, Configure, DeviceCommand, DriveSetup, Frame
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from tests.drivers import moteus_foreign as foreign
@@ -72,6 +72,16 @@ def test_the_package_itself_where_it_is_installed_says_the_same():
         assert bytes(foreign.foreign_command(package, *each).data) == torque_command(*each[1:]), each
     for data in foreign.replies():
         assert foreign.foreign_line(package, data) == read(data), data.hex()
+
+
+@pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (float("nan"), 0.1), (0.0, 0.1)])
+def test_a_command_without_a_time_leaves_the_drive_the_one_that_it_was_delivered_with(sent_s, kept_s):
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    frame = protocol.cyclic_frames()[3]._replace(data=pad(torque_command(0.5, 2.0, sent_s)))
+    _, messages = protocol.parse(protocol.power_up(), frame)
+    (kept,) = [each for each in messages if isinstance(each, Configure)]
+    assert kept.leg == 3
+    assert kept.watchdog_s == pytest.approx(kept_s, rel=1e-6)
 
 
 def test_commands_and_stops_are_the_vectors_with_their_identifiers():

@@ -274,6 +274,7 @@ def test_slow_residuals_are_not_taken_for_many_independent_ones():
     assert np.sqrt(np.mean(white)) / np.std(found) < 0.3
 
 
+@pytest.mark.long
 def test_the_standard_errors_are_the_spread_over_seeds(capsys):
     """Noise of encoders and forces alone, 30 seeds, each unknown. Both are known to some 15 %."""
     signals = made(Model(LADEN, **FRICTION), 6.0)

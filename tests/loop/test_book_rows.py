@@ -33,6 +33,7 @@ from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Robot
 from plant_fmu.stewart.build import build
 from plant_fmu.stewart.plant import stewart_parameters
+from tests.broad import broad
 from tests.records import asked, referred
 
 ROWS = json.loads((Path(__file__).parents[1] / "data" / "book_closed_loop.json").read_text())["rows"]
@@ -208,12 +209,13 @@ CONTINUOUS = {
 }
 
 
-@pytest.mark.parametrize("row", CONTINUOUS)
+@pytest.mark.parametrize("row", broad(CONTINUOUS, quick=1))
 def test_rows_in_continuous_time_are_met_at_10_kHz_in_every_field(row):
     worst = deviations(figures(track(ideal(*CONTINUOUS[row], rate_Hz=10_000), 2.0)), row)
     assert max(worst.values()) < 0.01, worst
 
 
+@pytest.mark.long
 def test_the_shortest_turn_changes_the_task_space_row_by_less_than_a_third_of_a_millidegree():
     """The law's default, log(R_d R^T), is not the row's error; at larger errors it differs more."""
     found = figures(track(ideal(TASK_PD, G_98, rate_Hz=10_000), 2.0))
@@ -263,6 +265,7 @@ def let_pass_and_follow(cycle, plant):
     cycle.sight.estimator = Follow(cycle.parts.platform, plant)
 
 
+@pytest.mark.long
 def test_constant_dynamics_without_safety_end_in_the_assembly_of_the_row():
     rows = track(ideal(idc(20, "constant"), rate_Hz=10_000), 2.0, prepare=let_pass_and_follow)
     worst = deviations(figures(rows), CONSTANT)
@@ -408,7 +411,7 @@ ROUNDING = [
 ]
 
 
-@pytest.mark.parametrize(("row", "law"), ROUNDING)
+@pytest.mark.parametrize(("row", "law"), broad(ROUNDING, quick=1))
 def test_rows_of_rounding_are_rounding(row, law, tmp_path):
     configuration = ideal(law)
     found = integrate(configuration, law_of(configuration), Accelerations(configuration, tmp_path))

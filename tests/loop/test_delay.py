@@ -80,6 +80,7 @@ def runs(tmp_path_factory):
     return {name: run(each, logged.get(name)) for name, each in benches.items()}
 
 
+@pytest.mark.long
 def test_compensation_leaves_a_third_of_the_error_of_the_bus(runs, capsys):
     with capsys.disabled():
         print("\nexact inverse dynamics, wn 20 rad/s, the book's path after 0.1 s: peak leg error")

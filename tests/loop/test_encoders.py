@@ -23,6 +23,7 @@ from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.frames import FramesLoss
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
 
 BOUND_m = 2e-3
 BOUND_TICKS = 20
@@ -200,9 +201,10 @@ def loads_up_to(c: Configuration, seed: int, end_s: float) -> list[WrenchStep]:
     return steps
 
 
-@pytest.mark.parametrize("lost", [0.0, 0.03])
+@pytest.mark.parametrize("lost", broad([0.03, 0.0], quick=1))
 @pytest.mark.parametrize(
-    ("name", "still"), [("virtual", False), ("lab", False), ("lab", True), ("virtual", True)]
+    ("name", "still"),
+    broad([("virtual", False), ("lab", True), ("lab", False), ("virtual", True)], quick=2),
 )
 @pytest.mark.parametrize(
     ("seed", "stop_s"),

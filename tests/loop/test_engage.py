@@ -14,6 +14,7 @@ from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
 from hil.signals import Operator
+from tests.broad import broad
 from tests.loop import unrecorded
 
 QUINTIC = """\
@@ -68,7 +69,9 @@ def bench(law="inverse dynamics", pose="home"):
 
 
 SKEW = "aside, down and skew"
-ENTRIES = [*itertools.product(LAWS, POSES), *itertools.product(OTHER_LAWS, [SKEW])]
+SOME = [("inverse dynamics", SKEW), ("pd", "home"), ("pid", SKEW), ("state_space", SKEW)]
+EVERY = [*itertools.product(LAWS, POSES), *itertools.product(OTHER_LAWS, [SKEW])]
+ENTRIES = [*SOME, *(pytest.param(entry, marks=pytest.mark.long) for entry in EVERY if entry not in SOME)]
 
 
 @pytest.fixture(scope="module", params=ENTRIES, ids=": ".join)
@@ -170,8 +173,11 @@ def until(lockstep, mode, limit=10_000):
 
 @pytest.mark.parametrize(
     ("law", "share"),
-    [("inverse dynamics", 0.02), ("inverse dynamics", 0.5), ("inverse dynamics", 0.9), ("pd", 0.5)],
-    ids=["early", "in the middle", "late", "pd"],
+    broad(
+        [("inverse dynamics", 0.5), ("inverse dynamics", 0.02), ("inverse dynamics", 0.9), ("pd", 0.5)],
+        quick=1,
+    ),
+    ids=["in the middle", "early", "late", "pd"],
 )
 @pytest.mark.parametrize(
     ("mode", "ticks"),

@@ -25,6 +25,7 @@ from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump, EncoderLost
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
 from tests.loop.tracked import track
 
 TRACKER = "  tracker: {rate_Hz: 200, position_std_m: 1e-3, orientation_std_deg: 0.1}\n"
@@ -183,7 +184,7 @@ def test_on_shut_brakes_the_pose_stays_and_no_further_encoder_is_blamed():
     assert np.linalg.norm(row["p"] - truth.p) < 1.5e-3
 
 
-@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 20), marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", broad([range(1, 3), range(20)], quick=1))
 def test_one_lost_encoder_whichever_leg_it_is(seeds):
     """The pose stays within 0.4 mm RMS and 1.5 mm, and the loop stays closed on it."""
     configuration = bench()
@@ -257,6 +258,7 @@ def test_the_observer_does_not_learn_from_a_pose_that_its_own_estimate_carries_o
     assert np.all(lost == lost[0]), "held"
 
 
+@pytest.mark.long
 def test_a_load_that_the_filter_is_not_told_of_moves_the_pose_where_no_leg_sees_it():
     lost = EncoderLost(leg=1, at_s=0.3)
     small = run(bench(), lost, WrenchStep(at_s=0.8, force_N=(0.0, 0.0, -300.0), moment_N_m=(0.0, 0.0, 0.0)))

@@ -19,6 +19,7 @@ from drivers.signals import LEGS, Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.leg_errors import leg_errors
 from plant_fmu.faults.encoder import EncoderLost
+from tests.broad import broad
 from tests.loop.test_fusion import ANY_LEG, FUSED, TRACKER, UNPROVEN
 from tests.loop.tracked import track
 
@@ -114,13 +115,14 @@ def test_so_it_is_over_the_whole_ride_of_the_laboratory_hexapod():
     assert_consistent(run(fused("lab")), rms_m=RMS_M["lab"])
 
 
-@pytest.mark.parametrize("friction_N", [20, 300])
+@pytest.mark.parametrize("friction_N", broad([300, 20], quick=1))
 def test_friction_that_is_stated_three_times_too_large_or_five_times_too_small_does_no_harm(friction_N):
     changes = [SHORT["lab"], ("coulomb_friction_N: 60 ", f"coulomb_friction_N: {friction_N} ")]
     found = run(fused("lab", fusion="  fusion: {leg_force_std_N: 60}\n", changes=changes))
     assert_consistent(found, rms_m=RMS_M["lab"])
 
 
+@pytest.mark.long
 def test_where_the_force_is_denied_good_legs_are_left_out_and_the_filter_is_too_sure():
     """What the states of the leg forces are for: without them the model is taken at its word."""
     found = run(fused("lab", fusion="  fusion: {leg_force_std_N: 0}\n", changes=[SHORT["lab"]]))
@@ -128,7 +130,7 @@ def test_where_the_force_is_denied_good_legs_are_left_out_and_the_filter_is_too_
     assert np.mean(found.used == 0) > 0.01
 
 
-@pytest.mark.parametrize("leg", [1, 4])
+@pytest.mark.parametrize("leg", broad([4, 1], quick=1))
 def test_with_friction_a_lost_encoder_is_survived_and_the_filter_knows_how_unsure_it_is(leg):
     """Where no leg sees, only the tracker of 1 mm stands against friction: the lengths bend within that."""
     found = run(fused("lab", fusion=ANY_LEG, changes=[SHORT["lab"]]), EncoderLost(leg=leg, at_s=3.0))

@@ -20,6 +20,7 @@ from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderLost
 from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
 
 BOUND_m = 10e-3
 """No leg may move by more because of a brake."""
@@ -118,7 +119,7 @@ def test_a_good_brake_passes_both_tests_and_the_run_is_a_success(good):
     assert not good.rows["legs_moved"].any()
 
 
-@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize("leg", broad(LEGS, quick=2))
 def test_a_brake_that_does_not_close_when_parking_is_found_and_its_leg_held(good, leg, capsys):
     """Before: 401 mm, PARKED, success."""
     ran = run(load("virtual"), BrakeStuckOpen(leg=leg, at_s=begins(good, Mode.TRACKING, 0.5)))
@@ -156,7 +157,7 @@ def test_a_brake_that_opens_by_itself_under_load_is_caught(good, mode, share, le
         print(f"\nbrake opens in {mode.name}: {1e3 * moved:.2f} mm")
 
 
-@pytest.mark.parametrize("name", ["lab", "bench"])
+@pytest.mark.parametrize("name", broad(["lab", "bench"], quick=1))
 def test_other_robots_hold_their_legs_too(name, capsys):
     c = load(name)
     good = run(c)

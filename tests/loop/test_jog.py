@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-import hil
 from drivers.errors import ConfigurationError
 from drivers.signals import Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import JOG_NAMES, Operator, Order
+from tests.loop.operated import Changed, modes, simulated
 
 BRISK = {"setup_speed_m_s": 0.2, "setup_speed_deg_s": 20}
 LEFT, LEG, BACK = 3999, slice(5150, 6500), 7500
@@ -19,16 +19,6 @@ COMMANDS = [
 ]
 PLATFORM = load("virtual").platform
 BASE, MOVING = np.array(PLATFORM.base_joints_m), np.array(PLATFORM.platform_joints_m)
-
-
-def simulated(tmp_path, commands, **changes):
-    log = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
-    run = hil.sim("virtual", commands=commands, log=log, plant_log=False, **changes)
-    return run, run.log.rows()
-
-
-def modes(rows):
-    return [Mode(int(m)).name for m in rows["mode"][np.flatnonzero(np.diff(rows["mode"], prepend=-1))]]
 
 
 def lengths(rows):
@@ -83,29 +73,12 @@ def test_start_goes_on_from_where_the_path_was_left(jogged):
     assert (np.diff(on["reference_time_s"]) >= 0.0).all()
 
 
-class Changed:
-    """A log in which the orders of one tick are others."""
-
-    def __init__(self, log, tick, orders):
-        self.log, self.tick, self.orders = log, tick, orders
-
-    def ticks(self):
-        for entry in self.log.ticks():
-            yield entry._replace(orders=self.orders) if int(entry.row["tick"]) == self.tick else entry
-
-
 @pytest.mark.parametrize(("axis", "fraction"), [("x", 1.0 - 1e-6), ("y", 1.0)])
 def test_a_replay_notices_a_jog_that_is_another(jogged, axis, fraction):
     run, _ = jogged
     orders = (Order(Operator.JOG, (float(JOG_NAMES.index(axis)), fraction)),)
     changed = Changed(run.log, 4000, orders)
-    cycle = build_cycle(
-        load(
-            "virtual",
-        ),
-        1000.0,
-        0.01,
-    )
+    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
     assert 4000 <= replay(changed, cycle).first[0].tick <= 4010
 
 

@@ -3,28 +3,15 @@
 import numpy as np
 import pytest
 
-import hil
 from drivers.errors import ConfigurationError
 from drivers.signals import Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import Operator, Order
-
-
-def simulated(tmp_path, commands, **changes):
-    log = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
-    run = hil.sim("virtual", commands=commands, log=log, plant_log=False, **changes)
-    return run, run.log.rows()
-
-
-def modes(rows):
-    return [Mode(int(m)).name for m in rows["mode"][np.flatnonzero(np.diff(rows["mode"], prepend=-1))]]
-
+from tests.loop.operated import WITHIN, Changed, modes, simulated
 
 BRISK = {"setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
-WITHIN = 500
-"""Ticks in which a replay has to notice."""
 PARKING = ["STOPPING", "PARKING", "UNLOADING", "PARKED"]
 AS_ALWAYS = ["WAITING", "IDLE", "LOADING", "RELEASING", "APPROACH", "TRACKING"]
 
@@ -76,19 +63,6 @@ def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
     assert np.abs(v - moving["twist_d"][:, :3])[1:-1].max() < 1e-5
     assert np.abs(a - moving["dtwist_d"][:, :3])[1:-1].max() < 0.01
     assert np.abs(moving["q_d"] - moving["q"]).max() < 5e-4
-
-
-class Changed:
-    """A log in which the orders of one tick are others, as far as WITHIN ticks later."""
-
-    def __init__(self, log, tick, orders):
-        self.log, self.tick, self.orders = log, tick, orders
-
-    def ticks(self):
-        for entry in self.log.ticks():
-            if int(entry.row["tick"]) > self.tick + WITHIN:
-                return
-            yield entry._replace(orders=self.orders) if int(entry.row["tick"]) == self.tick else entry
 
 
 @pytest.mark.parametrize(

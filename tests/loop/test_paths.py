@@ -141,6 +141,7 @@ def test_a_held_pose_is_held_within_encoder_steps(tmp_path):
     assert error[t > 0.8].max() < 2e-6, "two steps of the encoder"
 
 
+@pytest.mark.long
 def test_sinusoids_on_all_axes(tmp_path):
     text = "reference:\n  type: sinusoids\n  duration_s: 5\n  ramp_s: 1\n  components:\n"
     for axis, amplitude, f in [

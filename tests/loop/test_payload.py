@@ -119,6 +119,7 @@ def test_the_held_out_halves_are_predicted_as_well_as_fitted(found):
         assert believed > 100.0 * ours
 
 
+@pytest.mark.long
 def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tmp_path, capsys):
     """On the book's path: inverse dynamics that knows the identified payload, against the one without payload."""
     book = laden.changed(load("virtual"), reference={"periods": 1})
@@ -267,6 +268,7 @@ def test_the_file_and_the_refusals(folder, tmp_path):
     assert other.read_text() == "name: mine\n"
 
 
+@pytest.mark.long
 def test_what_no_payload_explains_is_printed_as_the_platforms_own_figures(folder, tmp_path):
     """50 kg more and less inertia than believed: no body on top of the platform takes inertia away."""
     own = {"mass_kg": 1200, "com_m": [0, 0, 0.05], "inertia_kg_m2": [[400, 0, 0], [0, 250, 0], [0, 0, 260]]}
@@ -283,6 +285,7 @@ def test_what_no_payload_explains_is_printed_as_the_platforms_own_figures(folder
     assert np.diag(platform["inertia_kg_m2"]) == pytest.approx([400.0, 250.0, 260.0], rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_payload_that_is_known_stays_in_the_list(tmp_path):
     """The block replaces the list: what was in it is there, and what is new behind it."""
     known = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
@@ -306,6 +309,7 @@ def test_a_load_that_moves_with_nothing_is_doubted_aloud(folder, tmp_path):
     assert "a load on the platform" not in quiet.stdout
 
 
+@pytest.mark.long
 def test_a_controller_that_scales_its_masses_does_not_scale_the_legs_of_the_fit(tmp_path):
     """Legs are those of section platform; the block takes the scale back."""
     c = laden.changed(lab(), controller={"model": {"inertia_scale": 0.9}})
@@ -325,6 +329,7 @@ def test_a_law_without_a_model_gets_no_section_for_one(folder, found, tmp_path):
     assert set(block(found)) == {"platform", "controller"}
 
 
+@pytest.mark.long
 def test_two_logs_predict_each_other(folder, tmp_path):
     laden.run(
         laden.changed(virtual(), reference={**MOTION, "duration_s": 7}),

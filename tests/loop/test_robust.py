@@ -20,6 +20,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.record.metrics import total_variation
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
 from tests.loop import unrecorded
 
 LOAD = WrenchStep(at_s=2.3, force_N=(10e3, 10e3, 10e3), moment_N_m=(0.0, 0.0, 0.0))
@@ -164,7 +165,7 @@ def test_without_a_layer_the_force_chatters(runs):
     assert run.peak_mm < 1.0, "it holds the path, at the drives' expense"
 
 
-@pytest.mark.parametrize("name", ["sliding mode", "robust inverse dynamics"])
+@pytest.mark.parametrize("name", broad(["sliding mode", "robust inverse dynamics"], quick=1))
 def test_the_check_finds_the_phase_margin_of_these_laws_large_enough(name):
     report = inspect(bench(*LAWS[name]))
     assert report.figures["controller"]["phase_margin_deg"] > 45.0

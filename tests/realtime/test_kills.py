@@ -19,6 +19,7 @@ from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.record.log import Log
 from hil.record.salvage import salvage
+from tests.broad import broad
 from tests.drivers.legs_frames import parse
 from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
 
@@ -101,7 +102,7 @@ def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
 
 
 @pytest.mark.realtime(patient=True)
-@pytest.mark.parametrize("on_loss", ["continue", "stop"])
+@pytest.mark.parametrize("on_loss", broad(["continue", "stop"], quick=1))
 def test_a_killed_recorder_does_not_move_the_platform(
     tmp_path: Path, start: Start, listen: Listen, on_loss: str
 ) -> None:

@@ -85,6 +85,7 @@ def busy() -> Iterator[None]:
         process.wait()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("busy")
 def test_beside_a_busy_process_it_goes_on_at_the_rate_it_can_hold(
     folder: Path, start: Start, ordinary: dict[str, Any]

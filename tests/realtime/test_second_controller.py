@@ -14,6 +14,7 @@ from drivers.protocol import Frame, Sync
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
+from tests.broad import broad
 from tests.drivers.legs_frames import command_frames, parse
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
@@ -26,9 +27,7 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=pytest.mark.long) if kind == "SYNC" else kind for kind in ATTACKS]
-)
+@pytest.mark.parametrize("kind", broad(ATTACKS, quick=1))
 def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
 ) -> None:

@@ -99,6 +99,7 @@ def test_a_plant_that_stays_away_is_a_fault_after_all(tmp_path: Path, start: Sta
     assert 200e6 < rows["stretched_ns"].max() < 500e6, "it was waited for, but not for ever"
 
 
+@pytest.mark.long
 @pytest.mark.realtime
 def test_a_bench_that_stands_still_for_too_long_in_all_is_parked_with_its_own_message(
     tmp_path: Path, start: Start, listen: Listen
@@ -133,6 +134,7 @@ def test_a_stranger_who_sends_is_told_of_and_ends_the_standing_still(
     assert "a foreign participant has sent" in run.errors
 
 
+@pytest.mark.long
 def test_listeners_that_are_deaf_or_stopped_disturb_nobody(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

@@ -341,6 +341,7 @@ def test_hosting_costs_more_than_the_c_call_and_a_process_more_than_none(benchma
     assert any(ordered() for _ in range(5)), "measured one after the other: other load may fall on one alone"
 
 
+@pytest.mark.long
 @pytest.mark.realtime(patient=True)
 def test_the_loop_in_real_time_cannot_be_faster_than_the_bus(benchmark):
     c = benchmark.endless

@@ -6,12 +6,13 @@ import pytest
 
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
+from tests.broad import broad
 
 STROKE_m = 0.45
 """Of `lab`."""
 
 
-@pytest.mark.parametrize("noise_m", [2e-6, 0.9e-3, 1.1e-3, 0.022, 0.023])
+@pytest.mark.parametrize("noise_m", broad([1.1e-3, 0.9e-3, 2e-6, 0.022, 0.023], quick=2))
 def test_noise_that_leaves_a_rule_without_effect_is_warned_of(noise_m):
     """A jump shows from twice the noise on; a leg that stands still is suspected from ten times the noise on."""
     c = load("lab")

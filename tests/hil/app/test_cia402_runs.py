@@ -9,6 +9,7 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import loads
 from hil.app.sim.command import simulate
+from tests.broad import broad
 
 OPTIONS = """  protocol: cia402
   options: {{rated_torque_Nm: {rated}, velocity: {velocity}}}
@@ -31,12 +32,15 @@ def configuration(name, rate_Hz, velocity, rated, **more):
 
 @pytest.mark.parametrize(
     ("name", "rate_Hz", "velocity", "rated", "peak_mm"),
-    [
-        ("virtual", 400, "difference", 60, 0.25),
-        ("virtual", 312.5, "pdo", 60, 0.3),
-        ("lab", 400, "difference", 9.5, 2.5),
-        ("lab", 312.5, "pdo", 9.5, 2.5),
-    ],
+    broad(
+        [
+            ("virtual", 400, "difference", 60, 0.25),
+            ("lab", 312.5, "pdo", 9.5, 2.5),
+            ("virtual", 312.5, "pdo", 60, 0.3),
+            ("lab", 400, "difference", 9.5, 2.5),
+        ],
+        quick=2,
+    ),
 )
 def test_the_robot_tracks_and_parks_and_the_log_replays_exactly(
     name, rate_Hz, velocity, rated, peak_mm, tmp_path

@@ -14,6 +14,7 @@ from hil.app.configuration.configuration import load
 from hil.app.configuration.schema import named_schema, schema_path
 from hil.app.sim.command import simulate
 from hil.cli import main
+from tests.broad import broad
 
 ROBOTS = {
     "desktop": (
@@ -50,7 +51,7 @@ def changed(words, **options):
     return " ".join(word for pair in found.items() for word in pair)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", broad(ROBOTS, quick=2))
 def test_a_new_configuration_passes_check_and_keeps_half_of_the_force_and_most_of_the_stroke(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     done = new(path, ROBOTS[name])
@@ -224,7 +225,7 @@ def test_what_to_type_next_is_quoted_for_the_shell(tmp_path):
     assert f"`hil check '{path}'`" in path.read_text()
 
 
-@pytest.mark.parametrize(("rate", "watchdog_ms"), [(300, 17), (333.3, 16), (700, 10)])
+@pytest.mark.parametrize(("rate", "watchdog_ms"), broad([(333.3, 16), (300, 17), (700, 10)], quick=1))
 def test_any_rate_that_the_bus_carries_is_taken_and_runs(rate, watchdog_ms, tmp_path):
     path = tmp_path / "r.yaml"
     done = new(path, changed(ROBOTS["table"], rate=rate))

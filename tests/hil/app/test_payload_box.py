@@ -61,6 +61,7 @@ def test_each_corner_is_the_robot_with_that_payload():
     assert found[2].words == "80 kg at (-0.1, 0, 0.1) m"
 
 
+@pytest.mark.long
 def test_the_least_inertia_may_be_inside_the_box_and_is_looked_at():
     """More than the model has anywhere: Gamma is largest where the least mass rides next to the centre of mass."""
     heavy = (
@@ -181,6 +182,7 @@ def test_check_refuses_a_payload_under_which_a_limit_breaks_and_says_which():
     assert min(alone) < max(alone)
 
 
+@pytest.mark.long
 def test_what_breaks_a_bound_is_named():
     """Two tonnes that nobody told the law of; and of less, where the bound is largest."""
     heavy = POINT + ", mass_range_kg: [0, 2000], com_range_m: [[-0.1, 0.2], [0, 0], [0.1, 0.3]]"

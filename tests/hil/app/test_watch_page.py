@@ -66,6 +66,7 @@ def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
 
 
+@pytest.mark.long
 @pytest.mark.realtime
 def test_the_page_is_drawn_anew_fifty_times_a_second(rows, tmp_path):
     now = "[watching.counts.states, watching.counts.drawn, performance.now()]"

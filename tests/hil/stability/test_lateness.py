@@ -82,6 +82,7 @@ def test_it_is_what_integration_in_small_steps_finds(force):
     assert found.rate == pytest.approx(worst[1], rel=0.02)
 
 
+@pytest.mark.long
 def test_a_long_stretch_costs_what_a_short_one_does():
     """Of two minutes no vibration is lost between the instants looked at, and memory does not grow with them."""
     short, _ = cost(wave(5.0), (0.0, 4.0))

@@ -172,6 +172,7 @@ def _sum(terms):
 
 @settings(max_examples=6, derandomize=True, database=None)
 @given(_sum(TERMS), _sum(TERMS), st.lists(_sum(BOWLS), min_size=2, max_size=2))
+@pytest.mark.long
 def test_a_proven_V_holds_at_random_points_and_two_V_never_contradict(dx, dy, candidates):
     f = {x: dx, y: dy}
     box = {x: (-1, 1), y: (-1, 1)}

@@ -39,7 +39,7 @@ def acceleration(c: Array, joint: bool, p: Array, R: Array, twist: Array, tau: A
 
 
 @helper
-def _displace(p: Array, R: Array, x: Array, at_p: Array, at_R: Array) -> None:
+def displace(p: Array, R: Array, x: Array, at_p: Array, at_R: Array) -> None:
     """Fill the pose shifted by x[:3] m and turned by the rotation vector x[3:] rad, base frame."""
     Q = np.empty((3, 3))
     rotation_motion(at(x, 3), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Q)
@@ -70,7 +70,7 @@ def by_state(
         step[:] = 0.0
         step[i] = h
         x = solve(J, step) if joint else step
-        _displace(p, R, x, at_p, at_R)
+        displace(p, R, x, at_p, at_R)
         there = twist.copy()
         if joint:
             fill_jacobian(c, FULL, at_p, at_R, J_at)

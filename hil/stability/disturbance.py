@@ -17,19 +17,10 @@ from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.arrays import ZERO6, Array
-from hil.mathematics.linear_algebra import condition_kernel
+from drivers.arrays import Array
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import (
-    inverse_dynamics_kernel,
-    joint_idc_kernel,
-    mass_matrix_kernel,
-)
-from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel
-from hil.stability.differences import acceleration, by_demand, by_state
-from hil.stability.energy import displaced
+from hil.stability.local_kernels import local_kernel, reference_kernel
 from hil.trajectory.path import PoseSample
 
 _STEP = 1e-6
@@ -103,7 +94,10 @@ class Linearised:
         self.axes = axes
         self.load = load
         self.friction = friction
-        self._radius = robot.platform.radius
+        self._models = robot.constants, believed.constants, believed.code, axes == "joint"
+        parts = ([load.force_N, load.torque_N_m], friction.viscous_N_s_m, friction.coulomb_N)
+        self._stated = np.concatenate(parts, dtype=float)
+        self._sizes = robot.platform.radius, _STEP
 
     def at(self, s: PoseSample, e: Array, de: Array, stale_s: float = 0.0) -> Local:
         """Return the loop where the reference is `s` and the axes are behind it by e (6,) and de (6,).
@@ -111,64 +105,15 @@ class Linearised:
         The pose that belongs to an error of the legs is taken to first order, J^-1 e. stale_s: so old are the
         pose and the twist of the reference for which the law answers u.
         """
-        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
-        J = jacobian_kernel(a, b, s.p, s.R)
-        demanded = s.dtwist
-        x, dx = e, de
-        if self.axes == "joint":
-            demanded = J @ s.dtwist + jacobian_rate_kernel(a, b, s.p, s.R, s.twist) @ s.twist
-            x, dx = np.linalg.solve(J, np.column_stack([e, de])).T
-        (p, R), twist = displaced(s.p, s.R, -x), s.twist - dx
-        J = jacobian_kernel(a, b, p, R)
-        condition = condition_kernel(J, self._radius)
-        if not np.isfinite(condition):
-            nothing = np.full((6, 6), np.nan)
-            inf = np.full(6, np.inf)
-            return Local(nothing, nothing, nothing, inf, np.zeros((12, 6)), nothing, nothing, np.inf)
-        mobility = np.linalg.inv(mass_matrix_kernel(self.robot.constants, p, R))
-        if self.axes == "joint":
-            mobility = J @ mobility
-        tau, per_demand = self._by_demand(p, R, twist, demanded)
-        robot, joint = self.robot.constants, self.axes == "joint"
-        error = acceleration(robot, joint, p, R, twist, tau) - demanded
-        per_force = mobility @ J.T
-        before, then = displaced(p, R, -stale_s * s.twist), twist - stale_s * s.dtwist
-        Gamma = per_force @ per_demand
-        stale = per_force @ self._by_demand(*before, then, demanded)[1] if stale_s else Gamma
-        worst = np.hstack(
-            [
-                self.load.force_N * _directions(mobility[:, :3]),
-                self.load.torque_N_m * _directions(mobility[:, 3:]),
-            ]
+        motion, behind = np.array([s.twist, s.dtwist]), np.array([e, de])
+        return Local(
+            *local_kernel(*self._models, s.p, s.R, motion, behind, self._stated, stale_s, *self._sizes)
         )
-        loads = worst @ mobility.T
-        lost = self.friction.viscous_N_s_m * np.abs(J @ twist) + self.friction.coulomb_N
-        d = np.abs(error) + np.diagonal(loads) + np.abs(per_force) @ lost
-        extremes = np.vstack([error + loads, error - loads])
-        by_error, by_rate = by_state(robot, joint, p, R, twist, tau, _STEP)
-        return Local(Gamma, stale, per_force, d, extremes, by_error, by_rate, condition)
 
     def along_reference(self, s: PoseSample) -> tuple[Array, Array]:
         """Return the law's forces (6,) N without error, and the axes' accelerations per force (6, 6)."""
-        a, b = self.robot.platform.base_joints, self.robot.platform.platform_joints
-        J = jacobian_kernel(a, b, s.p, s.R)
-        demanded = s.dtwist
-        if self.axes == "joint":
-            demanded = J @ s.dtwist + jacobian_rate_kernel(a, b, s.p, s.R, s.twist) @ s.twist
-        mobility = np.linalg.inv(mass_matrix_kernel(self.robot.constants, s.p, s.R))
-        per_force = (J @ mobility if self.axes == "joint" else mobility) @ J.T
-        return self._tau(s.p, s.R, s.twist, J, demanded), np.asarray(per_force, float)
-
-    def _by_demand(self, p: Array, R: Array, twist: Array, demanded: Array) -> tuple[Array, Array]:
-        """Return the law's forces (6,) N, and (6, 6) per acceleration that is demanded."""
-        believed = self.believed
-        return by_demand(believed.constants, believed.code, self.axes == "joint", p, R, twist, demanded)
-
-    def _tau(self, p: Array, R: Array, twist: Array, J: Array, demanded: Array) -> Array:
-        c, code = self.believed.constants, self.believed.code
-        if self.axes == "joint":
-            return joint_idc_kernel(c, code, p, R, twist, J, demanded, ZERO6)
-        return inverse_dynamics_kernel(c, code, p, R, twist, demanded, ZERO6)
+        tau, per_force = reference_kernel(*self._models, s.p, s.R, np.array([s.twist, s.dtwist]))
+        return tau, per_force
 
 
 def along(linearised: Linearised, path: Iterable[PoseSample], stale_s: float = 0.0) -> list[Local]:
@@ -202,9 +147,3 @@ def summary(found: list[Local], gamma: float | None = None) -> Survey:
         np.max([np.abs(local.by_rate) for local in found], axis=0),
         max(local.condition for local in found),
     )
-
-
-def _directions(rows: NDArray[np.floating]) -> Array:
-    """Return the unit vector of each row; zero for none."""
-    size = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(np.divide(rows, size, out=np.zeros_like(rows), where=size > 0), float)

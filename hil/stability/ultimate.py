@@ -39,8 +39,12 @@ ROUNDS = 12
 """Most enlargements of the tube."""
 EXACT = 1e-9
 """What Gamma may differ from gamma I by and count as rounding."""
+ROUNDING = 1e-9
+"""m/s^2 or rad/s^2, what disturbances may differ by and count as equal."""
 INSTANTS = 5
 """Of the reference, at which the disturbances are taken that make the tube."""
+SPREAD = 20
+"""Instants of the reference that are looked at where the disturbance tells none from another."""
 _SIGNS = np.array([[1.0 if k >> i & 1 else -1.0 for i in range(6)] for k in range(64)])
 
 
@@ -98,16 +102,14 @@ def ultimate(
     """
     reference = summary(found_along)
     d = np.array([local.d for local in found_along])
-    # of instants that disturb an axis alike the last, or rounding would choose
-    worst = {int(np.flatnonzero(~(d[:, i] < (1.0 - 1e-9) * d[:, i].max()))[-1]) for i in range(6)}
-    samples = [path[k] for k in sorted(worst)]
+    samples = [path[k] for k in _worst(d)]
     every = max(1, len(path) // INSTANTS)
     extremes = np.vstack([local.extremes for local in found_along[::every]])
     gains = np.column_stack(of_each(loops, lambda loop: loop.peak_gains()[:3]))
     equal = bool(np.ptp(gains, axis=1).max() == 0.0) and not extra.d.any()
     found = _bound(reference, gains, late, extra)
     for _ in range(ROUNDS):
-        if isinstance(found, str) or not found.d.max() > 1e-9:
+        if isinstance(found, str) or not found.d.max() > ROUNDING:
             return found
         shape = _normalised(extremes) if equal else _SIGNS
         before = found
@@ -125,10 +127,21 @@ def ultimate(
     return "the disturbance grows with the error as fast as the law answers it"
 
 
+def _worst(d: Array) -> list[int]:
+    """Return the instants at which d (n, 6) of an axis is largest; where none differs, some all along."""
+    chosen: set[int] = set()
+    for of_axis in d.T:
+        if not of_axis.max() - of_axis.min() > ROUNDING:
+            chosen.update(range(0, len(d), max(1, len(d) // SPREAD)))
+        else:  # of equal ones the last
+            chosen.add(int(np.flatnonzero(~(of_axis < of_axis.max() - ROUNDING))[-1]))
+    return sorted(chosen)
+
+
 def _normalised(extremes: Array) -> Array:
     """Return each column over its largest magnitude; zero where nothing disturbs."""
     largest = np.abs(extremes).max(axis=0)
-    shape = np.divide(extremes, largest, out=np.zeros_like(extremes), where=largest > 1e-9)
+    shape = np.divide(extremes, largest, out=np.zeros_like(extremes), where=largest > ROUNDING)
     return np.asarray(shape, float)
 
 

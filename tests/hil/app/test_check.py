@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 from hil.app.reachability import window_swing
+from tests.broad import broad
 
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
 STATES = {
@@ -235,15 +236,18 @@ def with_law(law):
 
 @pytest.mark.parametrize(
     ("law", "margin_deg"),
-    [
-        # A delay T of 2.296 ms costs 117.9 lambda T degrees of 76.35 where the layer is k / lambda.
-        (SLIDING + "  lambda_rad_s: 92\n", 51.44),
-        (SLIDING + "  lambda_rad_s: 175\n", 28.97),
-        # rho = sqrt(6) 14.2 / 0.9 = 38.65 m/s^2. 0.43 m/s: K_P 8993, K_D 209.9, 214.0 rad/s, 78.7 less 28.2 deg.
-        (ROBUST + "  boundary_layer_m_s: 0.43\n", 50.5),
-        # 0.1 m/s: K_P 26788, K_D 506.5, 509.2 rad/s, 84.1 less 67.0 deg.
-        (ROBUST + "  boundary_layer_m_s: 0.1\n", 17.1),
-    ],
+    broad(
+        [
+            # A delay T of 2.296 ms costs 117.9 lambda T degrees of 76.35 where the layer is k / lambda.
+            (SLIDING + "  lambda_rad_s: 92\n", 51.44),
+            (SLIDING + "  lambda_rad_s: 175\n", 28.97),
+            # rho = sqrt(6) 14.2 / 0.9 = 38.65 m/s^2. 0.43 m/s: K_P 8993, K_D 209.9, 214.0 rad/s, 78.7 less 28.2 deg.
+            (ROBUST + "  boundary_layer_m_s: 0.43\n", 50.5),
+            # 0.1 m/s: K_P 26788, K_D 506.5, 509.2 rad/s, 84.1 less 67.0 deg.
+            (ROBUST + "  boundary_layer_m_s: 0.1\n", 17.1),
+        ],
+        quick=1,
+    ),
 )
 def test_the_phase_margin_of_a_boundary_layer_is_that_of_its_linear_law(law, margin_deg):
     report = with_law(law)

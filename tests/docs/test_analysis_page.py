@@ -5,6 +5,7 @@ import re
 import shlex
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 import hil
@@ -37,6 +38,7 @@ def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     assert again.attrs["units"]["tau.leg_3"] == "N"  # type: ignore[attr-defined]
 
 
+@pytest.mark.long
 def test_the_cells_of_the_notebook_run_in_their_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")

@@ -197,6 +197,7 @@ def test_a_frame_ends_in_bench_time(held, join):
     assert received.t_ns == stood + 135_000, "135 bit at 1 Mbit/s"
 
 
+@pytest.mark.long
 def test_time_runs_backwards_for_nobody(held, other):
     """Two processes that hold time raise, lower and break their promises; a third one looks on."""
     code = """

@@ -81,6 +81,7 @@ def test_a_frame_takes_its_bit_time(join):
     assert before + CLASSIC_8_BYTES * 500_000 <= received.t_ns <= after
 
 
+@pytest.mark.realtime(patient=True)
 def test_frames_follow_each_other_on_the_wire(join):
     a, b = join(), join()
     frames = [Frame(0x100 + i, bytes(8)) for i in range(20)]
@@ -384,6 +385,7 @@ def test_what_is_on_the_wire_cannot_be_withdrawn(join):
     assert [r.frame.id for r in collect(b, soon(), {0x31})] == [0x31]
 
 
+@pytest.mark.long
 def test_all_see_one_order_whoever_is_stopped_when(join, tmp_path):
     """Four processes send, two of them are stopped and continued at random; all logs agree."""
     watcher = join()

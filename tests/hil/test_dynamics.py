@@ -17,6 +17,7 @@ from hil.robot.geometry import Platform
 from hil.robot.kinematics import KinematicsError, jacobian, jacobian_rate
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.trajectory.path import PoseSample
+from tests.broad import broad
 from tests.records import referred
 
 DATA = Path(__file__).parents[1] / "data"
@@ -233,12 +234,15 @@ def feedforward_pd(model):
 
 @pytest.mark.parametrize(
     ("row", "make", "options", "hold", "rel"),
-    [
-        ("joint_IDC_partial(noH,noJdot)_wn20", idc, {"variant": "printed"}, 0, 1e-3),
-        ("joint_FF_PD_masses_90pct", feedforward_pd, {"inertia_scale": 0.9}, 0, 1e-6),
-        ("joint_IDC_const_home_dynamics_wn20", idc, {"variant": "constant", "frozen_at": HOME}, 0, 1e-3),
-        ("joint_IDC_exact_wn20_1kHz_ZOH", idc, {}, 2, 1e-3),
-    ],
+    broad(
+        [
+            ("joint_IDC_partial(noH,noJdot)_wn20", idc, {"variant": "printed"}, 0, 1e-3),
+            ("joint_FF_PD_masses_90pct", feedforward_pd, {"inertia_scale": 0.9}, 0, 1e-6),
+            ("joint_IDC_const_home_dynamics_wn20", idc, {"variant": "constant", "frozen_at": HOME}, 0, 1e-3),
+            ("joint_IDC_exact_wn20_1kHz_ZOH", idc, {}, 2, 1e-3),
+        ],
+        quick=2,
+    ),
 )
 def test_laws_on_the_books_trajectory_err_as_published_figures_say(row, make, options, hold, rel):
     model = Model(Platform.from_dict(BOOK["geometry"]), **options)

@@ -374,6 +374,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.long
 def test_other_variants_of_libm_and_blas_give_the_same_bits():
     digest = hashlib.sha256()
     for kind in sorted(KINDS):

@@ -17,6 +17,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.sim.command import simulate
 from hil.loop.report import waiting_text
 from hil.record.log import Log
+from tests.broad import broad
 
 TEXT = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
 MIT = "  protocol: mit\n  options: {variant: damiao, model: DM4310}\n"
@@ -34,6 +35,8 @@ FAMILIES: dict[str, tuple[tuple[str, str], ...]] = {
         ("layout: classic\n", "layout: fd\n"),
     ),
 }
+SOME = ("legs", "damiao", "moteus")
+"""Run every day; the others are their variants, or in the contract suite alone."""
 
 
 def desktop(*changes: tuple[str, str]) -> Configuration:
@@ -52,7 +55,7 @@ def simulated(family: str) -> tuple[dict[str, Any], Any]:
         return summary, Log.open(path).rows()
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", broad(sorted(FAMILIES, key=lambda n: n not in SOME), quick=len(SOME)))
 def test_it_runs_to_parked_and_replays_to_the_bit(family):
     summary, rows = simulated(family)
     assert summary["success"], summary
@@ -65,7 +68,10 @@ def test_it_runs_to_parked_and_replays_to_the_bit(family):
     assert rows["doubled"].max() == rows["foreign"].max() == 0
 
 
-@pytest.mark.parametrize("family", [name for name in FAMILIES if name != "legs"])
+@pytest.mark.parametrize(
+    "family",
+    broad([name for name in sorted(FAMILIES, key=lambda n: n not in SOME) if name != "legs"], quick=2),
+)
 def test_it_errs_as_with_our_own_protocol_because_friction_decides(family):
     ours, theirs = (simulated(name)[0]["tracking"]["rms_leg_error_mm"] for name in ("legs", family))
     assert theirs == pytest.approx(ours, rel=0.1)

@@ -159,6 +159,7 @@ def test_a_duplicate_node_is_declared_within_two_ticks_and_named():
     assert found["success"], found
 
 
+@pytest.mark.long
 def test_a_flooded_bus_ends_the_run_although_no_sync_gets_through():
     found = one("bus_flood/HOLD")
     assert (found["ended"], found["faults"], found["legs"]) == ("FAULT", ["STALE"], [])

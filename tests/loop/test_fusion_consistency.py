@@ -115,6 +115,7 @@ def test_so_it_is_over_the_whole_ride_of_the_laboratory_hexapod():
     assert_consistent(run(fused("lab")), rms_m=RMS_M["lab"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction_N", broad([300, 20], quick=1))
 def test_friction_that_is_stated_three_times_too_large_or_five_times_too_small_does_no_harm(friction_N):
     changes = [SHORT["lab"], ("coulomb_friction_N: 60 ", f"coulomb_friction_N: {friction_N} ")]

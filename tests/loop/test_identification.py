@@ -28,6 +28,7 @@ from hil.cli import main
 from hil.config.axis_model import AxisModel
 from hil.identify.axis_fit import Fit
 from hil.record.log import Log
+from tests.broad import broad
 
 T = 1e-3
 TRANSPORT_S, LAG_S = 0.5e-3, 1 / 1257
@@ -73,7 +74,7 @@ def pose(tmp_path_factory):
     return made(pose_bench(), tmp_path_factory.mktemp("pose") / "a.mcap", 10.5)
 
 
-@pytest.fixture(params=["joint", "pose"])
+@pytest.fixture(params=broad(["joint", "pose"], quick=1))
 def either(request):
     return request.getfixturevalue(request.param)
 

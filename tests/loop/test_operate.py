@@ -9,6 +9,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import Operator, Order
+from tests.broad import broad
 from tests.loop.operated import WITHIN, Changed, modes, simulated
 
 BRISK = {"setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
@@ -67,7 +68,10 @@ def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
 
 @pytest.mark.parametrize(
     ("tick", "orders"),
-    [(3000, ()), (4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (2999, (Order(Operator.HOLD),))],
+    broad(
+        [(4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (3000, ()), (2999, (Order(Operator.HOLD),))],
+        quick=2,
+    ),
 )
 def test_a_replay_notices_an_order_that_is_another(operated, tick, orders):
     run, _ = operated
@@ -137,7 +141,7 @@ def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
 
 
 @pytest.mark.parametrize(
-    ("start", "t"), [("asked", 1.1), ("asked", 0.9), ("automatic", 1.1), ("automatic", 1.2)]
+    ("start", "t"), broad([("asked", 0.9), ("automatic", 1.1), ("asked", 1.1), ("automatic", 1.2)], quick=2)
 )
 def test_a_park_in_the_approach_parks_however_the_path_begins(tmp_path, start, t):
     settings = BRISK | {"start": start}
@@ -154,7 +158,8 @@ SHORT = {"reference": {"periods": 1}, "engage": {"stop_s": 3.0}}
 
 
 @pytest.mark.parametrize(
-    ("then", "ends"), [((), ["TRACKING", *PARKING]), (((5.0, "start"),), ["TRACKING", *PARKING[1:]])]
+    ("then", "ends"),
+    broad([(((5.0, "start"),), ["TRACKING", *PARKING[1:]]), ((), ["TRACKING", *PARKING])], quick=1),
 )
 def test_a_park_just_before_the_end_of_the_path_is_no_fault(tmp_path, then, ends):
     commands = [(3.15, "park"), *then]

@@ -23,6 +23,7 @@ from hil.record.log import Log
 from plant_fmu.faults.encoder import EncoderNoise
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
 from tests.loop import laden
 
 AXES = {
@@ -205,7 +206,7 @@ def test_an_empty_platform_keeps_its_exact_figures(folder, tmp_path):
     laden.changed(load("virtual"), **written)  # it is a configuration
 
 
-@pytest.mark.parametrize("reach", [240.0, 100.0])
+@pytest.mark.parametrize("reach", broad([240.0, 100.0], quick=1))
 def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(tmp_path, reach):
     """Its ranges stay, in its own frame, and hold what was found."""
     fixed = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
@@ -297,6 +298,7 @@ def test_a_payload_that_is_known_stays_in_the_list(tmp_path):
     assert second["com_m"] == pytest.approx(COM, abs=0.005)
 
 
+@pytest.mark.long
 def test_a_load_that_moves_with_nothing_is_doubted_aloud(folder, tmp_path):
     """A push that comes and goes is no mass: the residual says so."""
     steps = [
@@ -366,7 +368,7 @@ def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path
     assert np.mean(theta, axis=0)[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
 
 
-@pytest.mark.parametrize("axis", ["z_m", "x_m"])
+@pytest.mark.parametrize("axis", broad(["z_m", "x_m"], quick=1))
 def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for_motion(tmp_path, axis):
     """They tilt the platform by micrometres, and least squares would find an inertia in that: m z 12 of its
     standard errors off. What shows is right, the rest stays as believed, and no body is offered."""

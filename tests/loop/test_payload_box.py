@@ -48,6 +48,7 @@ def drawn(count, kg, places, seed):
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.long)])
 def test_inside_the_box_the_coupled_loop_is_stable_and_stays_within_what_is_printed(count):
     c = boxed(BOX_kg, BOX_m)

@@ -110,6 +110,7 @@ def runs():
     return found
 
 
+@pytest.mark.long
 def test_all_laws_side_by_side(runs, capsys):
     plain = runs["inverse dynamics, wn 20"]
     with capsys.disabled():
@@ -165,6 +166,7 @@ def test_without_a_layer_the_force_chatters(runs):
     assert run.peak_mm < 1.0, "it holds the path, at the drives' expense"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", broad(["sliding mode", "robust inverse dynamics"], quick=1))
 def test_the_check_finds_the_phase_margin_of_these_laws_large_enough(name):
     report = inspect(bench(*LAWS[name]))

@@ -93,6 +93,7 @@ def test_without_any_python_the_message_says_what_to_install(tmp_path):
     assert "apt install" in done.stderr
 
 
+@pytest.mark.long
 def test_a_failed_setup_leaves_no_half_made_environment(tmp_path):
     for name in ("pyproject.toml", *LOCKS):
         shutil.copy(ROOT / name, tmp_path)

@@ -120,6 +120,7 @@ def test_a_bench_that_stands_still_for_too_long_in_all_is_parked_with_its_own_me
     assert summary["replay"]["exact"]
 
 
+@pytest.mark.long
 def test_a_stranger_who_sends_is_told_of_and_ends_the_standing_still(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from drivers.signals import Mode
 from hil.record.log import Log
-from tests.broad import broad
 from tests.browser import Browser, needs_chromium
 from tests.live_run import Watch
 from tests.realtime.rig import LASTING, Process, configuration
@@ -40,7 +39,8 @@ POSITION = "[...document.querySelector('#pose tbody tr').cells].slice(1, 4).map(
 """m, with four digits."""
 
 
-@pytest.mark.parametrize("word", broad(["stop", "park"], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("word", ["stop", "park"])
 def test_the_buttons_hold_and_end_the_motion_of_a_running_platform(
     tmp_path: Path, start: Start, word: str
 ) -> None:

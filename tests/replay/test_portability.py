@@ -87,6 +87,7 @@ def test_the_probe_repeats(usual):
     assert probe({}) == usual
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("library", "variables"),
     [

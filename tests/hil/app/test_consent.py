@@ -24,6 +24,7 @@ from hil.cli import main
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.signals import Operator
+from tests.broad import broad
 
 ROOT = Path(__file__).resolve().parents[3]
 IN_A_TERMINAL = """
@@ -92,7 +93,7 @@ with open(sys.argv[1], "w") as file:
 """
 
 
-@pytest.mark.parametrize("asked", ["asked", "at once"])
+@pytest.mark.parametrize("asked", broad(["asked", "at once"], quick=1))
 def test_a_terminal_that_hangs_up_is_one_stop_and_no_defect(tmp_path, asked):
     """Reading it fails, or gives nothing; SIGHUP may follow."""
     said = tmp_path / "said"

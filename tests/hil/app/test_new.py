@@ -195,21 +195,24 @@ def test_an_fmu_that_is_not_there_is_refused_before_the_first_question(tmp_path)
 
 @pytest.mark.parametrize(
     "stem",
-    [
-        "Grüße 机器人",
-        "null",
-        "true",
-        "Off",
-        "1e3",
-        "a #b",
-        "a: b",
-        "#x",
-        "e:",
-        "q\"'\\n",
-        "-",
-        "@a",
-        "my robot",
-    ],
+    broad(
+        [
+            "Grüße 机器人",
+            "null",
+            "true",
+            "Off",
+            "1e3",
+            "a #b",
+            "a: b",
+            "#x",
+            "e:",
+            "q\"'\\n",
+            "-",
+            "@a",
+            "my robot",
+        ],
+        quick=2,
+    ),
 )
 def test_any_name_of_a_file_becomes_the_name_of_the_robot(stem, tmp_path):
     path = tmp_path / f"{stem}.yaml"

@@ -148,6 +148,7 @@ def test_a_payload_that_the_model_does_not_have_has_mass_zero():
     assert [corner.words for corner in corners(c.platform)[1:]] == ["80 kg at (0, 0, 0) m"]
 
 
+@pytest.mark.long
 def test_check_prints_the_forces_of_every_corner():
     figures = inspect(robot(BOX)).figures["payload"]
     alone = [inspect(carried(*stated)).figures for stated in CORNERS]

@@ -55,6 +55,7 @@ def test_the_truth_of_each_tick_is_what_its_encoders_read(run):
     assert np.abs(true[1:] - read[:-1]).max() > 5e-4  # a tick beside the right one would be seen
 
 
+@pytest.mark.long
 def test_a_log_of_twenty_one_seconds_is_a_table_within_a_second(tmp_path):
     """Processor time, the best of three: other tests run beside."""
     run = hil.sim("virtual", log=tmp_path / "a.mcap", plant_log=False, check_replay=False)

@@ -181,6 +181,7 @@ def test_an_answer_comes_when_the_seconds_end():
     assert report.equilibrium.status in {Equilibrium.NO_CONCLUSION, Equilibrium.ASYMPTOTICALLY_STABLE}
 
 
+@pytest.mark.long
 def test_an_answer_comes_in_a_thread_without_an_alarm():
     f, V = _endless()
     reports = []
@@ -232,6 +233,7 @@ def test_and_so_they_do_in_a_thread():
     assert answers[0][1] < 8
 
 
+@pytest.mark.long
 def test_what_was_shown_before_the_seconds_end_stays():
     f, V = _endless()
     growing = {y: 2 * y} | f

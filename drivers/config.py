@@ -75,6 +75,21 @@ class TransmissionSettings(Section):
         return self
 
 
+class HomingSettings(Section):
+    """Of drives that forget at power-off how often their motor has turned."""
+
+    file: str
+    """YAML file with the lengths at which the legs were parked, relative to the configuration file. The run
+    writes it when it ends at rest. `hil homing` shows it, and writes it where the lengths are known
+    otherwise."""
+    limit_m: Above0
+    """A leg that is found further than this from where it was parked keeps the run from being armed. Less
+    than a quarter of what the drive forgets."""
+    forgotten_turns: PerLegAbove0 = 1.0
+    """What a drive forgets is a whole multiple of so many turns of the motor: 1 where the encoder is on the
+    shaft that `transmission` means, 1 / 9 where it is in front of a gear of 9 : 1."""
+
+
 def _name_protocols(schema: dict[str, Any]) -> None:
     schema["enum"] = list(PROTOCOLS)
 
@@ -90,6 +105,8 @@ class DriveSettings(Section):
     """Settings of the protocol's own; `legs` has none."""
     transmission: TransmissionSettings | None = None
     """Between motor and leg, of drives that speak of a motor; `legs` speaks of the leg and has none."""
+    homing: HomingSettings | None = None
+    """For motors that forget their turns at power-off; left out for absolute encoders that count turns."""
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
     """A drive that hears no command for this long reacts by itself, as `reactions.silence` says. At least 3
     periods."""

@@ -32,6 +32,11 @@ def _row(values: float | list[float]) -> Array:
     return row
 
 
+def forgotten_length(settings: TransmissionSettings, turns: float | list[float]) -> Array:
+    """Return the leg lengths (6,) m, > 0, that so many turns of the motors are."""
+    return np.abs(Transmission.of(settings).m_per_turn) * _row(turns)
+
+
 @dataclass(frozen=True, eq=False)
 class Transmission:
     """Six transmissions; every array is (6,), leg order, read-only."""

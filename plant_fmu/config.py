@@ -185,5 +185,8 @@ class PlantSettings(Section):
     initial_rotation_vector_deg: tuple[float, float, float] | None = None
     faults: list[AnyFault] = []
     """What goes wrong at this end of the bus, and when."""
+    homing_file: str | None = None
+    """What `drives.homing.file` is to real drives, for these: it rehearses parking, power-off and the next
+    start. Without it the controller is told where the plant begins."""
     log: bool = True
     """Write the plant's own log with the true pose."""

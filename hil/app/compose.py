@@ -21,13 +21,14 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import encoder_limits
+from hil.app.homing.last_pose import attached, last_pose_of, start_pose
 from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
 from hil.app.run_description import run_description
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
 from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
-from hil.config.values import LegSpin, Pose
+from hil.config.values import LegSpin
 from hil.config.wrench import WrenchSettings
 from hil.control.law import LawContext, LawSettings
 from hil.control.model import build_model
@@ -37,6 +38,7 @@ from hil.estimation.observer import WrenchObserver
 from hil.estimation.predictor import Predictor
 from hil.loop.admission import Admission
 from hil.loop.cycle import Cycle
+from hil.loop.homing import LastPose
 from hil.loop.parts import Parts
 from hil.loop.steering import Steering
 from hil.record import Live, Recording, Scene
@@ -96,12 +98,13 @@ def build_cycle(
     watchdog_s: float,
     recorded: bytes | None = None,
     trajectory: Trajectory | None = None,
+    last_pose: LastPose | None = None,
 ) -> Cycle:
     """Return the controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
 
     At another rate than the configured one the force may change by the same amount per second. `recorded` is
     the plan of its reference that a log carries. It follows `trajectory`; by default that of section
-    `reference`.
+    `reference`. Drives that forget their turns were parked at `last_pose`; by default where the plant begins.
     """
     c = configuration
     platform = build_platform(c.platform)
@@ -138,6 +141,7 @@ def build_cycle(
             operator=c.operator,
             admission=admission if steering is None else None,
             steering=steering,
+            last_pose=last_pose_of(c, None) if last_pose is None else last_pose,
             sensors=build_sensors(c),
             fusion=_fusion(c, platform, rate_Hz),
             predictor=predictor,
@@ -242,12 +246,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
     """
     c = configuration
     assert c.plant is not None
-    home = c.platform.home
-    start = Pose(
-        position_m=c.plant.initial_position_m or home.position_m,
-        rotation_vector_deg=c.plant.initial_rotation_vector_deg or home.rotation_vector_deg,
-    )
-    p, R = pose_arrays(start)
+    p, R = pose_arrays(start_pose(c))
     robot = Robot(
         platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin},
         length_min=np.full(6, c.platform.length_min_m),
@@ -324,7 +323,7 @@ def record(
     return Recording.start(
         path,
         configuration=c.text,
-        attachments=attachments(c),
+        attachments=[*attachments(c), *attached(cycle.parts.last_pose)],
         metadata={
             "kind": kind,
             "rate_Hz": rate_Hz,

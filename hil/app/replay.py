@@ -11,6 +11,7 @@ from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of, with_attachments
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment
@@ -72,7 +73,8 @@ def replay_log(
     with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
         configuration = with_attachments(configuration, log.attachments, Path(folder))
         plan = log.attachments.get(REFERENCE_PLAN)
-        cycle = build_cycle(configuration, run["rate_Hz"], run["watchdog_s"], plan)
+        last_pose = recorded(path, log.attachments.get(HOMING_JSON))
+        cycle = build_cycle(configuration, run["rate_Hz"], run["watchdog_s"], plan, last_pose=last_pose)
     begun = time.perf_counter()
     with collector_paused():
         comparison = replay(log, cycle, progress)

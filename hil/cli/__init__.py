@@ -25,6 +25,7 @@ COMMANDS = {
     "stability": "What can be proven of the law, with bounds; nothing moves.",
     "ctl": "The operator's commands to a running controller: hold, start, park, key ...",
     "setpoint": "Send a live reference somewhere while it runs.",
+    "homing": "Where the legs were parked, for motors that forget their turns.",
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
     "compare": "All control laws on your platform and path; nothing moves.",
     "fmu": "Build the platform's FMU; look at one of your own.",

@@ -20,6 +20,7 @@ from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, new_record, row_of
 from hil.loop import modes
 from hil.loop.drives_say import all_free, all_ready, any_powered, confirmed, measured_at_rest
 from hil.loop.effort import Effort
+from hil.loop.homing import Homing, Stroke
 from hil.loop.jogging import Jogging
 from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
@@ -49,15 +50,19 @@ class Cycle:
     """Six encoders in, six forces out, once per tick.
 
     Mutable state, all of it: the drive protocol's dialogue, the last tick's record, what is seen of the
-    platform, mode and the tick of its entry, latched faults, E-stop, whether the brakes are proven shut, the
-    motion, what the operator allows, the effort's ramps, and what law, predictor, observer, external wrench,
-    steering and safety keep. `reset` restores the initial one.
+    platform, the turns that the drives have forgotten, mode and the tick of its entry, latched faults,
+    E-stop, whether the brakes are proven shut, the motion, what the operator allows, the effort's ramps, and
+    what law, predictor, observer, external wrench, steering and safety keep. `reset` restores the initial
+    one.
     """
 
     def __init__(self, parts: Parts) -> None:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
         self.sight = Sight(parts)
+        ends = (parts.safety.limits[name].item() for name in ("length_min_m", "length_max_m"))
+        stroke = Stroke(*ends, parts.protocol.reported_lengths())
+        self.homing = Homing(parts.last_pose, stroke, self.period_s)
         engage = parts.engage
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self.effort = Effort(parts, self.durations)
@@ -81,6 +86,7 @@ class Cycle:
         """The last tick's record."""
         self._last_wrench = ZERO6
         self.sight.reset()
+        self.homing.reset()
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R, parts.engage.stop_s)
         self.mode = Mode.WAITING
         self.mode_tick = 0
@@ -119,7 +125,9 @@ class Cycle:
             inp.compute_ns, len(inp.frames), zlib.crc32(run),
         )  # fmt: skip
         began_ns = inp.t_ns + inp.lateness_ns
-        self.dialogue = parts.protocol.decode(self.dialogue, run, last, tick, began_ns)
+        reported = self.homing.before(last)
+        self.dialogue = parts.protocol.decode(self.dialogue, run, reported, tick, began_ns)
+        self.homing.correct(tick, last, braked=self.proven)
         self.tick = tick
         if parts.sensors is not None:
             self.sight.hear(parts.sensors, inp, tick)
@@ -194,6 +202,7 @@ class Cycle:
             tick["drive_state"].tolist(),
             self.mode is Mode.WAITING
             and self.sight.located
+            and self.homing.known
             and all_ready(tick, self.parts.protocol.legs_set_up(self.dialogue)),
             elapsed,
             self._finished(tick),

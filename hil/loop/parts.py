@@ -19,6 +19,7 @@ from hil.config.values import LegSpin
 from hil.control.law import Law
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
+from hil.loop.homing import LastPose
 from hil.loop.steering import Steering
 from hil.robot.geometry import Platform
 from hil.safety import Safety
@@ -53,6 +54,8 @@ class Parts:
     reference is live: it goes to set-points instead."""
     steering: Steering | None = None
     """What takes set-points, where the reference is live."""
+    last_pose: LastPose | None = None
+    """Where the legs were parked, for drives that forget their turns at power-off."""
     sensors: SensorProtocol | None = None
     fusion: PoseFusion | None = None
     """Gives the pose once the legs have; None: the legs alone do."""

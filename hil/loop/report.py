@@ -43,6 +43,8 @@ def waiting_text(cycle: Cycle) -> str:
             lacking.append(f"drive {leg} stays in {state.name}{why}")
         elif lacks[leg]:
             lacking.append(f"drive {leg} does not complete its set-up{why}: {lacks[leg]}")
+    if cycle.homing.refusal:
+        lacking.append(cycle.homing.refusal)
     if not lacking:
         lengths = ", ".join(f"{q:.4f}" for q in last["length"])
         lacking.append(f"no pose near platform.home has the measured leg lengths {lengths} m")

@@ -191,6 +191,8 @@ class Course:
                 return self._after_fault(tick)
             case Mode.WAITING if tick - since >= self._no_drives:
                 last = cycle.tick
+                if cycle.homing.refusal:
+                    return Ending(mode, cycle.faults, waiting_text(cycle), tick)
                 if last["age"].min() >= NEVER:
                     return Ending(mode, cycle.faults, NO_DRIVES, tick)
                 if tick - since >= self._not_ready or (last["drive_state"] == DriveState.FAULT).any():

@@ -40,6 +40,7 @@ from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
 from plant_fmu.drives.reading import Reading
 from plant_fmu.drives.snapshot import Snapshot
+from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
@@ -97,6 +98,7 @@ class Nodes:
         gear = self._settings.transmission
         self._transmission = None if gear is None else Transmission.of(gear)
         self._drives = Drives(at_motor(self._settings, self._transmission), self._emulation, self._h_s)
+        self._turns = Turns(self._settings.homing, self._transmission, self._length)
         self._memory = self._protocol.power_up()
         self._beats = 0
         self._next_beat_ns = t0_ns
@@ -277,6 +279,8 @@ class Nodes:
         if self._present.crashes:
             raise PlantError("the plant crashed: fault plant_crash")
         self._drives.disturb(self._present, self._length, self._rate, t)
+        for leg in np.flatnonzero(self._present.reset).tolist():
+            self._turns.switch_on(leg, self._length)
         self._weigh()
         self._actuate(t)
         self._calm_ns = min(self._calm_ns, int(self._drives.moved_ns.min()))
@@ -344,6 +348,7 @@ class Nodes:
         length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
         if present.noise or any(present.late_ns):
             self._reading.spoil(present, t, length, rate)
+        length = self._turns.counted(length)
         try:
             self._memory, frames = self._answers.answer(self._memory, sync, length, rate, force, state, fault)
         except ProtocolError as error:

@@ -2,11 +2,14 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import HilError
 from drivers.protocol import DriveProtocol
 from drivers.signals import Reaction
+from drivers.transmission import forgotten_length
 from hil.app.configuration.yaml_positions import Path
 from hil.config.platform import PlatformSettings
 from hil.config.reactions import ReactionSettings
@@ -53,3 +56,20 @@ def reported_stroke(
             )
             yield ("drives", "transmission"), message
             return
+
+
+def homing(drives: DriveSettings, _: object) -> Iterator[tuple[Path, str]]:
+    """Refuse homing of drives without a motor, and a limit that no leg could exceed."""
+    if drives.homing is None:
+        return
+    if drives.transmission is None:
+        message = f"drives.protocol {drives.protocol} speaks of leg lengths, and forgets none; leave it out"
+        yield ("drives", "homing"), message
+        return
+    quarter_m = 0.25 * float(np.min(forgotten_length(drives.transmission, drives.homing.forgotten_turns)))
+    if drives.homing.limit_m >= quarter_m:
+        message = (
+            f"too large to tell one turn from the next, allowed: less than {quarter_m:.4g}, a quarter of the "
+            f"leg length that forgotten_turns are, given: {drives.homing.limit_m:g}"
+        )
+        yield ("drives", "homing", "limit_m"), message

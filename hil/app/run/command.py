@@ -17,6 +17,7 @@ from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
+from hil.app.homing.keeping import Keeper
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, console, log_path, told, warn
 from hil.app.replay import replay_log
@@ -75,7 +76,8 @@ def run_daemon(
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
         clock = bench_clock(c, bus) if with_plant else None
         rate, watchdog_s = select_rate(c, with_plant=with_plant, stretching=clock is not None)
-        cycle = build_cycle(c, rate, watchdog_s)
+        keeper = Keeper(c, emulated=with_plant)
+        cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)
         path = log_path(c.recording.folder, c.name, log)
         removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         plant = None
@@ -89,6 +91,8 @@ def run_daemon(
         channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
         if removed:
             recording.event(bus.clock.now(), "info", f"removed for recording.budget_GB: {', '.join(removed)}")
+        keeper.begin(cycle)
+        stack.callback(keeper.close)
         bus.flush_tx()
         bus.drain_now()
         with real_time(c.loop.priority, c.loop.cpu) as granted:
@@ -113,6 +117,7 @@ def run_daemon(
         if plant is not None:
             plant_summary = plant.finish()
     result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
+    result |= keeper.summary(cycle)
     if interrupted:
         warn("hil: a foreign participant has sent on this channel: bench time did not stand still any more")
     if removed:

@@ -14,6 +14,7 @@ from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
+from hil.app.homing.keeping import Keeper
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, log_path, told
 from hil.app.plant import plant_row
@@ -121,7 +122,8 @@ def simulate(
     rate = c.loop.rate_Hz
     budget = bus_budget(c.bus, c.drives, c.sensors, rate)
     watchdog_s = c.drives.watchdog_ms * 1e-3
-    cycle = build_cycle(c, rate, watchdog_s)
+    keeper = Keeper(c, emulated=True)
+    cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)
     if cycle.parts.trajectory.duration_s is None and duration_s is None:
         raise ConfigurationError(
             f"{c.source}: reference: it has no end, and a simulation needs one: set duration_s or "
@@ -145,6 +147,8 @@ def simulate(
                 recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
+            keeper.begin(cycle)
+            stack.callback(keeper.close)
             begun = time.perf_counter()
             ending = _run(lockstep, recording, truth, duration_s, script, operator)
             wall = time.perf_counter() - begun
@@ -170,6 +174,7 @@ def simulate(
         "wall_s": wall,
         "real_time_factor": (len(rows) - 1) / rate / wall,
         **figures(rows),
+        **keeper.summary(cycle),
         "recorder_cpu_s": recorder.recorder_cpu_s,
     }
     late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]

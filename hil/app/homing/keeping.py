@@ -1,0 +1,77 @@
+"""A run and its homing file: read before, marked while the brakes may open, written where the legs rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from drivers.signals import Mode
+from drivers.transmission import Transmission
+from hil.app.configuration.configuration import Configuration
+from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_moved, write_homing
+from hil.app.homing.last_pose import last_pose_of
+from hil.loop import modes
+from hil.loop.cycle import Cycle
+from hil.loop.drives_say import any_powered
+from hil.loop.homing import LastPose, unwrapped_turns
+from hil.safety.standstill import REST_m_s
+
+_RESTING = frozenset({Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
+_LATELY = 5
+"""Ticks: a leg that was heard so lately is measured."""
+
+
+class Keeper:
+    """Owns the homing file of a configuration during a run. No file is written while the loop runs.
+
+    Mutable state: the cycle whose run it keeps the file of, while that is marked.
+    """
+
+    def __init__(self, c: Configuration, *, emulated: bool) -> None:
+        """Read the file, if the drives have one. Raises ConfigurationError as `read_homing`."""
+        self._c = c
+        self._path = None if c.drives.homing is None else homing_path(c, emulated=emulated)
+        self._file = None
+        self._cycle: Cycle | None = None
+        if self._path is not None:
+            self._file = read_homing(c, self._path)
+            refuse_moved(c, self._path, self._file)
+        self.last_pose: LastPose | None = last_pose_of(c, self._file)
+
+    def begin(self, cycle: Cycle) -> None:
+        """Mark the file: who dies from here on has not said where the legs are."""
+        if self._path is not None and self._file is not None:
+            marked = homing_file(self._c, "moved", self._file.lengths_m, self._file.turns)
+            write_homing(self._c, self._path, marked)
+            self._cycle = cycle
+
+    def close(self) -> None:
+        """Say where the legs are; the same as before if the brakes have not been open. Once."""
+        cycle, self._cycle = self._cycle, None
+        if cycle is None:
+            return
+        assert self._path is not None
+        assert self._file is not None
+        if _at_rest(cycle):
+            gear = self._c.drives.transmission
+            assert gear is not None
+            turns = Transmission.of(gear).turns(cycle.homing.raw).tolist()
+            parked = homing_file(self._c, "parked", cycle.tick["length"].tolist(), turns)
+            write_homing(self._c, self._path, parked)
+        elif not cycle.homing.opened:
+            write_homing(self._c, self._path, self._file)
+
+    def summary(self, cycle: Cycle) -> dict[str, Any]:
+        """Return what a run's summary says of it; nothing where no drive forgets."""
+        if self.last_pose is None:
+            return {}
+        added = unwrapped_turns(cycle.homing, self.last_pose)
+        kept = {} if self._path is None else {"file": str(self._path)}
+        return {"homing": {"turns_added": ", ".join(f"{turns:g}" for turns in added), **kept}}
+
+
+def _at_rest(cycle: Cycle) -> bool:
+    """Tell whether the drives are off, and all legs measured, believed and at rest."""
+    tick = cycle.tick
+    believed = cycle.homing.known and not cycle.faults & modes.NOT_MEASURED
+    measured = int(tick["age"].max()) <= _LATELY and float(abs(tick["rate"]).max()) < REST_m_s
+    return cycle.mode in _RESTING and believed and measured and not any_powered(tick)

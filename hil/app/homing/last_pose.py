@@ -1,0 +1,89 @@
+"""Where the legs stand before a run: from the file, from the plant's start, or from a log."""
+
+import json
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import LogError
+from drivers.transmission import Transmission, forgotten_length
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.homing.file import HomingFile
+from hil.config.values import Pose
+from hil.loop.homing import LastPose
+from hil.robot.kinematics import leg_lengths
+from plant_fmu.config import BenchPlant
+
+HOMING_JSON = "homing.json"
+"""Attachment of a log: where the legs stood, as its controller was told."""
+STATED_SHARE = 0.25
+"""Of what a drive forgets: how far a leg may be from a length that was measured by hand."""
+
+
+def start_pose(c: Configuration) -> Pose:
+    """Return the pose at which the plant begins; without a plant home."""
+    home, plant = c.platform.home, c.plant
+    if plant is None:
+        return home
+    return Pose(
+        position_m=plant.initial_position_m or home.position_m,
+        rotation_vector_deg=plant.initial_rotation_vector_deg or home.rotation_vector_deg,
+    )
+
+
+def start_lengths(c: Configuration) -> Array:
+    """Return the lengths (6,) m at which the plant begins."""
+    if c.plant is not None and isinstance(c.plant.model, BenchPlant):
+        return np.full(6, c.plant.model.rest_length_m)
+    return leg_lengths(build_platform(c.platform), *pose_arrays(start_pose(c)))
+
+
+def last_pose_of(c: Configuration, file: HomingFile | None) -> LastPose | None:
+    """Return where the legs stand by a file, without one as the plant begins; None: no drive forgets."""
+    homing, transmission = c.drives.homing, c.drives.transmission
+    if homing is None or transmission is None:
+        return None
+    step_m = forgotten_length(transmission, homing.forgotten_turns)
+    parked = file is not None and file.state == "parked"
+    limit_m = np.full(6, homing.limit_m) if parked else STATED_SHARE * step_m
+    origin = "where the plant begins" if file is None else f"{file.state} {file.date}"
+    length = start_lengths(c) if file is None else np.array(file.lengths_m)
+    return LastPose(length, limit_m, step_m, Transmission.of(transmission).m_per_turn, origin)
+
+
+def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
+    """Return what a log carries of it; floats come back to the bit."""
+    if pose is None:
+        return []
+    fields = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in pose._asdict().items()}
+    return [(HOMING_JSON, json.dumps(fields, indent=1).encode())]
+
+
+def recorded(path: object, text: bytes | None) -> LastPose | None:
+    """Return what `attached` has written; None for a log without.
+
+    Raises LogError for what it cannot have written.
+    """
+    if text is None:
+        return None
+    try:
+        fields = json.loads(text)
+        length, limit_m, step_m, m_per_turn = (
+            np.array(fields[name], float) for name in LastPose._fields[:-1]
+        )
+        pose: LastPose | None = LastPose(length, limit_m, step_m, m_per_turn, str(fields["origin"]))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        pose = None
+    if pose is None or not _good(pose):
+        raise LogError(
+            f"{path}: attachment {HOMING_JSON}: not what a run writes, allowed: six finite numbers each for "
+            f"{', '.join(LastPose._fields[:-1])}"
+        )
+    return pose
+
+
+def _good(pose: LastPose) -> bool:
+    arrays = (pose.length, pose.limit_m, pose.step_m, pose.m_per_turn)
+    finite = all(each.shape == (6,) and np.isfinite(each).all() for each in arrays)
+    return finite and bool((pose.step_m > 0.0).all() and pose.m_per_turn.all())

@@ -1,0 +1,166 @@
+"""Motors that forget their turns at power-off: which turn they are in, from where the legs were parked.
+
+Pure. A drive that forgets reads length + k step with an unknown whole number k. A leg whose brake was closed
+is where it was; so k is the number that brings the reading nearest to the length at which it was parked. What
+is left of the difference must be small, else the leg has moved, or the drive is another one.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import ZERO6, Array
+from drivers.signals import LEGS
+from drivers.tick_columns import Record, copy_of
+
+SILENT_TICKS = 20
+"""A drive that was silent for so long may have been switched off."""
+
+
+class LastPose(NamedTuple):
+    """Where the legs stood with their brakes closed. Arrays are (6,), leg order."""
+
+    length: Array
+    """m."""
+    limit_m: Array
+    """How far a leg may be found from there."""
+    step_m: Array
+    """Leg length, > 0, of which a drive forgets whole multiples."""
+    m_per_turn: Array
+    """Leg length a turn of the motor, with its sign."""
+    origin: str
+    """How that is known, and since when."""
+
+
+class Stroke(NamedTuple):
+    """What a leg can be and what its drive can report, m."""
+
+    shortest: float
+    longest: float
+    reported: tuple[Array, Array] | None
+    """Ends (6,) of the position field where the drive was switched on at its zero; None: it has none."""
+
+
+class Homing:
+    """Adds to each length the turns that its drive has forgotten.
+
+    A drive that was silent for long, or whose reading leaps by half a step and more, has been switched off:
+    its turn is found anew, from where the leg was last seen. With its brake open nobody knows how far it
+    went meanwhile, and its turn is lost.
+
+    Mutable state: lengths as the drives report them, what is added, where each leg was last known, which
+    turns are known or lost, what disagrees.
+    """
+
+    def __init__(self, pose: LastPose | None, stroke: Stroke, period_s: float) -> None:
+        """Take where the legs stood; None: the drives forget nothing."""
+        self._pose, self._stroke, self._period_s = pose, stroke, period_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the state before the first tick."""
+        self.added: Array = ZERO6.copy()
+        """(6,) m, whole multiples of the step."""
+        self.raw: Array = ZERO6
+        """(6,) m, as the drives report them."""
+        self.opened = False
+        """Whether the brakes have been open."""
+        self._last = ZERO6 if self._pose is None else self._pose.length.copy()
+        self._known = [False] * LEGS
+        self._lost = [False] * LEGS
+        self._wrong = [""] * LEGS
+
+    @property
+    def refusal(self) -> str:
+        """Why the platform must not move; empty where every leg that was heard is where it was left."""
+        return "; ".join(filter(None, self._wrong))
+
+    @property
+    def known(self) -> bool:
+        """Whether the turns of all six legs are known."""
+        return self._pose is None or (all(self._known) and not self.refusal)
+
+    def before(self, last: Record) -> Record:
+        """Return the last tick's record with the lengths that the drives reported, for the decoder."""
+        if self._pose is None:
+            return last
+        reported = copy_of(last)
+        reported["length"] = self.raw
+        return reported
+
+    def correct(self, tick: Record, last: Record, *, braked: bool) -> None:
+        """Add the forgotten turns to the lengths of a tick.
+
+        braked: the brakes have been proven shut since they were last open, or were not open.
+        """
+        if self._pose is None:
+            return
+        self.opened = self.opened or not braked
+        raw: Array = tick["length"].copy()
+        for leg, age in enumerate(tick["age"].tolist()):
+            if self._known[leg] and (age > SILENT_TICKS or self._leaps(leg, raw, tick, last)):
+                self._forget(leg, float(last["length"][leg]), braked=braked)
+            if age <= 1 and not self._lost[leg] and (not self._known[leg] or self._wrong[leg]):
+                self._find(leg, float(raw[leg]))
+        self.raw = raw
+        tick["length"] = raw + self.added
+
+    def _leaps(self, leg: int, raw: Array, tick: Record, last: Record) -> bool:
+        """Tell whether a reading is half a step or more from where the last one and its rate lead."""
+        assert self._pose is not None
+        if last["age"][leg] > SILENT_TICKS or tick["age"][leg] > last["age"][leg]:
+            return False
+        elapsed_s = (int(last["age"][leg]) + 1) * self._period_s
+        expected = self.raw[leg] + last["rate"][leg] * elapsed_s
+        return bool(abs(raw[leg] - expected) >= 0.5 * self._pose.step_m[leg])
+
+    def _forget(self, leg: int, length: float, *, braked: bool) -> None:
+        self._known[leg] = False
+        self._last[leg] = length
+        if not braked:
+            self._lost[leg] = True
+            self._wrong[leg] = (
+                f"leg {leg}: its drive was switched off, or silent for {SILENT_TICKS} ticks, while its brake "
+                "was open, so nobody knows how far the leg went; measure it, and say its length with "
+                f"`hil homing CONFIG --leg {leg} LENGTH`"
+            )
+
+    def _find(self, leg: int, reported: float) -> None:
+        assert self._pose is not None
+        pose, there = self._pose, float(self._last[leg])
+        step = float(pose.step_m[leg])
+        self.added[leg] = step * round((there - reported) / step)
+        self._known[leg] = True
+        here, limit_m = reported + float(self.added[leg]), float(pose.limit_m[leg])
+        if abs(here - there) > limit_m:
+            turns = (there - here) / float(pose.m_per_turn[leg])
+            self._wrong[leg] = (
+                f"leg {leg} is {here:.6f} m long, and was {there:.6f} m ({pose.origin}): "
+                f"{1e3 * (here - there):+.3f} mm, allowed: {1e3 * limit_m:g} mm (drives.homing); "
+                f"{turns:+.3f} turns of its motor would mend it, and a closed brake lets it make none: see "
+                "whether the leg has moved, its brake slips or its drive is another one; where it is right, "
+                "or a whole number of turns from it, say the leg's length with "
+                f"`hil homing CONFIG --leg {leg} LENGTH`"
+            )
+            return
+        self._wrong[leg] = self._out_of_range(leg)
+
+    def _out_of_range(self, leg: int) -> str:
+        """Say where the drive cannot report all of the stroke from where it was switched on."""
+        stroke = self._stroke
+        if stroke.reported is None:
+            return ""
+        low, high = (float(end[leg] + self.added[leg]) for end in stroke.reported)
+        if low <= stroke.shortest and stroke.longest <= high:
+            return ""
+        return (
+            f"leg {leg}: its drive was switched on where its position ends at leg lengths of {low:.4f} and "
+            f"{high:.4f} m, allowed: {stroke.shortest:g} to {stroke.longest:g} m within them; switch it on "
+            "with the leg nearer to mid-stroke"
+        )
+
+
+def unwrapped_turns(homing: Homing, pose: LastPose) -> Sequence[float]:
+    """Return how many turns of each motor are added to what its drive reports."""
+    return [round(float(turns), 6) for turns in np.divide(homing.added, pose.m_per_turn)]

@@ -1,0 +1,256 @@
+"""A power-off between two runs: the file of the last parked pose, what it refuses, what it tells."""
+
+import re
+from importlib import resources
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+import yaml
+
+from drivers.config import HomingSettings
+from drivers.errors import ConfigurationError
+from drivers.transmission import Transmission
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.homing.command import state_homing
+from hil.app.homing.file import homing_path, read_homing
+from hil.app.homing.keeping import Keeper
+from hil.app.homing.last_pose import HOMING_JSON, recorded, start_lengths
+from hil.app.sim.command import simulate
+from hil.loop.cycle import Cycle
+from hil.mathematics.rotations import rotation_vector
+from hil.record.log import Log
+from plant_fmu.drives.turns import Turns
+
+STEP_M = 0.1 * 2.0 * np.pi * 0.02
+"""What a drive forgets: its encoder sits in front of the gear of 10 : 1, its pinion has a radius of 20 mm."""
+RESOLUTION_M = 25.0 / 65535 * 0.02
+"""A step of the position field of Damiao."""
+HOMING = "  homing: {file: real.yaml, limit_m: 0.0005, forgotten_turns: 0.1}\n"
+START = "  initial_position_m: [0, 0, 0.29]\n"
+
+
+def configuration(folder: Path, start: str = START, homing: str = HOMING, mass: int = 10) -> Configuration:
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    text = text.replace("  watchdog_ms: 10 ", homing + "  watchdog_ms: 10 ")
+    text = text.replace("mass_kg: 10 ", f"mass_kg: {mass} ")
+    text = text.replace("plant:\n", f"plant:\n  homing_file: bench.yaml\n{start}")
+    return loads(text, "desktop", folder)
+
+
+def state(c: Configuration) -> None:
+    state_homing(c, emulated=True, lengths_m=start_lengths(c).tolist())
+
+
+@pytest.fixture(scope="module")
+def parked(tmp_path_factory):
+    """A first run: its folder, its summary, and the true pose at its end."""
+    folder = tmp_path_factory.mktemp("homing")
+    c = configuration(folder)
+    state(c)
+    summary = simulate(c, log=folder / "first.mcap", duration_s=2.2, plant_log=True, check_replay=False)
+    return folder, summary, Log.open(Path(summary["plant_log"])).rows()[-1]
+
+
+def begins_where(truth, by_m: float = 0.0) -> str:
+    p, turn = truth["p"] + [0, 0, by_m], np.rad2deg(rotation_vector(truth["R"]))
+    return f"  initial_position_m: {p.tolist()}\n  initial_rotation_vector_deg: {turn.tolist()}\n"
+
+
+def test_a_run_writes_where_it_has_parked(parked):
+    folder, summary, truth = parked
+    assert summary["success"], summary["trouble"]
+    c = configuration(folder)
+    file = read_homing(c, folder / "bench.yaml")
+    assert file.state == "parked"
+    np.testing.assert_allclose(file.lengths_m, truth["length"], atol=RESOLUTION_M)
+    assert np.abs(truth["length"] - start_lengths(c)).max() > 0.005, "it parked where it began"
+    raw = np.array(file.turns)
+    gear = c.drives.transmission
+    assert gear is not None
+    step = (np.array(file.lengths_m) - Transmission.of(gear).length(raw)) / STEP_M
+    np.testing.assert_allclose(step, np.round(step), atol=1e-9)
+    assert not (folder / "real.yaml").exists(), "a simulation speaks of emulated drives alone"
+
+
+def test_after_a_power_off_the_platform_is_where_it_was(parked, tmp_path):
+    folder, _, truth = parked
+    c = configuration(folder, begins_where(truth))
+    before = (folder / "bench.yaml").read_text()
+    summary = simulate(c, log=tmp_path / "second.mcap", duration_s=0.1)
+    (folder / "bench.yaml").write_text(before)
+    rows = Log.open(tmp_path / "second.mcap").rows()
+    assert summary["success"], summary["trouble"]
+    first = rows[np.flatnonzero((rows["age"] == 0).all(axis=1))[0]]
+    np.testing.assert_allclose(first["q"], truth["length"], atol=RESOLUTION_M)
+    assert any(float(turns) for turns in summary["homing"]["turns_added"].split(", "))
+    assert summary["replay"]["exact"]
+
+
+def test_a_platform_that_was_moved_by_hand_is_not_armed_and_the_replay_refuses_it_too(parked, tmp_path):
+    folder, _, truth = parked
+    c = configuration(folder, begins_where(truth, 0.002))
+    before = (folder / "bench.yaml").read_text()
+    summary = simulate(c, log=tmp_path / "moved.mcap", duration_s=3.0)
+    assert not summary["success"]
+    lengths = start_lengths(c)
+    (found,) = re.findall(r"leg 4 is (\S+) m long", summary["trouble"])
+    assert float(found) == pytest.approx(lengths[4], abs=2 * RESOLUTION_M)
+    assert (
+        f"and was {read_homing(c, folder / 'bench.yaml').lengths_m[4]:.6f} m (parked " in summary["trouble"]
+    )
+    assert "allowed: 0.5 mm (drives.homing)" in summary["trouble"]
+    rows = Log.open(tmp_path / "moved.mcap").rows()
+    assert not rows["command_mode"].any(), "no drive was powered"
+    assert summary["replay"]["exact"], "what the file said is in the log"
+    assert yaml.safe_load((folder / "bench.yaml").read_text()) == yaml.safe_load(before), "nothing has moved"
+
+
+def test_the_log_carries_what_was_read_to_the_bit(parked):
+    folder, summary, _ = parked
+    log = Log.open(Path(summary["log"]))
+    there = recorded("log", log.attachments[HOMING_JSON])
+    assert there is not None
+    assert there.length.tolist() == start_lengths(configuration(folder)).tolist()
+
+
+def test_without_a_file_of_its_own_a_simulation_knows_where_its_plant_begins(tmp_path):
+    text = configuration(tmp_path).text.replace("  homing_file: bench.yaml\n", "")
+    summary = simulate(loads(text, "desktop", tmp_path), log=tmp_path / "a.mcap", duration_s=0.1)
+    assert summary["replay"]["exact"]
+    assert summary["trouble"] is None
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+# -- the file ----------------------------------------------------------------------------------------------
+
+
+def limits(c: Configuration) -> list[float]:
+    pose = Keeper(c, emulated=True).last_pose
+    assert pose is not None
+    return pose.limit_m.tolist()
+
+
+def refusal(c: Configuration) -> str:
+    with pytest.raises(ConfigurationError) as refused:
+        Keeper(c, emulated=True)
+    return str(refused.value)
+
+
+def test_a_missing_file_is_refused_and_says_how_to_make_one(tmp_path):
+    said = refusal(configuration(tmp_path))
+    assert "bench.yaml: no such file" in said
+    assert "hil homing desktop" in said
+
+
+def test_a_file_that_was_half_written_is_refused_wherever_it_ends(tmp_path):
+    c = configuration(tmp_path)
+    state(c)
+    file = tmp_path / "bench.yaml"
+    text = file.read_text()
+    body = text.index("\n") + 1
+    for end in range(0, text.index("turns:"), 23):
+        file.write_text(text[:end])
+        assert ("is no whole homing file" in refusal(c)) or end < body, end
+
+
+def test_a_file_of_another_robot_is_refused(tmp_path):
+    state(configuration(tmp_path))
+    said = refusal(configuration(tmp_path, mass=11))
+    assert "for another robot, configuration 'desktop'" in said
+
+
+def test_a_file_of_another_robot_is_not_patched_by_one_leg(tmp_path):
+    state(configuration(tmp_path))
+    with pytest.raises(ConfigurationError, match="another robot"):
+        state_homing(configuration(tmp_path, mass=11), emulated=True, legs_m={2: 0.33})
+
+
+def test_an_old_file_is_refused(tmp_path):
+    c = configuration(tmp_path)
+    state(c)
+    file = tmp_path / "bench.yaml"
+    file.write_text(file.read_text().replace("version: 1", "version: 0"))
+    assert "version 0, allowed: 1" in refusal(c)
+
+
+def test_after_a_run_that_was_killed_the_file_is_not_believed(tmp_path):
+    c = configuration(tmp_path)
+    state(c)
+    keeper = Keeper(c, emulated=True)
+    keeper.begin(cast("Cycle", None))  # the run dies before its cycle is asked
+    assert "did not end at rest" in refusal(c)
+    state_homing(c, emulated=True, at_home=True)
+    assert Keeper(c, emulated=True).last_pose is not None
+
+
+# -- the command -------------------------------------------------------------------------------------------
+
+
+def test_one_leg_is_corrected_and_the_others_stay(tmp_path):
+    c = configuration(tmp_path)
+    state(c)
+    state_homing(c, emulated=True, legs_m={2: 0.35})
+    there = read_homing(c, tmp_path / "bench.yaml")
+    expected = start_lengths(c)
+    expected[2] = 0.35
+    assert there.lengths_m == expected.tolist()
+    assert there.state == "stated"
+    assert there.turns is None
+
+
+def test_a_stated_length_may_be_off_by_a_quarter_of_a_turn_and_a_parked_one_by_the_limit(tmp_path):
+    c = configuration(tmp_path)
+    state(c)
+    assert limits(c) == pytest.approx([STEP_M / 4] * 6)
+    file = tmp_path / "bench.yaml"
+    file.write_text(file.read_text().replace("state: stated", "state: parked"))
+    assert limits(c) == [0.0005] * 6
+
+
+def test_a_length_outside_the_stroke_is_refused_and_nothing_is_written(tmp_path):
+    c = configuration(tmp_path)
+    with pytest.raises(
+        ConfigurationError, match=r"leg 3: 0\.45 m: outside the stroke, allowed: 0\.25 to 0\.4 m"
+    ):
+        state_homing(c, emulated=True, at_home=True, legs_m={3: 0.45})
+    assert not list(tmp_path.iterdir())
+
+
+def test_real_and_emulated_drives_have_files_of_their_own(tmp_path):
+    c = configuration(tmp_path)
+    assert homing_path(c, emulated=False) == tmp_path / "real.yaml"
+    assert homing_path(c, emulated=True) == tmp_path / "bench.yaml"
+
+
+# -- the configuration, and the drives' end -----------------------------------------------------------------
+
+
+def test_a_limit_that_no_leg_could_exceed_is_refused(tmp_path):
+    with pytest.raises(
+        ConfigurationError, match=r"drives\.homing\.limit_m: too large .* less than 0\.003142"
+    ):
+        configuration(tmp_path, homing=HOMING.replace("0.0005", "0.00315"))
+
+
+def test_drives_that_speak_of_legs_have_no_turns_to_forget(tmp_path):
+    text = resources.files("configs").joinpath("virtual.yaml").read_text(encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"drives\.homing: .* speaks of leg lengths"):
+        loads(text.replace("drives:\n", f"drives:\n{HOMING}", 1), "virtual")
+
+
+def test_an_emulated_drive_counts_from_the_turn_in_which_it_is_switched_on():
+    gear = Transmission(
+        lead_m=np.full(6, 0.005), gear=np.full(6, 2.0), sign=np.array([1.0, -1, 1, -1, 1, -1]),
+        driving=np.ones(6), back_driving=np.ones(6), offset_m=np.full(6, 0.3), counts=np.ones(6), full_loss_m_s=1e-3,
+    )  # fmt: skip
+    length = np.array([0.3007, 0.3017, 0.3043, 0.2957, 0.3, 0.31])
+    turns = Turns(HomingSettings(file="a", limit_m=1e-4), gear, length)
+    # a turn is 2.5 mm of leg: 0.7 mm is 0.28 turns, 1.7 mm -0.68, 4.3 mm 1.72, -4.3 mm 1.72, 10 mm -4
+    reported = gear.turns(turns.counted(length))
+    np.testing.assert_allclose(reported, [0.28, 0.32, -0.28, -0.28, 0.0, 0.0], atol=1e-9)
+    moved = length + 0.0075
+    np.testing.assert_allclose(gear.turns(turns.counted(moved))[0], 3.28, atol=1e-9)
+    turns.switch_on(0, moved)
+    np.testing.assert_allclose(gear.turns(turns.counted(moved))[:2], [0.28, -2.68], atol=1e-9)

@@ -1,0 +1,171 @@
+"""Turns that drives forget at power-off are found from where the legs were parked, or the leg is refused."""
+
+import numpy as np
+import pytest
+
+from drivers.signals import NEVER
+from drivers.tick_columns import new_record
+from hil.loop.homing import SILENT_TICKS, Homing, LastPose, Stroke, unwrapped_turns
+
+STEP = np.array([0.0025, 0.0025, 0.005, 0.01, 0.1, 0.0025])
+SIGN = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+PARKED = np.array([0.301, 0.312, 0.323, 0.334, 0.345, 0.356])
+LIMIT = 2e-4
+TURNS = np.array([7, -3, 12, 0, -1, 100])
+"""How many whole turns each drive has forgotten."""
+PERIOD_S = 0.0025
+
+
+class Leg:
+    """Six drives that report `reported`, tick by tick."""
+
+    def __init__(self, stroke=None, **changes):
+        pose = LastPose(PARKED, np.full(6, LIMIT), STEP, SIGN * STEP, "parked 2026-01-02")._replace(**changes)
+        self.pose = pose
+        self.homing = Homing(pose, stroke or Stroke(0.2, 0.5, None), PERIOD_S)
+        self.last = new_record()
+        self.last["age"] = NEVER
+        self.number = -1
+
+    def hear(self, reported, *, braked=True, silent=(), rate=0.0):
+        self.number += 1
+        tick = new_record()
+        tick["tick"] = self.number
+        tick["rate"] = rate
+        before = self.homing.before(self.last)
+        for leg in range(6):
+            quiet = leg in silent
+            tick["age"][leg] = self.last["age"][leg] + 1 if quiet else 0
+            tick["length"][leg] = before["length"][leg] if quiet else reported[leg]
+        self.homing.correct(tick, self.last, braked=braked)
+        self.last = tick
+        return tick["length"]
+
+
+def forgotten(length):
+    return length - TURNS * STEP
+
+
+def test_whole_turns_are_added_to_the_length_that_is_read():
+    legs = Leg()
+    here = PARKED + 0.9 * LIMIT * np.array([1, -1, 1, -1, 1, -1])
+    found = legs.hear(forgotten(here))
+    np.testing.assert_allclose(found, here, atol=1e-12)
+    assert legs.homing.known
+    assert not legs.homing.refusal
+    assert unwrapped_turns(legs.homing, legs.pose) == (TURNS * SIGN).tolist()
+
+
+def test_the_turn_stays_while_the_leg_moves_on_past_many_turns():
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    moved = PARKED.copy()
+    for _ in range(100):
+        moved = moved + 5e-4
+        found = legs.hear(forgotten(moved), braked=False, rate=5e-4 / PERIOD_S)
+    np.testing.assert_allclose(found, moved, atol=1e-12)
+    assert legs.homing.known
+
+
+def test_the_decoder_sees_the_lengths_that_the_drives_reported():
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    np.testing.assert_array_equal(legs.homing.before(legs.last)["length"], forgotten(PARKED))
+    found = legs.hear(forgotten(PARKED), silent=(3,))
+    np.testing.assert_allclose(found, PARKED, atol=1e-12)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_that_is_elsewhere_is_refused_by_its_name_with_both_lengths_and_the_turns(leg):
+    legs = Leg()
+    here = PARKED.copy()
+    here[leg] += 0.3 * STEP[leg]
+    legs.hear(forgotten(here))
+    said = legs.homing.refusal
+    assert not legs.homing.known
+    assert said.startswith(
+        f"leg {leg} is {here[leg]:.6f} m long, and was {PARKED[leg]:.6f} m (parked 2026-01-02)"
+    )
+    assert f"{-0.3 * SIGN[leg]:+.3f} turns of its motor" in said
+    assert f"hil homing CONFIG --leg {leg}" in said
+
+
+def test_a_leg_that_comes_back_to_where_it_was_is_taken():
+    legs = Leg()
+    here = PARKED.copy()
+    here[2] += 0.3 * STEP[2]
+    legs.hear(forgotten(here))
+    legs.hear(forgotten(PARKED))
+    assert legs.homing.known
+
+
+def test_turns_are_not_known_before_all_six_legs_are_heard():
+    legs = Leg()
+    legs.hear(forgotten(PARKED), silent=(5,))
+    assert not legs.homing.known
+    assert not legs.homing.refusal
+
+
+@pytest.mark.parametrize("silent_ticks", [0, SILENT_TICKS + 1])
+def test_a_drive_that_was_switched_off_behind_its_brake_is_found_again(silent_ticks):
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    for _ in range(silent_ticks):
+        legs.hear(forgotten(PARKED), silent=(4,))
+    reads = forgotten(PARKED)
+    reads[4] += 3 * STEP[4]
+    found = legs.hear(reads)
+    np.testing.assert_allclose(found, PARKED, atol=1e-12)
+    assert legs.homing.known
+
+
+@pytest.mark.parametrize("silent_ticks", [0, SILENT_TICKS + 1])
+def test_a_drive_that_was_switched_off_with_its_brake_open_is_lost(silent_ticks):
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    for _ in range(silent_ticks + 1):
+        legs.hear(forgotten(PARKED), silent=(4,), braked=False)
+    reads = forgotten(PARKED)
+    reads[4] += 3 * STEP[4]
+    legs.hear(reads, braked=False)
+    legs.hear(reads)
+    assert not legs.homing.known
+    assert "leg 4: its drive was switched off" in legs.homing.refusal
+
+
+def test_a_drive_that_was_silent_for_less_keeps_its_turn():
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    for _ in range(SILENT_TICKS):
+        legs.hear(forgotten(PARKED), silent=(1,), braked=False)
+    np.testing.assert_allclose(legs.hear(forgotten(PARKED), braked=False), PARKED, atol=1e-12)
+    assert legs.homing.known
+
+
+def test_a_drive_whose_position_ends_inside_the_stroke_is_refused():
+    ends = np.full(6, 0.0), np.full(6, 0.6)
+    legs = Leg(Stroke(0.2, 0.5, ends))
+    legs.hear(forgotten(PARKED))
+    assert (
+        "leg 5: its drive was switched on where its position ends at leg lengths of 0.2500 and 0.8500 m"
+        in (legs.homing.refusal)
+    )
+
+
+def test_reset_forgets_what_was_found():
+    legs = Leg()
+    legs.hear(forgotten(PARKED), braked=False)
+    assert legs.homing.opened
+    legs.homing.reset()
+    assert not legs.homing.opened
+    assert not legs.homing.known
+    assert not legs.homing.added.any()
+
+
+def test_drives_that_forget_nothing_are_left_alone():
+    homing = Homing(None, Stroke(0.2, 0.5, None), PERIOD_S)
+    tick = new_record()
+    tick["length"] = 0.123
+    homing.correct(tick, new_record(), braked=False)
+    assert homing.known
+    assert (tick["length"] == 0.123).all()

@@ -19,15 +19,14 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
+from drivers.motor_drives import MotorMemory, put
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import (
     OWN_CODE,
     Exchange,
     Heard,
     MotorDialogue,
-    MotorMemory,
     MotorProtocol,
-    put,
 )
 from drivers.protocol import (
     BRS,
@@ -266,9 +265,16 @@ class MoteusProtocol(MotorProtocol):
         first, last = (settings, ()) if mode == POSITION else ((), settings)
         return memory, (*first, *commands, *last, Sync(0, (leg,)))
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def answer(
+        self,
+        memory: MotorMemory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
         """Encode what the drives of `sync.legs` answer to QUERY: 24 V, 30 degrees; a lost encoder is NaN."""
         codes = np.zeros(LEGS, np.int64) if fault is None else fault
         turns, speeds, torques = self.motor(length, rate, force)
@@ -285,7 +291,7 @@ class MoteusProtocol(MotorProtocol):
             data = bytes((0x21, MODE, mode, 0x2F, PLACE)) + floats + bytes((0x23, 0x0D, 48, 30, code))
             identifier = self._reply_ids[leg]
             frames.append((leg, Frame(identifier, pad(data), FD | BRS | EXTENDED * (identifier > 0x7FF))))
-        return frames
+        return memory, frames
 
     # bus time
 

@@ -6,28 +6,23 @@ build up against the brake: it comes with the enabling, a tick later. A drive th
 by itself while RUN is asked for has restarted: BOOT. It is not enabled again until RUN is asked for anew.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from abc import abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
 from drivers.errors import ProtocolError
+from drivers.motor_drives import MotorDrives, put
 from drivers.protocol import (
     ALWAYS,
-    DeviceCommand,
-    DeviceMessage,
     DriveSetup,
     Frame,
     Received,
-    Status,
-    Sync,
     frames_of,
 )
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record
-from drivers.transmission import Transmission
 
 OWN_CODE = 0x100
 """Added to a fault code of a family, so that none is taken for a DriveFault."""
@@ -98,21 +93,6 @@ class MotorDialogue(NamedTuple):
     """What the last answer held that was not the right one."""
 
 
-class MotorMemory(NamedTuple):
-    """The drives' end; one element a leg."""
-
-    heard: tuple[int, ...] = (0,) * LEGS
-    """Commands so far: none is a repetition."""
-    enabled: tuple[bool, ...] = (False,) * LEGS
-    registers: tuple[tuple[tuple[int, float], ...], ...] = ((),) * LEGS
-    """What has been written, by leg."""
-
-
-def put(values: tuple[Any, ...], leg: int, value: Any) -> tuple[Any, ...]:
-    """Return the values with another one for a leg."""
-    return (*values[:leg], value, *values[leg + 1 :])
-
-
 def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
     """Return the DriveState of a drive that says only whether it is enabled; see the module's docstring."""
     if power in (_FAULT, _RUN):
@@ -130,8 +110,8 @@ def unwatched(family: str) -> str:
     )
 
 
-class MotorProtocol(ABC):
-    """Controller's end of such a family, and what the drives' ends share. Holds tables only."""
+class MotorProtocol(MotorDrives):
+    """Controller's end of such a family. Holds tables only."""
 
     database: tuple[str, str] | None = None
     command_delay_ticks = 1
@@ -144,9 +124,6 @@ class MotorProtocol(ABC):
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     feedback_ids = frozenset(range(LEGS))
     """Legs: answers of several drives may share an identifier, or change it."""
-
-    def __init__(self, transmission: Transmission) -> None:
-        self.transmission = transmission
 
     # what a family gives
 
@@ -354,45 +331,3 @@ class MotorProtocol(ABC):
         if read is None:
             return f"{asked.name} is not confirmed"
         return f"{asked.name} is {read:.7g} in the drive, {asked.value:.7g} here"
-
-    # drives' end
-
-    def power_up(self) -> MotorMemory:
-        """Return the memory of six drives that have heard nothing."""
-        return MotorMemory()
-
-    def status(self, _status: Status) -> tuple[Frame, ...]:
-        """Return nothing: such drives speak when they are asked."""
-        return ()
-
-    @abstractmethod
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        """See `DriveProtocol.feedbacks`."""
-
-    def example_feedbacks(self) -> list[Frame]:
-        """Return the feedbacks of six running drives at rest at position zero."""
-        zeros, running = np.zeros(LEGS), np.full(LEGS, DriveState.RUN, np.int64)
-        length = self.transmission.length(zeros)
-        return [frame for _, frame in self.feedbacks(Sync(0), length, zeros, zeros, running)]
-
-    def _commanded(
-        self, memory: MotorMemory, leg: int, modes: Sequence[int], torque: float
-    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        """Return the commands of one frame to one drive, each new."""
-        force = np.array([torque * self.transmission.N_per_Nm[leg]])
-        count = memory.heard[leg]
-        commands = tuple(DeviceCommand((leg,), int(m), force, count + n + 1) for n, m in enumerate(modes))
-        return memory._replace(heard=put(memory.heard, leg, count + len(modes))), commands
-
-    @staticmethod
-    def finite(leg: int, *values: float) -> None:
-        """Raise ProtocolError for a feedback that is no number."""
-        if not np.isfinite(values).all():
-            raise ProtocolError(f"feedback of leg {leg} is not a number: {values}")
-
-    def motor(self, length: Array, rate: Array, force: Array) -> tuple[list[float], list[float], list[float]]:
-        """Return turns, turns/s and N m of the motors at lengths m, rates m/s, leg forces N, each (6,)."""
-        t = self.transmission
-        return t.turns(length).tolist(), t.turns_per_s(rate).tolist(), t.torque(force, rate).tolist()

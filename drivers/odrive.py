@@ -16,15 +16,14 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
+from drivers.motor_drives import MotorMemory, put
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import (
     OWN_CODE,
     Exchange,
     Heard,
     MotorDialogue,
-    MotorMemory,
     MotorProtocol,
-    put,
 )
 from drivers.protocol import (
     ERROR,
@@ -244,9 +243,16 @@ class ODriveProtocol(MotorProtocol):
             tool = (Configure(leg, self._watchdog_s, Reaction.BRAKE),)
         return memory, (*commands, *tool)
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def answer(
+        self,
+        memory: MotorMemory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        _fault: Ints | None = None,
+    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
         """Encode what the axes of `sync.legs` answer; a lost encoder has no estimate: it is NaN."""
         turns, speeds, torques = self.motor(length, rate, force)
         frames = []
@@ -255,13 +261,13 @@ class ODriveProtocol(MotorProtocol):
             lost = bool(int(state[leg]) & INVALID)
             values = (float("nan"),) * 2 if lost else (turns[leg], speeds[leg])
             frames.append((leg, self._to(leg, ESTIMATES, struct.pack("<ff", *values))))
-        return frames
+        return memory, frames
 
-    def status(self, status: Status) -> tuple[Frame, ...]:
+    def report(self, memory: MotorMemory, status: Status) -> tuple[MotorMemory, tuple[Frame, ...]]:
         """Encode an axis' heartbeat: error, state, procedure result, trajectory done."""
         error = _FAULTS.get(DriveFault(status.fault), 0)
         state = CLOSED_LOOP if status.state == _RUN else IDLE
-        return (self._to(status.leg, HEARTBEAT, struct.pack("<IBBBx", error, state, 0, 0)),)
+        return memory, (self._to(status.leg, HEARTBEAT, struct.pack("<IBBBx", error, state, 0, 0)),)
 
     # bus time
 

@@ -263,29 +263,6 @@ class DriveProtocol(Protocol):
     def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
         """Decode at the drives' end; no messages when the frame is not for them."""
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        """Encode what the drives of `sync.legs` answer, each frame with its leg.
-
-        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
-        of no use; fault (6,) DriveFault, for protocols whose feedback names it. Raises ProtocolError on NaN.
-        """
-
-    def status(self, status: Status) -> tuple[Frame, ...]:
-        """Encode one drive's heartbeat, with its fault."""
-
-    # bus time
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame sent once per tick, `begin` included: lengths and flags count."""
-
-
-class RememberingDrives(Protocol):
-    """What a protocol has besides whose drives answer by what they remember: emulated drives ask these then.
-
-    `answer` takes the place of `feedbacks`, and `report` that of `status`.
-    """
-
     def answer(
         self,
         memory: Memory,
@@ -296,7 +273,15 @@ class RememberingDrives(Protocol):
         state: Ints,
         fault: Ints | None = None,
     ) -> tuple[Memory, list[tuple[int, Frame]]]:
-        """Encode as `feedbacks` does, and return what the drives remember of it."""
+        """Encode what the drives of `sync.legs` answer, each frame with its leg; they may remember it.
+
+        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
+        of no use; fault (6,) DriveFault, for protocols whose feedback names it. Raises ProtocolError on NaN.
+        """
 
     def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
-        """Learn what a drive is in, at its heartbeat and at each change, and return what it sends of it."""
+        """Encode what a drive sends of its state and fault, at its heartbeat and at each change."""
+
+    # bus time
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """Return one example of every frame sent once per tick, `begin` included: lengths and flags count."""

@@ -246,21 +246,6 @@ class Cia402Protocol:
         """Encode boot-up, EMCY and heartbeat of a drive, see `Devices`."""
         return self._devices.report(memory, status)
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        """Encode the TPDOs of drives that have been set up; what exceeds its field saturates.
-
-        Raises ProtocolError on NaN.
-        """
-        memory = self._devices.set_up(self._settings, state)
-        return self._devices.answer(memory, sync, length, rate, force, state)[1]
-
-    def status(self, status: Status) -> tuple[Frame, ...]:
-        """Encode what a drive that has been set up sends of its state."""
-        state = np.full(LEGS, status.state, np.int64)
-        return self._devices.report(self._devices.set_up(self._settings, state), status)[1]
-
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
@@ -269,7 +254,8 @@ class Cia402Protocol:
         The heartbeats, of which no tick needs one, are left to the free part of the bus, as are SDO and EMCY.
         """
         zeros, off = np.zeros(LEGS), np.full(LEGS, DriveState.OFF, np.int64)
-        answers = self.feedbacks(Sync(0), zeros, zeros, zeros, off)
+        memory = self._devices.set_up(self._settings, off)
+        _, answers = self._devices.answer(memory, Sync(0), zeros, zeros, zeros, off)
         commands = [Frame(identifier, _RPDO.pack(0, 0)) for identifier in self._rpdo_ids]
         return (*self._sync, *commands, *(frame for _, frame in answers))
 

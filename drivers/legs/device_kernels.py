@@ -85,7 +85,7 @@ def encode_feedbacks(
 ) -> int:
     """Fill `data` with the feedbacks of all legs, one after the other; what exceeds its field saturates.
 
-    length, rate, force, state (6,): m, m/s, N, as in `LegsProtocol.feedbacks`; counter 0..15; identifiers,
+    length, rate, force, state (6,): m, m/s, N, as in `LegsProtocol.answer`; counter 0..15; identifiers,
     form and scale as for `drivers.legs.kernels.fold`. Returns the first leg with a value that is no number,
     or -1.
     """

@@ -345,9 +345,16 @@ class LegsProtocol(Traits):
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {slot}")
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def answer(
+        self,
+        memory: int,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        _fault: Ints | None = None,
+    ) -> tuple[int, list[tuple[int, Frame]]]:
         """Encode the six feedbacks to one SYNC, leg order; what exceeds its field saturates.
 
         length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
@@ -371,9 +378,9 @@ class LegsProtocol(Traits):
             )
         flags = self._feedback.flags
         bodies = self._split(data.data)
-        return [(leg, _new(Frame, (id_, bodies[leg], flags))) for leg, id_ in self._feedback_legs]
+        return memory, [(leg, _new(Frame, (id_, bodies[leg], flags))) for leg, id_ in self._feedback_legs]
 
-    def status(self, status: Status) -> tuple[Frame, ...]:
+    def report(self, memory: int, status: Status) -> tuple[int, tuple[Frame, ...]]:
         """Encode one drive's heartbeat."""
         leg, state, fault, holds = status
         checksum = 0
@@ -382,7 +389,7 @@ class LegsProtocol(Traits):
             checksum = set_up_checksum(self._config_id[leg], body, self.rated_force_N)
         identifier, data = self._status_id[leg], self._status.pack(state, fault, checksum)
         check = crc8(data, identifier_state(identifier))
-        return (Frame(identifier, data + _BYTES[check], self._status.flags),)
+        return memory, (Frame(identifier, data + _BYTES[check], self._status.flags),)
 
     # bus time
 
@@ -390,5 +397,6 @@ class LegsProtocol(Traits):
         """Return one example of every frame of a tick: SYNC, commands, six feedbacks."""
         zeros = np.zeros(LEGS)
         _, command = self.command(None, Command(DriveMode.OFF, zeros), 0)
-        feedbacks = self.feedbacks(Sync(0), zeros, zeros, zeros, np.full(LEGS, DriveState.OFF, np.int64))
+        off = np.full(LEGS, DriveState.OFF, np.int64)
+        _, feedbacks = self.answer(NO_SYNC, Sync(0), zeros, zeros, zeros, off)
         return (*self.begin(None, 0), *command, *(frame for _, frame in feedbacks))

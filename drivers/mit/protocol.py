@@ -23,14 +23,13 @@ from drivers.mit.fields import (
     unpack_motion,
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
+from drivers.motor_drives import MotorMemory, put
 from drivers.motors import (
     OWN_CODE,
     Exchange,
     Heard,
     MotorDialogue,
-    MotorMemory,
     MotorProtocol,
-    put,
     unwatched,
 )
 from drivers.protocol import (
@@ -242,10 +241,17 @@ class MitProtocol(MotorProtocol):
         reply = Frame(self._replies[leg], data[:4] + body)
         return memory, (*messages, Answer(leg, reply))
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        """Encode what the drives of `sync.legs` answer; see `DriveProtocol.feedbacks`.
+    def answer(
+        self,
+        memory: MotorMemory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
+        """Encode what the drives of `sync.legs` answer; see `DriveProtocol.answer`.
 
         A lost encoder reads the lower end of the range: no field says so.
         """
@@ -261,7 +267,7 @@ class MitProtocol(MotorProtocol):
                 position, speeds[leg] * TURN, torques[leg], self.ranges, clamps=self.variant.clamps
             )
             frames.append((leg, self._reply(leg, body, said & ~INVALID, int(codes[leg]))))
-        return frames
+        return memory, frames
 
     def _reply(self, leg: int, body: bytes, state: int, fault: int) -> Frame:
         node, code = self._nodes[leg], 0

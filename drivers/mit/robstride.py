@@ -14,14 +14,13 @@ from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError
 from drivers.mit.fields import TURN, Ranges, code, value
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
+from drivers.motor_drives import MotorMemory, put
 from drivers.motors import (
     OWN_CODE,
     Exchange,
     Heard,
     MotorDialogue,
-    MotorMemory,
     MotorProtocol,
-    put,
     unwatched,
 )
 from drivers.protocol import (
@@ -210,9 +209,16 @@ class RobStrideProtocol(MotorProtocol):
         identifier = READ << 24 | self._nodes[leg] << 8 | self._host
         return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def answer(
+        self,
+        memory: MotorMemory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
         """Encode what the drives of `sync.legs` answer; it saturates, a lost encoder reads the lower end."""
         codes = np.zeros(LEGS, np.int64) if fault is None else fault
         turns, speeds, torques = self.motor(length, rate, force)
@@ -231,7 +237,7 @@ class RobStrideProtocol(MotorProtocol):
             mode = RUNNING if at == _RUN else RESETTING
             identifier = FEEDBACK << 24 | mode << 22 | faults << 16 | self._nodes[leg] << 8 | self._host
             frames.append((leg, Frame(identifier, data + (250).to_bytes(2, "big"), EXTENDED)))
-        return frames
+        return memory, frames
 
     # bus time
 

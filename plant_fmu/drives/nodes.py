@@ -35,7 +35,6 @@ from drivers.protocol import (
 from drivers.signals import LEGS, DriveFault, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.answers import drives_of
 from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
 from plant_fmu.drives.reading import Reading
@@ -79,7 +78,6 @@ class Nodes:
     ) -> None:
         self._plant = plant
         self._protocol = protocol
-        self._answers = drives_of(protocol)
         self._emulation = emulation
         self._settings = drives
         self._faults = FaultPlan() if faults is None else faults
@@ -279,8 +277,7 @@ class Nodes:
         if self._present.crashes:
             raise PlantError("the plant crashed: fault plant_crash")
         self._drives.disturb(self._present, self._length, self._rate, t)
-        for leg in np.flatnonzero(self._present.reset).tolist():
-            self._turns.switch_on(leg, self._length)
+        self._turns.switch_on(self._present.reset, self._length)
         self._weigh()
         self._actuate(t)
         self._calm_ns = min(self._calm_ns, int(self._drives.moved_ns.min()))
@@ -348,23 +345,21 @@ class Nodes:
         length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
         if present.noise or any(present.late_ns):
             self._reading.spoil(present, t, length, rate)
-        length = self._turns.counted(length)
+        length, read = self._turns.counted(length), (rate, force, state, fault)
         try:
-            self._memory, frames = self._answers.answer(self._memory, sync, length, rate, force, state, fault)
+            self._memory, frames = self._protocol.answer(self._memory, sync, length, *read)
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
-        silent = present.silent
-        out += [(t, frame) for leg, frame in frames if not silent[leg]]
+        out += [(t, frame) for leg, frame in frames if not present.silent[leg]]
         for leg, by_m in enumerate(present.forged_m):
             if by_m is not None:
-                _, other = self._answers.answer(self._memory, sync, length + by_m, rate, force, state, fault)
+                _, other = self._protocol.answer(self._memory, sync, length + by_m, *read)
                 out += [(t, frame) for k, frame in other if k == leg]
 
     def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
         self._advance(t)
         legs, mode, force, counter = command
-        drives, watched = self._drives, not isinstance(command, UnwatchedCommand)
-        obey = drives.obey if watched else drives.obey_unwatched
+        obey = self._drives.obey_unwatched if isinstance(command, UnwatchedCommand) else self._drives.obey
         length, rate = self._length, self._rate
         fresh, controls, entered, earliest = obey(length, rate, _indices(legs), force, mode, counter, t)
         if entered:
@@ -396,7 +391,7 @@ class Nodes:
         holds = None
         if drives.configured[leg]:
             holds = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
-        self._memory, frames = self._answers.report(self._memory, Status(leg, state, fault, holds))
+        self._memory, frames = self._protocol.report(self._memory, Status(leg, state, fault, holds))
         self._send(leg, t, frames, out)
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:

@@ -1,5 +1,7 @@
 """What the emulated drives forget at power-off: how often their motors have turned."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivers.arrays import Array
@@ -23,14 +25,14 @@ class Turns:
         self._uncounted_m = np.zeros(LEGS)
         self._transmission = None if settings is None else transmission
         self._forgets = np.broadcast_to(1.0 if settings is None else settings.forgotten_turns, LEGS)
-        for leg in range(LEGS):
-            self.switch_on(leg, length)
+        self.switch_on([True] * LEGS, length)
 
-    def switch_on(self, leg: int, length: Array) -> None:
-        """Switch one drive on, the legs having lengths (6,) m."""
-        if self._transmission is not None:
-            turns, unit = self._transmission.turns(length)[leg], self._forgets[leg]
-            self._uncounted_m[leg] = self._transmission.m_per_turn[leg] * unit * round(turns / unit)
+    def switch_on(self, which: Sequence[bool], length: Array) -> None:
+        """Switch six drives on, or those of them that are, the legs having lengths (6,) m."""
+        if self._transmission is not None and any(which):
+            whole = np.round(self._transmission.turns(length) / self._forgets) * self._forgets
+            uncounted_m = self._transmission.m_per_turn * whole
+            self._uncounted_m = np.where(which, uncounted_m, self._uncounted_m)
 
     def counted(self, length: Array) -> Array:
         """Return as what the drives report lengths (6,) m."""

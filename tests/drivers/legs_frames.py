@@ -11,6 +11,7 @@ import numpy as np
 from drivers.protocol import ALWAYS, DeviceMessage, DriveProtocol, DriveSetup, Frame, Received, Sync, run_of
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record, new_record
+from tests.drivers.drives_end import answers
 
 SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
@@ -58,4 +59,4 @@ def one_feedback(
 ) -> Frame:
     """Return one drive's feedback to the SYNC with a counter."""
     l, dl, f = (np.full(LEGS, value, float) for value in (length, rate, force))
-    return protocol.feedbacks(Sync(counter), l, dl, f, np.full(LEGS, state, np.int64))[leg][1]
+    return answers(protocol, Sync(counter), l, dl, f, np.full(LEGS, state, np.int64))[leg][1]

@@ -39,6 +39,7 @@ from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.frames import FramesLoss
 from plant_fmu.faults.plan import FaultPlan
+from tests.drivers.drives_end import answers
 
 PERIOD_NS = 4_000_000
 SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)
@@ -424,7 +425,7 @@ class ProtocolContract:
     def test_a_drive_never_sends_a_nan(self, protocol):
         state = np.zeros(LEGS, np.int64)
         with pytest.raises(ProtocolError, match="not a number"):
-            protocol.feedbacks(Sync(0), LENGTH, np.full(LEGS, np.nan), FORCE, state)
+            answers(protocol, Sync(0), LENGTH, np.full(LEGS, np.nan), FORCE, state)
 
     def test_the_database_if_there_is_one_can_be_read(self, protocol):
         if protocol.database is not None:

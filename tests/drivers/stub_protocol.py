@@ -293,9 +293,16 @@ class StubProtocol:
         SET: _on_set,
     }
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, _fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def answer(
+        self,
+        memory: StubMemory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        _fault: Ints | None = None,
+    ) -> tuple[StubMemory, list[tuple[int, Frame]]]:
         frames = []
         for leg in sync.legs:
             values = float(length[leg]), float(rate[leg]), float(force[leg])
@@ -306,15 +313,15 @@ class StubProtocol:
             frames.append(
                 (leg, self._frame(LOAD, leg, float(np.clip(values[2], -1e9, 1e9)), int(state[leg])))
             )
-        return frames
+        return memory, frames
 
-    def status(self, status: Status) -> tuple[Frame, ...]:
+    def report(self, memory: StubMemory, status: Status) -> tuple[StubMemory, tuple[Frame, ...]]:
         code = OWN_FAULTS + status.fault if status.fault else 0
-        return (self._frame(BEAT, status.leg, status.state, code),)
+        return memory, (self._frame(BEAT, status.leg, status.state, code),)
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         zeros = np.zeros(LEGS)
-        answers = self.feedbacks(Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))
+        answers = self.answer(self.power_up(), Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))[1]
         return (*self._polls(DriveMode.OFF, (0.0,) * LEGS), *(frame for _, frame in answers))
 
 

@@ -27,6 +27,8 @@ NODES = (1, 2, 3, 4, 5, 6)
 LEG = 4
 """Of node 5."""
 P = drives(NODES)
+RUNNING = P._devices.set_up(P._settings, np.full(6, DriveState.RUN))
+"""What drives remember that have been set up."""
 
 
 def vectors(what: str):
@@ -178,7 +180,7 @@ def test_length_rate_and_force_come_back_over_the_whole_range(counts, speed, tor
     length = offset + sign * STEP_m * np.array(counts)
     rate = np.array(speed) * 300.0
     force = np.array(torque) * 32767 * PERMILLE_N
-    frames = [f for _, f in P.feedbacks(Sync(0), length, rate, force, np.full(6, DriveState.RUN))]
+    frames = [f for _, f in P.answer(RUNNING, Sync(0), length, rate, force, np.full(6, DriveState.RUN))[1]]
     _, m = decoded(frames)
     np.testing.assert_allclose(m["length"], length, rtol=0, atol=STEP_m / 2 * 1.001 + 1e-9)
     np.testing.assert_allclose(m["rate"], rate, rtol=0, atol=STEP_m / 2 * 1.001)
@@ -188,7 +190,7 @@ def test_length_rate_and_force_come_back_over_the_whole_range(counts, speed, tor
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_reading_saturates_at_the_edge_of_its_field(side):
     far = np.full(6, side * 1e9)
-    frames = [f for _, f in P.feedbacks(Sync(0), far, far, far, np.full(6, DriveState.RUN))]
+    frames = [f for _, f in P.answer(RUNNING, Sync(0), far, far, far, np.full(6, DriveState.RUN))[1]]
     m = decoded(frames)[1]
     assert abs(m["length"][0] - 0.75) == pytest.approx((1 << 31) * STEP_m, abs=2 * STEP_m)
     assert abs(m["rate"][0]) == pytest.approx((1 << 31) * STEP_m, abs=2 * STEP_m)

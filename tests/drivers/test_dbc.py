@@ -36,6 +36,7 @@ from drivers.protocol import (
 )
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Reaction
+from tests.drivers.drives_end import answers, reports
 from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
 from tests.drivers.test_crc import bitwise_crc16
 
@@ -187,7 +188,7 @@ def test_node_numbers_move_identifiers_and_keep_legs(layout):
     assert [frame.id for frame in protocol.configure(0.01, Reaction.DAMP)] == [
         0x600 + node for node in (127, 20, 30, 40, 50, 1)
     ]
-    assert protocol.status(Status(1, 1, 0))[0].id == 0x714
+    assert reports(protocol, Status(1, 1, 0))[0].id == 0x714
 
 
 @pytest.mark.parametrize(
@@ -406,7 +407,7 @@ def test_fresh_is_a_feedback_with_this_ticks_counter(layout):
 def test_decode_leaves_the_previous_measurement_alone():
     before = decode(P["fd"], received(feedback("fd", 5)), 5)
     kept = before.tobytes()
-    frames = received(feedback("fd", 6, length=2.0), *P["fd"].status(Status(0, 4, 2)))
+    frames = received(feedback("fd", 6, length=2.0), *reports(P["fd"], Status(0, 4, 2)))
     after = decode(P["fd"], frames, 6, before)
     assert before.tobytes() == kept
     assert (after["length"][0], after["drive_fault"][0]) == (2.0, 2)
@@ -569,7 +570,7 @@ def test_configuration_round_trip(watchdog_s, reaction):
 def test_six_feedbacks_at_once_are_those_of_each_drive_alone(layout):
     length, rate, force = np.linspace(1.0, 2.0, 6), np.linspace(-0.5, 0.5, 6), np.linspace(-9e3, 9e3, 6)
     state = np.array([0, 1, 2, 3, 4, 3 | INVALID], np.int64)
-    legs, together = zip(*P[layout].feedbacks(Sync(0x2B), length, rate, force, state), strict=True)
+    legs, together = zip(*answers(P[layout], Sync(0x2B), length, rate, force, state), strict=True)
     assert legs == (0, 1, 2, 3, 4, 5)
     alone = [
         one_feedback(P[layout], leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB)

@@ -24,6 +24,7 @@ from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign,
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
+from tests.drivers.drives_end import answers
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, ProtocolContract, at_tick
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
@@ -200,7 +201,7 @@ def test_damiao_feedback_is_read_with_its_status(vector):
 def running(protocol: MitProtocol, leg: int) -> Frame:
     """Return what a running drive at rest answers."""
     zeros, run = np.zeros(6), np.full(6, DriveState.RUN)
-    return dict(protocol.feedbacks(Sync(0), protocol.transmission.length(zeros), zeros, zeros, run))[leg]
+    return dict(answers(protocol, Sync(0), protocol.transmission.length(zeros), zeros, zeros, run))[leg]
 
 
 @pytest.mark.parametrize(("code", "words"), [(1, "motor over temperature"), (6, "phase current unbalance")])
@@ -391,8 +392,8 @@ def test_a_position_at_the_end_of_its_range_is_no_reading():
     ends = Ends(protocol)
     ends.until_set_up(range(0))
     length = protocol.transmission.length(np.full(6, 12.6 / (2 * np.pi)))
-    frames = protocol.feedbacks(
-        Sync(0), length, np.zeros(6), np.zeros(6), np.full(6, DriveState.OFF, np.int64)
+    frames = answers(
+        protocol, Sync(0), length, np.zeros(6), np.zeros(6), np.full(6, DriveState.OFF, np.int64)
     )
     m = at_tick(1)
     protocol.decode(ends.dialogue, run_of([Received(0, frame) for _, frame in frames]), ends.measurement, m)

@@ -19,6 +19,7 @@ from drivers.odrive import ODriveProtocol
 from drivers.protocol import REMOTE, DeviceCommand, DriveSetup, Frame, Received, Status, Sync, run_of
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
+from tests.drivers.drives_end import answers, reports
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/odrive.json").read_text("utf-8"))["vectors"]
@@ -90,7 +91,7 @@ def test_estimates_are_read_and_sent_as_the_vendors_header_has_them(vector):
     assert heard.motion is not None
     np.testing.assert_allclose(heard.motion, (said["Pos_Estimate"], said["Vel_Estimate"]), rtol=1e-7)
     length, rate = (np.full(6, said[key]) for key in ("Pos_Estimate", "Vel_Estimate"))
-    sent = unit().feedbacks(Sync(0, (leg,)), length, rate, np.zeros(6), np.ones(6, np.int64))
+    sent = answers(unit(), Sync(0, (leg,)), length, rate, np.zeros(6), np.ones(6, np.int64))
     assert sent == [(leg, frame(vector))]
 
 
@@ -109,7 +110,7 @@ def test_heartbeats_are_read_with_state_and_error(vector):
 
 
 def test_the_emulated_heartbeat_of_an_idle_axis_is_the_vendors():
-    (sent,) = unit().status(Status(0, DriveState.OFF, DriveFault.NONE))
+    (sent,) = reports(unit(), Status(0, DriveState.OFF, DriveFault.NONE))
     assert sent == frame(vectors("Heartbeat")[0])
 
 
@@ -118,7 +119,7 @@ def test_errors_have_words_and_watchdog_and_stop_are_known_by_name():
     assert heard is not None
     assert unit().fault_text(heard.fault) == "missing estimate, motor over temperature"
     for fault in (DriveFault.WATCHDOG, DriveFault.ESTOP):
-        (beat,) = unit().status(Status(1, DriveState.FAULT, fault))
+        (beat,) = reports(unit(), Status(1, DriveState.FAULT, fault))
         again = unit().hear(beat)
         assert again is not None
         assert again.fault == fault
@@ -148,7 +149,7 @@ def test_a_lost_encoder_is_a_blind_leg_and_another_controller_is_heard():
     begun = ends.tick * PERIOD_NS
     state = np.array([DriveState.OFF, DriveState.OFF | INVALID, *[DriveState.OFF] * 4])
     zeros = np.zeros(6)
-    frames = [f for _, f in ends.protocol.feedbacks(Sync(0), zeros + 1.7, zeros, zeros, state)]
+    frames = [f for _, f in answers(ends.protocol, Sync(0), zeros + 1.7, zeros, zeros, state)]
     m = at_tick(ends.tick + 1)
     received = [Received(begun, each) for each in (*frames, Frame(0x2E, bytes(8)))]
     ends.protocol.decode(ends.dialogue, run_of(received), ends.measurement, m, begun)

@@ -28,6 +28,7 @@ from drivers.protocol import (
 )
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
 
 NODES = (1, 2, 3, 4, 5, 6)
@@ -72,7 +73,7 @@ VECTORS = [
     ),
     Vector(
         "STATUS_6",
-        P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP, HOLDS))[0],
+        reports(P["fd"], Status(5, DriveState.FAULT, DriveFault.ESTOP, HOLDS))[0],
         0x706,
         0,
         # the CRC-16 of 06 06, D4 30 00 00 02 06 02 and 32000000 mN = 0x01E84800 is 0x3AF9
@@ -81,7 +82,7 @@ VECTORS = [
     ),
     Vector(
         "STATUS_6",
-        P["fd"].status(Status(5, DriveState.FAULT, DriveFault.ESTOP))[0],
+        reports(P["fd"], Status(5, DriveState.FAULT, DriveFault.ESTOP))[0],
         0x706,
         0,
         "04 02  00 00  39",

@@ -12,6 +12,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, TickInput
+from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import one_feedback, parse
 from tests.stories import fault_text
 
@@ -50,7 +51,7 @@ class Drives:
                 case Configure() as c:
                     self.configured.append(c)
                     self.state[c.leg] = DriveState.OFF
-                    self.statuses += self.protocol.status(Status(c.leg, DriveState.OFF, 0, c))
+                    self.statuses += reports(self.protocol, Status(c.leg, DriveState.OFF, 0, c))
                 case DeviceCommand() as c:
                     self.commands.append(c)
                     latched = () if c.mode == DriveMode.RESET else (DriveState.FAULT,)

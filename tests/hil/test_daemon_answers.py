@@ -14,6 +14,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.clock import Deadlines
 from hil.loop.daemon import _answers, switch_off
+from tests.drivers.drives_end import answers
 
 TICK = 1003
 
@@ -47,7 +48,7 @@ def cycle() -> Any:
 
 def six(cycle: Any, counter: int = TICK) -> list[Frame]:
     q, zero = np.full(6, 1.5), np.zeros(6)
-    sent = cycle.parts.protocol.feedbacks(Sync(counter), q, zero, zero, np.full(6, DriveState.RUN, np.int64))
+    sent = answers(cycle.parts.protocol, Sync(counter), q, zero, zero, np.full(6, DriveState.RUN, np.int64))
     return [frame for _, frame in sent]
 
 

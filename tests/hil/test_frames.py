@@ -10,6 +10,7 @@ from drivers.protocol import Configure, EmergencyStop, Frame, Received, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
 from hil.loop.report import waiting_text
 from hil.signals import Operator
+from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, one_feedback, parse
 from tests.hil.test_cycle import PERIOD_NS, Bench
 from tests.stories import fault_text
@@ -74,7 +75,7 @@ def test_an_emergency_stop_is_repeated_until_the_last_drive_confirms_it_and_no_l
 
     def told(leg: int, fault: DriveFault) -> tuple[Frame, ...]:
         holds = Configure(leg, 0.01, Reaction.BRAKE)
-        return OURS.status(Status(leg, DriveState.FAULT, fault, holds))
+        return reports(OURS, Status(leg, DriveState.FAULT, fault, holds))
 
     sent = [estops(bench.step((Operator.ESTOP,)).frames)]
     for leg in (3, 0, 5, 1, 2):
@@ -165,7 +166,7 @@ def test_a_drive_that_reports_another_set_up_is_a_fault_once_it_was_ours(mode):
     bench = Bench()
     bench.until(mode)
     other = Configure(4, 4000.0, Reaction.ZERO)
-    bench.drives.statuses += OURS.status(Status(4, bench.drives.state[4], 0, other))
+    bench.drives.statuses += reports(OURS, Status(4, bench.drives.state[4], 0, other))
     out = bench.step()
     assert bench.cycle.faults == Fault.SET_UP
     assert out.row["altered"] == 1 << 4
@@ -200,7 +201,7 @@ def test_a_drive_that_does_not_confirm_its_set_up_is_tried_again_and_then_keeps_
             "reaction": Configure(1, 0.01, Reaction.HOLD),
             "rated force": Configure(1, 0.01, Reaction.BRAKE),
         }.get(wrong)
-        bench.drives.statuses += speaks.status(Status(1, DriveState.OFF, 0, holds))
+        bench.drives.statuses += reports(speaks, Status(1, DriveState.OFF, 0, holds))
 
     bench.drives.obey = obey_wrongly  # type: ignore[method-assign]
     for _ in range(1000):

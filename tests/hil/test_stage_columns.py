@@ -41,6 +41,7 @@ from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from hil.signals import Operator
+from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import SETUP, one_feedback
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
 from tests.records import altered, arrived, record_of
@@ -130,7 +131,7 @@ def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layo
         one_feedback(protocol, leg, 1.5 + 0.1 * leg, 0.25, 100.0 * leg, DriveState.RUN, 8) for leg in range(4)
     ]
     frames.append(one_feedback(protocol, 4, 1.5, 0.25, 100.0, DriveState.RUN | INVALID, 8))
-    frames += protocol.status(Status(2, DriveState.FAULT, DriveFault.ESTOP))
+    frames += reports(protocol, Status(2, DriveState.FAULT, DriveFault.ESTOP))
     run = run_of([Received(1000 + k, frame) for k, frame in enumerate(frames)])
     last = record_of(
         tick=7, length=1.0, rate=0.5, drive_force=20.0, drive_state=DriveState.READY, drive_fault=1, age=3

@@ -23,6 +23,7 @@ from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import DONE, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
+from tests.drivers.drives_end import reports
 from tests.hil.test_cycle import Bench
 from tests.hil.test_frames import OURS
 from tests.records import altered
@@ -462,7 +463,7 @@ def test_an_emergency_stop_says_who_confirmed_it(bench, deaf):
         if leg not in deaf:
             bench.drives.state[leg] = DriveState.FAULT
             holds = Configure(leg, 0.01, Reaction.BRAKE)
-            bench.drives.statuses += OURS.status(Status(leg, DriveState.FAULT, DriveFault.ESTOP, holds))
+            bench.drives.statuses += reports(OURS, Status(leg, DriveState.FAULT, DriveFault.ESTOP, holds))
     story = go_on(bench, narrator, 20)
     if deaf:
         assert f"sent in 21 ticks; not confirmed by drive {', '.join(map(str, deaf))}" in story.done_text
@@ -570,7 +571,7 @@ def test_the_value_that_a_set_up_lacks_is_told_where_a_checksum_can_tell_it(plac
 def test_a_drive_that_was_set_up_by_somebody_else_is_told_with_the_value(bench, reaction):
     narrator = Narrator(bench.cycle)
     other = Configure(4, 0.01, reaction)
-    bench.drives.statuses += OURS.status(Status(4, bench.drives.state[4], 0, other))
+    bench.drives.statuses += reports(OURS, Status(4, bench.drives.state[4], 0, other))
     story = go_on(bench, narrator, 1)
     said = f"its checksum is that of reaction {reaction.name.lower()}, sent was brake"
     assert (

@@ -10,6 +10,7 @@ import pytest
 from drivers.legs.protocol import NO_SYNC, LegsProtocol
 from drivers.protocol import Configure, Frame, Rejected, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, parse
 from tests.plant_fmu.test_nodes import MS, Rig
 
@@ -139,7 +140,7 @@ def test_set_up_is_echoed_at_once_and_so_is_that_of_somebody_else():
     theirs = rig.at(2 * MS, *rig.protocol.configure(4000.0, Reaction.ZERO))
     for sent, watchdog_s, reaction in ((ours, 0.01, Reaction.BRAKE), (theirs, 4000.0, Reaction.ZERO)):
         expected = [
-            rig.protocol.status(Status(leg, DriveState.OFF, 0, Configure(leg, watchdog_s, reaction)))[0]
+            reports(rig.protocol, Status(leg, DriveState.OFF, 0, Configure(leg, watchdog_s, reaction)))[0]
             for leg in range(6)
         ]
         assert [frame for _, frame in sent] == expected
@@ -149,4 +150,4 @@ def test_set_up_is_echoed_at_once_and_so_is_that_of_somebody_else():
 def test_the_echo_tells_drives_of_another_rated_force():
     a, b = (LegsProtocol("fd", (1, 2, 3, 4, 5, 6), rated) for rated in (30_000.0, 3_000.0))
     holds = Status(0, DriveState.OFF, 0, Configure(0, 0.01, Reaction.BRAKE))
-    assert a.status(holds) != b.status(holds)
+    assert reports(a, holds) != reports(b, holds)

@@ -252,5 +252,5 @@ def test_an_emulated_drive_counts_from_the_turn_in_which_it_is_switched_on():
     np.testing.assert_allclose(reported, [0.28, 0.32, -0.28, -0.28, 0.0, 0.0], atol=1e-9)
     moved = length + 0.0075
     np.testing.assert_allclose(gear.turns(turns.counted(moved))[0], 3.28, atol=1e-9)
-    turns.switch_on(0, moved)
+    turns.switch_on([True] + [False] * 5, moved)
     np.testing.assert_allclose(gear.turns(turns.counted(moved))[:2], [0.28, -2.68], atol=1e-9)

@@ -118,6 +118,7 @@ class MotorProtocol(MotorDrives):
     set_up_frames = 1
     reset_ticks = 3
     stop_latches = False
+    force_on_brakes = False
     reports_power = True
     """Whether a drive says that it is enabled; else it is taken to be what it is asked for."""
     shares_identifiers = True

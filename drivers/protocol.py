@@ -209,6 +209,10 @@ class DriveProtocol(Protocol):
     def stop_latches(self) -> bool:
         """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
 
+    @property
+    def force_on_brakes(self) -> bool:
+        """Whether a drive in READY gives force on its closed brake; else force and open brake go together."""
+
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
 

@@ -67,6 +67,7 @@ class Cia402Protocol:
     set_up_frames = 3
     shares_identifiers = False
     stop_latches = True
+    force_on_brakes = False
     reactions = tuple(FAULT_REACTIONS)
     reset_ticks = 6
 

@@ -9,6 +9,7 @@ class Traits:
     """One identifier a feedback, a stop that latches, every reaction, its own brake."""
 
     stop_latches = True
+    force_on_brakes = True
     dangers = ()
     reactions = tuple(Reaction)
     shares_identifiers = False

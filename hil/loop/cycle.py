@@ -60,8 +60,8 @@ class Cycle:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
         self.sight = Sight(parts)
-        ends = (parts.safety.limits[name].item() for name in ("length_min_m", "length_max_m"))
-        stroke = Stroke(*ends, parts.protocol.reported_lengths())
+        shortest, longest = (parts.safety.limits[name].item() for name in ("length_min_m", "length_max_m"))
+        stroke = Stroke(shortest, longest, parts.protocol.reported_lengths())
         self.homing = Homing(parts.last_pose, stroke, self.period_s)
         engage = parts.engage
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)

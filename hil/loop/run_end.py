@@ -24,9 +24,14 @@ HELD_S = 1.0
 MOVING_S = 10.0
 """A simulation whose platform does not come to rest after a fault ends after this."""
 _HELD = (
-    "not all brakes are proven shut. The drives hold the platform with force, and the run goes on until it "
-    "is released: support the platform, then give the command again with --release. Ctrl-C drops nothing"
+    "not all brakes are proven shut. {}, and the run goes on until it is released: support the platform, "
+    "then give the command again with --release. Ctrl-C drops nothing"
 )
+_HOLDS = {
+    True: "The drives hold the platform with force",
+    False: "Nothing but the brakes holds the platform, as these drives give no force on closed brakes",
+}
+"""By whether the drives give force on closed brakes."""
 _MOVING = "the platform still moves, and the run goes on until it rests; Ctrl-C twice ends it"
 NO_DRIVES = "no drives"
 _STOPS = {
@@ -243,7 +248,7 @@ class Course:
         if not self.stays:
             return ""
         if cycle.mode is Mode.HELD:
-            return f"{self._fault_text}: {_HELD}"
+            return f"{self._fault_text}: {_HELD.format(_HOLDS[cycle.parts.protocol.force_on_brakes])}"
         if cycle.mode is Mode.FAULT and int(cycle.tick["tick"]) - cycle.mode_tick >= self._tail:
             return f"{self._fault_text}: {_MOVING}"
         return ""

@@ -213,6 +213,18 @@ class ProtocolContract:
         assert drives.reaction.tolist() == [reaction_of(protocol)] * LEGS
         assert [ends.step() for _ in range(60)] == [()] * 60
 
+    def test_a_drive_that_is_ready_gives_force_on_its_closed_brake_or_the_protocol_says_that_it_does_not(
+        self, protocol
+    ):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        for _ in range(4):
+            ends.step(Command(DriveMode.READY, FORCE), set_up=False)
+        there = ends.nodes.snapshot()
+        assert ends.measurement["drive_state"].tolist() == [DriveState.READY] * LEGS
+        assert there.brake.tolist() == [1.0] * LEGS
+        assert bool(there.force.any()) == protocol.force_on_brakes
+
     def test_no_tick_has_more_frames_of_set_up_than_stated(self, protocol):
         ends = Ends(protocol)
         counts = [len(ends.step()) for _ in range(PATIENCE)]

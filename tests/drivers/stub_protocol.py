@@ -103,6 +103,7 @@ class StubProtocol:
     set_up_frames = 2
     reset_ticks = 2
     stop_latches = True
+    force_on_brakes = True
     dangers = ()
     reactions = tuple(Reaction)
     shares_identifiers = False

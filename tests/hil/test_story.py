@@ -19,8 +19,8 @@ from drivers.signals import DriveFault, DriveState, Fault, Foreign, Mode, Reacti
 from hil.app.configuration.configuration import load
 from hil.loop.story.faults import FAULTS
 from hil.loop.story.finding import GLOSSARY, Finding
-from hil.loop.story.narrator import Narrator
-from hil.loop.story.told import DONE, Story
+from hil.loop.story.narrator import Narrator, said
+from hil.loop.story.told import DONE, DriveSaid, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
 from tests.drivers.drives_end import reports
@@ -453,6 +453,22 @@ def test_drives_that_confirm_are_told_from_those_that_do_not(bench):
     assert "leg 3 at -0.050 m/s" in go_on(bench, narrator, 1).at_end
     bench.drives.silent = set(range(6))
     assert go_on(bench, narrator, 1).at_end.startswith("no leg is heard")
+
+
+def test_what_drives_do_on_closed_brakes_and_what_their_maker_says_is_told_as_the_protocol_says(
+    bench, monkeypatch
+):
+    protocol = bench.cycle.parts.protocol
+    monkeypatch.setattr(protocol, "force_on_brakes", False)
+    monkeypatch.setattr(protocol, "fault_text", {29441: "EMCY 0x7301, sensor"}.__getitem__)
+    narrator = Narrator(bench.cycle)
+    bench.drives.silent = {2}
+    story = go_on(bench, narrator, 40)
+    assert "on which they give no force: nothing else holds the platform" in story.done_text
+    assert "force held" not in story.done_text
+    assert DriveSaid(4, "FAULT", 29441, 0, "EMCY 0x7301, sensor").text == "FAULT (29441: EMCY 0x7301, sensor)"
+    bench.cycle.tick["drive_fault"][4] = 29441
+    assert said(bench.cycle)[4].meaning == "EMCY 0x7301, sensor"
 
 
 @pytest.mark.parametrize("deaf", [(), (4,), (0, 4)])

@@ -26,7 +26,9 @@ from plant_fmu.faults.plan import FaultPlan
 from tests.records import altered, record_of
 
 RATE_Hz = 100.0
-SET_UP = SimpleNamespace(set_up_lacks=lambda _: ("",) * 6, fault_text=lambda _: "", stop_latches=True)
+SET_UP = SimpleNamespace(
+    set_up_lacks=lambda _: ("",) * 6, fault_text=lambda _: "", stop_latches=True, force_on_brakes=True
+)
 HEARD = {"age": 0, "counted_age": 0, "drive_state": DriveState.OFF}
 
 
@@ -39,6 +41,7 @@ def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
         proven=True,
         tick=record_of(**(HEARD | measured)),
         estop=False,
+        homing=SimpleNamespace(refusal=""),
         reset_tick=None,
         dialogue=None,
         durations=Durations(0.3, 0.1, 0.1),

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from drivers import PROTOCOLS
 from drivers.arrays import Array, Rows
 from drivers.can.bus_time import BitTiming
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError, HilError, LogError
+from drivers.protocol import DriveProtocol
 from drivers.signals import Mode
 from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import Configuration, loads
@@ -43,7 +45,8 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
         rate_Hz = _rate(log, path)
         events = log.events()
         configuration, why_not = _configuration(log)
-        story = told(log.metadata, events, found.rows, rate_Hz)
+        codec = None if configuration is None else _codec(configuration)
+        story = told(log.metadata, events, found.rows, rate_Hz, codec)
         text = _page(path, found, configuration, why_not, story, events, rate_Hz)
     try:
         write_whole(target, text)
@@ -95,6 +98,13 @@ def _configuration(log: Log) -> tuple[Configuration | None, str]:
     except (LogError, ConfigurationError) as error:
         first = str(error).partition("\n")[0]
         return None, f"without the configuration there are no limits, no bus load and no 3D view: {first}"
+
+
+def _codec(c: Configuration) -> DriveProtocol | None:
+    try:
+        return PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+    except HilError:
+        return None
 
 
 def _page(

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS, DriveState, Fault, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.report.timeline import spells
 from hil.loop.report import because
 from hil.loop.story.finding import GLOSSARY
-from hil.loop.story.told import DONE
+from hil.loop.story.told import done_text
 from hil.record.log import Event
 from hil.record.schema import SUMMARY
 
@@ -52,11 +53,16 @@ class Told(NamedTuple):
 
 
 def told(
-    metadata: Mapping[str, Mapping[str, str]], events: Sequence[Event], rows: Rows, rate_Hz: float
+    metadata: Mapping[str, Mapping[str, str]],
+    events: Sequence[Event],
+    rows: Rows,
+    rate_Hz: float,
+    protocol: DriveProtocol | None = None,
 ) -> Told:
     """Return what went wrong in a run.
 
-    metadata: that of the log. A story that is no story of ours counts as none: a log may hold anything.
+    metadata: that of the log; protocol: that of its configuration, None where that cannot be used. A story
+    that is no story of ours counts as none: a log may hold anything.
     """
     ending = metadata.get(SUMMARY, {})
     story = _mapping(ending.get("story", ""))
@@ -72,8 +78,8 @@ def told(
     return Told(
         headline,
         tuple(found),
-        tuple(_drives(story.get("drives")) or _drives_of_row(rows, found, rate_Hz)),
-        tuple(_done(story, rows, found, rate_Hz)),
+        tuple(_drives(story.get("drives"), protocol) or _drives_of_row(rows, found, rate_Hz, protocol)),
+        tuple(_done(story, rows, found, rate_Hz, protocol)),
         _at_end(story),
         tuple(advice.items()),
     )
@@ -121,33 +127,39 @@ def mode_name(mode: int) -> str:
     return Mode(mode).name if mode in {int(m) for m in Mode} else str(mode)
 
 
-def _state(state: int, fault: int) -> str:
-    known = {int(s): s.name for s in DriveState}
-    return f"{known.get(state, state)}{because(fault)}"
+def _reason(fault: int, protocol: DriveProtocol | None) -> str:
+    return because(fault, "" if protocol is None or not fault else protocol.fault_text(fault))
 
 
-def _drives(said: Any) -> list[str]:
+def _drives(said: Any, protocol: DriveProtocol | None) -> list[str]:
     texts = []
     for drive in map(_mapping, _list(said)):
         fault, age = drive.get("fault"), drive.get("age")
         heard = f", last heard {age} ticks before" if isinstance(age, int) and age else ""
-        reason = because(fault) if isinstance(fault, int) else ""
+        reason = _reason(fault, protocol) if isinstance(fault, int) else ""
         texts.append(f"{_text(drive.get('state'))}{reason}{heard}")
     return texts[:LEGS]
 
 
-def _drives_of_row(rows: Rows, found: Sequence[Found], rate_Hz: float) -> list[str]:
+def _drives_of_row(
+    rows: Rows, found: Sequence[Found], rate_Hz: float, protocol: DriveProtocol | None
+) -> list[str]:
     times = [each.time_s for each in found if each.time_s is not None]
     at: Any = np.flatnonzero(rows["tick"] >= round(min(times) * rate_Hz)) if times else []
     if not len(at):
         return []
     row = rows[at[0]]
     pairs = zip(row["drive_state"].tolist(), row["drive_fault"].tolist(), strict=True)
-    return [_state(state, fault) for state, fault in pairs]
+    known = {int(s): s.name for s in DriveState}
+    return [f"{known.get(state, state)}{_reason(fault, protocol)}" for state, fault in pairs]
 
 
 def _done(
-    story: Mapping[str, Any], rows: Rows, found: Sequence[Found], rate_Hz: float
+    story: Mapping[str, Any],
+    rows: Rows,
+    found: Sequence[Found],
+    rate_Hz: float,
+    protocol: DriveProtocol | None,
 ) -> list[tuple[float | None, str]]:
     steps = [_mapping(each) for each in _list(story.get("done"))]
     if steps:
@@ -156,7 +168,8 @@ def _done(
     if not times:
         return []
     modes = [(int(rows["tick"][a]) / rate_Hz, mode) for mode, a, _ in spells(rows["mode"])]
-    known = {int(mode): text for mode, text in DONE.items()}
+    force = protocol is None or protocol.force_on_brakes
+    known = {int(mode): done_text(mode, force_on_brakes=force) for mode in Mode}
     return [(t, known[mode]) for t, mode in modes if t >= min(times) and mode in known]
 
 

@@ -15,7 +15,7 @@ from hil.record.mirror import Piece
 WAITS = {
     Mode.WAITING: "waits for six drives that are heard, set up and off",
     Mode.IDLE: "waits for the operator's word that the platform may move, or for the drives to become ready",
-    Mode.LOADING: "tests the brakes and builds up the holding force on them",
+    Mode.LOADING: "tests the brakes, and builds up the holding force on them where the drives can",
     Mode.RELEASING: "waits for the brakes to open",
     Mode.APPROACH: "moves to the start of the reference",
     Mode.TRACKING: "",
@@ -24,7 +24,7 @@ WAITS = {
     Mode.UNLOADING: "tests the closed brakes while the force fades",
     Mode.PARKED: "",
     Mode.FAULT: "waits for the operator: the drives are off",
-    Mode.HELD: "waits for the operator: force holds the platform, its brakes are not proven shut",
+    Mode.HELD: "waits for the operator: not all brakes are proven shut",
 }
 """What each mode waits for, where the controller itself is not asked."""
 _FOLLOWS = range(Mode.RELEASING, Mode.PARKING + 1)

@@ -13,7 +13,7 @@ from hil.loop.modes import drive_mode
 from hil.loop.report import moving_text
 from hil.loop.story.faults import findings
 from hil.loop.story.finding import Finding, Moment
-from hil.loop.story.told import DONE, DriveSaid, Step, Story, listed, short
+from hil.loop.story.told import DONE, DriveSaid, Step, Story, done_text, listed, short
 from hil.signals import Operator
 
 _fields: Any = TICK.fields
@@ -84,14 +84,14 @@ class Narrator:
         states = tick.base[_STATES].tobytes()  # type: ignore[index]
         if states != self._states:
             self._states = states
-            self._powered = any(each.powered for each in said(tick))
+            self._powered = any(each.powered for each in said(cycle))
             self._estop_done = confirmed(tick, cycle.parts.protocol.stop_latches)
         if cycle.estop:
             self._estops += not self._estop_done
         if self._off_tick is not None and self._all_off is None:
             self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
             if self._told and not self._powered and self._heard(tick):
-                self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(tick)}))
+                self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(cycle)}))
 
     def _heard(self, tick: Record) -> bool:
         """Tell whether all drives have been heard since they were told to switch off."""
@@ -115,7 +115,7 @@ class Narrator:
             self._findings += found
             self._faults = faults
             if first:
-                self._drives = said(tick)
+                self._drives = said(cycle)
             for each in found:
                 self._event(int(tick["t_ns"]), "error", f"{each.line}\n{json.dumps(each.fields())}")
         if cycle.mode is not self._mode or (new and not self._steps):
@@ -148,14 +148,15 @@ class Narrator:
             done.append(
                 Step(number, number / self._cycle.parts.rate_Hz, "PLANT", "the simulation ended with it")
             )
-        return Story(tuple(self._findings), self._drives or said(tick), tuple(done), said(tick), rest, plant)
+        now = said(self._cycle)
+        return Story(tuple(self._findings), self._drives or now, tuple(done), now, rest, plant)
 
     def _done(self) -> list[Step]:
         rate = self._cycle.parts.rate_Hz
         last_off = max((n for n, (_, mode, _) in enumerate(self._steps) if _off(mode)), default=-1)
         steps = []
         for n, (tick, mode, released) in enumerate(self._steps):
-            text = DONE[mode]
+            text = done_text(mode, force_on_brakes=self._cycle.parts.protocol.force_on_brakes)
             if n == last_off and self._off_tick is not None:
                 text = self._switched_off()
             if mode is Mode.HELD and n == len(self._steps) - 1:
@@ -179,7 +180,7 @@ class Narrator:
         """Say which drives have not said since a tick that they brake."""
         now = int(self._cycle.tick["tick"])
         run = DriveState.RUN.name
-        missing = [d.leg for d in said(self._cycle.tick) if d.state == run or now - d.age <= since]
+        missing = [d.leg for d in said(self._cycle) if d.state == run or now - d.age <= since]
         return f"; not confirmed by drive {listed(missing)}" if missing else ""
 
     def _switched_off(self) -> str:
@@ -201,15 +202,15 @@ class Narrator:
             tick, states = self._all_off
             later_ms = 1e3 * (tick - self._off_tick) / cycle.parts.rate_Hz
             return f"{DONE[Mode.FAULT]}: all six in {states} {later_ms:g} ms later"
-        silent = listed(self._unconfirmed(cycle.tick))
+        silent = listed(self._unconfirmed())
         which = f"not confirmed by drive {silent}; the watchdog of one that hears nothing acts {own}"
         return f"{DONE[Mode.FAULT]}: {which}"
 
-    def _unconfirmed(self, tick: Record) -> list[int]:
+    def _unconfirmed(self) -> list[int]:
         """Return the legs whose drive has not said, since it was told to switch off, that it is."""
         assert self._off_tick is not None
-        number = int(tick["tick"])
-        return [each.leg for each in said(tick) if each.powered or number - each.age <= self._off_tick]
+        number = int(self._cycle.tick["tick"])
+        return [each.leg for each in said(self._cycle) if each.powered or number - each.age <= self._off_tick]
 
     def _stopped(self) -> str:
         """Say what became of the emergency stop."""
@@ -226,11 +227,12 @@ def _off(mode: Mode) -> bool:
     return drive_mode(mode) is DriveMode.OFF
 
 
-def said(tick: Record) -> tuple[DriveSaid, ...]:
-    """Return what each drive has said of itself up to a tick."""
+def said(cycle: Cycle) -> tuple[DriveSaid, ...]:
+    """Return what each drive has said of itself up to the last tick, its maker's codes with their meaning."""
+    tick, meaning = cycle.tick, cycle.parts.protocol.fault_text
     columns = (tick[name].tolist() for name in ("drive_state", "drive_fault", "age", "blind"))
     rows = zip(range(LEGS), *columns, strict=True)
     return tuple(
-        DriveSaid(leg, DriveState(state).name, fault, 0 if blind else age)
+        DriveSaid(leg, DriveState(state).name, fault, 0 if blind else age, meaning(fault) if fault else "")
         for leg, state, fault, age, blind in rows
     )

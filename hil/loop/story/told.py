@@ -23,12 +23,20 @@ DONE = {
     Mode.FAULT: "the drives were told to switch off",
     Mode.HELD: "the brakes were told to close and the force held the platform: not all are proven shut",
 }
-"""What was done about a fault, by the mode that was entered."""
+"""What was done about a fault, by the mode that was entered, by drives that give force on closed brakes."""
+_WITHOUT_FORCE = {
+    Mode.LOADING: "the brakes stayed closed: these drives give no force on them",
+    Mode.PARKING: "the drives were told to close their brakes, on which they give no force",
+    Mode.UNLOADING: "the closed brakes carried the platform, while the legs had to stand still",
+    Mode.HELD: "the drives were told to close their brakes, on which they give no force: nothing else holds "
+    "the platform, and not all brakes are proven shut",
+}
+"""The same by drives that give none."""
 PLANT_PAGE = "docs/guides/own-fmu.md"
 """What a plant has to do."""
 HELD_NEXT = "support the platform, then let go of it with `hil run CONFIG --release`"
 HELD_PAGE = "docs/guides/real-drives.md#held-until-the-brakes-are-proven"
-"""What it means that the drives hold the platform with force."""
+"""What it means that not all brakes are proven shut."""
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?$")
 _POWERED = (DriveState.READY.name, DriveState.RUN.name)
 
@@ -42,6 +50,8 @@ class DriveSaid(NamedTuple):
     fault: int
     age: int
     """Ticks since it was last heard."""
+    meaning: str = ""
+    """What a fault code of its maker's means; empty where that is not known."""
 
     @property
     def powered(self) -> bool:
@@ -54,7 +64,7 @@ class DriveSaid(NamedTuple):
         if self.age >= NEVER:
             return "never heard"
         silent = f" when last heard, {self.age} ticks ago" if self.age else ""
-        return f"{self.state}{because(self.fault)}{silent}"
+        return f"{self.state}{because(self.fault, self.meaning)}{silent}"
 
 
 class Step(NamedTuple):
@@ -125,6 +135,11 @@ class Story:
         if self.plant:
             advice["mend the plant: its own words stand above"] = PLANT_PAGE
         return advice
+
+
+def done_text(mode: Mode, *, force_on_brakes: bool) -> str:
+    """Return what was done in a mode by drives that give force on closed brakes, or give none."""
+    return DONE[mode] if force_on_brakes else _WITHOUT_FORCE.get(mode, DONE[mode])
 
 
 def short(findings: Iterable[Finding]) -> str:

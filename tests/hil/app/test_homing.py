@@ -129,7 +129,7 @@ def test_without_a_file_of_its_own_a_simulation_knows_where_its_plant_begins(tmp
 def limits(c: Configuration) -> list[float]:
     pose = Keeper(c, emulated=True).last_pose
     assert pose is not None
-    return pose.limit_m.tolist()
+    return [float(limit) for limit in pose.limit_m]
 
 
 def refusal(c: Configuration) -> str:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.signals import DriveState, Fault, Mode, Warn
+from drivers.odrive import ODriveProtocol
+from drivers.signals import DriveFault, DriveState, Fault, Mode, Warn
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.report import sections
@@ -23,6 +24,9 @@ from hil.app.report.story import quantity, told
 from hil.app.report.timing import Traffic, counts, spreads
 from hil.app.sim.command import simulate
 from hil.record.log import Event, Log
+from hil.record.schema import SUMMARY
+from tests.drivers.cia402_drives import drives
+from tests.drivers.test_odrive import GEAR
 
 LEGS = [f"leg_{leg}" for leg in range(6)]
 
@@ -229,6 +233,40 @@ def test_a_story_from_rows_has_the_mode_before_the_fault_and_the_drives_of_its_t
         ("STALE", 0.07, "FAULT"),
     ]
     assert found.drives == ("RUN",) * 6
+
+
+@pytest.mark.parametrize(
+    ("protocol", "fault", "said"),
+    [
+        (
+            drives(),
+            0x8130,
+            "FAULT (33072: EMCY 0x8130, life guard or heartbeat error: the controller's heartbeat",
+        ),
+        (ODriveProtocol(range(6), 0.05, GEAR), 0x100 + 0x2000, "FAULT (8448: motor over temperature)"),
+        (drives(), DriveFault.ESTOP, "FAULT (ESTOP)"),
+        (None, 0x8130, "FAULT (33072)"),
+    ],
+)
+def test_a_makers_code_is_shown_with_its_meaning(protocol, fault, said):
+    rows = rows_of(10)
+    rows["faults"][4:], rows["drive_state"], rows["drive_fault"] = Fault.DRIVE, DriveState.FAULT, fault
+    by_rows = told({}, [], rows, 1000.0, protocol)
+    story = {"findings": [{"fault": "DRIVE"}], "drives": [{"leg": 0, "state": "FAULT", "fault": int(fault)}]}
+    by_story = told({SUMMARY: {"story": json.dumps(story)}}, [], rows, 1000.0, protocol)
+    assert by_rows.drives[0].startswith(said)
+    assert by_story.drives[0].startswith(said)
+
+
+@pytest.mark.parametrize("protocol", [drives(), ODriveProtocol(range(6), 0.05, GEAR)])
+def test_drives_without_force_on_closed_brakes_are_not_said_to_hold_the_platform(protocol):
+    rows = rows_of(10)
+    rows["faults"][4:], rows["mode"][4:] = Fault.STALE, Mode.HELD
+    (_, text), *_ = told({}, [], rows, 1000.0, protocol).done
+    assert "on which they give no force" in text
+    assert "the force held" not in text
+    (_, text), *_ = told({}, [], rows, 1000.0).done
+    assert "the force held the platform" in text
 
 
 @pytest.mark.parametrize(

@@ -70,9 +70,12 @@ FAULTS = {
     42: "theta invalid",
     43: "position invalid",
     44: "driver enable fault",
+    45: "stop position, deprecated",
     46: "timing violation",
     47: "no acceleration for feed-forward of the back-EMF",
     48: "invalid limits",
+    49: "position control error",
+    50: "velocity control error",
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
 _SIZES = (1, 2, 4, 4)
@@ -173,6 +176,15 @@ class MoteusProtocol(MotorProtocol):
     def torque_limit(self) -> float:
         """N m."""
         return self._most
+
+    @property
+    def brake_danger(self) -> str:
+        """A pin that a register writes keeps its level when the controller falls silent."""
+        return (
+            "drives.protocol: a moteus has no brake output, and its aux pins keep their level when it faults "
+            "or its time is over, so none of them is used: a platform without power falls unless brakes of "
+            "your own close by themselves when a drive is stopped; the brake tests test those"
+        )
 
     @property
     def watchdog_danger(self) -> str:

@@ -157,8 +157,13 @@ class MotorProtocol(MotorDrives):
 
     @property
     def dangers(self) -> tuple[str, ...]:
-        """No brake, and what the family says of its watchdog."""
-        return tuple(filter(None, (_NO_BRAKE, self.watchdog_danger)))
+        """What the family says of its brakes and of its watchdog."""
+        return tuple(filter(None, (self.brake_danger, self.watchdog_danger)))
+
+    @property
+    def brake_danger(self) -> str:
+        """What has to be there for a platform without power not to fall."""
+        return _NO_BRAKE
 
     @property
     @abstractmethod

@@ -122,6 +122,16 @@ class ODriveProtocol(MotorProtocol):
         return _MAX_TORQUE
 
     @property
+    def brake_danger(self) -> str:
+        """The axis works it by a pin of its own; no message of CAN Simple does."""
+        return (
+            "drives.protocol: an axis works its brake by itself, open in CLOSED_LOOP_CONTROL alone, and no "
+            "message of CAN Simple sets or reads that: give it the pin with odrivetool, "
+            "mechanical_brake.config.gpio_num and is_active_low, else a platform without power falls; the "
+            "brake tests test it"
+        )
+
+    @property
     def watchdog_danger(self) -> str:
         """It is set with odrivetool."""
         return (

@@ -208,3 +208,9 @@ def test_a_row_names_what_it_does_not_have(change, message):
     with pytest.raises(ConfigurationError) as caught:
         PROTOCOLS["moteus"](BusSettings(layout="fd"), drives)
     assert message in str(caught.value)
+
+
+def test_no_pin_of_a_drive_is_used_for_its_brake_and_check_says_what_the_bench_needs():
+    said = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT).dangers[0]
+    assert "aux pins keep their level" in said
+    assert "brakes of your own" in said

@@ -183,3 +183,7 @@ def test_a_row_names_what_it_does_not_have(change, message):
     with pytest.raises(ConfigurationError) as caught:
         PROTOCOLS["odrive"](BusSettings(layout="classic"), drives)
     assert message in str(caught.value)
+
+
+def test_a_brake_is_the_axis_own_and_check_says_by_which_setting():
+    assert "mechanical_brake.config.gpio_num" in unit().dangers[0]

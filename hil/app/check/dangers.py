@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from drivers.motors import MotorProtocol
 from drivers.signals import Fault
 from hil.app.check.brakes import brake_dangers
 from hil.app.check.silence import Silence
@@ -54,7 +55,14 @@ def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
             "a hard end; shorten drives.watchdog_ms, engage.brake_close_s to what the brakes take, or speed "
             "or stroke of the reference"
         )
-    yield from build_protocol(c).dangers
+    protocol = build_protocol(c)
+    yield from protocol.dangers
+    if isinstance(protocol, MotorProtocol) and c.drives.homing is None:
+        yield (
+            "drives.homing: left out, so after a power-off each drive has to know by itself how often its "
+            "motor has turned; one that does not reads a length that is wrong by whole turns, and nothing "
+            "compares it with where the legs were parked"
+        )
     yield from _loose(c, w)
     yield from _blind(c)
     yield from brake_dangers(c, w)

@@ -129,11 +129,11 @@ def test_the_way_after_silence_names_its_time_and_the_keys_that_shorten_it():
 
 def test_drives_without_a_brake_and_without_a_watchdog_are_dangers():
     assert [w for w in warnings("lab") if w.startswith("drives.")] == []
-    found = [w for w in warnings("desktop") if w.startswith("drives.")]
-    assert len(found) == 1
-    assert found[0].startswith(
-        "drives.protocol: no frame of these drives works a brake, so a platform without"
-    )
+    brake, homing = (w for w in warnings("desktop") if w.startswith("drives."))
+    assert brake.startswith("drives.protocol: no frame of these drives works a brake, so a platform without")
+    assert homing.startswith("drives.homing: left out, so after a power-off")
+    kept = ("  watchdog_ms: 10 ", "  homing: {file: a.yaml, limit_m: 0.001}\n  watchdog_ms: 10 ")
+    assert not any(w.startswith("drives.homing") for w in warnings("desktop", kept))
     cubemars = ("{variant: damiao, model: DM4310}", "{variant: cubemars, model: AK80-9}")
     found = [w for w in warnings("desktop", cubemars) if w.startswith("drives.watchdog_ms")]
     assert found[0].startswith("drives.watchdog_ms: cubemars has no watchdog that is set from here")

@@ -31,6 +31,8 @@ class LastPose(NamedTuple):
     """Leg length a turn of the motor, with its sign."""
     origin: str
     """How that is known, and since when."""
+    command: str
+    """By which a leg's length can be said."""
 
 
 class Stroke(NamedTuple):
@@ -116,6 +118,7 @@ class Homing:
         return bool(abs(raw[leg] - expected) >= 0.5 * self._pose.step_m[leg])
 
     def _forget(self, leg: int, length: float, *, braked: bool) -> None:
+        assert self._pose is not None
         self._known[leg] = False
         self._last[leg] = length
         if not braked:
@@ -123,7 +126,7 @@ class Homing:
             self._wrong[leg] = (
                 f"leg {leg}: its drive was switched off, or silent for {SILENT_TICKS} ticks, while its brake "
                 "was open, so nobody knows how far the leg went; measure it, and say its length with "
-                f"`hil homing CONFIG --leg {leg} LENGTH`"
+                f"`{self._pose.command} --leg {leg} LENGTH`"
             )
 
     def _find(self, leg: int, reported: float) -> None:
@@ -141,7 +144,7 @@ class Homing:
                 f"{turns:+.3f} turns of its motor would mend it, and a closed brake lets it make none: see "
                 "whether the leg has moved, its brake slips or its drive is another one; where it is right, "
                 "or a whole number of turns from it, say the leg's length with "
-                f"`hil homing CONFIG --leg {leg} LENGTH`"
+                f"`{pose.command} --leg {leg} LENGTH`"
             )
             return
         self._wrong[leg] = self._out_of_range(leg)

@@ -69,12 +69,21 @@ def homing_path(c: Configuration, *, emulated: bool) -> Path | None:
     return None if name is None else c.folder / name
 
 
+def command(c: Configuration, *, emulated: bool) -> str:
+    """Return the command that says where the legs stand."""
+    return f"hil homing {c.source}{' --emulated' if emulated else ''}"
+
+
+def _command(c: Configuration, path: Path) -> str:
+    return command(c, emulated=path != homing_path(c, emulated=False))
+
+
 def read_homing(c: Configuration, path: Path) -> HomingFile:
     """Return the file of this robot.
 
     Raises ConfigurationError: it is not there, not whole, of another version or another robot.
     """
-    mend = f"say where the legs stand with `hil homing {c.source}` --at-home or --lengths"
+    mend = f"say where the legs stand with `{_command(c, path)}` --at-home or --lengths"
     if not path.exists():
         raise ConfigurationError(
             f"{path}: no such file, and without it nobody knows in which turn each motor is (drives.homing): "
@@ -106,7 +115,7 @@ def refuse_moved(c: Configuration, path: Path, file: HomingFile) -> None:
             f"{path}: the run of {file.date} opened the brakes and did not end at rest with all legs "
             "measured (killed, a power cut, a lost encoder), or it runs still: nobody knows in which turn "
             "each motor is. Measure the legs, or bring the platform home, and say so with "
-            f"`hil homing {c.source}` --lengths or --at-home"
+            f"`{_command(c, path)}` --lengths or --at-home"
         )
 
 

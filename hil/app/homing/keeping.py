@@ -35,7 +35,7 @@ class Keeper:
         if self._path is not None:
             self._file = read_homing(c, self._path)
             refuse_moved(c, self._path, self._file)
-        self.last_pose: LastPose | None = last_pose_of(c, self._file)
+        self.last_pose: LastPose | None = last_pose_of(c, self._file, emulated=emulated)
 
     def begin(self, cycle: Cycle) -> None:
         """Mark the file: who dies from here on has not said where the legs are."""

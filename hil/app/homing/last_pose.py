@@ -9,7 +9,7 @@ from drivers.errors import LogError
 from drivers.transmission import Transmission, forgotten_length
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.homing.file import HomingFile
+from hil.app.homing.file import HomingFile, command
 from hil.config.values import Pose
 from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
@@ -17,6 +17,7 @@ from plant_fmu.config import BenchPlant
 
 HOMING_JSON = "homing.json"
 """Attachment of a log: where the legs stood, as its controller was told."""
+_ARRAYS = ("length", "limit_m", "step_m", "m_per_turn")
 STATED_SHARE = 0.25
 """Of what a drive forgets: how far a leg may be from a length that was measured by hand."""
 
@@ -39,7 +40,7 @@ def start_lengths(c: Configuration) -> Array:
     return leg_lengths(build_platform(c.platform), *pose_arrays(start_pose(c)))
 
 
-def last_pose_of(c: Configuration, file: HomingFile | None) -> LastPose | None:
+def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = True) -> LastPose | None:
     """Return where the legs stand by a file, without one as the plant begins; None: no drive forgets."""
     homing, transmission = c.drives.homing, c.drives.transmission
     if homing is None or transmission is None:
@@ -49,7 +50,8 @@ def last_pose_of(c: Configuration, file: HomingFile | None) -> LastPose | None:
     limit_m = np.full(6, homing.limit_m) if parked else STATED_SHARE * step_m
     origin = "where the plant begins" if file is None else f"{file.state} {file.date}"
     length = start_lengths(c) if file is None else np.array(file.lengths_m)
-    return LastPose(length, limit_m, step_m, Transmission.of(transmission).m_per_turn, origin)
+    m_per_turn = Transmission.of(transmission).m_per_turn
+    return LastPose(length, limit_m, step_m, m_per_turn, origin, command(c, emulated=emulated))
 
 
 def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
@@ -69,16 +71,15 @@ def recorded(path: object, text: bytes | None) -> LastPose | None:
         return None
     try:
         fields = json.loads(text)
-        length, limit_m, step_m, m_per_turn = (
-            np.array(fields[name], float) for name in LastPose._fields[:-1]
-        )
-        pose: LastPose | None = LastPose(length, limit_m, step_m, m_per_turn, str(fields["origin"]))
+        length, limit_m, step_m, m_per_turn = (np.array(fields[name], float) for name in _ARRAYS)
+        words = str(fields["origin"]), str(fields["command"])
+        pose: LastPose | None = LastPose(length, limit_m, step_m, m_per_turn, *words)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         pose = None
     if pose is None or not _good(pose):
         raise LogError(
             f"{path}: attachment {HOMING_JSON}: not what a run writes, allowed: six finite numbers each for "
-            f"{', '.join(LastPose._fields[:-1])}"
+            f"{', '.join(_ARRAYS)}"
         )
     return pose
 

@@ -141,7 +141,7 @@ def refusal(c: Configuration) -> str:
 def test_a_missing_file_is_refused_and_says_how_to_make_one(tmp_path):
     said = refusal(configuration(tmp_path))
     assert "bench.yaml: no such file" in said
-    assert "hil homing desktop" in said
+    assert "`hil homing desktop --emulated` --at-home" in said
 
 
 def test_a_file_that_was_half_written_is_refused_wherever_it_ends(tmp_path):

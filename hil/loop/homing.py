@@ -76,12 +76,20 @@ class Homing:
     @property
     def refusal(self) -> str:
         """Why the platform must not move; empty where every leg that was heard is where it was left."""
-        return "; ".join(filter(None, self._wrong))
+        wrong = "; ".join(filter(None, self._wrong))
+        if self._pose is None or not wrong:
+            return ""
+        return (
+            f"{wrong}. A closed brake lets a leg make no turn: see whether it has moved, its brake slips or "
+            "its drive is another one; measure it, and say its length, to a quarter of what its drive "
+            "forgets, with "
+            f"`{self._pose.command} --leg LEG LENGTH`"
+        )
 
     @property
     def known(self) -> bool:
         """Whether the turns of all six legs are known."""
-        return self._pose is None or (all(self._known) and not self.refusal)
+        return self._pose is None or (all(self._known) and not any(self._wrong))
 
     def before(self, last: Record) -> Record:
         """Return the last tick's record with the lengths that the drives reported, for the decoder."""
@@ -118,15 +126,13 @@ class Homing:
         return bool(abs(raw[leg] - expected) >= 0.5 * self._pose.step_m[leg])
 
     def _forget(self, leg: int, length: float, *, braked: bool) -> None:
-        assert self._pose is not None
         self._known[leg] = False
         self._last[leg] = length
         if not braked:
             self._lost[leg] = True
             self._wrong[leg] = (
                 f"leg {leg}: its drive was switched off, or silent for {SILENT_TICKS} ticks, while its brake "
-                "was open, so nobody knows how far the leg went; measure it, and say its length with "
-                f"`{self._pose.command} --leg {leg} LENGTH`"
+                "was open, so nobody knows how far the leg went"
             )
 
     def _find(self, leg: int, reported: float) -> None:
@@ -141,10 +147,7 @@ class Homing:
             self._wrong[leg] = (
                 f"leg {leg} is {here:.6f} m long, and was {there:.6f} m ({pose.origin}): "
                 f"{1e3 * (here - there):+.3f} mm, allowed: {1e3 * limit_m:g} mm (drives.homing); "
-                f"{turns:+.3f} turns of its motor would mend it, and a closed brake lets it make none: see "
-                "whether the leg has moved, its brake slips or its drive is another one; where it is right, "
-                "or a whole number of turns from it, say the leg's length with "
-                f"`{pose.command} --leg {leg} LENGTH`"
+                f"{turns:+.3f} turns of its motor would mend it"
             )
             return
         self._wrong[leg] = self._out_of_range(leg)

@@ -161,7 +161,8 @@ class Cycle:
         for follower in self._followers:
             follower.sent(command.force)
         self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
-        if stops:
+        rivalled = bool(self.faults & Fault.SECOND_CONTROLLER)
+        if stops and (latches or rivalled or last["command_mode"] != DriveMode.OFF):  # else OFF is the stop
             frames = parts.protocol.emergency_stop() + frames
         frames += self._set_up(tick)
         setpoints = NO_SETPOINTS if steering is None else steering.counts

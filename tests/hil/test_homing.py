@@ -154,6 +154,31 @@ def test_a_drive_whose_position_ends_inside_the_stroke_is_refused():
     )
 
 
+def test_both_ends_of_the_stroke_count():
+    legs = Leg(Stroke(0.3, 0.595, (np.full(6, 0.0), np.full(6, 0.6))))
+    legs.hear(PARKED + 3 * STEP * (np.arange(6) == 1))
+    assert (
+        "leg 1: its drive was switched on where its position ends at leg lengths of -0.0075 and 0.5925 m"
+        in (legs.homing.refusal)
+    )
+
+
+def test_the_limit_is_where_it_is_stated():
+    legs = Leg()
+    legs.hear(forgotten(PARKED + 1.1 * LIMIT * (np.arange(6) == 3)))
+    assert "leg 3 is" in legs.homing.refusal
+
+
+def test_a_leg_that_moves_by_most_of_a_turn_a_tick_is_followed_by_its_rate():
+    legs = Leg()
+    moved = PARKED.copy()
+    for speed in (0.0, 0.4, 0.8, 0.8, 0.8, 0.4, 0.0):
+        moved = moved + speed * PERIOD_S
+        found = legs.hear(forgotten(moved), braked=False, rate=speed)
+    np.testing.assert_allclose(found, moved, atol=1e-12)
+    assert legs.homing.known
+
+
 def test_reset_forgets_what_was_found():
     legs = Leg()
     legs.hear(forgotten(PARKED), braked=False)

@@ -361,17 +361,8 @@ class LegsProtocol(Traits):
         of no use; the counter's low four bits count. Raises ProtocolError on NaN.
         """
         data = np.empty(LEGS * self._feedback.length, np.uint8)
-        leg = encode_feedbacks(
-            length,
-            rate,
-            force,
-            state,
-            sync.counter & 0xF,
-            self._identifiers,
-            self._feedback_form,
-            self._feedback_range,
-            data,
-        )
+        tables = self._identifiers, self._feedback_form, self._feedback_range
+        leg = encode_feedbacks(length, rate, force, state, sync.counter & 0xF, *tables, data)
         if leg >= 0:
             raise ProtocolError(
                 f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"

@@ -1,6 +1,7 @@
 """`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured poses and lengths."""
 
 import csv
+import io
 import json
 import math
 from difflib import get_close_matches
@@ -11,6 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import CalibrationError, ConfigurationError, LogError
+from drivers.regular_file import read_regular
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
@@ -95,20 +97,19 @@ def read_pairs(path: Path) -> Pairs:
     rows: list[list[float]] = []
     numbers: list[int] = []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            header = [word.strip() for word in next(reader, [])]
-            wrong = _header_problems(header)
-            if wrong:
-                raise ConfigurationError(*(f"{path}:1: {w}" for w in wrong))
-            for words in reader:
-                if not any(word.strip() for word in words):
-                    continue
-                row, problem = _row(header, words)
-                rows.append(row)
-                numbers.append(reader.line_num)
-                if problem:
-                    problems.append(f"{path}:{reader.line_num}: {problem}")
+        reader = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
+        header = [word.strip() for word in next(reader, [])]
+        wrong = _header_problems(header)
+        if wrong:
+            raise ConfigurationError(*(f"{path}:1: {w}" for w in wrong))
+        for words in reader:
+            if not any(word.strip() for word in words):
+                continue
+            row, problem = _row(header, words)
+            rows.append(row)
+            numbers.append(reader.line_num)
+            if problem:
+                problems.append(f"{path}:{reader.line_num}: {problem}")
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from drivers.arrays import Array
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol, DriveSetup
+from drivers.regular_file import read_regular
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
 from hil.app.configuration.configuration import Configuration
@@ -370,27 +370,11 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
     files = databases(configuration)
     if isinstance(configuration.reference, SampledReference):
-        files.append((REFERENCE_CSV, (configuration.folder / configuration.reference.path).read_bytes()))
+        path = configuration.folder / configuration.reference.path
+        files.append((REFERENCE_CSV, read_regular(path)))
     if isinstance(configuration.controller, StateSpaceSettings):
         path = controller_path(configuration.controller, configuration.folder)
-        files.append((CONTROLLER_FILE, path.read_bytes()))
+        files.append((CONTROLLER_FILE, read_regular(path)))
     if isinstance(configuration.reference, TimeOptimalReference):
         files.append((REFERENCE_PLAN, plan(configuration.reference)))
     return files
-
-
-def with_attachments(configuration: Configuration, files: Mapping[str, bytes], folder: Path) -> Configuration:
-    """Return the configuration with the files of a log in the place of those that it names.
-
-    They are written to `folder`; a plan is none of them, `build_cycle` takes it as it is.
-    """
-    changes: dict[str, Any] = {}
-    for name, section, key in (
-        (REFERENCE_CSV, "reference", "path"),
-        (CONTROLLER_FILE, "controller", "controller_file"),
-    ):
-        if name in files:
-            path = folder.absolute() / name
-            path.write_bytes(files[name])
-            changes[section] = getattr(configuration, section).model_copy(update={key: str(path)})
-    return configuration.model_copy(update=changes)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import LogError
+from hil.app.terminal import one_line
 from hil.record.mcap_file import MAGIC
 
 
@@ -66,8 +67,8 @@ def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b""
 
 
 def printable(name: str | os.PathLike[str]) -> str:
-    """Return a name of a file as text that any encoding of UTF-8 takes: bytes that are none become signs."""
-    return os.fsencode(name).decode("utf-8", "replace")
+    """Return a name of a file as one line of text; bytes that are no UTF-8 become signs."""
+    return one_line(os.fsencode(name).decode("utf-8", "replace"))
 
 
 def _begins(path: Path, head: bytes) -> bool:

@@ -17,6 +17,7 @@ from rich.text import Text
 from drivers.errors import LogError
 from drivers.signals import Mode
 from hil.app.files import printable, write_whole
+from hil.app.terminal import visible
 
 if TYPE_CHECKING:
     from hil.loop.run_end import Ending  # its kernels are for who runs
@@ -135,7 +136,7 @@ def closing(ending: Ending, trouble: str) -> dict[str, Any]:
 
 def warn(text: str) -> None:
     """Print one message that deserves attention to standard error."""
-    console.print(text, style="bold yellow", soft_wrap=True)
+    console.print(Text(visible(text)), style="bold yellow", soft_wrap=True)
 
 
 UNITS = {
@@ -169,7 +170,7 @@ def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
 def show_lines(lines: Iterable[str]) -> None:
     """Print lines folded to the terminal, each under its own indentation."""
     width = Console().width
-    for line in lines:
+    for line in map(visible, lines):
         text = line.lstrip()
         indent = len(line) - len(text)
         for n, part in enumerate(fold(text, width - indent - 4)):

@@ -3,20 +3,23 @@
 import tempfile
 import time
 from collections.abc import Callable
-from math import inf
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
-from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of, with_attachments
+from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing.last_pose import HOMING_JSON, recorded
+from hil.app.recorded_files import with_attachments
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment
 from hil.record.log import Log
-from hil.record.schema import ENVIRONMENT
+from hil.record.schema import ENVIRONMENT, SUMMARY
+
+MOST = {"rate_Hz": 1e5, "watchdog_s": 3600.0}
+"""Of what a log says of its run."""
 
 
 def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
@@ -42,12 +45,13 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     for key in ("rate_Hz", "watchdog_s"):
         try:
             run[key] = float(run[key])
-            ok = 0.0 < run[key] < inf
+            ok = 0.0 < run[key] <= MOST[key]
         except (KeyError, ValueError):
             ok = False
         if not ok:
             raise LogError(
-                f"{path}: metadata record 'hil' has {key}: {run.get(key)!r}, allowed: a number > 0"
+                f"{path}: metadata record 'hil' has {key}: {run.get(key)!r:.60}, "
+                f"allowed: a number > 0, at most {MOST[key]:g}"
             )
     return log, run
 
@@ -84,10 +88,9 @@ def replay_log(
     if there != here:
         result |= {"recorded_on": there, "replayed_on": here}
     result["agrees"] = comparison.exact or (there != here and comparison.equivalent)
-    if log.summary.closed != "clean":
-        result["remark"] = (
-            f"the log was not closed by its run ({log.summary.closed}): it may end before the run did"
-        )
+    closed = log.metadata.get(SUMMARY, {}).get("closed", "unknown")
+    if closed != "clean":
+        result["remark"] = f"the log was not closed by its run ({closed}): it may end before the run did"
     return comparison, result
 
 

@@ -39,13 +39,18 @@ def command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
     if salvage is None:
         Log.open(log)
     from hil.app.replay import replay_log
+    from hil.app.terminal import one_line
     from hil.record.salvage import salvage as recover
 
     if salvage is not None:
         report = recover(log, salvage)
+        lost = f", {report.ticks_lost} ticks of damaged chunks lost" if report.ticks_lost else ""
         click.echo(
-            f"salvaged {report.ticks} ticks into {report.out}, {report.bytes_lost} bytes unreadable", err=True
+            f"salvaged {report.ticks} ticks into {report.out}, {report.bytes_lost} bytes unreadable{lost}",
+            err=True,
         )
+        for remark in report.remarks:
+            click.echo(one_line(f"  {remark}"), err=True)
         log = salvage
 
     def tell(ticks: int) -> None:
@@ -56,7 +61,7 @@ def command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
     if shown:
         click.echo("\r\x1b[K", err=True, nl=False)
     for difference in comparison.first:
-        click.echo(f"hil: {difference}", err=True)
+        click.echo(one_line(f"hil: {difference}"), err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}
     if comparison.story is not None:
         result["story"] = comparison.story.fields()

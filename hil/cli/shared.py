@@ -71,12 +71,13 @@ def finish(
 ) -> None:
     """Print a summary (`shown`, where that says it better), write its JSON twin, exit 0 only on success."""
     from hil.app.output import show
+    from hil.app.terminal import visible
 
     if summary.get("trouble"):
-        click.echo(f"hil: {summary['trouble']}", err=True)
+        click.echo(visible(f"hil: {summary['trouble']}"), err=True)
     if summary.get("story"):
         for line in summary["story"]["lines"]:
-            click.echo(f"  {line}", err=True)
+            click.echo(visible(f"  {line}"), err=True)
     show(title, summary if shown is None else shown)
     if summary.get("kind") in _REPORTED and summary.get("log") and summary.get("ticks"):
         click.echo(f"look at it: hil report {shlex.quote(summary['log'])}")
@@ -85,15 +86,17 @@ def finish(
 
 def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
     """As `finish`, for a few plain figures, without the imports that lay out tables: an operator waits."""
+    from hil.app.terminal import visible
+
     if summary.get("trouble"):
-        click.echo(f"hil: {summary['trouble']}", err=True)
+        click.echo(visible(f"hil: {summary['trouble']}"), err=True)
     good = bool(summary["success"])
     outcome = "success" if good else "failed"
     click.echo(click.style(f"{title}: {outcome}", fg="green" if good else "red", bold=True))
     for key, value in summary.items():
         if key not in {"success", "kind", "trouble"}:
             shown = "; ".join(value) or "none" if isinstance(value, list) else value
-            click.echo(f"{key:<{max(map(len, summary)) + 2}}{shown}")
+            click.echo(visible(f"{key:<{max(map(len, summary)) + 2}}{shown}"))
     if json_file is not None:
         finish_lines((), summary, json_file)
     sys.exit(0 if good else 1)
@@ -121,7 +124,8 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
         from drivers.compiled.cache import before_compiling
-        from drivers.errors import HilError
+        from drivers.errors import HilError, LogError
+        from hil.app.terminal import one_line
 
         before_compiling(_announce)
         try:
@@ -130,6 +134,8 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
 
                 check_json_path(kwargs["json_file"], *_other_files(kwargs))
             command(*args, **kwargs)
+        except LogError as error:
+            _refuse(one_line(str(error)))
         except HilError as error:
             _refuse(str(error))
         except OSError as error:
@@ -146,7 +152,9 @@ def _other_files(arguments: dict[str, Any]) -> list[Path]:
 
 
 def _refuse(message: str) -> None:
-    click.echo(f"hil: {message}", err=True)
+    from hil.app.terminal import visible
+
+    click.echo(visible(f"hil: {message}"), err=True)
     sys.exit(2)
 
 

@@ -5,6 +5,7 @@ went through another MCAP writer) by protobuf, with the same result.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,11 @@ ITEM = np.dtype(
         ("data", "u1", (MAX_DATA,)),
     ]
 )
+REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
+"""What protobuf, NumPy and Python raise of schemas, tables and messages of unknown making."""
 _NUMBERS = ("tick", "index", "direction", "id", "bus")
+_GROWTH, _FREE = 8, 1 << 20
+"""Rows may take so many times the bytes of their messages, and so many bytes more: zeros may be left out."""
 
 
 class Decoder:
@@ -75,14 +80,20 @@ class Decoder:
         channel = int(table.channel[i])
         start = int(table.offset[i])
         payload = data[start + RECORD_HEADER : start + int(table.length[i])]
-        try:
+        with self.understood(self._channels[channel].topic):
             if channel not in self._classes:
                 self._classes[channel] = message_class(self._schemas[self._channels[channel].schema_id])
             return self._classes[channel].FromString(payload)
-        except (DecodeError, KeyError, TypeError) as error:
+
+    @contextmanager
+    def understood(self, topic: str) -> Iterator[None]:
+        """Turn what a message or schema of unknown making can raise into a LogError."""
+        try:
+            yield
+        except REFUSED as error:
             raise LogError(
-                f"{self._name}: a message of {self._channels[channel].topic} is damaged: {error}"
-            ) from error
+                f"{self._name}: a message of {topic} is damaged or of another kind: {error!r}"
+            ) from None
 
     def rows(self, data: bytes, table: MessageTable) -> Rows:
         """Return the rows in a buffer, in its order."""
@@ -96,12 +107,16 @@ class Decoder:
             payloads = np.frombuffer(joined, np.uint8).reshape(len(mine), -1)
             if layout.fits(payloads):
                 return self._row.read(payloads.view(layout.payload).reshape(len(mine)))
+        taken = int(table.length[mine].sum())
+        if len(mine) * self._row.dtype.itemsize > _GROWTH * taken + _FREE:
+            raise LogError(
+                f"{self._name}: {len(mine)} messages of {self._topic} of {taken} bytes together are too "
+                f"short for rows of {self._row.dtype.itemsize} bytes"
+            )
         rows = np.zeros(len(mine), self._row.dtype)
-        for n, i in enumerate(mine.tolist()):
-            try:
+        with self.understood(self._topic):
+            for n, i in enumerate(mine.tolist()):
                 rows[n] = self._row.parse(self._protobuf(data, table, i))
-            except (AttributeError, TypeError, ValueError) as error:
-                raise LogError(f"{self._name}: a row has other columns than the log says: {error}") from error
         return rows
 
     def frames(self, data: bytes, table: MessageTable) -> Rows:
@@ -121,8 +136,9 @@ class Decoder:
                 if layout.fits(payloads):
                     items[at] = self._unpack(payloads.view(layout.payload).reshape(len(at)), length)
                     continue
-            for i in at.tolist():
-                items[i] = self._convert(self._protobuf(data, table, int(mine[i])))
+            with self.understood(CAN):
+                for i in at.tolist():
+                    items[i] = self._convert(self._protobuf(data, table, int(mine[i])))
         return items
 
     def _unpack(self, frames: Rows, length: int) -> Rows:

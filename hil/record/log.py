@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
-from hil.record.log_file import LogFile
+from hil.record.log_file import MEND, LogFile
+from hil.record.mcap_summary import read_summary
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
 from hil.record.selection import Selection, joined
-from hil.signals import NUMBERS
+from hil.signals import NUMBERS, Operator
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,17 +83,18 @@ class Log(LogFile):
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Log:
-        """Open a log that has to be whole.
+        """Open a log that has to be whole: all of it is read once, and its checksum compared.
 
         Raises
         ------
         LogError
-            As the class; and where it is cut.
+            As the class; and where it is cut, or its checksum differs.
 
         """
         log = cls(path)
         if log.cut:
             raise LogError(f"{path}: {log.cut}")
+        log.verify()
         return log
 
     @property
@@ -141,25 +140,19 @@ class Log(LogFile):
         if self.cut:
             return self._counted()
         try:
-            with self.path.open("rb") as file:
-                summary = make_reader(file).get_summary()
-        except (McapError, struct.error, UnicodeDecodeError) as error:
-            raise LogError(
-                f"{self.path}: damaged index: {error}; run `hil replay --salvage` on it"
-            ) from error
-        statistics = summary.statistics if summary else None
-        if summary is None or statistics is None:
-            raise LogError(f"{self.path}: no index at the end: run `hil replay --salvage` on it")
-        counts = {
-            channel.topic: statistics.channel_message_counts.get(i, 0)
-            for i, channel in summary.channels.items()
-        }
+            statistics, topics = read_summary(self.path)
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}; {MEND}") from None
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
+        counts = {topic: statistics.channel_message_counts.get(i, 0) for i, topic in topics.items()}
         closing = self.metadata.get(SUMMARY, {})
+        dropped = closing.get("dropped", "0")
         return LogStatistics(
             ticks=counts.get(self.topic, 0),
             frames=counts.get(CAN, 0),
             duration_s=(statistics.message_end_time - statistics.message_start_time) * 1e-9,
-            dropped=int(closing.get("dropped", 0)),
+            dropped=int(dropped) if dropped.isdecimal() and len(dropped) < 19 else 0,
             closed=closing.get("closed", "unknown"),
         )
 
@@ -299,8 +292,9 @@ class Log(LogFile):
         found = []
         for data, table in self._buffers():
             for message in self._decoder.messages(data, table, EVENTS):
-                t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
-                found.append(Event(t_ns, _LEVELS.get(message.level, "info"), message.message))
+                with self._decoder.understood(EVENTS):
+                    t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
+                    found.append(Event(t_ns, _LEVELS.get(message.level, "info"), str(message.message)))
         return found
 
     def can_frames(self) -> Iterator[LoggedFrame]:
@@ -343,15 +337,16 @@ class Log(LogFile):
             rows = np.concatenate((rows, self._decoder.rows(data, table)))
             items = np.concatenate((items, self._decoder.frames(data, table)))
             for message in self._decoder.messages(data, table, OPERATOR):
-                wanted = NUMBERS.get(message.command)
-                if wanted is not None and len(message.setpoint) != wanted:
+                with self._decoder.understood(OPERATOR):
+                    tick, command = int(message.tick), Operator(message.command)
+                    numbers = tuple(map(float, message.setpoint))
+                    commands.setdefault(tick, []).append((int(message.index), command, numbers))
+                wanted = NUMBERS.get(command)
+                if wanted is not None and len(numbers) != wanted:
                     raise LogError(
-                        f"{self.path}: the operator's command of tick {message.tick} has "
-                        f"{len(message.setpoint)} numbers, allowed: {wanted}"
+                        f"{self.path}: the operator's command of tick {tick} has {len(numbers)} numbers, "
+                        f"allowed: {wanted}"
                     )
-                commands.setdefault(message.tick, []).append(
-                    (message.index, message.command, tuple(message.setpoint))
-                )
             if len(rows) < _BATCH:
                 continue
             rows = self._sorted(rows, items, done)

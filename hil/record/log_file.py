@@ -6,20 +6,29 @@ A log that was cut, or is still being written, is read as far as it goes.
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 from drivers.errors import LogError
+from drivers.regular_file import open_regular
 from drivers.tick_columns import Column
 from hil.record.decode import Decoder
 from hil.record.mcap_file import MAGIC
-from hil.record.mcap_read import MessageTable, Record, decompress, decompress_part, records, split
+from hil.record.mcap_read import (
+    MAX_CHUNK,
+    NOTHING,
+    Allowance,
+    MessageTable,
+    Record,
+    decompress,
+    decompress_part,
+    records,
+    split,
+)
 from hil.record.row import columns_of, columns_of_0_1_0
 from hil.record.schema import CONFIGURATION, IDENTITY
 
@@ -27,6 +36,8 @@ _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
 _LOOSE = 4096
 """Messages outside chunks that are read together."""
+MEND = "run `hil replay --salvage` on it"
+"""What to do about a damaged log."""
 
 
 class LogFile:
@@ -62,7 +73,7 @@ class LogFile:
         self.metadata, self.attachments = {}, {}
         self._decoder = Decoder(str(path))
         self.cut = self._check_file()
-        for record in records(self.path, skip=_MESSAGES):
+        for record in self._records(skip=_MESSAGES):
             self._learn(record)
         identity = self.metadata.get(IDENTITY, {})
         if not {"columns", "dtype"} & identity.keys():
@@ -78,9 +89,12 @@ class LogFile:
             )
             self.topic, self.epoch_ns = identity["topic"], int(identity["epoch_ns"])
             self.can_channel, self.lockstep = identity["can_channel"], identity["mode"] == "lockstep"
+            _require(self.epoch_ns, self.can_channel)
             self._decoder.expect(self.topic, self.columns, self.can_channel, self.epoch_ns)
-        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-            raise LogError(f"{path}: metadata record {IDENTITY!r} cannot be read: {error!r}") from error
+        except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
+            raise LogError(
+                f"{path}: metadata record {IDENTITY!r} cannot be read: {error!r}; {MEND}"
+            ) from None
 
     @property
     def configuration(self) -> str:
@@ -105,7 +119,7 @@ class LogFile:
         """Return why the file is cut, or nothing; refuse what is no log at all."""
         path = self.path
         try:
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 head = file.read(len(MAGIC))
                 size = file.seek(0, os.SEEK_END)
                 file.seek(max(size - len(MAGIC), 0))
@@ -125,9 +139,39 @@ class LogFile:
             )
         return ""
 
+    def verify(self) -> None:
+        """Compare the checksum of the whole file.
+
+        Raises
+        ------
+        LogError
+            It differs, or the file does not go on to its end.
+
+        """
+        try:
+            for _ in self._records():
+                pass
+        except LogError:
+            for _ in self._buffers():  # a damaged chunk says where it is
+                pass
+            raise
+
+    def _records(self, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
+        """Yield the records as far as they go; refuse a file that is not cut and stops making sense."""
+        try:
+            for record in records(self.path, skip):
+                if record.complete or (self.cut and record.opcode != NOTHING):
+                    yield record
+                elif not self.cut:
+                    raise _no_record(record)
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}; {MEND}") from None
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
+
     def _learn(self, record: Record) -> None:
         """Keep what is not a message."""
-        if record.opcode in _MESSAGES:
+        if record.opcode in _MESSAGES or not record.complete:
             return
         found = self._parse(record)
         match type(found).__name__:
@@ -140,43 +184,61 @@ class LogFile:
 
     def _parse(self, record: Record) -> Any:
         try:
-            if record.complete:
-                return record.parse()
-        except (McapError, struct.error, UnicodeDecodeError) as error:
-            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}") from error
-        if self.cut:
-            return None
-        raise LogError(f"{self.path}: cut at byte {record.offset}: run `hil replay --salvage` on it")
+            return record.parse()
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}; {MEND}") from None
 
     def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
         """Yield buffers of messages: the chunks, or runs of messages that stand outside chunks."""
         loose: list[bytes] = []
-        for record in records(self.path):
+        size, allowance = 0, Allowance(self.path.stat().st_size)
+        for record in self._records():
             if record.opcode == Opcode.MESSAGE and record.complete:
                 loose.append(record.whole)
-                if len(loose) < _LOOSE:
+                size += len(loose[-1])
+                if len(loose) < _LOOSE and size < MAX_CHUNK:
                     continue
             if loose:
-                data, loose = b"".join(loose), []
-                yield data, split(data)[0]
+                yield self._loose(record, loose)
+                loose, size = [], 0
             if record.opcode == Opcode.CHUNK:
-                yield self._chunk(record)
+                yield self._chunk(record, allowance)
         if loose:
-            data = b"".join(loose)
-            yield data, split(data)[0]
+            yield self._loose(record, loose)
 
-    def _chunk(self, record: Record) -> tuple[bytes, MessageTable]:
-        """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
-        chunk: Chunk | None = self._parse(record)
+    def _loose(self, record: Record, messages: list[bytes]) -> tuple[bytes, MessageTable]:
+        data = b"".join(messages)
         try:
-            data = decompress_part(record.content) if chunk is None else decompress(chunk)
+            return data, split(data)[0]
         except LogError as error:
-            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}") from error
-        table, others = split(data)
+            raise LogError(f"{self.path}: damaged before byte {record.offset}: {error}; {MEND}") from None
+
+    def _chunk(self, record: Record, allowance: Allowance) -> tuple[bytes, MessageTable]:
+        """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
+        chunk: Chunk | None = self._parse(record) if record.complete else None
+        try:
+            if chunk is None:
+                data = decompress_part(record.content)
+            else:
+                allowance.spend(chunk.uncompressed_size)
+                data = decompress(chunk)
+            table, others = split(data, part=chunk is None)
+        except LogError as error:
+            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {MEND}") from None
         for other in others:
-            self._learn(other)
+            self._learn(other._replace(offset=record.offset))
         if chunk is None:
             begun = self._decoder.messages_of(table, self.topic)  # the row is the first message of a tick
-            end = int(begun[-1]) if len(begun) else 0
-            table = MessageTable(*(column[:end] for column in table))
+            table = table.between(0, int(begun[-1]) if len(begun) else 0)
         return data, table
+
+
+def _require(epoch_ns: int, can_channel: str) -> None:
+    """Raise ValueError for what no recorder writes."""
+    if not 0 <= epoch_ns < 1 << 63 or not can_channel.isprintable():
+        raise ValueError(f"epoch_ns {epoch_ns}, can_channel {can_channel!r}")
+
+
+def _no_record(record: Record) -> LogError:
+    what = "no record" if record.opcode == NOTHING else "a record that ends behind the file"
+    return LogError(f"damaged at byte {record.offset}: {what}")

@@ -1,45 +1,47 @@
 """Reads MCAP records in the order of the file, whoever wrote it and however it ends.
 
-Unlike the `mcap` library's readers it goes through a file that has no summary or is cut, and gives a chunk's
-messages as positions in one buffer instead of one object each.
+Unlike the `mcap` library's readers it goes through a file that has no summary or is cut, gives a chunk's
+messages as positions in one buffer instead of one object each, and takes no size on trust.
 """
 
 import struct
 import zlib
+from array import array
 from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.records import Chunk
 
 from drivers.arrays import Ints
 from drivers.errors import LogError
+from drivers.regular_file import open_regular
 from hil.record.mcap_file import MAGIC
+from hil.record.mcap_parse import parse_record
 
-_HEAD = struct.Struct("<BQ")
+HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQ")
 _CHUNK = struct.Struct("<QQQII")
+_SHORTEST = 22
+"""Bytes of a message's record before its data, without opcode and length."""
 _PIECE = 1 << 20
-_READERS: dict[int, Any] = {
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.CHANNEL: Channel,
-    Opcode.CHUNK: Chunk,
-    Opcode.METADATA: Metadata,
-    Opcode.SCHEMA: Schema,
-}
 OPCODES = frozenset(int(code) for code in Opcode)
-MAX_CHUNK = 1 << 28
-"""Bytes of a chunk when it is unpacked: nothing larger is taken from a log."""
+MAX_CHUNK = 1 << 24
+"""Bytes of a chunk, packed or unpacked: nothing larger is taken from a log."""
+MAX_RECORD = 1 << 26
+"""Bytes of any other record."""
+FREE_BYTES, MAX_RATIO = 1 << 24, 100
+"""A log may unpack to so many bytes, and so many more for each byte of its file."""
+NOTHING = 0
+"""Opcode of what is no record."""
 
 
 class Record(NamedTuple):
-    """One record: `complete` is False when the file ends inside it."""
+    """One record: `complete` is False when the file ends inside it, or where no record is."""
 
     opcode: int
     offset: int
@@ -49,12 +51,21 @@ class Record(NamedTuple):
     @property
     def whole(self) -> bytes:
         """The record as it stands in the file."""
-        return _HEAD.pack(self.opcode, len(self.content)) + self.content
+        return HEAD.pack(self.opcode, len(self.content)) + self.content
 
     def parse(self) -> Any:
-        """Return the record as an object of mcap.records, None for kinds that are not needed."""
-        reader = _READERS.get(self.opcode)
-        return reader.read(ReadDataStream(BytesIO(self.content))) if reader else None
+        """Return the record as an object of mcap.records, None for kinds that are not needed.
+
+        Raises
+        ------
+        LogError
+            As `parse_record`, with the place.
+
+        """
+        try:
+            return parse_record(self.opcode, self.content)
+        except LogError as error:
+            raise LogError(f"damaged at byte {self.offset}: {error}") from None
 
 
 class MessageTable(NamedTuple):
@@ -66,29 +77,95 @@ class MessageTable(NamedTuple):
     length: Ints
     """Of the whole record; the data begin 31 bytes after `offset`."""
 
+    def between(self, first: int, last: int) -> "MessageTable":
+        """Return the messages from `first` to before `last`."""
+        return MessageTable(*(column[first:last] for column in self))
+
+
+class Allowance:
+    """How much a log may still unpack to. State: the bytes that are left.
+
+    A small file that unpacks without end would fill memory and time; what we record packs to a tenth.
+    """
+
+    def __init__(self, file_bytes: int) -> None:
+        self._file_bytes = file_bytes
+        self._left = FREE_BYTES + MAX_RATIO * file_bytes
+
+    def spend(self, size: int) -> None:
+        """Take `size` bytes before they are unpacked.
+
+        Raises
+        ------
+        LogError
+            There are not so many left.
+
+        """
+        self._left -= size
+        if self._left < 0:
+            raise LogError(
+                f"the file has {self._file_bytes} bytes and unpacks to more than "
+                f"{FREE_BYTES + MAX_RATIO * self._file_bytes}, which no log of a run does"
+            )
+
+
+def longest(opcode: int) -> int:
+    """Return how many bytes a record of a kind may have."""
+    return {Opcode.CHUNK: MAX_CHUNK + 1024, Opcode.DATA_END: 4}.get(opcode, MAX_RECORD)  # type: ignore[call-overload]
+
 
 def records(path: Path, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
     """Yield the records of the data section, up to DataEnd or to where the file stops making sense.
 
-    Records of the kinds in `skip` are passed over unread.
+    Records of the kinds in `skip` are passed over unread. Where no record is, or the file ends without
+    DataEnd, the last one has the opcode NOTHING.
+
+    Raises
+    ------
+    LogError
+        A record is larger than any is allowed to be, or the checksum of the whole data section differs; that
+        is looked at where nothing is skipped.
+    OSError
+        The file cannot be read.
+
     """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            return
+    with open_regular(path) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        crc = zlib.crc32(file.read(len(MAGIC)))
         offset = len(MAGIC)
-        while offset + _HEAD.size <= size:
-            opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-            if opcode == Opcode.DATA_END or opcode not in OPCODES:
+        while offset + HEAD.size <= size:
+            head = file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head)
+            end = offset + HEAD.size + length
+            if opcode not in OPCODES:
+                break
+            if opcode == Opcode.DATA_END:
+                _check_end(file, offset, length, None if skip else crc)
                 return
-            if opcode in skip:
-                offset = file.seek(length, 1)
+            if opcode in skip and end <= size:
+                offset = file.seek(end)
                 continue
-            content = file.read(min(length, size - offset - _HEAD.size))
+            if end <= size and length > longest(opcode):
+                raise LogError(
+                    f"damaged at byte {offset}: a record of {length} bytes, allowed: {longest(opcode)}"
+                )
+            content = file.read(min(length, size - offset - HEAD.size, longest(opcode)))
             yield Record(opcode, offset, content, len(content) == length)
             if len(content) < length:
                 return
-            offset += _HEAD.size + length
+            crc = zlib.crc32(content, zlib.crc32(head, crc))
+            offset = end
+        yield Record(NOTHING, offset, b"", complete=False)
+
+
+def _check_end(file: BinaryIO, offset: int, length: int, crc: int | None) -> None:
+    content = file.read(4)
+    if length != 4 or len(content) < 4:
+        raise LogError(f"damaged at byte {offset}: the end of the data has {length} bytes, allowed: 4")
+    wanted = int.from_bytes(content, "little")
+    if crc is not None and wanted and wanted != crc:  # 0: its writer has made none
+        raise LogError(f"damaged somewhere before byte {offset}: the checksum of the data section differs")
 
 
 def decompress(chunk: Chunk) -> bytes:
@@ -110,7 +187,7 @@ def decompress(chunk: Chunk) -> bytes:
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
         elif chunk.compression:
             raise LogError(f"a chunk is compressed by {chunk.compression!r}: allowed are zstd, lz4 and none")
-    except (zstandard.ZstdError, RuntimeError) as error:
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         raise LogError(f"a chunk cannot be decompressed: {error}") from error
     if len(data) != chunk.uncompressed_size or (
         chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc
@@ -135,23 +212,37 @@ def decompress_part(content: bytes) -> bytes:
     try:
         while len(parts) < MAX_CHUNK // _PIECE and (part := reader.read(_PIECE)):
             parts.append(part)
-    except zstandard.ZstdError:
+    except (zstandard.ZstdError, MemoryError):
         return b""
     return b"".join(parts)
 
 
-def split(data: bytes) -> tuple[MessageTable, list[Record]]:
-    """Find the complete records in a buffer: messages as a table, others as they are."""
-    channel, log_time, offset, length = [], [], [], []
+def split(data: bytes, *, part: bool = False) -> tuple[MessageTable, list[Record]]:
+    """Find the complete records in a buffer: messages as a table, others as they are.
+
+    part: the buffer may end within a record.
+
+    Raises
+    ------
+    LogError
+        A message is shorter than any can be or has no time, or something is left over.
+
+    """
+    channel, log_time, offset, length = array("q"), array("Q"), array("q"), array("q")
     others = []
     position, size = 0, len(data)
     unpack, head = _MESSAGE.unpack_from, _MESSAGE.size
-    while position + head <= size:
-        opcode, count, channel_id, _, time_ns = unpack(data, position)
+    while position + HEAD.size <= size:
+        if position + head <= size:
+            opcode, count, channel_id, _, time_ns = unpack(data, position)
+        else:
+            (opcode, count), channel_id, time_ns = HEAD.unpack_from(data, position), 0, 0
         end = position + 9 + count
         if end > size:
             break
         if opcode == 5:
+            if count < _SHORTEST:
+                raise LogError(f"a message of {count} bytes, allowed: {_SHORTEST} and more")
             channel.append(channel_id)
             log_time.append(time_ns)
             offset.append(position)
@@ -159,5 +250,11 @@ def split(data: bytes) -> tuple[MessageTable, list[Record]]:
         else:
             others.append(Record(opcode, position, data[position + 9 : end], complete=True))
         position = end
-    table = MessageTable(*(np.array(column, np.int64) for column in (channel, log_time, offset, length)))
-    return table, others
+    if position < size and not part:
+        raise LogError(f"{size - position} bytes of {size} are no record")
+    times = np.frombuffer(log_time, np.uint64) if log_time else np.zeros(0, np.uint64)
+    if len(times) and int(times.max()) >> 63:
+        raise LogError("a message has a time after the year 2262")
+    columns = (channel, offset, length)
+    found = [np.frombuffer(c, np.int64) if c else np.zeros(0, np.int64) for c in columns]
+    return MessageTable(found[0], times.astype(np.int64), *found[1:]), others

@@ -6,7 +6,8 @@ that is read back.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum, IntFlag
 from functools import cache
 from typing import Any, NamedTuple, cast
@@ -21,6 +22,11 @@ from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_fil
 NUMBER = "_number"
 UNNAMED = 127
 """What an enum shows of a number from here on, or below 0."""
+MOST_ROW_BYTES = 1 << 16
+"""Of a log; ours take a twentieth."""
+_LONGEST_TEXT, _MOST_AXES = 500, 4
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}")
+"""Of values: what enumerations of Python take; `mro` is refused by them."""
 _MOST_ELEMENTS = 63
 """Bits of a number; their tags take two bytes at most."""
 
@@ -89,23 +95,69 @@ def describe(columns: Sequence[Column]) -> str:
 
 
 def columns_of(description: str) -> tuple[Column, ...]:
-    """Return the table of columns that `describe` described; all are of part `output`."""
+    """Return the table of columns that `describe` described; all are of part `output`.
+
+    Raises
+    ------
+    AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError
+        The text is no such table, or asks for larger rows than are recorded.
+
+    """
     columns = []
     for entry in json.loads(description):
-        named = cast("Any", IntFlag if entry["flags"] else IntEnum)
-        kind = {"int": int, "float": float}.get(entry["type"]) or named(entry["type"], entry["names"])
-        name, unit, meaning = entry["name"], entry["unit"], entry["meaning"]
-        shape = tuple(entry["shape"])
-        columns.append(Column("output", name, kind, unit, meaning, tuple(entry["elements"]), shape))
-    return tuple(columns)
+        name, unit, meaning = (_text(entry[key]) for key in ("name", "unit", "meaning"))
+        kind = {"int": int, "float": float}.get(entry["type"])
+        if kind is None:
+            named = cast("Any", IntFlag if entry["flags"] else IntEnum)
+            kind = named(_text(entry["type"]), _names(entry["names"]))
+        elements, shape = tuple(map(_text, entry["elements"])), tuple(map(_length, entry["shape"]))
+        columns.append(Column("output", name, kind, unit, meaning, elements, shape))
+    return _checked(columns)
 
 
 def columns_of_0_1_0(description: str) -> tuple[Column, ...]:
-    """Return the columns that a log of version 0.1.0 describes: names and types alone."""
-    return tuple(
-        Column("output", name, float if kind == "<f8" else int, "", "", (), tuple(shape))
+    """Return the columns that a log of version 0.1.0 describes: names and types alone.
+
+    Raises as `columns_of`.
+    """
+    return _checked(
+        Column("output", _text(name), float if kind == "<f8" else int, "", "", (), tuple(map(_length, shape)))
         for name, kind, shape in json.loads(description)
     )
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or not value.isprintable() or len(value) > _LONGEST_TEXT:
+        raise ValueError(f"{value!r:.60}: allowed: a printable text of at most {_LONGEST_TEXT} signs")
+    return value
+
+
+def _length(value: Any) -> int:
+    if type(value) is not int or not 0 < value <= MOST_ROW_BYTES:
+        raise ValueError(f"{value!r:.60} in a shape, allowed: 1 to {MOST_ROW_BYTES}")
+    return value
+
+
+def _names(values: Any) -> dict[str, int]:
+    """Return the names of an enumeration or of flags."""
+    for name, number in values.items():
+        if not _NAME.fullmatch(name) or type(number) is not int or not 0 <= number < 1 << 63:
+            raise ValueError(f"{name!r:.60}: {number!r:.60}: allowed: a plain name and a number from 0 on")
+    return dict(values)
+
+
+def _checked(columns: Iterable[Column]) -> tuple[Column, ...]:
+    """Return the columns of a log; refuse what `Table.check` does, and rows that are too large."""
+    checked, size = tuple(columns), 0
+    for c in checked:
+        size += 8 * c.size
+        if size > MOST_ROW_BYTES or len(c.shape) > _MOST_AXES or len(c.elements) not in {0, c.size}:
+            raise ValueError(
+                f"column {c.name}: shape {c.shape}, {len(c.elements)} names, allowed: rows of "
+                f"{MOST_ROW_BYTES} bytes, {_MOST_AXES} axes, a name for each element or none"
+            )
+    Table("", checked).check()
+    return checked
 
 
 def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:

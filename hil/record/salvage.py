@@ -1,23 +1,38 @@
-"""Makes a valid log of one that was cut: power loss, full disk, recorder killed.
+"""Makes a valid log of one that was cut or damaged: power loss, full disk, recorder killed, bits turned over.
 
-The original is read, never touched; the result is a new file. Complete chunks are copied as they are; of a
-chunk that is cut, the ticks that are complete.
+The original is read, never touched; the result is a new file, which gets its name when it is whole. Complete
+chunks are copied as they are; of a chunk that is cut, the ticks that are complete. Schemas and channels stand
+twice in a log: a damaged one is taken from the other place.
 """
 
+import contextlib
 import os
-import struct
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Channel
 
 from drivers.errors import LogError
+from drivers.regular_file import open_regular
+from hil.record.descriptions import Descriptions
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile
-from hil.record.mcap_read import MessageTable, Record, decompress, decompress_part, records, split
+from hil.record.mcap_read import (
+    MAX_CHUNK,
+    Allowance,
+    MessageTable,
+    Record,
+    decompress,
+    decompress_part,
+    split,
+)
 from hil.record.schema import IDENTITY, LIBRARY, SALVAGE, SUMMARY
+from hil.record.surviving import Lost, surviving
+
+_REMARKS = 20
+"""Written into the log and reported; of more damage the number is."""
 
 
 class SalvageReport(NamedTuple):
@@ -37,105 +52,147 @@ class SalvageReport(NamedTuple):
     complete: bool
     """Nothing but the index at the end was missing."""
     remarks: tuple[str, ...]
+    ticks_lost: int = 0
+    """Ticks of damaged chunks, as far as the index behind them counts them."""
 
 
 class _Salvage:
     """One salvage at work. State: the new file, and what was found so far."""
 
-    def __init__(self, out: Path) -> None:
+    def __init__(self, out: Path, source: Path, size: int, descriptions: Descriptions) -> None:
         self.file = McapFile(out, f"{LIBRARY}/{product_version()}")
-        self.topic = ""
         self.closed = False
-        self.chunks = self.ticks = self.partial = 0
-        self.used = len(MAGIC)
-        self.remarks: list[str] = []
-        self._topics: dict[int, str] = {}
-        self._schemas: set[int] = set()
+        self.chunks = self.ticks = self.partial = self.lost = self.ticks_lost = 0
+        self.remarks: list[str] = list(descriptions.remarks)
+        self._source = source
+        self._allowance = Allowance(size)
+        self._known = descriptions
         self._loose: list[bytes] = []
+        self._loose_bytes = 0
+        self._damaged = False
+        """Whether the index that comes next is of a chunk that is left out."""
 
-    def add(self, record: Record) -> None:
-        """Take over one record of the original."""
-        if record.opcode == Opcode.MESSAGE and record.complete:
-            self._loose.append(record.whole)
-            if len(self._loose) >= 1024:
-                self.flush()
-        elif record.opcode == Opcode.CHUNK:
-            self.flush()
-            if not self._chunk(record):
-                return
-        elif not record.complete:
-            self.remarks.append(f"the file ends inside a record at byte {record.offset}")
-            return
-        else:
-            self._other(record)
-        self.used = record.offset + 9 + len(record.content)
+    def work(self) -> None:
+        """Take over what survives of the original."""
+        self.file.add_metadata(IDENTITY, self._known.identity)
+        for schema in self._known.schemas.values():
+            self.file.add_schema(schema)
+        for channel in self._known.channels.values():
+            self.file.add_channel(channel)
+        for record in surviving(self._source):
+            if isinstance(record, Lost):
+                self.lost += record.stop - record.start
+                self.remarks.append(f"bytes {record.start} to {record.stop} are damaged and left out")
+            else:
+                self._add(record)
+        self._flush()
+
+    def _add(self, record: Record) -> None:
+        size = 9 + len(record.content)
+        if record.opcode != Opcode.MESSAGE_INDEX:
+            self._damaged = False
+        try:
+            if not record.complete and record.opcode != Opcode.CHUNK:
+                self.remarks.append(f"the file ends inside a record at byte {record.offset}")
+                self.lost += size
+            elif record.opcode == Opcode.MESSAGE:
+                self._message(record)
+            elif record.opcode == Opcode.CHUNK:
+                self._flush()
+                if record.complete:
+                    self._chunk(record)
+                else:
+                    self.lost += size
+                    self._part(record)
+            elif record.opcode == Opcode.MESSAGE_INDEX:
+                self._index(record)
+            else:
+                self._other(record)
+        except LogError as error:
+            self._damaged = record.opcode == Opcode.CHUNK
+            self.lost += size
+            what = "the chunk" if self._damaged else "the record"
+            self.remarks.append(f"{what} at byte {record.offset} is damaged and left out: {error}")
+
+    def _message(self, record: Record) -> None:
+        split(record.whole)
+        self._loose.append(record.whole)
+        self._loose_bytes += len(record.content)
+        if len(self._loose) >= 1024 or self._loose_bytes > MAX_CHUNK:
+            self._flush()
 
     def _other(self, record: Record) -> None:
-        match record.opcode:
-            case Opcode.SCHEMA:
-                schema = record.parse()
-                if schema.id not in self._schemas:
-                    self._schemas.add(schema.id)
-                    self.file.add_schema(schema)
-            case Opcode.CHANNEL:
-                channel = record.parse()
-                if channel.id not in self._topics:
-                    self._topics[channel.id] = channel.topic
-                    self.file.add_channel(channel)
-            case Opcode.METADATA:
-                metadata = record.parse()
+        if record.opcode == Opcode.METADATA:
+            metadata = record.parse()
+            if metadata.name != IDENTITY:
                 self.file.add_metadata(metadata.name, metadata.metadata)
                 self.closed |= metadata.name == SUMMARY
-                if metadata.name == IDENTITY:
-                    self.topic = metadata.metadata.get("topic", "")
-            case Opcode.ATTACHMENT:
-                file = record.parse()
-                self.file.add_attachment(file.name, file.data, file.log_time, file.media_type)
+        elif record.opcode == Opcode.ATTACHMENT:
+            file = record.parse()
+            self.file.add_attachment(file.name, file.data, file.log_time, file.media_type)
 
-    def _chunk(self, record: Record) -> bool:
-        """Take over a chunk, or what is there of it; return whether all of it was there."""
-        if record.complete:
-            try:
-                chunk = record.parse()
-                table, others = split(decompress(chunk))
-            except (LogError, McapError, struct.error, UnicodeDecodeError) as error:
-                self.remarks.append(f"the chunk at byte {record.offset} is damaged and left out: {error}")
-                return True
-            for other in others:
-                self._other(other)
-            self.file.add_compressed(chunk, table.channel, table.log_time, table.offset)
-            self.chunks += 1
-            self._count(table)
-            return True
+    def _chunk(self, record: Record) -> None:
+        chunk = record.parse()
+        self._allowance.spend(chunk.uncompressed_size)
+        table, others = split(decompress(chunk))
+        self._describe(others)
+        self._name(table)
+        self.file.add_compressed(chunk, table.channel, table.log_time, table.offset)
+        self.chunks += 1
+        self._count(table)
+
+    def _part(self, record: Record) -> None:
+        """Take over the ticks of a chunk that is cut."""
         data = decompress_part(record.content)
-        table, others = split(data)
-        for other in others:
-            self._other(other)
+        table, others = split(data, part=True)
+        self._describe(others)
         # the last tick begun may have lost frames: replay needs whole ticks
         begun = np.flatnonzero(self._is_tick(table))
         whole = int(begun[-1]) if len(begun) else 0
         if whole:
-            self._write(data, MessageTable(*(column[:whole] for column in table)))
+            self._write(data, table.between(0, whole))
         self.partial = whole
         self.remarks.append(
             f"the file ends inside the chunk at byte {record.offset}: {whole} messages of it recovered"
         )
-        return False
 
-    def flush(self) -> None:
+    def _index(self, record: Record) -> None:
+        """Count the ticks of a chunk that is left out."""
+        if self._damaged and len(record.content) >= 6:
+            channel = int.from_bytes(record.content[:2], "little")
+            if channel in self._known.of_ticks():
+                self.ticks_lost += (len(record.content) - 6) // 16
+
+    def _flush(self) -> None:
         """Write messages that stood outside chunks."""
         if self._loose:
-            data, self._loose = b"".join(self._loose), []
+            data, self._loose, self._loose_bytes = b"".join(self._loose), [], 0
             self._write(data, split(data)[0])
 
     def _write(self, data: bytes, table: MessageTable) -> None:
+        self._name(table)
         parts = [data[o : o + n] for o, n in zip(table.offset.tolist(), table.length.tolist(), strict=True)]
         offset = np.cumsum(table.length) - table.length
         self.file.add_chunk(b"".join(parts), table.channel, table.log_time, offset)
         self._count(table)
 
+    def _describe(self, records: list[Record]) -> None:
+        """Take over schemas and channels that stand within a chunk: other programs write them there."""
+        for found in self._known.further(records):
+            if isinstance(found, Channel):
+                self.file.add_channel(found)
+            else:
+                self.file.add_schema(found)
+
+    def _name(self, table: MessageTable) -> None:
+        """Describe channels whose description is lost, so that the messages can stay."""
+        for number in np.unique(table.channel).tolist():
+            if number not in self._known.channels:
+                self.file.add_channel(self._known.unknown(number))
+                self.remarks.append(f"the description of channel {number} is lost")
+
     def _is_tick(self, table: MessageTable) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        return np.isin(table.channel, [i for i, topic in self._topics.items() if topic == self.topic])
+        return np.isin(table.channel, self._known.of_ticks())
 
     def _count(self, table: MessageTable) -> None:
         self.ticks += int(np.count_nonzero(self._is_tick(table)))
@@ -147,43 +204,57 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     Raises
     ------
     LogError
-        `path` is missing or no log of ours, cut before its first record; or `out` exists.
+        `path` is missing or no log of ours, cut before its first record; or `out` exists, or cannot be
+        written.
 
     """
     source, target = Path(path), Path(out)
     try:
-        size = source.stat().st_size
-        with source.open("rb") as file:
-            head = file.read(len(MAGIC))
+        with open_regular(source) as file:
+            head, size = file.read(len(MAGIC)), file.seek(0, 2)
+        if head != MAGIC:
+            raise LogError(f"{source}: not an MCAP file: nothing to salvage")
+        descriptions = Descriptions(source)
     except OSError as error:
         raise LogError(f"{source}: cannot be read: {error.strerror}") from error
-    if head != MAGIC:
-        raise LogError(f"{source}: not an MCAP file: nothing to salvage")
-    if not any(
-        r.complete and r.opcode == Opcode.METADATA and r.parse().name == IDENTITY for r in records(source)
-    ):
-        raise LogError(f"{source}: no log of this product, or cut within its first bytes: nothing to salvage")
+    if os.path.lexists(target):
+        raise LogError(f"{target}: exists and is never overwritten: choose another name")
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        work = _Salvage(target)
+        temporary.unlink(missing_ok=True)
+        work = _Salvage(temporary, source, size, descriptions)
+        try:
+            work.work()
+            report = _close(work, source, target, size)
+        finally:
+            work.file.close()
+        _give_name(temporary, target)
     except FileExistsError:
         raise LogError(f"{target}: exists and is never overwritten: choose another name") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-    for record in records(source):
-        work.add(record)
-    work.flush()
-    return _close(work, source, target, size)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+    return report
+
+
+def _give_name(temporary: Path, target: Path) -> None:
+    """Give a file its name without taking it from one that came to be meanwhile."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.lexists(target):
+            raise FileExistsError from None
+        temporary.rename(target)
 
 
 def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageReport:
-    with source.open("rb") as file:
-        file.seek(work.used)
-        at_end = file.read(1) == bytes([Opcode.DATA_END])
-    lost = 0 if at_end else size - work.used
-    if lost and not work.remarks:
-        work.remarks.append(f"from byte {work.used} on there are no records")
-    damaged = any("damaged" in remark for remark in work.remarks)
-    complete = work.closed and not lost and not damaged
+    remarks = work.remarks[:_REMARKS]
+    if len(work.remarks) > _REMARKS:
+        remarks.append(f"and {len(work.remarks) - _REMARKS} places more")
     report = SalvageReport(
         path=source,
         out=target,
@@ -192,17 +263,19 @@ def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageRepo
         chunks=work.chunks,
         partial_messages=work.partial,
         bytes_read=size,
-        bytes_lost=lost,
-        complete=complete,
-        remarks=tuple(work.remarks),
+        bytes_lost=work.lost,
+        complete=work.closed and not work.lost and not remarks,
+        remarks=tuple(remarks),
+        ticks_lost=work.ticks_lost,
     )
     work.file.add_metadata(
         SALVAGE,
         {
             "original": source.name,
             "original_bytes": str(size),
-            "bytes_lost": str(lost),
-            "remarks": "; ".join(work.remarks),
+            "bytes_lost": str(work.lost),
+            "ticks_lost": str(work.ticks_lost),
+            "remarks": "; ".join(remarks),
         },
     )
     if not work.closed:

@@ -1,6 +1,7 @@
 """A path from a CSV file: one cubic spline per word through all rows."""
 
 import csv
+import io
 import math
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
+from drivers.regular_file import read_regular
 from hil.config.reference import SampledReference
 from hil.config.values import AXES
 from hil.trajectory.path import require_half_turn
@@ -15,6 +17,8 @@ from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import require_closed
 
 HEADER = ("t_s", *AXES)
+_QUOTED = 200
+"""Signs of a wrong header that are shown."""
 
 
 def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
@@ -27,19 +31,20 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
     rows: list[list[float]] = []
     problems: list[str] = []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = csv.reader(file)
-            header = tuple(word.strip() for word in next(lines, []))
-            if header != HEADER:
-                given = ",".join(header) or "nothing"
-                raise ConfigurationError(f"{path}:1: the header must be {','.join(HEADER)}; given: {given}.")
-            for words in lines:
-                if words:
-                    row, problem = _row(words, rows[-1][0] if rows else -math.inf)
-                    rows.append(row)
-                    if problem:
-                        problems.append(f"{path}:{lines.line_num}: {problem}")
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        lines = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
+        header = tuple(word.strip() for word in next(lines, []))
+        if header != HEADER:
+            given = ",".join(header)[:_QUOTED] or "nothing"
+            raise ConfigurationError(f"{path}:1: the header must be {','.join(HEADER)}; given: {given}.")
+        for words in lines:
+            if words:
+                row, problem = _row(words, rows[-1][0] if rows else -math.inf)
+                rows.append(row)
+                if problem:
+                    problems.append(f"{path}:{lines.line_num}: {problem}")
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error.strerror}.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}.") from error
     if len(rows) < at_least:
         problems.append(f"{path}: {len(rows)} row(s) of poses; at least {at_least} must be there.")
@@ -62,7 +67,7 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            return [before], f"{name} must be a finite number; given: {word.strip()!r}."
+            return [before], f"{name} must be a finite number; given: {word.strip()!r:.60}."
         numbers.append(number)
     if not numbers[0] > before:
         return numbers, f"t_s {numbers[0]:g} is not after {before:g} of the row before; times must increase."

@@ -11,7 +11,7 @@ from ruckig import InputParameter, Profile, Result, Ruckig, Synchronization
 from ruckig import Trajectory as Plan
 
 from drivers.arrays import Array
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from hil.config.reference import TimeOptimalReference
 from hil.trajectory.path import axis_limits, words_of_points
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
@@ -57,10 +57,32 @@ def plan(settings: TimeOptimalReference) -> bytes:
 
 
 def planned_trajectory(file: bytes, periods: int | None) -> PiecewisePolynomial:
-    """Return the trajectory of a `plan`."""
-    table: Array = np.load(io.BytesIO(file), allow_pickle=False)
+    """Return the trajectory of a `plan`.
+
+    Raises LogError for what is none: a log may carry anything.
+    """
+    table = _table(file)
     knots = np.concatenate([[0.0], table[:, 0]])
+    if not np.isfinite(table).all() or not (np.diff(knots) > 0.0).all():
+        raise LogError("the plan of the reference in the log: its numbers must be finite, its times increase")
     return PiecewisePolynomial(knots, table[:, 1:].reshape(len(table), DEGREE + 1, 6), periods)
+
+
+def _table(file: bytes) -> Array:
+    """Return the rows (n, 37) of a plan; no more memory is taken than the file has bytes."""
+    stream, width = io.BytesIO(file), 1 + 6 * (DEGREE + 1)
+    try:
+        np.lib.format.read_magic(stream)
+        shape, fortran, kind = np.lib.format.read_array_header_1_0(stream)
+        numbers = np.frombuffer(file, np.float64, offset=stream.tell())
+    except (ValueError, TypeError, SyntaxError, EOFError, RecursionError) as error:
+        raise LogError(f"the plan of the reference in the log cannot be read: {error}") from None
+    if fortran or kind != np.float64 or shape != (len(numbers) // width, width) or not shape[0]:
+        raise LogError(
+            f"the plan of the reference in the log: {shape} of {kind}, allowed: (n, {width}) of float64, and "
+            f"{len(numbers)} numbers are there"
+        )
+    return numbers.reshape(shape)
 
 
 def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:

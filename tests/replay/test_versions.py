@@ -22,6 +22,7 @@ from hil.record import Recording, environment
 from hil.record.log import Log
 from hil.record.row import Table
 from tests.hil.samples import assert_same, random_ticks, record
+from tools.fuzz.container import split, whole
 
 OLD = Path(__file__).resolve().parents[1] / "data" / "log_0.1.0.mcap"
 RENUMBERED: Any = IntEnum("RENUMBERED", [(mode.name, max(Mode) - mode) for mode in Mode])  # type: ignore[misc]
@@ -168,7 +169,7 @@ def test_metadata_that_was_edited_is_no_traceback(tmp_path, old, new, said):
     recorded(tmp_path / "a.mcap")
     content = (tmp_path / "a.mcap").read_bytes()
     assert old in content
-    (tmp_path / "b.mcap").write_bytes(content.replace(old, new))
+    (tmp_path / "b.mcap").write_bytes(whole(split(content.replace(old, new))))
     result = CliRunner().invoke(main, ["replay", str(tmp_path / "b.mcap")])
     assert isinstance(result.exception, SystemExit)
     assert result.exit_code == 2

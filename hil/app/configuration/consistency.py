@@ -264,7 +264,7 @@ def endless_reference(
     controller: ControllerSettings, reference: ReferenceSettings, platform: PlatformSettings, folder: Folder
 ) -> Iterator[Finding]:
     """Refuse a reference without end to a law that needs one."""
-    if controller.endless is None:
+    if controller.endless is None or (isinstance(reference, SampledReference) and folder is None):
         return
     with contextlib.suppress(ConfigurationError):  # no path at all: `reference_path` says so
         if build_trajectory(reference, platform.home, folder or FilePath()).duration_s is None:

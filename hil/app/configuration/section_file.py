@@ -83,7 +83,7 @@ def _name(kind: type[Section]) -> str:
 
 def _says(path: Path, name: str) -> bool:
     try:
-        document = parse(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError):
+        document = parse(read_text(path))
+    except (OSError, ConfigurationError):
         return False
     return document.value is not None and document.value.get("kind") == name

@@ -7,15 +7,17 @@ import importlib.resources
 from pathlib import Path
 
 from drivers.errors import ConfigurationError
+from drivers.regular_file import read_regular
 
 
 def read_text(path: Path) -> str:
     """Return the text of a file.
 
-    Raises FileNotFoundError where there is none, ConfigurationError where it cannot be read as UTF-8.
+    Raises FileNotFoundError where there is none, ConfigurationError where it is no regular file, too large,
+    or cannot be read as UTF-8.
     """
     try:
-        raw = path.read_bytes()
+        raw = read_regular(path)
     except FileNotFoundError:
         raise
     except OSError as error:

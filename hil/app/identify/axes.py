@@ -9,7 +9,6 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.errors import HilError
 from drivers.signals import Mode
-from hil.app.compose import with_attachments
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.section_file import check_section_path, write_section
 from hil.app.identify.delay import (
@@ -27,6 +26,7 @@ from hil.app.identify.delay import (
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.app.identify.plot import NAMES, draw
 from hil.app.output import picture_path
+from hil.app.recorded_files import with_attachments
 from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
 from hil.identify.axis_fit import Fit, Uncertainty, fit_axes, uncertainty

@@ -8,6 +8,7 @@ import yaml
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
+from drivers.regular_file import open_regular
 from drivers.signals import DriveState
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.configuration import Configuration, loads
@@ -54,7 +55,7 @@ class Recorded(NamedTuple):
 def is_log(source: Path) -> bool:
     """Tell whether a file is a log (MCAP) rather than a configuration."""
     try:
-        with source.open("rb") as file:
+        with open_regular(source) as file:
             return file.read(len(MAGIC)) == MAGIC
     except OSError:
         return False

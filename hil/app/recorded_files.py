@@ -1,0 +1,38 @@
+"""The files that a log carries, in the place of those that its configuration names."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import LogError
+from hil.app.compose import CONTROLLER_FILE, REFERENCE_CSV
+from hil.app.configuration.configuration import Configuration
+from hil.config.reference import SampledReference
+from hil.control.state_space import StateSpaceSettings
+
+
+def with_attachments(configuration: Configuration, files: Mapping[str, bytes], folder: Path) -> Configuration:
+    """Return the configuration with the files of a log in the place of those that it names.
+
+    They are written to `folder`, with the controller that comes with the product never in their place: what
+    replay reads is in the log. A plan is none of them, `build_cycle` takes it as it is.
+
+    Raises LogError where the configuration names a file that the log does not carry.
+    """
+    changes: dict[str, Any] = {}
+    for name, section, key, kind in (
+        (REFERENCE_CSV, "reference", "path", SampledReference),
+        (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
+    ):
+        settings = getattr(configuration, section)
+        if not isinstance(settings, kind):
+            continue
+        if name not in files:
+            raise LogError(
+                f"the configuration in the log names a file in {section}.{key}, and the log does not carry "
+                f"it (attachment {name}): replay reads nothing else from the disk"
+            )
+        path = folder.absolute() / name
+        path.write_bytes(files[name])
+        changes[section] = settings.model_copy(update={key: str(path)})
+    return configuration.model_copy(update=changes)

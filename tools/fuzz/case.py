@@ -1,0 +1,78 @@
+"""One case: its input damaged as its seed says, read, and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from drivers.errors import HilError
+from tools.fuzz.targets import TARGETS, Stock
+
+LONGEST_S = 5.0
+MOST_MB = 250
+"""More than before the case; a command that has done nothing yet takes about as much."""
+_STATUS = Path("/proc/self/status")
+_CLEAR = Path("/proc/self/clear_refs")
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+class Result(NamedTuple):
+    """What became of one case."""
+
+    seed: int
+    target: str
+    problem: str
+    """`traceback`, `hang`, `memory`, `control character` or empty."""
+    detail: str
+    seconds: float
+    grown_MB: float
+    """Of the resident size at its peak, over what it was before."""
+
+
+def kind_of(seed: int, only: str | None) -> tuple[str, Random]:
+    """Return what a seed fuzzes, and the generator that draws its damage."""
+    rng = Random(seed)  # noqa: S311 - no secret
+    names, weights = list(TARGETS), [weight for _, weight in TARGETS.values()]
+    drawn = rng.choices(names, weights)[0]
+    return only or drawn, rng
+
+
+def run(seed: int, stock: Stock, only: str | None = None) -> Result:
+    """Run the case of a seed."""
+    target, rng = kind_of(seed, only)
+    with contextlib.suppress(OSError):
+        _CLEAR.write_text("5")  # the peak begins anew
+    before = peak_MB()
+    begun, problem, detail = time.perf_counter(), "", ""
+    with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name:
+        try:
+            said = TARGETS[target][0](stock, rng, Path(name))
+        except HilError as error:
+            said = str(error)
+        except Exception as error:  # noqa: BLE001 - that is what is looked for
+            said, problem = "", "traceback"
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            detail = f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})"
+    seconds, grown = time.perf_counter() - begun, peak_MB() - before
+    if not problem and (found := _CONTROL.search(said)):
+        problem, detail = "control character", said[max(found.start() - 60, 0) : found.end() + 20]
+    if not problem and seconds > LONGEST_S:
+        problem = "hang"
+    if not problem and grown > MOST_MB:
+        problem = "memory"
+    return Result(seed, target, problem, detail, seconds, grown)
+
+
+def peak_MB() -> float:
+    """Return the largest resident size of this process since the case began, MB; 0 where it is not known."""
+    try:
+        found = re.search(r"VmHWM:\s+(\d+) kB", _STATUS.read_text())
+    except OSError:
+        return 0.0
+    return 0.0 if found is None else int(found[1]) * 1024e-6

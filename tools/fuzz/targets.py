@@ -1,0 +1,206 @@
+"""What is fuzzed: for each kind of input where it comes from, how it is damaged, and who reads it.
+
+A reader gives back what it printed or the message of a HilError. Anything else that it raises is a finding.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import socket
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from click.testing import CliRunner
+
+from drivers.errors import HilError
+from hil.app.calibrate import read_pairs
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load
+from hil.app.configuration.controller_file import read_controller
+from hil.app.configuration.section_file import read_section
+from hil.app.sim.commands import CommandScript, read_commands
+from hil.app.simulation import sim
+from hil.cli import main
+from hil.config.design import Design
+from hil.config.reference import SampledReference
+from hil.operate.channel import OperatorChannel
+from hil.record.log import Log
+from hil.trajectory.sampled import sampled_trajectory
+from plant_fmu.stewart.build import build
+from tools.fuzz import container, mutate
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Stock(NamedTuple):
+    """Sound inputs, made once."""
+
+    log: bytes
+    plant_log: bytes
+    folder: Path
+
+
+def stock(folder: Path, duration_s: float = 0.12) -> Stock:
+    """Make the sound inputs: a short run on the shipped configuration, with the plant's log."""
+    path = folder / "sound.mcap"
+    if not path.exists():
+        sim("virtual", log=path, duration_s=duration_s, plant_log=True)
+    return Stock(path.read_bytes(), path.with_name("sound-plant.mcap").read_bytes(), folder)
+
+
+def _command(*words: str) -> str:
+    """Run a command of `hil` in this process; return what it printed."""
+    result = CliRunner().invoke(main, list(words))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    if result.exit_code not in {0, 1, 2}:
+        raise AssertionError(f"exit code {result.exit_code}, allowed: 0, 1, 2")
+    return result.output
+
+
+def _api(path: str) -> str:
+    """Read all that `hil.Log` gives."""
+    log = Log(path)
+    with contextlib.suppress(HilError):
+        log.figures()
+    parts = (log.rows, log.events, lambda: log.summary, lambda: log.frame("tau"), lambda: log.configuration)
+    for part in parts:
+        with contextlib.suppress(HilError):
+            part()
+    for stream in (log.blocks, log.can_frames, log.ticks):
+        with contextlib.suppress(HilError):
+            for _ in stream():
+                pass
+    return ""
+
+
+_VIEW = "view", "--no-start", "--with"
+LOG_READERS: dict[str, Callable[[str, str], str]] = {
+    "replay": lambda log, _: _command("replay", log),
+    "salvage": lambda log, out: _command("replay", log, "--salvage", f"{out}.mcap"),
+    "report": lambda log, out: _command("report", log, "--out", f"{out}.html"),
+    "plot": lambda log, out: _command("plot", log, "--out", f"{out}.png"),
+    "csv": lambda log, out: _command("export", log, f"{out}.csv"),
+    "frames": lambda log, out: _command("export", log, f"{out}.asc", f"{out}.blf", f"{out}.log"),
+    "parquet": lambda log, out: _command("export", log, f"{out}.parquet"),
+    "foxglove": lambda log, out: _command(*_VIEW, "foxglove", log, "--out", out),
+    "plotjuggler": lambda log, out: _command(*_VIEW, "plotjuggler", log, "--out", out),
+    "delay": lambda log, _: _command("identify", log, "--delay"),
+    "payload": lambda log, _: _command("identify", "payload", log),
+    "Log": lambda log, _: _api(log),
+}
+"""Name -> who reads a log; the second argument is the beginning of the name of a new file."""
+
+
+def _log(stock: Stock, rng: Random, folder: Path) -> str:
+    path = folder / "damaged.mcap"
+    path.write_bytes(container.damaged(stock.plant_log if rng.random() < 0.1 else stock.log, rng))
+    reader = rng.choice((*LOG_READERS, "replay", "salvage", "report"))
+    return LOG_READERS[reader](str(path), str(folder / "made"))
+
+
+def _damaged(path: Path, source: bytes, rng: Random) -> Path:
+    for _ in range(rng.randint(1, 3)):
+        source = rng.choice(mutate.TEXT)(source, rng)
+    path.write_bytes(source)
+    return path
+
+
+def _configuration(stock: Stock, rng: Random, folder: Path) -> str:
+    del stock
+    source = rng.choice(sorted((ROOT / "configs").glob("*.yaml")))
+    c = load(_damaged(folder / "damaged.yaml", source.read_bytes(), rng))
+    build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+    return ""
+
+
+_PATH_CSV = "t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg\n" + "".join(
+    f"{k},{0.1 * k},0,{1 + 0.02 * k},0,{k},0\n" for k in range(8)
+)
+_PAIRS_CSV = "x_m,y_m,z_m,rx_deg,ry_deg,rz_deg,l1_m,l2_m,l3_m,l4_m,l5_m,l6_m\n" + "".join(
+    f"0.0{k},0,1,0,{k},0,1.4,1.4,1.4,1.4,1.4,1.4\n" for k in range(9)
+)
+_COMMANDS = "0.1 arm\n0.5 hold\n1 speed 40 # slower\n2 start\n3 jog x 0.5 for 1.5\n4 setpoint 0 0 1 0 0 0\n"
+
+
+def _csv(stock: Stock, rng: Random, folder: Path) -> str:
+    del stock
+    kind = rng.randrange(3)
+    path = _damaged(folder / "damaged.csv", (_PATH_CSV, _PAIRS_CSV, _COMMANDS)[kind].encode(), rng)
+    if kind == 0:
+        sampled_trajectory(SampledReference(type="sampled", path=path.name), folder).sample(0.5)
+    elif kind == 1:
+        read_pairs(path)
+    else:
+        CommandScript(read_commands(path), 1000.0, str(path))
+    return ""
+
+
+def _controller(stock: Stock, rng: Random, folder: Path) -> str:
+    del stock
+    designs = sorted((ROOT / "configs" / "designs").glob("*.yaml"))
+    controllers = sorted((ROOT / "configs" / "controllers").glob("*.yaml"))
+    source = rng.choice([*designs, *controllers])
+    path = _damaged(folder / "damaged.yaml", source.read_bytes(), rng)
+    if source in designs:
+        read_section(path, Design)
+    else:
+        read_controller(path)
+    return ""
+
+
+def _fmu(stock: Stock, rng: Random, folder: Path) -> str:
+    source, path = build("3.0" if rng.random() < 0.5 else "2.0"), folder / "damaged.fmu"
+    del stock
+    if rng.random() < 0.5:
+        path.write_bytes(rng.choice(mutate.ANY)(source.read_bytes(), rng))
+    else:  # a sound archive around a damaged description
+        with zipfile.ZipFile(source) as archive, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
+            for name in archive.namelist():
+                data = archive.read(name)
+                out.writestr(
+                    name, rng.choice(mutate.TEXT)(data, rng) if name == "modelDescription.xml" else data
+                )
+    return _command("fmu", "show", str(path))
+
+
+_LINES = (
+    "arm", "stop", "reset", "estop", "release", "end", "start", "hold", "park", "key", "speed 40",
+    "jog x 0.5", "jog leg_3 -1", "setpoint 0 0 1 0 5 0", "status", "#tag setpoint 0 0 1", "#t status",
+)  # fmt: skip
+_numbers = itertools.count()
+
+
+def _operator(stock: Stock, rng: Random, folder: Path) -> str:
+    """Send damaged lines to the operator's socket as fast as it takes them."""
+    del stock
+    with (
+        OperatorChannel("fuzz", f"{next(_numbers)}") as channel,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
+    ):
+        sender.bind(str(folder / "s"))
+        sender.settimeout(1.0)
+        for _ in range(50):
+            line = rng.choice(_LINES).encode()
+            for _ in range(rng.randint(0, 3)):
+                line = rng.choice(mutate.TEXT)(line, rng)
+            with contextlib.suppress(OSError):
+                sender.sendto(line[:60_000], str(channel.path))
+            heard = channel.take()
+            channel.answer(*([""] * len(kind) for kind in heard), lambda: "{}")
+    return ""
+
+
+TARGETS: dict[str, tuple[Callable[[Stock, Random, Path], str], int]] = {
+    "log": (_log, 12),
+    "configuration": (_configuration, 3),
+    "csv": (_csv, 2),
+    "controller": (_controller, 2),
+    "fmu": (_fmu, 2),
+    "operator": (_operator, 1),
+}
+"""Kind of input -> one case of it, and how often it is drawn."""

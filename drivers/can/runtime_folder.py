@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import stat
 import tempfile
 import weakref
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Protocol
 from urllib.parse import quote
 
 from drivers.errors import BusError, RunError
+from drivers.own_folder import own_folder
 
 NAME = "hexapod-hil"
 
@@ -32,18 +32,11 @@ def runtime_folder() -> Path:
             raise BusError("no folder can be written to; set XDG_RUNTIME_DIR to one of your own") from error
         folder = base / f"{NAME}-{os.getuid()}"
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
+        return own_folder(folder)
     except OSError as error:
         raise BusError(
-            f"runtime folder {folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own"
+            f"runtime folder {folder}: {error.strerror}; or set XDG_RUNTIME_DIR to a folder of your own"
         ) from error
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
-        raise BusError(
-            f"runtime folder {folder} must be a folder that belongs to user {os.getuid()} with mode 0700; "
-            "remove it or set XDG_RUNTIME_DIR to a folder of your own"
-        )
-    return folder
 
 
 def safe_name(text: str) -> str:

@@ -18,6 +18,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
+from drivers.errors import RunError
+from drivers.own_folder import made_folder, own_folder
+
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("drivers", "hil", "plant_fmu")
 _IMPORT = re.compile(
@@ -27,24 +30,44 @@ _announcement: list[Callable[[], None]] = []
 
 
 def cache_folder() -> Path:
-    """Return this user's cache folder, created for the user alone.
+    """Return this user's cache folder, made for the user alone.
 
     ``hexapod-hil`` under ``$XDG_CACHE_HOME``, where that is an absolute path, else under ``~/.cache``; where
-    that cannot be written, a folder of this user under the temporary directory.
+    that cannot be written or is not the user's alone, a folder of this user under the temporary directory.
+
+    Raises RunError where that is none either: what is compiled would be lost, or another's would be run.
     """
+    folder, refused = _cache_folder()
+    if folder is None:
+        raise RunError(
+            f"no folder for what is compiled: {'; '.join(refused)}; set XDG_CACHE_HOME to one of your own"
+        )
+    return folder
+
+
+def elsewhere() -> str:
+    """Say why the cache lies under the temporary directory; empty where it does not."""
+    folder, refused = _cache_folder()
+    return f"{refused[0]}: what is compiled goes to {folder}" if refused else ""
+
+
+def _cache_folder() -> tuple[Path | None, list[str]]:
+    """Return the first folder that can be used, None without one, and why those before it cannot."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     # Path.home raises where there is none.
     parent = given if Path(given).is_absolute() else os.path.expanduser("~/.cache")  # noqa: PTH111
     user = os.getuid() if hasattr(os, "getuid") else 0
+    refused = []
     for folder in (Path(parent) / "hexapod-hil", Path(tempfile.gettempdir()) / f"hexapod-hil-{user}"):
         try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        except OSError:
+            own_folder(folder)
+        except OSError as error:
+            refused.append(f"{folder}: {error.strerror}")
             continue
-        mine = not hasattr(os, "getuid") or folder.stat().st_uid == user  # who can write it can run code here
-        if mine and os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix="hexapod-hil-"))
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder, refused
+        refused.append(f"{folder}: no right to write there")
+    return None, refused
 
 
 CACHE_FOLDER = cache_folder()
@@ -129,4 +152,4 @@ class Locator:
 
     def ensure_cache_path(self) -> None:
         """Create the folder."""
-        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        made_folder(self._folder)

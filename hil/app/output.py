@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.text import Text
 
 from drivers.errors import LogError
+from drivers.own_folder import made_folder
 from drivers.signals import Mode
 from hil.app.files import printable, write_whole
 from hil.app.terminal import visible
@@ -43,7 +44,7 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
     if os.path.lexists(path):
         raise LogError(f"{path}: exists and is not overwritten; name another file with --log")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        made_folder(path.parent)
     except OSError as error:
         raise LogError(f"{path.parent}: cannot be made: {error.strerror}") from None
     if not os.access(path.parent, os.W_OK | os.X_OK):
@@ -64,7 +65,7 @@ def picture_path(folder: str, stem: str, given: Path | None) -> Path:
     try:
         if path.exists() and path.stat().st_size and not path.read_bytes().startswith(PNG):
             raise LogError(f"--picture {path}: exists, is no PNG picture and is not overwritten")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        made_folder(path.parent)
     except OSError as error:
         raise LogError(f"--picture {path}: {error.strerror}") from None
     if not os.access(path if path.exists() else path.parent, os.W_OK):

@@ -123,12 +123,13 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
     )
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
-        from drivers.compiled.cache import before_compiling
         from drivers.errors import HilError, LogError
         from hil.app.terminal import one_line
 
-        before_compiling(_announce)
         try:
+            from drivers.compiled.cache import before_compiling
+
+            before_compiling(_announce)
             if kwargs["json_file"] is not None:
                 from hil.app.output import check_json_path
 
@@ -159,6 +160,10 @@ def _refuse(message: str) -> None:
 
 
 def _announce() -> None:
+    from drivers.compiled.cache import elsewhere
+
+    if elsewhere():
+        click.echo(f"hil: {elsewhere()}", err=True)
     click.echo("compiling the mathematics, once (about 45 s) ...", err=True)
 
 

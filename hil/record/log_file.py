@@ -223,6 +223,7 @@ class LogFile:
                 allowance.spend(chunk.uncompressed_size)
                 data = decompress(chunk)
             table, others = split(data, part=chunk is None)
+            allowance.count(len(table.channel))
         except LogError as error:
             raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {MEND}") from None
         for other in others:

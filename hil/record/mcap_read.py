@@ -34,8 +34,10 @@ MAX_CHUNK = 1 << 24
 """Bytes of a chunk, packed or unpacked: nothing larger is taken from a log."""
 MAX_RECORD = 1 << 26
 """Bytes of any other record."""
-FREE_BYTES, MAX_RATIO = 1 << 24, 100
-"""A log may unpack to so many bytes, and so many more for each byte of its file."""
+FREE_BYTES, MAX_RATIO = 1 << 22, 40
+"""A log may unpack to so many bytes, and so many more for each byte of its file: 2 to 6 are usual."""
+FREE_MESSAGES, LEAST_BYTES = 50_000, 8
+"""So many messages may be in it, and one more for so many bytes of its file: 50 to 250 are usual."""
 NOTHING = 0
 """Opcode of what is no record."""
 
@@ -83,14 +85,15 @@ class MessageTable(NamedTuple):
 
 
 class Allowance:
-    """How much a log may still unpack to. State: the bytes that are left.
+    """How much a log may still unpack to. State: the bytes and messages that are left.
 
-    A small file that unpacks without end would fill memory and time; what we record packs to a tenth.
+    A small file that unpacks without end would fill memory and time.
     """
 
     def __init__(self, file_bytes: int) -> None:
         self._file_bytes = file_bytes
         self._left = FREE_BYTES + MAX_RATIO * file_bytes
+        self._messages = FREE_MESSAGES + file_bytes // LEAST_BYTES
 
     def spend(self, size: int) -> None:
         """Take `size` bytes before they are unpacked.
@@ -108,10 +111,26 @@ class Allowance:
                 f"{FREE_BYTES + MAX_RATIO * self._file_bytes}, which no log of a run does"
             )
 
+    def count(self, messages: int) -> None:
+        """Take note of messages that were found.
+
+        Raises
+        ------
+        LogError
+            There are more than a file of this size holds.
+
+        """
+        self._messages -= messages
+        if self._messages < 0:
+            raise LogError(
+                f"the file has {self._file_bytes} bytes and more than "
+                f"{FREE_MESSAGES + self._file_bytes // LEAST_BYTES} messages, which no log of a run has"
+            )
+
 
 def longest(opcode: int) -> int:
     """Return how many bytes a record of a kind may have."""
-    return {Opcode.CHUNK: MAX_CHUNK + 1024, Opcode.DATA_END: 4}.get(opcode, MAX_RECORD)  # type: ignore[call-overload]
+    return MAX_CHUNK + 1024 if opcode == Opcode.CHUNK else MAX_RECORD
 
 
 def records(path: Path, skip: frozenset[int] = frozenset()) -> Iterator[Record]:

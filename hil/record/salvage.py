@@ -135,6 +135,7 @@ class _Salvage:
         chunk = record.parse()
         self._allowance.spend(chunk.uncompressed_size)
         table, others = split(decompress(chunk))
+        self._allowance.count(len(table.channel))
         self._describe(others)
         self._name(table)
         self.file.add_compressed(chunk, table.channel, table.log_time, table.offset)

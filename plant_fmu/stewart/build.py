@@ -16,6 +16,7 @@ from typing import NamedTuple, get_args
 
 from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
+from drivers.own_folder import made_folder
 from plant_fmu.stewart.ctables import header, tables
 from plant_fmu.stewart.description import (
     MODEL_IDENTIFIER,
@@ -208,7 +209,7 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
     cached = cached / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
     try:
         if not cached.is_file():
-            cached.parent.mkdir(parents=True, exist_ok=True)
+            made_folder(cached.parent)
             with tempfile.TemporaryDirectory(dir=cached.parent) as scratch:
                 folder = Path(scratch)
                 for name, data in sources.items():

@@ -53,8 +53,8 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
     with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name:
         try:
             said = TARGETS[target][0](stock, rng, Path(name))
-        except HilError as error:
-            said = str(error)
+        except HilError:
+            said = ""  # what the command line shows of it is looked at where it is run
         except Exception as error:  # noqa: BLE001 - that is what is looked for
             said, problem = "", "traceback"
             where = traceback.extract_tb(error.__traceback__)[-1]

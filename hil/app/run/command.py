@@ -226,11 +226,17 @@ def _summary(
         result["bench_time"] = stretches(rows)
     result["dropped_ticks"] = dropped
     _, result["replay"] = replay_log(closed.path)
-    lossy = closed.dropped > 0 and not result["replay"]["different_ticks"]
+    lossy = _missing(rows) == closed.dropped > 0 and not result["replay"]["different_ticks"]
     result["success"] = result["success"] and (result["replay"]["agrees"] or lossy)
     if ending.fault_tick >= 0:
         result["last_ticks"] = _tail(rows, ending.fault_tick)
     return result
+
+
+def _missing(rows: Rows) -> int:
+    """Return how many ticks the loop made and the log does not have: gaps, less skipped periods."""
+    steps = np.diff(rows["tick"], prepend=-1) - 1 - rows["skipped"]
+    return int(steps.sum())
 
 
 def _tail(rows: Rows, fault_tick: int) -> list[dict[str, Any]]:

@@ -5,10 +5,11 @@ MAKEFLAGS += --no-print-directory
 BIN := .venv/bin
 UV ?= uv
 PYTEST_FLAGS ?=
+FUZZ_FLAGS ?=
 # where it is set, each of some hundred processes of the tests compiles the project anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long lint bench docs format lock clean venv fmu kernels viewers
+.PHONY: help run test long fuzz lint bench docs format lock clean venv fmu kernels viewers
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is"
@@ -24,6 +25,9 @@ test: venv  ## import contracts, ruff, mypy, pytest (its summary is the last lin
 
 long: fmu viewers  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
 	@$(BIN)/python -m pytest -n0 -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
+
+fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes; FUZZ_FLAGS="--seed 5000" goes on there
+	@exec $(BIN)/python -m tools.fuzz $(FUZZ_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy
 	@$(BIN)/lint-imports --no-logo

@@ -29,6 +29,8 @@ _CHUNK = struct.Struct("<QQQII")
 _SHORTEST = 22
 """Bytes of a message's record before its data, without opcode and length."""
 _PIECE = 1 << 20
+_DESCRIPTIONS, _MOST_DESCRIPTIONS = frozenset({3, 4}), 1024
+"""Schemas and channels may stand in a chunk beside the messages, and so many of them."""
 OPCODES = frozenset(int(code) for code in Opcode)
 MAX_CHUNK = 1 << 24
 """Bytes of a chunk, packed or unpacked: nothing larger is taken from a log."""
@@ -266,8 +268,10 @@ def split(data: bytes, *, part: bool = False) -> tuple[MessageTable, list[Record
             log_time.append(time_ns)
             offset.append(position)
             length.append(end - position)
-        else:
+        elif opcode in _DESCRIPTIONS and len(others) < _MOST_DESCRIPTIONS:
             others.append(Record(opcode, position, data[position + 9 : end], complete=True))
+        else:
+            raise LogError(f"a record of kind {opcode} after {len(others)} others: no chunk has that")
         position = end
     if position < size and not part:
         raise LogError(f"{size - position} bytes of {size} are no record")

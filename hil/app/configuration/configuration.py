@@ -4,11 +4,12 @@ Every problem of a file is reported at once, each as `file:line:column: path: wh
 """
 
 import json
+import re
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import PrivateAttr, ValidationError, create_model
+from pydantic import Field, PrivateAttr, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
 from drivers.config import BusSettings, DriveSettings, SensorSettings
@@ -39,8 +40,8 @@ Command = Literal["run", "plant", "sim", "replay", "check"]
 class Configuration(Section):
     """Robot, bus, drives, controller, what to do, what to refuse."""
 
-    name: str = ""
-    """Short name, used in log file names; default is the file's name."""
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,100}$")] = ""
+    """Short name, used in log file names; default is the file's name, other signs as _."""
     description: str = ""
     """What this configuration is, in a sentence or two."""
     platform: PlatformSettings
@@ -117,6 +118,11 @@ class Configuration(Section):
             )
 
 
+def short_name(path: str | Path) -> str:
+    """Return the name that a configuration has where it gives none: its file's, other signs as _."""
+    return re.sub(r"[^A-Za-z0-9._-]", "_", Path(path).stem)[:100] or "_"
+
+
 @cache
 def json_schema() -> dict[str, Any]:
     """Return the schema of a whole configuration. Not to be changed."""
@@ -159,7 +165,7 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
                     found.append(Problem(document.value_position(path), path, message))
     if found:
         raise ConfigurationError(*lines(found, name))
-    configuration = Configuration(**({"name": Path(name).stem} | sections))
+    configuration = Configuration(**({"name": short_name(name)} | sections))
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
     return configuration
 

@@ -68,6 +68,8 @@ def describe(schema: Schema, root: Schema) -> str:
         if entry.get("type") == "array":
             return f"a list of {count}lists, each {describe(entry, root)}"
         return f"a list of {count}entries"
+    if kind == "string" and "pattern" in schema:
+        return f"text of the form {schema['pattern'].strip('^$')}"
     names = {"string": "text", "boolean": "true or false", "null": "null"}
     if kind == "object" and "properties" in schema:
         return "a section with the keys " + ", ".join(schema["properties"])
@@ -140,6 +142,7 @@ def _path(loc: tuple[str | int, ...], data: Value, *, missing: bool) -> Path:
 
 _WHAT = {
     "literal_error": "unknown value",
+    "string_pattern_mismatch": "wrong form",
     **dict.fromkeys(("too_short", "too_long"), "wrong number of entries"),
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "out of range"),
 }

@@ -101,7 +101,7 @@ def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excite
     Raises ConfigurationError for one that cannot be reached.
     """
     document = dict(parse(c.text).value or {})
-    document["name"] = f"{c.name}-identify"
+    document["name"] = f"{c.name[:80]}-identify"
     document["reference"] = reference.model_dump(mode="json")
     text = "# Made by hil identify: the reference is an excitation.\n"
     text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
 from hil.app.new import derive
 from hil.app.new.robot import LOWER_SHARE, platform_section, robot_at_home
@@ -40,7 +40,7 @@ def new_configuration(
     fmu: the plant instead of ours, as `recognised` read it. Raises ConfigurationError: what was derived is
     refused.
     """
-    sections = _sections(answers, path.stem)
+    sections = _sections(answers, short_name(path))
     comments = dict(_COMMENTS)
     if fmu is not None:
         sections["plant"] = _fmu_plant(answers, sections, *fmu, path.parent)

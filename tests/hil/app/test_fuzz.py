@@ -1,0 +1,38 @@
+"""What strangers hand in, damaged at random from a seed: an answer, a HilError, never a traceback, and soon."""
+
+import pytest
+
+from tools.fuzz import case
+from tools.fuzz.targets import TARGETS, stock
+
+QUICK = {"log": 60, "configuration": 12, "csv": 20, "controller": 8, "fmu": 6, "operator": 6}
+"""Cases of each kind; `make fuzz` runs thousands."""
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    return stock(tmp_path_factory.mktemp("stock"), duration_s=0.05)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_damaged_input_is_answered(sound, target):
+    results = [case.run(seed, sound, target) for seed in range(QUICK[target])]
+    assert [r for r in results if r.problem not in {"", "hang"}] == []
+    slow = [r for r in results if r.seconds > case.LONGEST_S]
+    assert len(slow) < 3  # a first time may compile
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("target", TARGETS)
+def test_damaged_input_is_answered_from_many_seeds(sound, target):
+    results = [case.run(seed, sound, target) for seed in range(1000, 1000 + 20 * QUICK[target])]
+    assert [r for r in results if r.problem] == []
+
+
+def test_the_fuzzer_finds_a_reader_that_fails(sound, monkeypatch):
+    monkeypatch.setitem(TARGETS, "log", (lambda *_: bytes().decode("no such"), 1))
+    result = case.run(1, sound, "log")
+    assert result.problem == "traceback"
+    assert result.detail.startswith("LookupError")
+    monkeypatch.setitem(TARGETS, "log", (lambda *_: "red: \x1b[31m", 1))
+    assert case.run(1, sound, "log").problem == "control character"

@@ -1,0 +1,204 @@
+"""Logs of strangers: every damage is a LogError with its place, and salvage goes on behind it."""
+
+import os
+import struct
+import tracemalloc
+
+import pytest
+
+from drivers.errors import LogError
+from hil.record.log import Log
+from hil.record.mcap_read import FREE_BYTES, MAX_RATIO
+from hil.record.salvage import salvage
+from hil.record.schema import FRAME
+from tests.hil.rewrite import mcap_summary, rewrite_log
+from tests.hil.samples import assert_same, log_of, random_ticks
+from tools.fuzz import container
+
+COUNT = 700
+TICKS = random_ticks(COUNT, seed=11)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return log_of(TICKS, tmp_path_factory, configuration="wn_rad_s: 20\n")
+
+
+@pytest.fixture(scope="module")
+def chunks(path):
+    return mcap_summary(path).chunk_indexes
+
+
+@pytest.fixture
+def damaged(path, tmp_path):
+    """Write the log with some bytes replaced, checksums left as they are; return its path."""
+
+    def write(at, data):
+        content = bytearray(path.read_bytes())
+        content[at : at + len(data)] = data
+        (tmp_path / "bad.mcap").write_bytes(content)
+        return tmp_path / "bad.mcap"
+
+    return write
+
+
+@pytest.fixture
+def remade(path, tmp_path):
+    """Write the log with other records, the checksums of data section and index made anew; return its path."""
+
+    def write(change):
+        records = change(container.split(path.read_bytes()))
+        (tmp_path / "remade.mcap").write_bytes(container.whole(records))
+        return tmp_path / "remade.mcap"
+
+    return write
+
+
+def replaced(records, opcode, content):
+    """Return records with the first one of a kind changed."""
+    k = next(k for k, (kind, _) in enumerate(records) if kind == opcode)
+    return [*records[:k], (opcode, content(records[k][1])), *records[k + 1 :]]
+
+
+# -- checksums -----------------------------------------------------------------------------------------------
+
+
+def test_a_changed_figure_in_the_attached_configuration_is_found(path, damaged):
+    at = path.read_bytes().index(b"wn_rad_s: 20") + 10
+    with pytest.raises(LogError, match=r"damaged at byte \d+: attachment 'config.yaml' .* --salvage"):
+        Log(damaged(at, b"30"))
+
+
+def test_changed_metadata_are_found_by_the_checksum_of_the_data_section(path, damaged):
+    bad = damaged(path.read_bytes().index(b"can0") + 3, b"1")
+    assert Log(bad).can_channel == "can1"
+    with pytest.raises(LogError, match="checksum of the data section differs"):
+        Log.open(bad)
+    with pytest.raises(LogError, match="checksum of the data section differs"):
+        Log(bad).rows()
+
+
+def test_an_attachment_that_says_that_it_has_no_checksum_is_taken(remade):
+    assert Log.open(remade(lambda r: replaced(r, 9, lambda c: c[:-4] + bytes(4)))).configuration
+
+
+# -- sizes ---------------------------------------------------------------------------------------------------
+
+
+def test_a_small_file_that_unpacks_without_end_is_refused_in_little_memory(remade):
+    def bomb(records):
+        chunk = next(content for kind, content in records if kind == 6)
+        row = next(c for kind, c in container.split(container.unpacked(chunk)) if kind == 5)
+        large = container.joined([(5, row[:22] + bytes(1 << 23))])
+        return [*records[:-1], *[(6, container.packed(chunk, large))] * 60, records[-1]]
+
+    def placed(records):
+        end = next(k for k, (kind, _) in enumerate(records) if kind == 15)
+        return [*bomb(records[: end + 1]), *records[end + 1 :]]
+
+    bad = remade(placed)
+    assert bad.stat().st_size * MAX_RATIO + FREE_BYTES < 60 << 23
+    tracemalloc.start()
+    try:
+        with pytest.raises(LogError, match="unpacks to more than"):
+            for _ in Log(bad).can_frames():
+                pass
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 100e6
+
+
+def test_messages_too_short_for_their_rows_are_refused(remade):
+    def short(records):
+        def many(content):
+            inner = container.split(container.unpacked(content))
+            row = next(c for kind, c in inner if kind == 5 and len(c) > 1000)
+            return container.packed(content, container.joined([(5, row[:22])] * 20_000))
+
+        return replaced(records, 6, many)
+
+    with pytest.raises(LogError, match="too short for rows of"):
+        Log(remade(short)).rows()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b'"shape": [3, 3]', b'"shape": [9, 9]'),
+        (b'"shape": [3, 3]', b'"shape":[3,9e9]'),
+        (b'"unit"', b'"un\x1bt"'),
+    ],
+)
+def test_a_table_of_columns_that_asks_for_too_much_is_refused(remade, old, new):
+    with pytest.raises(LogError, match="metadata record 'hil' cannot be read"):
+        Log(remade(lambda r: replaced(r, 12, lambda c: c.replace(old, new))))
+
+
+# -- what is no file -----------------------------------------------------------------------------------------
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(LogError, match="no regular file"):
+        Log(tmp_path / "pipe.mcap")
+    with pytest.raises(LogError, match="no regular file"):
+        salvage(tmp_path / "pipe.mcap", tmp_path / "out.mcap")
+
+
+# -- salvage -------------------------------------------------------------------------------------------------
+
+
+def whole_again(bad, tmp_path):
+    report = salvage(bad, tmp_path / "out.mcap")
+    return report, Log.open(tmp_path / "out.mcap")
+
+
+def test_a_flipped_bit_in_the_name_of_a_schema_loses_nothing(path, damaged, tmp_path):
+    bad = damaged(path.read_bytes().index(FRAME.encode()), bytes([FRAME.encode()[0] ^ 0x80]))
+    with pytest.raises(LogError, match="not UTF-8"):
+        Log(bad)
+    report, log = whole_again(bad, tmp_path)
+    assert report.ticks == COUNT
+    assert not report.complete
+    assert_same(log.ticks(), TICKS)
+    rewrite_log(tmp_path / "out.mcap", tmp_path / "again.mcap")  # another reader finds all of it, too
+    assert_same(Log.open(tmp_path / "again.mcap").ticks(), TICKS)
+
+
+def test_a_damaged_length_of_a_chunk_loses_this_chunk_alone(path, damaged, chunks, tmp_path):
+    chunk = chunks[1]
+    bad = damaged(chunk.chunk_start_offset + 1, struct.pack("<Q", 1 << 40))
+    with pytest.raises(LogError, match=f"damaged at byte {chunk.chunk_start_offset}: "):
+        Log.open(bad)
+    report, log = whole_again(bad, tmp_path)
+    assert report.chunks == len(chunks) - 1
+    assert report.bytes_lost == chunk.chunk_length
+    kept = log.rows()["tick"]
+    lost = sorted(set(range(COUNT)) - set(kept.tolist()))
+    assert lost
+    assert lost == list(range(lost[0], lost[-1] + 1))
+
+
+def test_the_ticks_of_a_damaged_chunk_are_counted(path, damaged, chunks, tmp_path):
+    middle = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
+    byte = path.read_bytes()[middle]
+    report, log = whole_again(damaged(middle, bytes([byte ^ 0x40])), tmp_path)
+    assert report.ticks_lost == COUNT - len(log.rows()) > 0
+    assert report.bytes_lost == chunks[1].chunk_length
+    assert log.metadata["salvage"]["ticks_lost"] == str(report.ticks_lost)
+
+
+def test_zeros_in_the_middle_are_passed_over(damaged, chunks, tmp_path):
+    report, log = whole_again(damaged(chunks[1].chunk_start_offset - 50, bytes(4096)), tmp_path)
+    assert report.chunks == len(chunks) - 1
+    assert len(log.rows()) == report.ticks < COUNT
+
+
+def test_a_salvage_that_fails_leaves_nothing(path, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "hil.record.mcap_file.McapFile.finish", lambda self: (_ for _ in ()).throw(OSError(28, "full"))
+    )
+    with pytest.raises(LogError, match=r"out\.mcap: cannot be written: full"):
+        salvage(path, tmp_path / "out.mcap")
+    assert list(tmp_path.iterdir()) == []

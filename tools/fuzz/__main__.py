@@ -20,7 +20,7 @@ from tools.fuzz.targets import TARGETS, stock
 
 _START_S = 300.0
 """The first case waits for what has to be compiled."""
-_GRACE_S = 3.0
+_GRACE_S = 10.0
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})

@@ -5,6 +5,8 @@ import struct
 import tracemalloc
 
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.errors import LogError
 from hil.record.log import Log
@@ -161,16 +163,33 @@ def test_a_flipped_bit_in_the_name_of_a_schema_loses_nothing(path, damaged, tmp_
     report, log = whole_again(bad, tmp_path)
     assert report.ticks == COUNT
     assert not report.complete
+    assert not any("takes its place" in remark for remark in report.remarks)  # it stands in the index, too
     assert_same(log.ticks(), TICKS)
     rewrite_log(tmp_path / "out.mcap", tmp_path / "again.mcap")  # another reader finds all of it, too
     assert_same(Log.open(tmp_path / "again.mcap").ticks(), TICKS)
 
 
-def test_a_damaged_length_of_a_chunk_loses_this_chunk_alone(path, damaged, chunks, tmp_path):
+def test_schemas_without_a_copy_are_made_anew(path, tmp_path):
+    content = path.read_bytes()
+    for name in (b"hil.Frame", b"hil.OperatorCommand", b"hil.Tick"):
+        content = content.replace(name, name[:-1] + b"x", 1)
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(content[: content.rindex(struct.pack("<BQ", container.DATA_END, 4))])
+    report, log = whole_again(bad, tmp_path)
+    assert len(report.remarks) == 3
+    assert_same(log.ticks(), TICKS)
+    rewrite_log(tmp_path / "out.mcap", tmp_path / "again.mcap")
+    with (tmp_path / "again.mcap").open("rb") as file:
+        decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("/tick")
+        assert [m.tick for _, _, _, m in decoded] == list(range(COUNT))
+
+
+@pytest.mark.parametrize("length", [1 << 40, 10_000_000, 150_000, 5000])
+def test_a_damaged_length_of_a_chunk_loses_this_chunk_alone(path, damaged, chunks, tmp_path, length):
     chunk = chunks[1]
-    bad = damaged(chunk.chunk_start_offset + 1, struct.pack("<Q", 1 << 40))
-    with pytest.raises(LogError, match=f"damaged at byte {chunk.chunk_start_offset}: "):
-        Log.open(bad)
+    bad = damaged(chunk.chunk_start_offset + 1, struct.pack("<Q", length))
+    with pytest.raises(LogError, match=r"damaged at byte \d+: .*--salvage"):
+        Log(bad).rows()
     report, log = whole_again(bad, tmp_path)
     assert report.chunks == len(chunks) - 1
     assert report.bytes_lost == chunk.chunk_length

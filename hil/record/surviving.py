@@ -115,7 +115,8 @@ def _verified(record: Record) -> bool:
         found = record.parse()
         if record.opcode == Opcode.CHUNK:
             decompress(found)
-            return bool(found.uncompressed_crc)
+            fields = _SHORTEST[Opcode.CHUNK] + len(found.compression) + len(found.data)
+            return bool(found.uncompressed_crc) and len(record.content) == fields
         return record.opcode == Opcode.ATTACHMENT and record.content[-4:] != bytes(4)
     except LogError:
         return False

@@ -250,7 +250,7 @@ def split(data: bytes, *, part: bool = False) -> tuple[MessageTable, list[Record
 
     """
     channel, log_time, offset, length = array("q"), array("Q"), array("q"), array("q")
-    others = []
+    others: list[Record] = []
     position, size = 0, len(data)
     unpack, head = _MESSAGE.unpack_from, _MESSAGE.size
     while position + HEAD.size <= size:

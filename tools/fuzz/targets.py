@@ -191,7 +191,8 @@ def _operator(stock: Stock, rng: Random, folder: Path) -> str:
             with contextlib.suppress(OSError):
                 sender.sendto(line[:60_000], str(channel.path))
             heard = channel.take()
-            channel.answer(*([""] * len(kind) for kind in heard), lambda: "{}")
+            operator, orders, setpoints = ([""] * len(kind) for kind in heard)
+            channel.answer(operator, orders, setpoints, lambda: "{}")
     return ""
 
 

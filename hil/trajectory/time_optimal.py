@@ -77,12 +77,12 @@ def _table(file: bytes) -> Array:
         numbers = np.frombuffer(file, np.float64, offset=stream.tell())
     except (ValueError, TypeError, SyntaxError, EOFError, RecursionError) as error:
         raise LogError(f"the plan of the reference in the log cannot be read: {error}") from None
-    if fortran or kind != np.float64 or shape != (len(numbers) // width, width) or not shape[0]:
+    if kind != np.float64 or shape != (len(numbers) // width, width) or not shape[0]:
         raise LogError(
             f"the plan of the reference in the log: {shape} of {kind}, allowed: (n, {width}) of float64, and "
             f"{len(numbers)} numbers are there"
         )
-    return numbers.reshape(shape)
+    return np.ascontiguousarray(numbers.reshape(shape, order="F" if fortran else "C"))
 
 
 def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ import pytest
 from tools.fuzz import case
 from tools.fuzz.targets import TARGETS, stock
 
-QUICK = {"log": 60, "configuration": 12, "csv": 20, "controller": 8, "fmu": 6, "operator": 6}
+QUICK = {"log": 25, "configuration": 12, "csv": 20, "controller": 8, "fmu": 6, "operator": 6}
 """Cases of each kind; `make fuzz` runs thousands."""
 
 

@@ -22,7 +22,7 @@ def _acceleration(x: float, v: float, f: float, m: float, b: float, k0: float, k
 
 
 @kernel(OUT_VECTOR, OUT_VECTOR, VECTOR, VECTOR, REAL, INTEGER, REAL, REAL, REAL, REAL)
-def _advance(
+def advance(
     x: Any, v: Any, force: Any, friction: Any, h: float, n: int, m: float, b: float, k0: float, k1: float
 ) -> None:
     """Take n Runge-Kutta 4 steps of h seconds on all legs; x and v are changed in place.
@@ -85,7 +85,7 @@ class Bench:
         s = self.settings
         x, v = self._x.copy(), self._v.copy()
         springs = s.stiffness_N_m, s.stiffness_N_m3
-        _advance(x, v, force, brake * BRAKE_FORCE_N, h, n, s.mass_kg, s.damping_N_s2_m2, *springs)
+        advance(x, v, force, brake * BRAKE_FORCE_N, h, n, s.mass_kg, s.damping_N_s2_m2, *springs)
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise PlantError(
                 f"the bench diverged under {force} N: stiffness or damping is too large for plant.model."

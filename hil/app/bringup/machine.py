@@ -1,0 +1,68 @@
+"""What the bring-up has to know of a configuration."""
+
+import contextlib
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ProtocolError
+from drivers.protocol import DriveProtocol, Status
+from drivers.signals import LEGS, DriveState
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.bringup.context import Machine
+from hil.config.values import Pose
+from hil.robot.kinematics import leg_lengths
+
+TILT_deg = (3.0, 2.0, 4.0)
+"""Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""
+FASTEST_Hz = 500.0
+"""No faster, so that an adapter and a desktop computer keep up."""
+PERIODS = 5.0
+"""Periods of a watchdog at least."""
+
+
+def bringup_rate(c: Configuration) -> float:
+    """Return the tick rate of a bring-up, Hz: slow, but with PERIODS within the drives' watchdog."""
+    least = PERIODS / (1e-3 * c.drives.watchdog_ms)
+    return min(c.loop.rate_Hz, max(FASTEST_Hz, least))
+
+
+def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
+    """Return p (3,) m and R (3, 3) of the poses at which legs are compared: home, and tilted."""
+    home = c.platform.home
+    turned = np.add(home.rotation_vector_deg, TILT_deg).tolist()
+    tilted = Pose(position_m=home.position_m, rotation_vector_deg=(turned[0], turned[1], turned[2]))
+    return [pose_arrays(home), pose_arrays(tilted)]
+
+
+def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
+    """Return the machine of a configuration."""
+    platform = build_platform(c.platform)
+    poses = known_poses(c)
+    joints = [
+        np.linalg.norm((p + platform.platform_joints @ R.T)[None, :, :] - platform.base_joints[:, None, :], axis=2)
+        for p, R in poses
+    ]
+    return Machine(
+        node_ids=tuple(c.drives.node_ids),
+        protocol=c.drives.protocol,
+        rated_N=c.drives.force_limit_N,
+        length_min=c.platform.length_min_m,
+        length_max=c.platform.length_max_m,
+        watchdog_s=1e-3 * c.drives.watchdog_ms,
+        brake_open_s=c.engage.brake_release_s,
+        brake_shut_s=c.engage.closing_s,
+        pose_lengths=np.array([leg_lengths(platform, p, R) for p, R in poses]),
+        joint_distances=np.array(joints),
+        known_identifiers=known_identifiers(protocol),
+    )
+
+
+def known_identifiers(protocol: DriveProtocol) -> frozenset[int]:
+    """Return the identifiers that frames of a protocol's drives have."""
+    known = {frame.id for frame in protocol.cyclic_frames()}
+    for leg in range(LEGS):
+        with contextlib.suppress(ProtocolError):
+            known |= {frame.id for frame in protocol.status(Status(leg, int(DriveState.OFF), 0))}
+    return frozenset(known)

@@ -1,0 +1,151 @@
+"""The rehearsal: the bring-up against emulated drives on the rehearsal bench, in simulated time."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.protocol import Frame, Received
+from hil.app.bringup.machine import known_poses
+from hil.app.compose import build_protocol
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, platform_dict
+from hil.bringup.context import Request
+from hil.bringup.line import Heard
+from plant_fmu.config import DriveEmulation, StewartPlant
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.plant import Robot
+from plant_fmu.rehearsal.bench import RehearsalBench, Stand
+from plant_fmu.rehearsal.wiring import Wiring
+from plant_fmu.stewart.plant import stewart_plant
+
+COMMAND_SHARE = 0.4
+"""When in a tick its command arrives, as a share of the period."""
+BRAKE_SHARE = 0.25
+"""Force of a brake whose own is not known, as a share of the rated force."""
+
+
+def build_bench(c: Configuration, wiring: Wiring, seed: int = 1) -> RehearsalBench:
+    """Return the bench of a configuration's machine on trestles, wired like that."""
+    platform = build_platform(c.platform)
+    model = None if c.plant is None else c.plant.model
+    stand = Stand(
+        mass_kg=float(platform.rod.mass) + (model.reflected_mass_kg if isinstance(model, StewartPlant) else 0.0),
+        # a leg without load has half of its friction
+        friction_N=0.5 * model.coulomb_friction_N if isinstance(model, StewartPlant) else 0.0,
+        brake_N=model.brake_force_N if isinstance(model, StewartPlant) else BRAKE_SHARE * c.drives.force_limit_N,
+        length_min=c.platform.length_min_m,
+        length_max=c.platform.length_max_m,
+        base_joints=platform.base_joints,
+        platform_joints=platform.platform_joints,
+    )
+    emulation = DriveEmulation() if c.plant is None else c.plant.drives
+    return RehearsalBench(build_protocol(c), emulation, c.drives, stand, wiring, seed)
+
+
+class BenchLine:
+    """The bus between a bring-up and a bench, without bus time. Mutable state: the tick, frames under way."""
+
+    def __init__(self, nodes: Nodes, rate_Hz: float) -> None:
+        self.rate_Hz = rate_Hz
+        self._nodes = nodes
+        self._period_ns = round(1e9 / rate_Hz)
+        self._tick = -1
+        self._pending: list[Received] = []
+        nodes.start(0)
+
+    def exchange(self, opening: Sequence[Frame]) -> Heard:
+        """Advance by a tick, and return what came since and what answers `opening`."""
+        self._tick += 1
+        t = self._tick * self._period_ns
+        self._take(self._nodes.step(t, ()))
+        self._take(self._nodes.step(t, [Received(t, frame) for frame in opening]))
+        heard, self._pending = tuple(self._pending), []
+        return Heard(t, heard)
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Let the drives hear frames in the middle of the tick."""
+        t = self._tick * self._period_ns + round(COMMAND_SHARE * self._period_ns)
+        self._take(self._nodes.step(t, [Received(t, frame) for frame in frames]))
+
+    def _take(self, sent: Sequence[tuple[int, Frame]]) -> None:
+        self._pending += [Received(t, frame) for t, frame in sent]
+
+
+class BenchHands:
+    """The operator of a rehearsal: the bench's own truth, measured by tape and gauge.
+
+    Consent is asked of `agree`. Mutable state: the answer that has not been fetched.
+    """
+
+    def __init__(
+        self,
+        bench: RehearsalBench,
+        poses: Sequence[tuple[Array, Array]],
+        agree: Callable[[str, str, str], bool] = lambda *_: True,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._bench, self._poses = bench, poses
+        self._agree, self._say = agree, say
+        self._answer: float | None = None
+
+    def consent(self, title: str, will: str, stop: str) -> bool:
+        """Ask who rehearses."""
+        return self._agree(title, will, stop)
+
+    def tell(self, text: str) -> None:
+        """Say it."""
+        self._say(text)
+
+    def ask(self, request: Request) -> None:
+        """Do at the bench what is asked."""
+        bench, leg = self._bench, request.leg
+        self._answer = 0.0
+        match request.act:
+            case "move":
+                bench.move(leg, request.value)
+            case "place":
+                bench.place(leg, request.value)
+            case "measure":
+                self._answer = bench.measure(leg)
+            case "push":
+                bench.push(leg)
+            case "let_go":
+                bench.let_go(leg)
+            case "clamp":
+                bench.clamp(leg)
+            case "free":
+                bench.clamp(None)
+            case "read_gauge":
+                self._answer = bench.read_gauge()
+            case "hang":
+                bench.hang(*self._poses[round(request.value)])
+        if request.text:
+            self._say(f"    {request.text}: {'done' if self._answer == 0.0 else f'{self._answer:.4f}'}")
+
+    def answer(self) -> float | None:
+        """Return what was measured, 0 for what is done."""
+        answer, self._answer = self._answer, None
+        return answer
+
+
+def mounted_nodes(c: Configuration, bench: RehearsalBench) -> Nodes:
+    """Return the bench's drives and cables before the platform on its legs, at home. Raises PlantError."""
+    assert c.plant is not None
+    model = c.plant.model
+    if not isinstance(model, StewartPlant):
+        model = StewartPlant(type="stewart")
+    robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
+    joints = np.array(robot["base_joints"])[list(bench.wiring.base_joint)]
+    p, R = known_poses(c)[0]
+    plant = stewart_plant(
+        model,
+        Robot(
+            robot | {"base_joints": joints.tolist()},
+            length_min=np.full(6, c.platform.length_min_m),
+            length_max=np.full(6, c.platform.length_max_m),
+            p0=p,
+            R0=R,
+        ),
+    )
+    return Nodes(bench.behind_cables(plant), bench.drives_end, c.plant.drives, c.drives)

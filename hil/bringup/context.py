@@ -1,0 +1,187 @@
+"""What the steps of a bring-up share: the machine, the drives, the operator, the facts found so far."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import HilError
+from drivers.signals import LEGS, DriveMode
+from hil.bringup.drives import Drives
+
+FORCE_SHARE = 0.02
+"""Of the rated force: no step commands more."""
+TRAVEL_M = 1e-3
+"""A leg that is driven with one brake open is stopped here."""
+MOVED_M = 1e-4
+"""A leg has moved; a driven one is let go there."""
+
+Act = Literal["move", "place", "measure", "push", "let_go", "clamp", "free", "read_gauge", "hang"]
+
+
+class Request(NamedTuple):
+    """What the operator is asked to do with his hands, or to read."""
+
+    act: Act
+    leg: int = -1
+    value: float = 0.0
+    """`move`: by so many m. `place`: share of the stroke. `hang`: which of the known poses."""
+    text: str = ""
+    """As he reads it."""
+
+
+class Finding(NamedTuple):
+    """A mistake, by name."""
+
+    name: str
+    legs: tuple[int, ...]
+    text: str
+    """What was measured."""
+    mend: str
+    """What to do about it."""
+
+    @property
+    def line(self) -> str:
+        """As it is read: which leg, what, how to mend it."""
+        which = "" if not self.legs else f"leg{'s' * (len(self.legs) > 1)} {_listed(self.legs)}: "
+        return f"{self.name}: {which}{self.text}. {self.mend}"
+
+
+class Operator(Protocol):
+    """Who stands beside the machine. Mutable state: what he was asked and has not answered."""
+
+    def consent(self, title: str, will: str, stop: str) -> bool:
+        """Ask whether a step may begin that will do this and is stopped like that."""
+
+    def ask(self, request: Request) -> None:
+        """Ask for an act or a reading."""
+
+    def answer(self) -> float | None:
+        """Return the answer once there is one, 0 for an act that is done; called in every tick meanwhile."""
+
+    def tell(self, text: str) -> None:
+        """Say what was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """What the configuration says of the machine; lengths m, forces N."""
+
+    node_ids: tuple[int, ...]
+    protocol: str
+    rated_N: float
+    length_min: float
+    length_max: float
+    watchdog_s: float
+    brake_open_s: float
+    brake_shut_s: float
+    pose_lengths: Array
+    """(poses, 6) m, leg lengths at the known poses."""
+    joint_distances: Array
+    """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
+    known_identifiers: frozenset[int]
+    """Of all frames of this protocol."""
+    tape_m: float = 2e-4
+    """Standard deviation of a length that the operator measures."""
+
+    @property
+    def stroke(self) -> float:
+        """Configured stroke, m."""
+        return self.length_max - self.length_min
+
+    @property
+    def force_N(self) -> float:
+        """Most force of any step."""
+        return FORCE_SHARE * self.rated_N
+
+
+class Refused(HilError):
+    """The operator has not consented, or has ended the bring-up; what was found is kept."""
+
+
+class Stopped(HilError):
+    """A measured value ended a step for safety; `finding` says which."""
+
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(finding.line)
+        self.finding = finding
+
+
+@dataclass
+class Context:
+    """One bring-up. Mutable state: the facts, by step and leg, JSON values; and the drives."""
+
+    machine: Machine
+    drives: Drives
+    operator: Operator
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    save: Callable[[], None] = lambda: None
+    """Called when a fact is new."""
+
+    def known(self, step: str, leg: int) -> Any:
+        """Return the fact of a step about a leg; None where it has to be found."""
+        return self.facts.get(step, {}).get(str(leg))
+
+    def keep(self, step: str, leg: int | str, fact: Any) -> None:
+        """Keep a fact."""
+        self.facts.setdefault(step, {})[str(leg)] = fact
+        self.save()
+
+    def lengths(self) -> Array:
+        """Return what the drives read now, (6,) m."""
+        return np.array(self.drives.record["length"])
+
+    def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
+        """Ask the operator, calling `keep` every tick until he answers; by default all drives are off."""
+        idle = self.drives.step if keep is None else keep
+        self.operator.ask(request)
+        while True:
+            idle()
+            answer = self.operator.answer()
+            if answer is not None:
+                return answer
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass with all drives off."""
+        for _ in range(self.drives.ticks(seconds)):
+            self.drives.step()
+
+    @contextmanager
+    def opened(self, leg: int) -> Iterator[None]:
+        """Open the brake of drive `leg` alone, without force; shut it whatever happens.
+
+        Raises Stopped where the five others are not locked out, or the drive cannot be powered.
+        """
+        try:
+            why = self.drives.power(leg)
+            if why:
+                mend = "Set up and prove the drives' watchdogs first; look at the drive's fault."
+                raise Stopped(Finding("not_powered", (leg,), why, mend))
+            for _ in range(self.drives.ticks(self.machine.brake_open_s)):
+                self.drives.step(DriveMode.RUN, leg)
+            yield
+        finally:
+            self.drives.off(self.machine.brake_shut_s)
+
+    def reads(self) -> dict[int, tuple[int, float]]:
+        """Return for each drive whose encoder is known the leg that it counts, and m of reading a m."""
+        known = {}
+        for leg in range(LEGS):
+            fact = self.known("encoder", leg)
+            if fact is not None and fact["drive"] is not None and abs(fact["scale"]) > 0.0:
+                known[fact["drive"]] = (leg, fact["scale"])
+        return known
+
+    def travelled(self, since: Array) -> dict[int, float]:
+        """Return how far each leg has moved since readings (6,), m by tape, > 0 longer."""
+        now = self.lengths()
+        return {
+            leg: float((now[drive] - since[drive]) / scale) for drive, (leg, scale) in self.reads().items()
+        }
+
+
+def _listed(legs: tuple[int, ...]) -> str:
+    return ", ".join(map(str, legs))

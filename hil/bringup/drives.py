@@ -1,0 +1,210 @@
+"""The six drives during a bring-up: at most one brake open, the five others shut, by any protocol.
+
+Where frames address single drives, the five others are commanded off. Where one command goes to all, the
+five others are locked out before: set up with a watchdog of LOCK_S, they latch its fault as soon as they are
+powered, on shut brakes, and a latched drive obeys no command but RESET. Nothing opens before they have.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.protocol import DeviceCommand, DriveProtocol, DriveSetup, Frame, Received, run_of
+from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
+from drivers.tick_columns import Record, copy_of, new_record
+from hil.bringup.line import Line
+
+LOCK_S = 1e-6
+"""Watchdog of a drive that is to stay out: `legs` has no shorter one."""
+SETUP_S = 1.0
+"""For how long the drives' confirmation of their set-up is waited for."""
+READY_S = 0.1
+"""For how long a drive is waited for that changes its state."""
+SAFE_TICKS = 10
+"""Commands to switch off at every end: the bus may lose some."""
+Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
+"""Takes a tick's record, what was received and what was sent."""
+
+
+class Drives:
+    """Commands of the bring-up, one tick a call of `step`.
+
+    Mutable state: the tick, its record, the two dialogues (of drives that may be powered, of the others),
+    and which drive may be.
+    """
+
+    def __init__(
+        self, protocol: DriveProtocol, line: Line, watchdog_s: float, sink: Sink = lambda *_: None
+    ) -> None:
+        self.protocol, self.line = protocol, line
+        self.watchdog_s = watchdog_s
+        self._sink = sink
+        reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
+        self.locks = any(len(legs) > 1 for legs in map(self._addressed, self._commands()))
+        """One command goes to several drives."""
+        lock_s = LOCK_S if self.locks else watchdog_s
+        self._setups = DriveSetup(watchdog_s, reaction, line.rate_Hz), DriveSetup(lock_s, reaction, line.rate_Hz)
+        self._live, self._rest = (protocol.start(setup) for setup in self._setups)
+        self.tick = -1
+        self.record = new_record()
+        """Of the last tick; states of locked drives are theirs."""
+        self.heard: tuple[Received, ...] = ()
+        """Frames of the last tick."""
+        self._records = self.record, copy_of(self.record)
+        self._alone: int | None = None
+
+    def ticks(self, seconds: float) -> int:
+        """Return the number of ticks in a time, at least one."""
+        return max(1, round(seconds * self.line.rate_Hz))
+
+    # one tick
+
+    def step(
+        self,
+        mode: DriveMode = DriveMode.OFF,
+        leg: int | None = None,
+        force: float = 0.0,
+        *,
+        silent: bool = False,
+        set_up: bool = False,
+    ) -> Record:
+        """Command the drives for one tick and return its record.
+
+        mode and force N are those of drive `leg`, the others stay out; without one, `mode` is for all and
+        there is no force. silent: no command goes out. set_up: send what the drives have not confirmed.
+        """
+        self.tick = tick = self.tick + 1
+        polls = self.protocol.command_delay_ticks > 0
+        opening = () if silent and polls else self._chosen(self.protocol.begin, leg)
+        heard = self.line.exchange(opening)
+        self.heard = heard.frames
+        run = run_of(heard.frames)
+        live, rest = new_record(), new_record()
+        for record in (live, rest):
+            record["tick"], record["t_ns"] = tick, heard.since_ns
+        before = self._records
+        self._live = self.protocol.decode(self._live, run, before[0], live, heard.since_ns)
+        self._rest = self.protocol.decode(self._rest, run, before[1], rest, heard.since_ns)
+        self._records = live, rest
+        self.record = self._seen(live, rest, leg)
+        tau = np.zeros(LEGS)
+        if leg is not None:
+            tau[leg] = force
+        self.record["tau"], self.record["command_mode"] = tau, mode
+        self._live, frames = self.protocol.command(self._live, Command(mode, tau), tick)
+        if not self.locks:
+            shut = Command(mode if leg is None else DriveMode.OFF, np.zeros(LEGS))
+            self._rest, _ = self.protocol.command(self._rest, shut, tick)
+        sent: tuple[Frame, ...] = () if silent else frames
+        if set_up:
+            sent += self._set_up_frames()
+        self.line.send(sent)
+        self._sink(self.record, heard.frames, (*opening, *sent))
+        return self.record
+
+    def _chosen(self, make: Callable[[Any, int], tuple[Frame, ...]], leg: int | None) -> tuple[Frame, ...]:
+        """Return the frames of a tick's beginning: of drive `leg` those that may power it, of others not."""
+        frames = make(self._live, self.tick)
+        if self.locks or leg is None:
+            return frames
+        others = make(self._rest, self.tick)
+        return tuple(
+            mine if leg in self._addressed([mine]) else other
+            for mine, other in zip(frames, others, strict=True)
+        )
+
+    def _seen(self, live: Record, rest: Record, leg: int | None) -> Record:
+        record = copy_of(live)
+        if leg is not None and not self.locks:
+            others = np.arange(LEGS) != leg
+            for name in ("drive_state", "drive_fault"):
+                record[name][others] = rest[name][others]
+        record["q"], record["dq"] = record["length"], record["rate"]
+        return record
+
+    def _commands(self) -> list[list[Frame]]:
+        """Return the frames of a tick one by one, each behind those that it needs to be understood."""
+        frames = list(self.protocol.cyclic_frames())
+        return [frames[: k + 1] for k in range(len(frames))]
+
+    def _addressed(self, frames: Sequence[Frame]) -> tuple[int, ...]:
+        """Return the drives that the last of some frames commands, by the drives' own end of the codec."""
+        memory, messages = self.protocol.power_up(), ()
+        for frame in frames:
+            memory, messages = self.protocol.parse(memory, frame)  # type: ignore[assignment]
+        return tuple(leg for m in messages if isinstance(m, DeviceCommand) for leg in m.legs)
+
+    # set-up
+
+    def prepare(self, leg: int | None) -> tuple[str, ...]:
+        """Clear latched faults and set the drives up so that `leg` alone, or all, may be powered.
+
+        Returns what each drive has not confirmed of it, in words; empty: nothing.
+        """
+        for _ in range(self.protocol.reset_ticks if self._faulted() else 1):
+            self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
+        self._alone = leg
+        self._live, self._rest = (self.protocol.start(setup) for setup in self._setups)
+        for _ in range(self.ticks(SETUP_S)):
+            self.step(set_up=True)
+            lacks = self.lacks()
+            if not any(lacks):
+                break
+        return lacks
+
+    def lacks(self) -> tuple[str, ...]:
+        """Return what each drive has not confirmed of the set-up that it should have."""
+        live, rest = (self.protocol.set_up_lacks(d) for d in (self._live, self._rest))
+        return tuple(live[k] if self._powers(k) else rest[k] for k in range(LEGS))
+
+    def _powers(self, leg: int) -> bool:
+        return not self.locks or self._alone is None or leg == self._alone
+
+    def _faulted(self) -> bool:
+        return bool((self.record["drive_state"] == DriveState.FAULT).any())
+
+    def _set_up_frames(self) -> tuple[Frame, ...]:
+        mine = np.array([self._powers(k) for k in range(LEGS)])
+        self._live, frames = self.protocol.set_up(self._live, _only(self.record, mine))
+        if not frames and not mine.all():
+            self._rest, frames = self.protocol.set_up(self._rest, _only(self.record, ~mine))
+        return frames
+
+    # one brake
+
+    def power(self, leg: int) -> str:
+        """Power drive `leg` on its shut brake, with the five others locked out.
+
+        Returns why that cannot be, empty: it is. A drive that cannot be powered without its brake is off.
+        """
+        lacks = self.prepare(leg)
+        if any(lacks):
+            which = ", ".join(f"leg {k}: {text}" for k, text in enumerate(lacks) if text)
+            return f"not set up: {which}"
+        for _ in range(self.ticks(READY_S)):
+            self.step(DriveMode.READY, leg)
+            states = self.record["drive_state"]
+            out = [k for k in range(LEGS) if k != leg and not self._locked(int(states[k]))]
+            if states[leg] == DriveState.READY and not out:
+                return ""
+        self.off()
+        if out:
+            return f"legs {out} did not latch the fault of their watchdog of {1e6 * LOCK_S:g} us"
+        return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
+
+    def _locked(self, state: int) -> bool:
+        return state == DriveState.FAULT if self.locks else state not in (DriveState.RUN,)
+
+    def off(self, seconds: float = 0.0) -> None:
+        """Take force and power from all drives, for at least SAFE_TICKS."""
+        for _ in range(max(SAFE_TICKS, self.ticks(seconds))):
+            self.step(DriveMode.OFF)
+
+
+def _only(record: Record, legs: Array | Any) -> Record:
+    """Return a record in which the other legs were never heard: nobody talks to them."""
+    masked = copy_of(record)
+    masked["age"] = np.where(legs, record["age"], NEVER)
+    return masked

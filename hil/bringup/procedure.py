@@ -1,0 +1,95 @@
+"""The bring-up: the steps in their order, each with consent, until one names a mistake.
+
+Nothing later begins while a gate has findings. Facts that are known are not asked for again.
+"""
+
+from typing import NamedTuple
+
+from hil.bringup.context import Context, Finding, Refused, Stopped
+from hil.bringup.step import Step
+from hil.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
+
+STEPS: tuple[Step, ...] = (
+    scan.STEP,
+    silence.STEP,
+    ids.STEP,
+    encoder.STEP,
+    brakes.STEP,
+    force.STEP,
+    gauge.STEP,
+    mounted.STEP,
+)
+"""In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
+
+
+class Outcome(NamedTuple):
+    """How far a bring-up came."""
+
+    passed: tuple[str, ...]
+    """Steps without a finding."""
+    findings: tuple[Finding, ...]
+    stopped: str = ""
+    """Step at which it ended early; empty: all steps were done."""
+
+    @property
+    def success(self) -> bool:
+        """Whether all steps passed."""
+        return not self.findings and not self.stopped
+
+
+def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
+    """Do the steps. However it ends, forces are zero and brakes shut before it returns or raises.
+
+    Raises Refused where the operator does not consent.
+    """
+    passed: list[str] = []
+    findings: list[Finding] = []
+    try:
+        for step in steps:
+            if findings and step.gate:
+                return _outcome(passed, findings, step.name)
+            c.operator.tell(f"{step.name}: {step.title}")
+            if not c.operator.consent(step.title, step.will, step.stop):
+                raise Refused(f"ended before step {step.name}; what was found is kept")
+            try:
+                step.find(c)
+                found = step.judge(c)
+            except Stopped as stop:
+                return _outcome(passed, [*findings, stop.finding], step.name)
+            for finding in found:
+                c.operator.tell(f"  {finding.line}")
+            if not found:
+                passed.append(step.name)
+                c.operator.tell("  passed")
+            findings += found
+            if found and step.gate:
+                return _outcome(passed, findings, step.name)
+        return _outcome(passed, findings, "")
+    finally:
+        c.drives.off(c.machine.brake_shut_s)
+
+
+def _outcome(passed: list[str], findings: list[Finding], stopped: str) -> Outcome:
+    return Outcome(tuple(passed), tuple(merged(findings)), stopped)
+
+
+def merged(findings: list[Finding]) -> list[Finding]:
+    """Return the findings with one cause for what has one: a wrong lead, a drive the other way round."""
+    leads = {f.legs for f in findings if f.name == "wrong_lead"}
+    signs = {f.legs for f in findings if f.name == "encoder_sign"}
+    reversed_ = {f.legs for f in findings if f.name == "force_sign" and f.legs in signs}
+    kept = [
+        f
+        for f in findings
+        if not (f.name == "encoder_scale" and f.legs in leads)
+        and not (f.name in ("encoder_sign", "force_sign") and f.legs in reversed_)
+    ]
+    return kept + [
+        Finding(
+            "drive_reversed",
+            legs,
+            "its reading falls as it grows, and a force that should extend it shortens it",
+            "Turn the drive's direction of rotation.",
+        )
+        for legs in sorted(reversed_)
+    ]

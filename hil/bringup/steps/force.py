@@ -1,0 +1,133 @@
+"""Sign of each force and friction of each leg: a slow ramp both ways with one brake open.
+
+The ramp ends as soon as a leg has moved by MOVED_M, at FORCE_SHARE of the rated force at the latest, and a
+leg that has gone TRAVEL_M is a runaway.
+"""
+
+from statistics import median
+from typing import Any
+
+from drivers.arrays import Array
+from drivers.signals import LEGS, DriveMode
+from hil.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, Stopped
+from hil.bringup.step import Step
+
+RAMP_S = 0.8
+SETTLE_S = 0.06
+HIGH = 1.7
+"""Friction of so many times the median of the six legs is high,"""
+HIGH_SHARE = 0.003
+"""and by this share of the rated force above it."""
+
+
+def find(c: Context) -> None:
+    """Drive each leg a tenth of a millimetre both ways."""
+    if any(c.known("held", leg)["moved"] for leg in range(LEGS)):
+        return
+    counts = {drive: leg for drive, (leg, _) in c.reads().items()}
+    for drive in range(LEGS):
+        own = c.known("opens", drive)["legs"] == [counts.get(drive)]
+        if c.known("force", drive) is not None or not own or len(counts) < LEGS:
+            continue
+        with c.opened(drive):
+            origin = c.lengths()
+            fact = {"plus": _ramp(c, drive, 1.0, origin), "minus": _ramp(c, drive, -1.0, origin)}
+        c.keep("force", drive, fact)
+
+
+def _ramp(c: Context, drive: int, sign: float, origin: Array) -> dict[str, Any]:
+    """Let the force of a drive grow until a leg moves; return the force, the leg, and the way it went."""
+    before, ticks = c.lengths(), c.drives.ticks(RAMP_S)
+    found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
+    for n in range(1, ticks + 1):
+        force = sign * c.machine.force_N * n / ticks
+        c.drives.step(DriveMode.RUN, drive, force)
+        leg, by_m = guard(c, drive, before, origin)
+        if abs(by_m) > MOVED_M:
+            found = {"force_N": abs(force), "leg": leg, "way": 1 if by_m > 0.0 else -1}
+            break
+    for _ in range(c.drives.ticks(SETTLE_S)):
+        c.drives.step(DriveMode.RUN, drive, 0.0)
+        guard(c, drive, before, origin)
+    return found
+
+
+def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, float]:
+    """Return which leg has moved most since `before`, and by how much.
+
+    Raises Stopped where a leg is further than TRAVEL_M from `origin`.
+    """
+    away = c.travelled(origin)
+    leg = max(away, key=lambda k: abs(away[k]))
+    if abs(away[leg]) > TRAVEL_M:
+        c.drives.off()
+        text = f"leg {leg} went {1e3 * away[leg]:+.2f} mm under drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
+        raise Stopped(Finding("runaway", (drive,), text, "Look at force scale, brake and load of this leg."))
+    moves = c.travelled(before)
+    most = max(moves, key=lambda k: abs(moves[k]))
+    return most, moves[most]
+
+
+def breakaway(fact: dict[str, Any]) -> float | None:
+    """Return the commanded force at which a leg begins to move, mean of both ways; None where it did not."""
+    forces = fact["plus"]["force_N"], fact["minus"]["force_N"]
+    return None if None in forces else 0.5 * (forces[0] + forces[1])
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name forces of the wrong sign and legs that do not move; `friction` has the figures of those that do."""
+    found, still = [], []
+    for drive in range(LEGS):
+        fact = c.known("force", drive)
+        if fact is None:
+            continue
+        plus, minus = fact["plus"]["way"], fact["minus"]["way"]
+        if plus < 0 or minus > 0:
+            text = "a force that should extend it shortens it"
+            mend = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
+            found.append(Finding("force_sign", (drive,), text, mend))
+        elif breakaway(fact) is None:
+            still.append(drive)
+    limit = f"{100 * FORCE_SHARE:g} % of the rated force"
+    if len(still) > 1:
+        text = f"none moves under its own drive with {limit}, though its brake opens"
+        mend = "Look whether their motor cables are exchanged; else at their friction."
+        found.append(Finding("motor_crossed", tuple(still), text, mend))
+    elif still:
+        text = f"it does not move with {limit}, though its brake opens: high friction, or no force"
+        found.append(Finding("friction", tuple(still), text, "Look at guide, nut and seals; then at the motor."))
+    return found
+
+
+def friction(c: Context, gain: dict[int, float]) -> list[Finding]:
+    """Name legs with more friction than the others; gain: N at the leg a commanded N, by drive."""
+    values = {
+        d: abs(gain.get(d, 1.0)) * value
+        for d in range(LEGS)
+        if (fact := c.known("force", d)) is not None and (value := breakaway(fact)) is not None
+    }
+    if len(values) < 3:
+        return []
+    usual, rated = median(values.values()), c.machine.rated_N
+    return [
+        Finding(
+            "friction",
+            (drive,),
+            f"it begins to move at {value:.4g} N, the median of the legs is {usual:.4g} N",
+            "Look at guide, nut, seals, and a brake that drags.",
+        )
+        for drive, value in values.items()
+        if value > HIGH * usual and value > usual + HIGH_SHARE * rated
+    ]
+
+
+STEP = Step(
+    "force",
+    "forces and friction, one leg at a time",
+    f"opens one brake, the five others shut, and lets that drive's force grow to {100 * FORCE_SHARE:g} % of "
+    f"the rated one until the leg has moved {1e3 * MOVED_M:g} mm, both ways; {1e3 * TRAVEL_M:g} mm end it",
+    "Ctrl-C, or the emergency stop; keep hands off",
+    find,
+    judge,
+    gate=False,
+)

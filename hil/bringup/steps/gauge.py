@@ -1,0 +1,91 @@
+"""Scale of each force, by a force gauge, and what follows from all that was measured leg by leg."""
+
+import numpy as np
+
+from drivers.signals import LEGS, DriveMode
+from hil.bringup.context import Context, Finding, Request
+from hil.bringup.step import Step
+from hil.bringup.steps.encoder import tolerance
+from hil.bringup.steps.force import breakaway, friction, guard
+
+LEVELS = (0.4, 0.6, 0.8, 1.0)
+"""Of the most force of a step."""
+RAMP_S, HOLD_S = 0.1, 0.06
+BEYOND = 1.15
+"""Levels beyond so many times the breakaway force count."""
+WITHIN = 0.06
+"""Accepted error of a force scale."""
+SAME = 0.04
+"""Scales of encoder and force that differ by less have one cause: lead or gear."""
+
+
+def find(c: Context) -> None:
+    """Clamp each leg that moves to the gauge and read it at some forces."""
+    for drive, (leg, _) in sorted(c.reads().items()):
+        fact = c.known("force", drive)
+        if fact is None or breakaway(fact) is None or c.known("gauge", drive) is not None:
+            continue
+        c.ask(Request("clamp", leg, 0.0, f"Clamp the end of leg {leg} to the force gauge, without force"))
+        pairs = []
+        with c.opened(drive):
+            origin, force = c.lengths(), 0.0
+            for level in LEVELS:
+                before, aim = force, level * c.machine.force_N
+                for n in range(1, c.drives.ticks(RAMP_S) + 1):
+                    force = before + (aim - before) * n / c.drives.ticks(RAMP_S)
+                    c.drives.step(DriveMode.RUN, drive, force)
+                    guard(c, drive, origin, origin)
+                for _ in range(c.drives.ticks(HOLD_S)):
+                    c.drives.step(DriveMode.RUN, drive, force)
+                    guard(c, drive, origin, origin)
+                ask = Request("read_gauge", leg, 0.0, f"Read the gauge at leg {leg}, N, > 0 pushing")
+                read = c.ask(ask, lambda f=force, d=drive: c.drives.step(DriveMode.RUN, d, f))
+                pairs.append([force, read])
+        c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
+        c.keep("gauge", drive, {"pairs_N": pairs})
+
+
+def gains(c: Context) -> dict[int, float]:
+    """Return N at the leg a commanded N, by drive, where enough levels were beyond its friction."""
+    found = {}
+    for drive in range(LEGS):
+        fact, force = c.known("gauge", drive), c.known("force", drive)
+        if fact is None:
+            continue
+        least = BEYOND * (breakaway(force) or 0.0)
+        pairs = np.array([pair for pair in fact["pairs_N"] if pair[0] > least])
+        if len(pairs) >= 2:
+            found[drive] = float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0])
+    return found
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name forces of the wrong scale, a wrong lead, and legs of high friction."""
+    gain, found = gains(c), []
+    read = c.reads()
+    for drive, g in gain.items():
+        leg, scale = read[drive]
+        low, high = c.known("encoder", leg)["tape_m"]
+        if abs(abs(g) - 1.0) <= WITHIN:
+            continue
+        off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
+        if off and abs(abs(g) - abs(scale)) < SAME * abs(scale):
+            text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
+            mend = f"Multiply lead, or divide gear ratio, in the drive by 1/{abs(scale):.4f}."
+            found.append(Finding("wrong_lead", (drive,), text, mend))
+        else:
+            text = f"it gives {abs(g):.3f} N for each N commanded"
+            mend = "Set torque constant, current scale or rated force of the drive."
+            found.append(Finding("force_scale", (drive,), text, mend))
+    return found + friction(c, gain)
+
+
+STEP = Step(
+    "gauge",
+    "force scales, by force gauge",
+    "pushes one leg after the other against your force gauge with at most 2 % of the rated force",
+    "Ctrl-C, or the emergency stop",
+    find,
+    judge,
+    gate=False,
+)

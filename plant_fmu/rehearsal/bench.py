@@ -1,0 +1,133 @@
+"""The rehearsal bench: drives, cables and legs of a wiring, and the hands of who stands beside them.
+
+What it answers is the plant's truth. It knows no configuration but the figures that it is built from.
+"""
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.config import DriveSettings
+from drivers.protocol import DriveProtocol
+from drivers.signals import LEGS
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.plant import Plant
+from plant_fmu.rehearsal.legs import LegBench, TrestleLegs
+from plant_fmu.rehearsal.wired_drives import WiredDrives
+from plant_fmu.rehearsal.wired_plant import WiredPlant
+from plant_fmu.rehearsal.wiring import Wiring
+
+TAPE_M = 2e-4
+"""Standard deviation of a length that is measured by tape."""
+GAUGE_SHARE = 3e-3
+"""Standard deviation of a reading of the force gauge, as a share of it."""
+HAND_SHARE = 0.05
+"""A hand, with a lever where it has to, pushes with this share of the rated force."""
+USUAL_FRICTION = 0.001
+"""Of legs whose friction is not known, as a share of the rated force."""
+
+
+class Stand(NamedTuple):
+    """Figures of a machine on trestles."""
+
+    mass_kg: float
+    """What moves in a leg."""
+    friction_N: float
+    brake_N: float
+    length_min: float
+    """m, ends of travel as the configuration has them."""
+    length_max: float
+    base_joints: Array
+    """(6, 3) m."""
+    platform_joints: Array
+    """(6, 3) m."""
+
+
+class RehearsalBench:
+    """Six drives before legs on trestles. Mutable state: the nodes, the legs, and the chance of readings."""
+
+    def __init__(
+        self,
+        protocol: DriveProtocol,
+        emulation: DriveEmulation,
+        settings: DriveSettings,
+        stand: Stand,
+        wiring: Wiring,
+        seed: int = 1,
+    ) -> None:
+        self.stand, self.wiring = stand, wiring
+        self._rated_N = settings.force_limit_N
+        stroke = stand.length_max - stand.length_min
+        friction = max(stand.friction_N, USUAL_FRICTION * self._rated_N) + self._rated_N * np.array(
+            wiring.friction
+        )
+        spread = np.linspace(0.35, 0.6, LEGS)
+        self._legs = TrestleLegs(
+            LegBench(
+                mass_kg=np.full(LEGS, stand.mass_kg),
+                friction_N=friction,
+                brake_N=np.full(LEGS, stand.brake_N),
+                shortest=np.full(LEGS, stand.length_min - 0.02 * stroke),
+                longest=stand.length_max + stroke * (0.02 - np.array(wiring.shorter)),
+                start=stand.length_min + spread * stroke,
+                gauge_N=0.02 * self._rated_N,
+            )
+        )
+        self._settings, self._emulation = settings, emulation
+        self.drives_end = drives_end(protocol, wiring, settings)
+        self.nodes = Nodes(self.behind_cables(self._legs), self.drives_end, emulation, settings)
+        self._chance = np.random.default_rng(seed)
+
+    def behind_cables(self, plant: Plant) -> Plant:
+        """Return a plant as this wiring connects it; encoders are right at the middle of the stroke."""
+        middle = 0.5 * (self.stand.length_min + self.stand.length_max)
+        return WiredPlant(plant, self.wiring, np.full(LEGS, middle))
+
+    def length(self, leg: int) -> float:
+        """Return the true length of a leg, m."""
+        return float(self._legs.lengths()[leg])
+
+    # hands
+
+    def measure(self, leg: int) -> float:
+        """Measure a leg by tape, m."""
+        return self.length(leg) + TAPE_M * float(self._chance.standard_normal())
+
+    def move(self, leg: int, by_m: float) -> None:
+        """Move a leg with a lever on its brake."""
+        self._legs.place(leg, self.length(leg) + by_m)
+
+    def place(self, leg: int, share: float) -> None:
+        """Move a leg to a share of its stroke as configured, 0 shortest, 1 longest, as far as it goes."""
+        s = self.stand
+        self._legs.place(leg, s.length_min + share * (s.length_max - s.length_min))
+
+    def push(self, leg: int) -> None:
+        """Push a leg by hand."""
+        self._legs.push(leg, HAND_SHARE * self._rated_N)
+
+    def let_go(self, leg: int) -> None:
+        """Take the hand away."""
+        self._legs.push(leg, 0.0)
+
+    def clamp(self, leg: int | None) -> None:
+        """Clamp a leg to the force gauge; None frees it."""
+        self._legs.hold_at_gauge(leg)
+
+    def read_gauge(self) -> float:
+        """Read the force gauge, N."""
+        return self._legs.gauge() * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+
+    def hang(self, p: Array, R: Array) -> None:
+        """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3)."""
+        s = self.stand
+        for leg in range(LEGS):
+            base = s.base_joints[self.wiring.base_joint[leg]]
+            self._legs.place(leg, float(np.linalg.norm(p + R @ s.platform_joints[leg] - base)))
+
+
+def drives_end(protocol: DriveProtocol, wiring: Wiring, settings: DriveSettings) -> DriveProtocol:
+    """Return the drives' end of a protocol for drives that are set up as a wiring says."""
+    return cast("DriveProtocol", cast("Any", WiredDrives(protocol, wiring, settings.node_ids)))

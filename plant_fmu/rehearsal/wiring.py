@@ -1,0 +1,152 @@
+"""What is wired to what on a rehearsal bench: the truth that a bring-up has to find out.
+
+Every tuple has one element a drive, in the leg order of the configuration, unless it says a leg.
+"""
+
+from dataclasses import dataclass
+from math import inf
+
+from drivers.signals import LEGS
+
+OWN = tuple(range(LEGS))
+ONES = (1.0,) * LEGS
+ZEROS = (0.0,) * LEGS
+NONE = (None,) * LEGS
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Drives, motors, encoders, brakes and joints, as they are; by default as they should be."""
+
+    motor: tuple[int, ...] = OWN
+    """Leg that the motor of each drive moves."""
+    encoder: tuple[int, ...] = OWN
+    """Leg that the encoder of each drive counts."""
+    brake: tuple[int, ...] = OWN
+    """Leg whose brake each drive opens."""
+    force_gain: tuple[float, ...] = ONES
+    """N at the leg for each N that the drive believes to give."""
+    scale: tuple[float, ...] = ONES
+    """m of reading for each m of the leg."""
+    offset_m: tuple[float, ...] = ZEROS
+    """Reading less length at the middle of the stroke."""
+    frozen: tuple[bool, ...] = (False,) * LEGS
+    """The encoder reads what it read at power-up."""
+    stuck: tuple[float | None, ...] = NONE
+    """Of each leg: where its brake stays, 1 shut, 0 open; None for one that works."""
+    brake_share: tuple[float, ...] = ONES
+    """Of each leg: share of its force that the brake has."""
+    friction: tuple[float, ...] = ZEROS
+    """Of each leg: friction beyond the usual, as a share of the rated force."""
+    present: tuple[bool, ...] = (True,) * LEGS
+    """The drive has power and a bus."""
+    answers_as: tuple[int, ...] = OWN
+    """Whose node number each drive has been given."""
+    watchdog: tuple[float, ...] = ONES
+    """Factor on the drive's watchdog; inf: it has none, and says nothing of it."""
+    other_protocol: tuple[bool, ...] = (False,) * LEGS
+    """The drive speaks CANopen as delivered: a heartbeat in pre-operational, nothing else."""
+    shorter: tuple[float, ...] = ZEROS
+    """Of each leg: share of the stroke that is missing at its long end."""
+    base_joint: tuple[int, ...] = OWN
+    """Of each leg: the base joint at which it is mounted."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake of who wired the machine."""
+
+    name: str
+    """A row of MISTAKES."""
+    leg: int
+    """Leg or drive, 0..5."""
+    other: int = -1
+    """The second one where two take part."""
+    third: int = -1
+    """The third one of a rotation."""
+    value: float | None = None
+    """Size; None is the one of the table."""
+
+
+def put(values: tuple[object, ...], leg: int, value: object) -> tuple[object, ...]:
+    """Return the values with another one for a leg."""
+    return (*values[:leg], value, *values[leg + 1 :])
+
+
+def turned(values: tuple[int, ...], *legs: int) -> tuple[int, ...]:
+    """Return the values with those of `legs` handed on, each to the one before it."""
+    changed = list(values)
+    for k, leg in enumerate(legs):
+        changed[leg] = values[legs[(k + 1) % len(legs)]]
+    return tuple(changed)
+
+
+MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
+    "ids_swapped": (("motor", "encoder", "brake"), 2, None, "node numbers of two drives exchanged"),
+    "ids_rotated": (("motor", "encoder", "brake"), 3, None, "node numbers of three drives handed round"),
+    "motor_crossed": (("motor",), 2, None, "motor cables of two drives exchanged"),
+    "encoder_crossed": (("encoder",), 2, None, "encoder cables of two drives exchanged"),
+    "brake_crossed": (("brake",), 2, None, "brake cables of two drives exchanged"),
+    "mounted_elsewhere": (("base_joint",), 2, None, "two legs mounted at each other's base joint"),
+    "encoder_counts_another": (("encoder",), 1, None, "an encoder counts another leg, beside that leg's own"),
+    "same_id": (("answers_as",), 1, None, "a drive has the node number of another one"),
+    "encoder_sign": (("scale",), 1, -1.0, "the encoder counts backwards"),
+    "encoder_scale": (("scale",), 1, 2.0, "the encoder counts too much or too little"),
+    "force_sign": (("force_gain",), 1, -1.0, "motor phases exchanged: force the other way, a runaway sign"),
+    "force_scale": (("force_gain",), 1, 0.5, "force too large or too small"),
+    "wrong_lead": (("scale", "force_gain"), 1, 1.25, "another lead or gear than the drive believes"),
+    "drive_reversed": (("scale", "force_gain"), 1, -1.0, "motor and encoder mounted the other way round"),
+    "encoder_frozen": (("frozen",), 1, 1.0, "the encoder stands still"),
+    "offset": (("offset_m",), 1, 4e-3, "homed at another length, m"),
+    "brake_stuck_shut": (("stuck",), 1, 1.0, "the brake does not open"),
+    "brake_stuck_open": (("stuck",), 1, 0.0, "the brake does not shut"),
+    "brake_weak": (("brake_share",), 1, 0.01, "the brake has this share of its force"),
+    "friction": (("friction",), 1, 0.012, "friction beyond the usual, share of the rated force"),
+    "end_stop": (("shorter",), 1, 0.15, "an end stop in the way, share of the stroke"),
+    "watchdog_missing": (("watchdog",), 1, inf, "the drive has no watchdog"),
+    "watchdog_long": (("watchdog",), 1, 8.0, "the watchdog takes so many times what was set"),
+    "absent": (("present",), 1, 0.0, "no power, or no bus, at a drive"),
+    "wrong_protocol": (("other_protocol",), 1, 1.0, "the drive speaks CANopen as delivered"),
+}
+"""Name -> fields of Wiring that it changes, legs that take part, usual size, what it is."""
+
+
+def wired(*mistakes: Mistake) -> Wiring:
+    """Return the wiring with some mistakes. Raises ValueError: unknown, or a leg that does not exist."""
+    wiring = Wiring()
+    for mistake in mistakes:
+        wiring = _with(wiring, mistake)
+    return wiring
+
+
+def stroke_short(share: float) -> Wiring:
+    """Return a wiring whose legs are all shorter than configured by a share of the stroke."""
+    return Wiring(shorter=(share,) * LEGS)
+
+
+def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
+    if mistake.name not in MISTAKES:
+        raise ValueError(f"mistake {mistake.name!r}: unknown, allowed: {', '.join(MISTAKES)}")
+    fields, count, usual, _ = MISTAKES[mistake.name]
+    legs = (mistake.leg, mistake.other, mistake.third)[: max(count, 1)]
+    if mistake.name in ("encoder_counts_another", "same_id"):
+        legs = (mistake.leg, mistake.other)
+    if any(not 0 <= leg < LEGS for leg in legs) or len(set(legs)) != len(legs):
+        raise ValueError(f"mistake {mistake.name}: different legs 0 to 5 are allowed, given: {list(legs)}")
+    value = usual if mistake.value is None else mistake.value
+    changes: dict[str, tuple[object, ...]] = {}
+    for field in fields:
+        there = getattr(wiring, field)
+        if count > 1:
+            changes[field] = turned(there, *legs)
+        elif len(legs) == 2:
+            changes[field] = put(there, mistake.leg, mistake.other)
+        else:
+            assert value is not None
+            old = there[mistake.leg]
+            new = bool(value) if isinstance(old, bool) else old * value if field in _FACTORS else value
+            changes[field] = put(there, mistake.leg, new)
+    return Wiring(**{**vars(wiring), **changes})
+
+
+_FACTORS = frozenset({"scale", "force_gain", "watchdog"})

@@ -19,7 +19,7 @@ TRAVEL_M = 1e-3
 MOVED_M = 1e-4
 """A leg has moved; a driven one is let go there."""
 
-Act = Literal["move", "place", "measure", "push", "let_go", "clamp", "free", "read_gauge", "hang"]
+Act = Literal["move", "place", "measure", "push", "read_push", "let_go", "clamp", "free", "read_gauge", "hang"]
 
 
 class Request(NamedTuple):

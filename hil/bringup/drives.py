@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.protocol import DeviceCommand, DriveProtocol, DriveSetup, Frame, Received, run_of
+from drivers.protocol import (
+    DeviceCommand,
+    DeviceMessage,
+    DriveProtocol,
+    DriveSetup,
+    Frame,
+    Received,
+    Sync,
+    run_of,
+)
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from hil.bringup.line import Line
@@ -22,6 +31,7 @@ SETUP_S = 1.0
 """For how long the drives' confirmation of their set-up is waited for."""
 READY_S = 0.1
 """For how long a drive is waited for that changes its state."""
+_ADDRESSED = (DeviceCommand, Sync)
 SAFE_TICKS = 10
 """Commands to switch off at every end: the bus may lose some."""
 Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
@@ -42,7 +52,7 @@ class Drives:
         self.watchdog_s = watchdog_s
         self._sink = sink
         reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
-        self.locks = any(len(legs) > 1 for legs in map(self._addressed, self._commands()))
+        self.locks = self._is_broadcast()
         """One command goes to several drives."""
         lock_s = LOCK_S if self.locks else watchdog_s
         self._setups = DriveSetup(watchdog_s, reaction, line.rate_Hz), DriveSetup(lock_s, reaction, line.rate_Hz)
@@ -124,17 +134,20 @@ class Drives:
         record["q"], record["dq"] = record["length"], record["rate"]
         return record
 
-    def _commands(self) -> list[list[Frame]]:
-        """Return the frames of a tick one by one, each behind those that it needs to be understood."""
-        frames = list(self.protocol.cyclic_frames())
-        return [frames[: k + 1] for k in range(len(frames))]
+    def _is_broadcast(self) -> bool:
+        memory = self.protocol.power_up()
+        for frame in self.protocol.cyclic_frames():
+            memory, messages = self.protocol.parse(memory, frame)
+            if any(isinstance(m, DeviceCommand) and len(m.legs) > 1 for m in messages):
+                return True
+        return False
 
     def _addressed(self, frames: Sequence[Frame]) -> tuple[int, ...]:
-        """Return the drives that the last of some frames commands, by the drives' own end of the codec."""
-        memory, messages = self.protocol.power_up(), ()
+        """Return the drives that the last of some frames commands or polls, by their own end of the codec."""
+        memory, messages = self.protocol.power_up(), tuple[DeviceMessage, ...]()
         for frame in frames:
-            memory, messages = self.protocol.parse(memory, frame)  # type: ignore[assignment]
-        return tuple(leg for m in messages if isinstance(m, DeviceCommand) for leg in m.legs)
+            memory, messages = self.protocol.parse(memory, frame)
+        return tuple({leg for m in messages if isinstance(m, _ADDRESSED) for leg in m.legs})
 
     # set-up
 

@@ -84,6 +84,11 @@ def merged(findings: list[Finding]) -> list[Finding]:
         if not (f.name == "encoder_scale" and f.legs in leads)
         and not (f.name in ("encoder_sign", "force_sign") and f.legs in reversed_)
     ]
+    friction: set[tuple[int, ...]] = set()
+    for finding in [f for f in kept if f.name == "friction"]:
+        if finding.legs in friction:
+            kept.remove(finding)
+        friction.add(finding.legs)
     return kept + [
         Finding(
             "drive_reversed",

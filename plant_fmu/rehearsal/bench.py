@@ -108,6 +108,11 @@ class RehearsalBench:
         """Push a leg by hand."""
         self._legs.push(leg, HAND_SHARE * self._rated_N)
 
+    def read_push(self, leg: int) -> float:
+        """Read the hand's force gauge, N: what a free leg gave way at."""
+        most = HAND_SHARE * self._rated_N
+        return min(self._legs.friction(leg), most) * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+
     def let_go(self, leg: int) -> None:
         """Take the hand away."""
         self._legs.push(leg, 0.0)

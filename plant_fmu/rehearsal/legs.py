@@ -62,6 +62,10 @@ class TrestleLegs:
         """Return the lengths now, (6,) m."""
         return self._x.copy()
 
+    def friction(self, leg: int) -> float:
+        """Return the friction of a leg whose brake is open, N."""
+        return float(self._figures.friction_N[leg])
+
     def place(self, leg: int, length: float) -> None:
         """Move a leg there, as far as it goes, with a lever on its brake."""
         f = self._figures

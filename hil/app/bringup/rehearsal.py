@@ -110,6 +110,8 @@ class BenchHands:
                 self._answer = bench.measure(leg)
             case "push":
                 bench.push(leg)
+            case "read_push":
+                self._answer = bench.read_push(leg)
             case "let_go":
                 bench.let_go(leg)
             case "clamp":

@@ -1,42 +1,60 @@
-"""Each brake holds when shut, and opens for its own drive: by hand, with all encoders watched."""
+"""Each brake holds when shut, and opens for its own drive: by hand, with all encoders watched.
+
+The hand has a force gauge: what it reads as a leg gives way is the leg's friction, whatever its drive does.
+"""
 
 from collections.abc import Callable
+from functools import partial
+from statistics import median
+from typing import Any
 
 from drivers.signals import LEGS, DriveMode
 from hil.bringup.context import TRAVEL_M, Context, Finding, Request
 from hil.bringup.step import Step
 
 PUSH_S = 0.15
+HIGH = 1.7
+"""Friction of so many times the median of the legs is high,"""
+HIGH_SHARE = 0.003
+"""and by this share of the rated force above it."""
+FEWEST = 3
+"""Legs of which a median says something."""
 
 
 def find(c: Context) -> None:
     """Have each leg pushed with all brakes shut, then each with its drive's brake open."""
     for leg in range(LEGS):
         if c.known("held", leg) is None:
-            c.keep("held", leg, {"moved": gives_way(c, leg, c.drives.step, "shut")})
+            moved, _ = gives_way(c, leg, c.drives.step, "shut")
+            c.keep("held", leg, {"moved": moved})
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     for drive in range(LEGS):
         if c.known("opens", drive) is not None:
             continue
         likely = list(dict.fromkeys([drive, counts.get(drive, drive), *range(LEGS)]))
-        gave: list[int] = []
+        fact: dict[str, Any] = {"legs": [], "hand_N": None}
         with c.opened(drive):
             for leg in likely:
-                if gives_way(c, leg, lambda drive=drive: c.drives.step(DriveMode.RUN, drive), "open"):
-                    gave = [leg]
+                moved, hand_N = gives_way(c, leg, partial(c.drives.step, DriveMode.RUN, drive), "open")
+                if moved:
+                    fact = {"legs": [leg], "hand_N": hand_N}
                     break
-        c.keep("opens", drive, {"legs": gave})
+        c.keep("opens", drive, fact)
 
 
-def gives_way(c: Context, leg: int, keep: Callable[[], object], state: str) -> bool:
-    """Have a leg pushed by hand and tell whether it has moved."""
+def gives_way(c: Context, leg: int, keep: Callable[[], object], state: str) -> tuple[bool, float]:
+    """Have a leg pushed by hand; tell whether it has moved, and with how many N."""
     before = c.lengths()
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: {state}"), keep)
     for _ in range(c.drives.ticks(PUSH_S)):
         keep()
     moved = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M
+    force = 0.0
+    if moved:
+        text = f"Read the force at which leg {leg} gave way, N"
+        force = c.ask(Request("read_push", leg, 0.0, text), keep)
     c.ask(Request("let_go", leg, 0.0, f"Let go of leg {leg}"), keep)
-    return moved
+    return moved, force
 
 
 def judge(c: Context) -> list[Finding]:
@@ -67,14 +85,29 @@ def judge(c: Context) -> list[Finding]:
     for drive in stuck:
         text = "its brake does not open: no leg gives way"
         found.append(Finding("brake_stuck_shut", (drive,), text, "Look at the brake, its cable, its supply."))
-    others = {d: j for d, (j,) in opens.items() if opens[d]} if not stuck else {
-        d: legs[0] for d, legs in opens.items() if legs
-    }
-    wrong = {d: j for d, j in others.items() if j != d and d not in exchanged}
+    wrong = {d: legs[0] for d, legs in opens.items() if legs and legs[0] != d and d not in exchanged}
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
         found.append(Finding("brake_crossed", tuple(sorted(wrong)), text, "Exchange the brakes' cables."))
-    return found
+    return found + friction(c)
+
+
+def friction(c: Context) -> list[Finding]:
+    """Name legs that need more force than the others to give way to a hand."""
+    values = {d: c.known("opens", d)["hand_N"] for d in range(LEGS) if c.known("opens", d)["legs"]}
+    if len(values) < FEWEST:
+        return []
+    usual, rated = median(values.values()), c.machine.rated_N
+    return [
+        Finding(
+            "friction",
+            tuple(c.known("opens", drive)["legs"]),
+            f"it gives way at {value:.4g} N, the median of the legs is {usual:.4g} N",
+            "Look at guide, nut, seals, and a brake that drags.",
+        )
+        for drive, value in values.items()
+        if value > HIGH * usual and value > usual + HIGH_SHARE * rated
+    ]
 
 
 STEP = Step(

@@ -4,7 +4,6 @@ The ramp ends as soon as a leg has moved by MOVED_M, at FORCE_SHARE of the rated
 leg that has gone TRAVEL_M is a runaway.
 """
 
-from statistics import median
 from typing import Any
 
 from drivers.arrays import Array
@@ -14,10 +13,8 @@ from hil.bringup.step import Step
 
 RAMP_S = 0.8
 SETTLE_S = 0.06
-HIGH = 1.7
-"""Friction of so many times the median of the six legs is high,"""
-HIGH_SHARE = 0.003
-"""and by this share of the rated force above it."""
+MOVES = 0.75
+"""A leg that gives way to a hand at this share of the most force of a step must move by its drive."""
 
 
 def find(c: Context) -> None:
@@ -88,37 +85,20 @@ def judge(c: Context) -> list[Finding]:
             found.append(Finding("force_sign", (drive,), text, mend))
         elif breakaway(fact) is None:
             still.append(drive)
-    limit = f"{100 * FORCE_SHARE:g} % of the rated force"
-    if len(still) > 1:
-        text = f"none moves under its own drive with {limit}, though its brake opens"
-        mend = "Look whether their motor cables are exchanged; else at their friction."
-        found.append(Finding("motor_crossed", tuple(still), text, mend))
-    elif still:
-        text = f"it does not move with {limit}, though its brake opens: high friction, or no force"
-        found.append(Finding("friction", tuple(still), text, "Look at guide, nut and seals; then at the motor."))
+    stiff = [d for d in still if c.known("opens", d)["hand_N"] > MOVES * c.machine.force_N]
+    weak = [d for d in still if d not in stiff]
+    limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
+    for drive in stiff:
+        text = f"it does not move with {limit}; a hand needs {c.known('opens', drive)['hand_N']:.4g} N"
+        found.append(Finding("friction", (drive,), text, "Look at guide, nut, seals, a brake that drags."))
+    if len(weak) > 1:
+        text = f"none moves under its own drive with {limit}, but each by hand"
+        mend = "Look whether their motor cables are exchanged; else whether these motors give force at all."
+        found.append(Finding("motor_crossed", tuple(weak), text, mend))
+    elif weak:
+        text = f"it does not move with {limit}, but by hand"
+        found.append(Finding("no_force", tuple(weak), text, "Look at the motor's cable and the drive's scale."))
     return found
-
-
-def friction(c: Context, gain: dict[int, float]) -> list[Finding]:
-    """Name legs with more friction than the others; gain: N at the leg a commanded N, by drive."""
-    values = {
-        d: abs(gain.get(d, 1.0)) * value
-        for d in range(LEGS)
-        if (fact := c.known("force", d)) is not None and (value := breakaway(fact)) is not None
-    }
-    if len(values) < 3:
-        return []
-    usual, rated = median(values.values()), c.machine.rated_N
-    return [
-        Finding(
-            "friction",
-            (drive,),
-            f"it begins to move at {value:.4g} N, the median of the legs is {usual:.4g} N",
-            "Look at guide, nut, seals, and a brake that drags.",
-        )
-        for drive, value in values.items()
-        if value > HIGH * usual and value > usual + HIGH_SHARE * rated
-    ]
 
 
 STEP = Step(

@@ -6,7 +6,7 @@ from drivers.signals import LEGS, DriveMode
 from hil.bringup.context import Context, Finding, Request
 from hil.bringup.step import Step
 from hil.bringup.steps.encoder import tolerance
-from hil.bringup.steps.force import breakaway, friction, guard
+from hil.bringup.steps.force import breakaway, guard
 
 LEVELS = (0.4, 0.6, 0.8, 1.0)
 """Of the most force of a step."""
@@ -60,7 +60,7 @@ def gains(c: Context) -> dict[int, float]:
 
 
 def judge(c: Context) -> list[Finding]:
-    """Name forces of the wrong scale, a wrong lead, and legs of high friction."""
+    """Name forces of the wrong scale, and a wrong lead."""
     gain, found = gains(c), []
     read = c.reads()
     for drive, g in gain.items():
@@ -77,7 +77,7 @@ def judge(c: Context) -> list[Finding]:
             text = f"it gives {abs(g):.3f} N for each N commanded"
             mend = "Set torque constant, current scale or rated force of the drive."
             found.append(Finding("force_scale", (drive,), text, mend))
-    return found + friction(c, gain)
+    return found
 
 
 STEP = Step(

@@ -5,10 +5,10 @@ from hil.bringup.context import Context, Finding
 from hil.bringup.step import Step
 
 POWER_S = 0.1
-WAIT = 6.0
-"""Silence ends after so many times the configured watchdog."""
-LATE = 1.5
-"""A watchdog that takes more than so many times the configured one, and two ticks, is too long."""
+WAIT, WAIT_S = 6.0, 0.4
+"""Silence ends after so many times the configured watchdog, and not before this."""
+EARLY, LATE = 0.5, 1.5
+"""A watchdog that takes more or less than so many times the configured one, within three ticks, is wrong."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
@@ -32,7 +32,7 @@ def _find_synced(c: Context) -> None:
             break
     silent: list[float | None] = [None] * LEGS
     try:
-        for tick in range(1, drives.ticks(WAIT * c.machine.watchdog_s) + 1):
+        for tick in range(1, drives.ticks(_wait_s(c)) + 1):
             record = drives.step(DriveMode.READY, silent=True)
             for leg in range(LEGS):
                 if silent[leg] is None and int(record["drive_state"][leg]) not in _POWERED:
@@ -42,6 +42,10 @@ def _find_synced(c: Context) -> None:
     for leg in range(LEGS):
         fact = {"powered": powered[leg], "until_s": silent[leg], "since_s": _before(silent[leg], period)}
         c.keep("watchdog", leg, fact)
+
+
+def _wait_s(c: Context) -> float:
+    return max(WAIT * c.machine.watchdog_s, WAIT_S)
 
 
 def _before(until_s: float | None, period: float) -> float | None:
@@ -78,19 +82,24 @@ def judge(c: Context) -> list[Finding]:
     """Name drives whose watchdog is missing or takes too long."""
     found = []
     wait, period = c.machine.watchdog_s, 1.0 / c.drives.line.rate_Hz
+    polled = c.drives.protocol.command_delay_ticks > 0
     for leg in range(LEGS):
         fact = c.known("watchdog", leg)
         until = fact["until_s"]
         if not fact["powered"]:
-            text = "the drive does not take power on its shut brake"
-            found.append(Finding("not_powered", (leg,), text, "Look at the drive's fault and its enable."))
+            text = "the drive does not take power, or does not keep it"
+            mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
+            found.append(Finding("not_powered", (leg,), text, mend))
         elif until is None:
-            text = f"it is still powered after {1e3 * WAIT * wait:g} ms of silence, set were {1e3 * wait:g} ms"
+            text = f"it is still powered after {1e3 * (LATE * wait if polled else _wait_s(c)):g} ms of silence, set were {1e3 * wait:g} ms"
             mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
             found.append(Finding("watchdog_missing", (leg,), text, mend))
         elif until > LATE * wait + 3.0 * period:
             text = f"it reacts {1e3 * until:g} ms after the last command, set were {1e3 * wait:g} ms"
             found.append(Finding("watchdog_long", (leg,), text, "Set the drive's watchdog, or its unit."))
+        elif until < EARLY * wait - 3.0 * period or (polled and not fact["since_s"]):
+            text = f"it reacts within {1e3 * until:g} ms of silence, set were {1e3 * wait:g} ms"
+            found.append(Finding("watchdog_short", (leg,), text, "Set the drive's watchdog, or its unit."))
     return found
 
 

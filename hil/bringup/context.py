@@ -84,6 +84,8 @@ class Machine:
     """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
     known_identifiers: frozenset[int]
     """Of all frames of this protocol."""
+    losses: float = 0.0
+    """Share of a force that may be lost between motor and leg."""
     tape_m: float = 2e-4
     """Standard deviation of a length that the operator measures."""
 

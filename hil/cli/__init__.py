@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
     "run": "The controller, in real time.",
+    "bringup": "From parts to a moving platform, one leg at a time; rehearsals, too.",
     "plant": "Six emulated drives and the platform, in real time.",
     "sim": "Both ends in lockstep, in simulated time.",
     "replay": "A log's inputs again, compared to the bit.",

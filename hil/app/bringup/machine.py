@@ -56,7 +56,13 @@ def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
         pose_lengths=np.array([leg_lengths(platform, p, R) for p, R in poses]),
         joint_distances=np.array(joints),
         known_identifiers=known_identifiers(protocol),
+        losses=_losses(c),
     )
+
+
+def _losses(c: Configuration) -> float:
+    gear = c.drives.transmission
+    return 0.0 if gear is None else 1.0 - float(np.min(gear.efficiency))
 
 
 def known_identifiers(protocol: DriveProtocol) -> frozenset[int]:

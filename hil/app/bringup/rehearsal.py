@@ -14,7 +14,7 @@ from hil.bringup.context import Request
 from hil.bringup.line import Heard
 from plant_fmu.config import DriveEmulation, StewartPlant
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.plant import Robot
+from plant_fmu.plant import Plant, Robot
 from plant_fmu.rehearsal.bench import RehearsalBench, Stand
 from plant_fmu.rehearsal.wiring import Wiring
 from plant_fmu.stewart.plant import stewart_plant
@@ -131,8 +131,11 @@ class BenchHands:
         return answer
 
 
-def mounted_nodes(c: Configuration, bench: RehearsalBench) -> Nodes:
-    """Return the bench's drives and cables before the platform on its legs, at home. Raises PlantError."""
+def mounted_nodes(c: Configuration, bench: RehearsalBench) -> tuple[Nodes, Plant]:
+    """Return the bench's drives and cables before the platform on its legs, at home, and what to close.
+
+    Raises PlantError.
+    """
     assert c.plant is not None
     model = c.plant.model
     if not isinstance(model, StewartPlant):
@@ -150,4 +153,4 @@ def mounted_nodes(c: Configuration, bench: RehearsalBench) -> Nodes:
             R0=R,
         ),
     )
-    return Nodes(bench.behind_cables(plant), bench.drives_end, c.plant.drives, c.drives)
+    return Nodes(bench.behind_cables(plant), bench.drives_end, c.plant.drives, c.drives), plant

@@ -14,7 +14,7 @@ RAMP_S, HOLD_S = 0.1, 0.06
 BEYOND = 1.15
 """Levels beyond so many times the breakaway force count."""
 WITHIN = 0.06
-"""Accepted error of a force scale."""
+"""Accepted error of a force scale, beside the losses of a transmission."""
 SAME = 0.04
 """Scales of encoder and force that differ by less have one cause: lead or gear."""
 
@@ -66,10 +66,10 @@ def judge(c: Context) -> list[Finding]:
     for drive, g in gain.items():
         leg, scale = read[drive]
         low, high = c.known("encoder", leg)["tape_m"]
-        if abs(abs(g) - 1.0) <= WITHIN:
+        if abs(abs(g) - 1.0) <= WITHIN + c.machine.losses:
             continue
         off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
-        if off and abs(abs(g) - abs(scale)) < SAME * abs(scale):
+        if off and abs(abs(g) - abs(scale)) < (SAME + c.machine.losses) * abs(scale):
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
             mend = f"Multiply lead, or divide gear ratio, in the drive by 1/{abs(scale):.4f}."
             found.append(Finding("wrong_lead", (drive,), text, mend))

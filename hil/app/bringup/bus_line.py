@@ -1,0 +1,47 @@
+"""The bring-up's line on a real bus: one tick a period, answers within a window of it."""
+
+from collections.abc import Sequence
+
+from drivers.can.bus import Bus
+from drivers.errors import BusError
+from drivers.protocol import Frame
+from hil.bringup.line import Heard
+from hil.loop.clock import Deadlines
+
+WINDOW = 0.65
+"""Share of the period in which answers are waited for."""
+
+
+class BusLine:
+    """Ticks on an open bus. Mutable state: the deadlines, and the bus."""
+
+    def __init__(self, bus: Bus, rate_Hz: float) -> None:
+        self.rate_Hz = rate_Hz
+        self._bus = bus
+        self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
+        self._window_ns = round(WINDOW * 1e9 / rate_Hz)
+        bus.flush_tx()
+        bus.drain_now()
+
+    def exchange(self, opening: Sequence[Frame]) -> Heard:
+        """Wait for the next tick, send, and collect what comes within the window.
+
+        Raises BusError where the bus is down.
+        """
+        _, t_ns, lateness_ns, _ = self._deadlines.wait()
+        began = t_ns + lateness_ns
+        frames = self._bus.drain_now()
+        self._bus.send(opening)
+        end = began + self._window_ns
+        while self._bus.clock.now() < end:
+            heard = self._bus.wait(end)
+            if not heard:
+                break
+            frames += heard
+        if self._bus.events().off:
+            raise BusError("the bus is down: the drives' watchdogs shut their brakes; look at cable and power")
+        return Heard(began, tuple(frames))
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Send the frames that end a tick."""
+        self._bus.send(frames)

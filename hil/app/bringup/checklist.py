@@ -1,0 +1,72 @@
+"""The checklist of a bring-up: what was measured of each leg, by step, as lines."""
+
+from collections.abc import Iterable
+
+from drivers.signals import LEGS
+from hil.bringup.context import Context
+from hil.bringup.procedure import STEPS, Outcome
+from hil.bringup.steps.gauge import gains
+
+
+def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
+    """Return the lines: a line a step with its verdict, below it the figures of each leg."""
+    lines = []
+    done = set(outcome.passed)
+    for step in STEPS:
+        figures = _figures(c, step.name)
+        mark = "x" if step.name in done else "!" if figures else " "
+        lines.append(f"[{mark}] {step.name}: {step.title}")
+        lines += [f"      {line}" for line in figures]
+    lines += [f"    ! {finding.line}" for finding in outcome.findings]
+    lines += list(together)
+    return lines
+
+
+def _figures(c: Context, step: str) -> list[str]:
+    if step == "mounted":
+        poses = sorted(c.facts.get("mounted", {}).items())
+        return [f"pose {pose}: legs {', '.join(f'{q:.4f}' for q in fact['q_m'])} m" for pose, fact in poses]
+    return [f"leg {leg}: {text}" for leg in range(LEGS) if (text := _of_leg(c, step, leg))]
+
+
+def _of_leg(c: Context, step: str, leg: int) -> str:
+    fact = c.known({"brakes": "opens"}.get(step, step), leg)
+    if fact is None:
+        return ""
+    match step:
+        case "scan":
+            heard = f"node {c.machine.node_ids[leg]} answers {100 * fact['answers']:.0f} % of the polls"
+            return f"{heard}, {c.machine.protocol}, {fact['state']}; {fact['lacks'] or 'set-up confirmed'}"
+        case "watchdog":
+            since, until = fact["since_s"], fact["until_s"]
+            set_ms = 1e3 * c.machine.watchdog_s
+            if until is None:
+                return f"no reaction, set {set_ms:g} ms"
+            return f"reacts {1e3 * (since or 0.0):.4g} to {1e3 * until:.4g} ms after silence, set {set_ms:g} ms"
+        case "ids":
+            return f"counted by drive {', '.join(map(str, fact['drives'])) or 'none'}"
+        case "encoder":
+            low, high = fact["tape_m"]
+            return (
+                f"{low:.4f} to {high:.4f} m by tape; reads {fact['scale']:.5f} m a m, "
+                f"{1e3 * fact['offset_m']:+.2f} mm"
+            )
+        case "brakes":
+            gives = ", ".join(map(str, fact["legs"])) or "none"
+            at = "" if fact["hand_N"] is None else f" at {fact['hand_N']:.4g} N"
+            held = c.known("held", leg)
+            shut = "" if held is None else "; shut: " + ("gives way" if held["moved"] else "holds a hand")
+            return f"its drive's brake frees leg {gives}{at}{shut}"
+        case "force":
+            parts = (f"{way} {_force(fact[way])}" for way in ("plus", "minus"))
+            return "; ".join(parts)
+        case "gauge":
+            g = gains(c).get(leg)
+            return "" if g is None else f"{g:.4f} N a commanded N"
+    return ""
+
+
+def _force(found: dict[str, float | None]) -> str:
+    if found["force_N"] is None:
+        return "does not move"
+    return f"{found['force_N']:.4g} N moves leg {found['leg']} {'longer' if found['way'] == 1 else 'shorter'}"

@@ -1,0 +1,35 @@
+"""Mistakes of a rehearsal in words: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4`."""
+
+from collections.abc import Sequence
+
+from drivers.errors import ConfigurationError
+from plant_fmu.rehearsal.wiring import MISTAKES, Mistake, Wiring, wired
+
+_KEYS = ("leg", "other", "third", "value")
+
+
+def mistake_of(words: str) -> Mistake:
+    """Return a mistake. Raises ConfigurationError for words that are none."""
+    name, *rest = words.split()
+    given: dict[str, float] = {}
+    for word in rest:
+        key, equals, text = word.partition("=")
+        try:
+            number = float(text)
+        except ValueError:
+            number = float("nan")
+        if key not in _KEYS or not equals or number != number:  # noqa: PLR0124 - nan is what is no number
+            raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {', '.join(_KEYS)} = a number")
+        given[key] = number
+    if name not in MISTAKES:
+        raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
+    legs = {key: int(given[key]) for key in _KEYS[:3] if key in given}
+    return Mistake(name, **{"leg": 0, **legs}, value=given.get("value"))
+
+
+def wiring_of(mistakes: Sequence[str]) -> Wiring:
+    """Return the wiring with some mistakes. Raises ConfigurationError."""
+    try:
+        return wired(*map(mistake_of, mistakes))
+    except ValueError as error:
+        raise ConfigurationError(f"--mistake: {error}") from None

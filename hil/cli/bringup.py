@@ -1,0 +1,78 @@
+"""`hil bringup`."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, configuration_argument, finish_briefly, load, log_option, reporting
+
+
+@click.command()
+@configuration_argument
+@click.option("--rehearse", is_flag=True, help="On an emulated bench, in simulated time; nothing is moved.")
+@click.option(
+    "--mistake",
+    "mistakes",
+    multiple=True,
+    metavar="WORDS",
+    help='With --rehearse: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
+)
+@click.option("--yes", is_flag=True, help="With --rehearse: agree to all steps.")
+@click.option("--state", type=FILE, metavar="FILE", help="Where the answers are kept between runs.")
+@click.option("--again", is_flag=True, help="Measure everything again, whatever the state file holds.")
+@log_option
+@reporting
+def command(
+    configuration: str,
+    rehearse: bool,
+    mistakes: tuple[str, ...],
+    yes: bool,
+    state: Path | None,
+    again: bool,
+    log: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Bring a machine up, from parts to a moving platform, one leg at a time.
+
+    Each step says what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
+    the step `mounted`. At most one brake is open, its force at most 2 % of the rated one, and it is let go
+    after a tenth of a millimetre. Answers are kept: give the command again to go on. Ctrl-C at any moment
+    takes force and power away.
+
+    Writes the configuration that it has found and a checklist beside CONFIGURATION, never over it.
+
+    \b
+    Examples:
+      hil bringup my.yaml                                             at the machine
+      hil bringup virtual --rehearse                                  on an emulated bench
+      hil bringup virtual --rehearse --yes --mistake "ids_swapped leg=1 other=4"
+
+    \b
+    Exit code:
+      0  all steps passed
+      1  a mistake was found, or it was ended; the checklist tells
+      2  not begun: configuration, bus, state or log file; the message says what
+    """
+    if (mistakes or yes) and not rehearse:
+        raise click.UsageError("--mistake and --yes are for a rehearsal: add --rehearse.")
+    loaded = load(configuration)
+    from hil.app.bringup.command import run_bringup
+
+    summary = run_bringup(
+        configuration,
+        loaded,
+        mistakes=mistakes if rehearse else None,
+        log=log,
+        state=state,
+        again=again,
+        agree=(lambda *_: True) if yes else _agree,
+        say=click.echo,
+    )
+    finish_briefly("bringup", summary, json_file)
+
+
+def _agree(title: str, will: str, stop: str) -> bool:
+    click.echo(f"  it {will}\n  to stop it: {stop}\n  Enter begins {title}, `no` ends")
+    line = sys.stdin.readline()
+    return line.strip() == "" and bool(line)

@@ -11,7 +11,7 @@ import traceback as tracebacks
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from hil.loop.panel import signals_to
 from hil.record import Recording
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.snapshot import Snapshot
+from plant_fmu.plant import Plant
 
 IDLE_NS = 2_000_000
 """The plant never lags the present by more than this. In a run the frames themselves wake it more
@@ -49,6 +50,19 @@ REST_RATE_m_s = 1e-3
 CLOSING_S = 5.0
 """Closing an orphan's log takes no longer."""
 _ROW = PLANT.dtype
+
+
+class Bench(NamedTuple):
+    """Drives in front of something else than the configured plant, and whose hands are on it."""
+
+    nodes: Nodes
+    plant: Plant
+    hands: Callable[[], None]
+    """Called often: lets hands do what they were asked."""
+
+
+def _no_hands() -> None:
+    """Nobody touches a plant but the drives."""
 
 
 def plant_row(number: int, s: Snapshot) -> np.ndarray[Any, np.dtype[np.void]]:
@@ -70,10 +84,12 @@ def run_plant(
     duration_s: float | None = None,
     supervisor: int | None = None,
     ready: Callable[[], None] = lambda: None,
+    bench: Bench | None = None,
 ) -> dict[str, Any]:
     """Serve the drives until SIGINT, SIGTERM, SIGHUP, `duration_s`, or after the supervisor's pipe closed.
 
-    An orphan goes on until its drives have brought the platform to rest, for ORPHAN_S at most.
+    An orphan goes on until its drives have brought the platform to rest, for ORPHAN_S at most. `bench`
+    takes the place of the configured plant.
     Raises ConfigurationError, BusError, PlantError; RunError when another plant serves the bus.
     """
     c = configuration
@@ -83,7 +99,7 @@ def run_plant(
         bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
         if supervisor is not None and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
             bus.clock.hold()
-        nodes, physics = build_nodes(c)
+        nodes, physics = build_nodes(c) if bench is None else (bench.nodes, bench.plant)
         stack.callback(physics.close)
         recording = None
         if c.plant.log:
@@ -110,7 +126,9 @@ def run_plant(
             try:
                 with _failures_logged(recording, bus.clock):
                     faults = ProcessFaults(c.plant.faults, bus.clock.now())
-                    last, trouble = _serve(nodes, bus, recording, stop, duration_s, supervisor, faults), ""
+                    hands = _no_hands if bench is None else bench.hands
+                    last = _serve(nodes, bus, recording, stop, duration_s, supervisor, faults, hands)
+                    trouble = ""
             except PlantError as error:
                 last, trouble = nodes.snapshot(), str(error)
             finally:
@@ -191,6 +209,7 @@ def _serve(
     duration_s: float | None,
     supervisor: int | None,
     faults: ProcessFaults,
+    hands: Callable[[], None],
 ) -> Snapshot:
     now = bus.clock.now()
     bus.drain_now()
@@ -207,6 +226,7 @@ def _serve(
         received = bus.wait(min((now + IDLE_NS, *(t_ns for t_ns, _ in later))))
         now = bus.clock.now()
         faults.strike(now)
+        hands()
         later += nodes.step(now, received)
         outgoing = latest([frame for t_ns, frame in later if t_ns <= now])
         later = [entry for entry in later if entry[0] > now]

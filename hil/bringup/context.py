@@ -19,7 +19,9 @@ TRAVEL_M = 1e-3
 MOVED_M = 1e-4
 """A leg has moved; a driven one is let go there."""
 
-Act = Literal["move", "place", "measure", "push", "read_push", "let_go", "clamp", "free", "read_gauge", "hang"]
+Act = Literal[
+    "move", "place", "measure", "push", "read_push", "let_go", "clamp", "free", "read_gauge", "hang", "mount"
+]
 
 
 class Request(NamedTuple):
@@ -100,11 +102,11 @@ class Machine:
         return FORCE_SHARE * self.rated_N
 
 
-class Refused(HilError):
+class RefusedError(HilError):
     """The operator has not consented, or has ended the bring-up; what was found is kept."""
 
 
-class Stopped(HilError):
+class StoppedError(HilError):
     """A measured value ended a step for safety; `finding` says which."""
 
     def __init__(self, finding: Finding) -> None:
@@ -155,13 +157,13 @@ class Context:
     def opened(self, leg: int) -> Iterator[None]:
         """Open the brake of drive `leg` alone, without force; shut it whatever happens.
 
-        Raises Stopped where the five others are not locked out, or the drive cannot be powered.
+        Raises StoppedError where the five others are not locked out, or the drive cannot be powered.
         """
         try:
             why = self.drives.power(leg)
             if why:
                 mend = "Set up and prove the drives' watchdogs first; look at the drive's fault."
-                raise Stopped(Finding("not_powered", (leg,), why, mend))
+                raise StoppedError(Finding("not_powered", (leg,), why, mend))
             for _ in range(self.drives.ticks(self.machine.brake_open_s)):
                 self.drives.step(DriveMode.RUN, leg)
             yield

@@ -55,7 +55,10 @@ class Drives:
         self.locks = self._is_broadcast()
         """One command goes to several drives."""
         lock_s = LOCK_S if self.locks else watchdog_s
-        self._setups = DriveSetup(watchdog_s, reaction, line.rate_Hz), DriveSetup(lock_s, reaction, line.rate_Hz)
+        self._setups = (
+            DriveSetup(watchdog_s, reaction, line.rate_Hz),
+            DriveSetup(lock_s, reaction, line.rate_Hz),
+        )
         self._live, self._rest = (protocol.start(setup) for setup in self._setups)
         self.tick = -1
         self.record = new_record()
@@ -208,7 +211,7 @@ class Drives:
         return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
 
     def _locked(self, state: int) -> bool:
-        return state == DriveState.FAULT if self.locks else state not in (DriveState.RUN,)
+        return state == DriveState.FAULT if self.locks else state != DriveState.RUN
 
     def off(self, seconds: float = 0.0) -> None:
         """Take force and power from all drives, for at least SAFE_TICKS."""

@@ -5,7 +5,7 @@ Nothing later begins while a gate has findings. Facts that are known are not ask
 
 from typing import NamedTuple
 
-from hil.bringup.context import Context, Finding, Refused, Stopped
+from hil.bringup.context import Context, Finding, RefusedError, StoppedError
 from hil.bringup.step import Step
 from hil.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
 
@@ -20,6 +20,10 @@ STEPS: tuple[Step, ...] = (
     mounted.STEP,
 )
 """In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
+
+
+ENDS = frozenset({"runaway", "not_powered"})
+"""Findings after which nothing more is tried."""
 
 
 class Outcome(NamedTuple):
@@ -40,33 +44,40 @@ class Outcome(NamedTuple):
 def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
     """Do the steps. However it ends, forces are zero and brakes shut before it returns or raises.
 
-    Raises Refused where the operator does not consent.
+    When it returns, all drives have their own watchdogs again and no fault of a lock-out. Raises RefusedError
+    where the operator does not consent.
     """
-    passed: list[str] = []
-    findings: list[Finding] = []
     try:
-        for step in steps:
-            if findings and step.gate:
-                return _outcome(passed, findings, step.name)
-            c.operator.tell(f"{step.name}: {step.title}")
-            if not c.operator.consent(step.title, step.will, step.stop):
-                raise Refused(f"ended before step {step.name}; what was found is kept")
-            try:
-                step.find(c)
-                found = step.judge(c)
-            except Stopped as stop:
-                return _outcome(passed, [*findings, stop.finding], step.name)
-            for finding in found:
-                c.operator.tell(f"  {finding.line}")
-            if not found:
-                passed.append(step.name)
-                c.operator.tell("  passed")
-            findings += found
-            if found and step.gate:
-                return _outcome(passed, findings, step.name)
-        return _outcome(passed, findings, "")
+        outcome = _done(c, steps)
     finally:
         c.drives.off(c.machine.brake_shut_s)
+    c.drives.prepare(None)
+    return outcome
+
+
+def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
+    passed: list[str] = []
+    findings: list[Finding] = []
+    for step in steps:
+        if findings and step.gate:
+            return _outcome(passed, findings, step.name)
+        c.operator.tell(f"{step.name}: {step.title}")
+        if not c.operator.consent(step.title, step.will, step.stop):
+            raise RefusedError(f"ended before step {step.name}; what was found is kept")
+        try:
+            step.find(c)
+            found = step.judge(c)
+        except StoppedError as stop:
+            found = [stop.finding]
+        for finding in found:
+            c.operator.tell(f"  {finding.line}")
+        findings += found
+        if found and (step.gate or found[0].name in ENDS):
+            return _outcome(passed, findings, step.name)
+        if not found:
+            passed.append(step.name)
+            c.operator.tell("  passed")
+    return _outcome(passed, findings, "")
 
 
 def _outcome(passed: list[str], findings: list[Finding], stopped: str) -> Outcome:

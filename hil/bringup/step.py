@@ -16,7 +16,7 @@ class Step(NamedTuple):
     stop: str
     """How to stop it."""
     find: Callable[[Context], None]
-    """Finds the facts that are not known yet. Raises Stopped."""
+    """Finds the facts that are not known yet. Raises StoppedError."""
     judge: Callable[[Context], list[Finding]]
     """Names what is wrong by the facts."""
     gate: bool = True

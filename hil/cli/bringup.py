@@ -1,6 +1,5 @@
 """`hil bringup`."""
 
-import sys
 from pathlib import Path
 
 import click
@@ -18,7 +17,7 @@ from hil.cli.shared import FILE, configuration_argument, finish_briefly, load, l
     metavar="WORDS",
     help='With --rehearse: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
 )
-@click.option("--yes", is_flag=True, help="With --rehearse: agree to all steps.")
+@click.option("--yes", is_flag=True, help="Agree to all steps, on a bench only.")
 @click.option("--state", type=FILE, metavar="FILE", help="Where the answers are kept between runs.")
 @click.option("--again", is_flag=True, help="Measure everything again, whatever the state file holds.")
 @log_option
@@ -46,6 +45,7 @@ def command(
     Examples:
       hil bringup my.yaml                                             at the machine
       hil bringup virtual --rehearse                                  on an emulated bench
+      hil bringup virtual                                             beside `hil plant virtual --bench`
       hil bringup virtual --rehearse --yes --mistake "ids_swapped leg=1 other=4"
 
     \b
@@ -54,8 +54,10 @@ def command(
       1  a mistake was found, or it was ended; the checklist tells
       2  not begun: configuration, bus, state or log file; the message says what
     """
-    if (mistakes or yes) and not rehearse:
-        raise click.UsageError("--mistake and --yes are for a rehearsal: add --rehearse.")
+    if mistakes and not rehearse:
+        raise click.UsageError(
+            "--mistake is for a rehearsal: add --rehearse, or give it to `hil plant --bench`."
+        )
     loaded = load(configuration)
     from hil.app.bringup.command import run_bringup
 
@@ -66,13 +68,7 @@ def command(
         log=log,
         state=state,
         again=again,
-        agree=(lambda *_: True) if yes else _agree,
+        yes=yes,
         say=click.echo,
     )
     finish_briefly("bringup", summary, json_file)
-
-
-def _agree(title: str, will: str, stop: str) -> bool:
-    click.echo(f"  it {will}\n  to stop it: {stop}\n  Enter begins {title}, `no` ends")
-    line = sys.stdin.readline()
-    return line.strip() == "" and bool(line)

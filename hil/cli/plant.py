@@ -23,6 +23,16 @@ from hil.cli.shared import (
 @duration_option
 @log_option
 @fault_option
+@click.option(
+    "--bench", "with_bench", is_flag=True, help="Legs on trestles, for a rehearsal of `hil bringup`."
+)
+@click.option(
+    "--mistake",
+    "mistakes",
+    multiple=True,
+    metavar="WORDS",
+    help='With --bench: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
+)
 @click.option("--supervisor", type=int, hidden=True)
 @click.option("--report", type=int, hidden=True)
 @reporting
@@ -31,6 +41,8 @@ def command(
     duration: float | None,
     log: Path | None,
     faults: tuple[str, ...],
+    with_bench: bool,
+    mistakes: tuple[str, ...],
     json_file: Path | None,
     supervisor: int | None,
     report: int | None,
@@ -46,6 +58,7 @@ def command(
       hil plant lab --duration 60
       hil plant --fault "drive_silence leg=2 at=5 for=0.5"
       hil plant vcan50                      on a SocketCAN bus, for any controller
+      hil plant --bench --mistake "ids_swapped leg=1 other=4"   then, in another terminal: hil bringup
 
     The log goes to --log, else to runs/NAME-TIME-plant.mcap (recording.folder); `plant.log: false` in the
     configuration writes none.
@@ -60,6 +73,8 @@ def command(
     from hil.app.configuration.fault_words import with_faults
     from hil.app.plant import run_plant
 
+    if mistakes and not with_bench:
+        raise click.UsageError("--mistake wires the bench: add --bench.")
     loaded = with_faults(loaded, faults)
 
     def tell() -> None:
@@ -68,7 +83,15 @@ def command(
         else:
             click.echo("drives are on the bus; Ctrl-C ends", err=True)
 
-    summary = run_plant(loaded, log=log, duration_s=duration, supervisor=supervisor, ready=tell)
+    with contextlib.ExitStack() as stack:
+        bench = None
+        if with_bench:
+            from hil.app.bringup.hands import served_bench
+
+            bench = stack.enter_context(served_bench(loaded, mistakes))
+        summary = run_plant(
+            loaded, log=log, duration_s=duration, supervisor=supervisor, ready=tell, bench=bench
+        )
     if report is not None:
         with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
             os.write(report, json.dumps(summary).encode())

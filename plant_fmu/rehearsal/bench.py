@@ -75,12 +75,12 @@ class RehearsalBench:
                 gauge_N=0.02 * self._rated_N,
             )
         )
-        self._settings, self._emulation = settings, emulation
         self.drives_end = drives_end(protocol, wiring, settings)
-        self.nodes = Nodes(self.behind_cables(self._legs), self.drives_end, emulation, settings)
+        self.cables = self.behind_cables(self._legs)
+        self.nodes = Nodes(self.cables, self.drives_end, emulation, settings)
         self._chance = np.random.default_rng(seed)
 
-    def behind_cables(self, plant: Plant) -> Plant:
+    def behind_cables(self, plant: Plant) -> WiredPlant:
         """Return a plant as this wiring connects it; encoders are right at the middle of the stroke."""
         middle = 0.5 * (self.stand.length_min + self.stand.length_max)
         return WiredPlant(plant, self.wiring, np.full(LEGS, middle))
@@ -111,7 +111,9 @@ class RehearsalBench:
     def read_push(self, leg: int) -> float:
         """Read the hand's force gauge, N: what a free leg gave way at."""
         most = HAND_SHARE * self._rated_N
-        return min(self._legs.friction(leg), most) * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+        return min(self._legs.friction(leg), most) * (
+            1.0 + GAUGE_SHARE * float(self._chance.standard_normal())
+        )
 
     def let_go(self, leg: int) -> None:
         """Take the hand away."""

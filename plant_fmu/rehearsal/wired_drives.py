@@ -98,7 +98,9 @@ class WiredDrives:
             as_leg = self._wiring.answers_as[drive]
             values = (_moved(each, as_leg, drive) for each in (length, rate, force, state))
             code = None if fault is None else _moved(fault, as_leg, drive)
-            answers = self._protocol.feedbacks(sync._replace(legs=(as_leg,)), *values, code)
+            length_, rate_, force_, state_ = values
+            said = sync._replace(legs=(as_leg,))
+            answers = self._protocol.feedbacks(said, length_, rate_, force_, state_, code)
             frames += [(drive, frame) for leg, frame in answers if leg == as_leg]
         return frames
 

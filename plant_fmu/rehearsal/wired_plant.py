@@ -11,7 +11,7 @@ from plant_fmu.rehearsal.wiring import Wiring
 class WiredPlant:
     """Plant: forces and brakes of drives go to the legs that they are wired to, and encoders read theirs.
 
-    Mutable state: what frozen encoders read, from `reset` on; and the plant behind the cables.
+    Mutable state: the plant behind the cables, and what frozen encoders read, from `reset` on.
     """
 
     def __init__(self, plant: Plant, wiring: Wiring, origin: Array) -> None:
@@ -21,6 +21,11 @@ class WiredPlant:
         self._origin = origin
         self._frozen: Array | None = None
         self.internal_step_s = plant.internal_step_s
+
+    def exchange(self, plant: Plant) -> None:
+        """Connect the cables to another plant of the same step, which begins anew."""
+        self._plant = plant
+        plant.reset()
 
     def reset(self) -> tuple[Array, Array]:
         """Reset the plant; lengths (6,) m and rates (6,) m/s as the encoders read them."""

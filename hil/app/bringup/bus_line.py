@@ -39,7 +39,9 @@ class BusLine:
                 break
             frames += heard
         if self._bus.events().off:
-            raise BusError("the bus is down: the drives' watchdogs shut their brakes; look at cable and power")
+            raise BusError(
+                "the bus is down: the drives' watchdogs shut their brakes; look at cable and power"
+            )
         return Heard(began, tuple(frames))
 
     def send(self, frames: Sequence[Frame]) -> None:

@@ -42,7 +42,9 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             set_ms = 1e3 * c.machine.watchdog_s
             if until is None:
                 return f"no reaction, set {set_ms:g} ms"
-            return f"reacts {1e3 * (since or 0.0):.4g} to {1e3 * until:.4g} ms after silence, set {set_ms:g} ms"
+            return (
+                f"reacts {1e3 * (since or 0.0):.4g} to {1e3 * until:.4g} ms after silence, set {set_ms:g} ms"
+            )
         case "ids":
             return f"counted by drive {', '.join(map(str, fact['drives'])) or 'none'}"
         case "encoder":

@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, RunError
 from drivers.protocol import Frame, Received
 from drivers.tick_columns import Record, row_of
 from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.checklist import checklist
-from hil.app.bringup.found import found_text
+from hil.app.bringup.found import FIRST_M, found_text
+from hil.app.bringup.hands import RemoteHands, asked, hands_socket
 from hil.app.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.app.bringup.rehearsal import BenchHands, BenchLine, build_bench
 from hil.app.bringup.store import Store, identity
@@ -23,13 +25,16 @@ from hil.app.compose import attachments, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
 from hil.app.output import log_path
-from hil.bringup.context import Context, Operator, Refused
+from hil.app.run.command import run_daemon
+from hil.bringup.context import Context, Operator, RefusedError, Request
 from hil.bringup.drives import Drives
 from hil.bringup.line import Line
 from hil.bringup.procedure import Outcome, bring_up
 from hil.loop.clock import real_time
 from hil.record import Recording
 from plant_fmu.rehearsal.bench import RehearsalBench
+
+_MOUNT = "Fix the platform to its legs, take the levers off the brakes, keep the hoist slack, and stand clear"
 
 
 class Files(NamedTuple):
@@ -65,16 +70,20 @@ def run_bringup(
     log: Path | None = None,
     state: Path | None = None,
     again: bool = False,
-    agree: Callable[[str, str, str], bool] = lambda *_: True,
+    yes: bool = False,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Bring a machine up, or rehearse it with some mistakes (a list, maybe empty); return the summary.
 
-    `agree` is asked before each step of a rehearsal: title, what it will do, how to stop it. again: begin
-    anew, whatever the state file holds. Raises ConfigurationError, BusError, RunError before anything moves.
+    yes: agree to all steps, on a bench only. again: begin anew, whatever the state file holds.
+    Raises ConfigurationError, BusError, RunError before anything moves.
     """
     rehearsal = mistakes is not None
     words = tuple(mistakes or ())
+    if not rehearsal:
+        c.require("run")
+        if yes and not asked(hands_socket(c.bus.interface, c.bus.channel)):
+            raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
     files = files_of(configuration, c, state, rehearsal=rehearsal)
     if again:
         files.state.unlink(missing_ok=True)
@@ -86,14 +95,14 @@ def run_bringup(
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
     with _log(c, path, lockstep=rehearsal) as recording:
         said = _Said(say, recording)
-        outcome, context, bench, reason = _proceed(c, words, store, said, agree, rehearsal=rehearsal)
+        bench = build_bench(c, wiring_of(words)) if rehearsal else None
+        outcome, context, reason = _proceed(c, bench, store, said, yes=yes)
         text = found_text(c, context, outcome.findings)
         together: list[str] = []
         success = False
         if outcome.success and not reason:
-            found = loads(text, str(files.found), c.folder)
-            success, together = _release(found, bench, agree, said)
             write_whole(files.found, text)
+            success, together = _release(loads(text, str(files.found), c.folder), bench, said, yes=yes)
         elif outcome.findings:
             with contextlib.suppress(ConfigurationError):
                 loads(text, str(files.found), c.folder)
@@ -136,56 +145,75 @@ class _Said:
 
 def _proceed(
     c: Configuration,
-    words: Sequence[str],
+    bench: RehearsalBench | None,
     store: Store,
     said: _Said,
-    agree: Callable[[str, str, str], bool],
     *,
-    rehearsal: bool,
-) -> tuple[Outcome, Context, RehearsalBench | None, str]:
+    yes: bool,
+) -> tuple[Outcome, Context, str]:
+    """Do the steps on an open line; return how far they came, what is known, and why they were ended."""
     protocol, rate = build_protocol(c), bringup_rate(c)
     machine = build_machine(c, protocol)
     with contextlib.ExitStack() as stack:
-        bench = build_bench(c, wiring_of(words)) if rehearsal else None
+        terminal = Terminal(said)
+        agree = _agreed if yes else terminal.consent
         line: Line
-        operator: Operator
+        operator: Operator = terminal
         if bench is not None:
             line, operator = BenchLine(bench.nodes, rate), BenchHands(bench, known_poses(c), agree, said)
         else:
             bus = stack.enter_context(Bus.open(c.bus, role="controller"))
+            address = BusAddress(c.bus.interface, c.bus.channel)
+            if asked(hands_socket(*address)):
+                said("a rehearsal bench is served on this bus: its hands do what you are asked")
+                operator = stack.enter_context(contextlib.closing(RemoteHands(address, terminal, agree)))
             stack.enter_context(real_time(c.loop.priority, c.loop.cpu))
-            line, operator = BusLine(bus, rate), Terminal(said)
+            line = BusLine(bus, rate)
         drives = Drives(protocol, line, machine.watchdog_s, said.tick)
         context = Context(machine, drives, operator, store.facts, store.save)
         try:
-            return bring_up(context), context, bench, ""
-        except Refused as refusal:
-            return Outcome((), (), "ended"), context, bench, str(refusal)
+            outcome = bring_up(context)
+            if outcome.success and bench is None:
+                context.ask(Request("mount", text=_MOUNT))
+        except RefusedError as refusal:
+            return Outcome((), (), "ended"), context, str(refusal)
         except KeyboardInterrupt:
             why = "ended by Ctrl-C: forces zero, brakes shut; what was found is kept"
-            return Outcome((), (), "ended"), context, bench, why
+            return Outcome((), (), "ended"), context, why
+        return outcome, context, ""
 
 
 def _release(
     found: Configuration,
     bench: RehearsalBench | None,
-    agree: Callable[[str, str, str], bool],
     said: _Said,
+    *,
+    yes: bool,
 ) -> tuple[bool, list[str]]:
-    """Let all six legs move together in a rehearsal; at a machine that is the operator's, by `hil run`."""
-    if bench is None:
-        line = f"[ ] together: hil run {found.source}, first motion at reduced limits, Enter lets it move"
-        said(line)
-        return True, [line]
+    """Let all six legs move together, by the ordinary controller at the limits that were found."""
     said("together: six legs at reduced limits")
-    will = "lets the brakes carry the platform, opens all six, and moves it by 2 mm"
-    if not agree("six legs together", will, "Ctrl-C"):
-        return False, ["[ ] together: not agreed to"]
+    will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
+    try:
+        (_agreed if yes else Terminal(said).consent)("six legs together", will, "Ctrl-C parks, twice stops")
+    except RefusedError as refusal:
+        return False, [f"[ ] together: {refusal}"]
+    if bench is None:
+        summary = run_daemon(found, draw=False, arm=True)
+        lines = lines_of(summary["success"], summary["trouble"] or f"log {summary['log']}")
+        return _told(lines, said, success=summary["success"])
     ending = six_legs(found, bench)
-    lines = lines_of(ending)
+    return _told(lines_of(ending.success, ending.trouble), said, success=ending.success)
+
+
+def _agreed(*_: str) -> bool:
+    """Agree to a step of a rehearsal."""
+    return True
+
+
+def _told(lines: list[str], said: _Said, *, success: bool) -> tuple[bool, list[str]]:
     for line in lines:
         said(line)
-    return ending.success, lines
+    return success, lines
 
 
 def _head(c: Configuration, log: Path) -> list[str]:

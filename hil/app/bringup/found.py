@@ -1,4 +1,4 @@
-"""The configuration that a bring-up has found: a new text with a comment at each number that it vouches for."""
+"""The configuration that a bring-up has found, with a comment at each number that it vouches for."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,8 +24,8 @@ def found_text(c: Configuration, context: Context, findings: Sequence[Finding]) 
     changes, comments = _changes(c, context, findings)
     text = with_changes(c.text, changes)
     head = [
-        f"# {c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs: raise them as",
-        "# trust grows. Comments of the given file are not repeated.",
+        f"# {c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs:",
+        "# raise them as trust grows. Comments of the given file are not repeated.",
     ]
     if findings:
         head.append("# NOT RELEASED: mend what follows, and give this file to `hil bringup` again.")
@@ -98,7 +98,10 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
                 offset[leg] += _shift(fact, gear, leg)
             elif finding.name == "offset":
                 offset[leg] -= fact["offset_m"]
-    changes: dict[str, Any] = {"sign": [int(s) for s in sign], "offset_m": [round(float(x), 5) for x in offset]}
+    changes: dict[str, Any] = {
+        "sign": [int(s) for s in sign],
+        "offset_m": [round(float(x), 5) for x in offset],
+    }
     if not np.array_equal(lead, gear.lead_m):
         key, share = ("lead_m", 1.0) if settings.lead_m is not None else ("pulley_radius_m", 0.5 / np.pi)
         changes[key] = [float(f"{share * x:.6g}") for x in lead]
@@ -107,9 +110,9 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
 
 def _shift(fact: Mapping[str, Any], gear: Transmission, leg: int) -> float:
     """Return what the zero moves by as the reading about the middle of the stroke is scaled right, m."""
-    middle = 0.5 * sum(fact["tape_m"])
+    middle = 0.5 * float(sum(fact["tape_m"]))
     at_zero = float(gear.offset_m[leg])
-    true_at_zero = middle + (at_zero - middle - fact["offset_m"]) / fact["scale"]
+    true_at_zero = middle + (at_zero - middle - float(fact["offset_m"])) / float(fact["scale"])
     return true_at_zero - at_zero
 
 
@@ -129,7 +132,9 @@ def _strokes(context: Context) -> list[str]:
     lines.append("encoders, m a m by tape: " + ", ".join(f"{s:.4f}" for s in scales))
     force = gains(context)
     if force:
-        lines.append("forces, N a commanded N by gauge: " + ", ".join(f"{force[d]:.3f}" for d in sorted(force)))
+        lines.append(
+            "forces, N a commanded N by gauge: " + ", ".join(f"{force[d]:.3f}" for d in sorted(force))
+        )
     hands = [context.known("opens", leg) for leg in range(LEGS)]
     known = [f"{fact['hand_N']:.3g}" for fact in hands if fact is not None and fact["hand_N"] is not None]
     return [*lines, "friction by hand, N: " + ", ".join(known)] if known else lines

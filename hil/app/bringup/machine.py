@@ -41,7 +41,9 @@ def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
     platform = build_platform(c.platform)
     poses = known_poses(c)
     joints = [
-        np.linalg.norm((p + platform.platform_joints @ R.T)[None, :, :] - platform.base_joints[:, None, :], axis=2)
+        np.linalg.norm(
+            (p + platform.platform_joints @ R.T)[None, :, :] - platform.base_joints[:, None, :], axis=2
+        )
         for p, R in poses
     ]
     return Machine(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.errors import PlantError
 from drivers.protocol import Frame, Received
 from hil.app.bringup.machine import known_poses
 from hil.app.compose import build_protocol
@@ -30,10 +31,13 @@ def build_bench(c: Configuration, wiring: Wiring, seed: int = 1) -> RehearsalBen
     platform = build_platform(c.platform)
     model = None if c.plant is None else c.plant.model
     stand = Stand(
-        mass_kg=float(platform.rod.mass) + (model.reflected_mass_kg if isinstance(model, StewartPlant) else 0.0),
+        mass_kg=float(platform.rod.mass)
+        + (model.reflected_mass_kg if isinstance(model, StewartPlant) else 0.0),
         # a leg without load has half of its friction
         friction_N=0.5 * model.coulomb_friction_N if isinstance(model, StewartPlant) else 0.0,
-        brake_N=model.brake_force_N if isinstance(model, StewartPlant) else BRAKE_SHARE * c.drives.force_limit_N,
+        brake_N=model.brake_force_N
+        if isinstance(model, StewartPlant)
+        else BRAKE_SHARE * c.drives.force_limit_N,
         length_min=c.platform.length_min_m,
         length_max=c.platform.length_max_m,
         base_joints=platform.base_joints,
@@ -72,6 +76,10 @@ class BenchLine:
         self._pending += [Received(t, frame) for t, frame in sent]
 
 
+def _not_mounted() -> Plant:
+    raise PlantError("rehearsal: this bench has no platform to mount")
+
+
 class BenchHands:
     """The operator of a rehearsal: the bench's own truth, measured by tape and gauge.
 
@@ -84,8 +92,9 @@ class BenchHands:
         poses: Sequence[tuple[Array, Array]],
         agree: Callable[[str, str, str], bool] = lambda *_: True,
         say: Callable[[str], None] = lambda _: None,
+        mounted: Callable[[], Plant] = _not_mounted,
     ) -> None:
-        self._bench, self._poses = bench, poses
+        self._bench, self._poses, self._mounted = bench, poses, mounted
         self._agree, self._say = agree, say
         self._answer: float | None = None
 
@@ -122,6 +131,8 @@ class BenchHands:
                 self._answer = bench.read_gauge()
             case "hang":
                 bench.hang(*self._poses[round(request.value)])
+            case "mount":
+                bench.cables.exchange(self._mounted())
         if request.text:
             self._say(f"    {request.text}: {'done' if self._answer == 0.0 else f'{self._answer:.4f}'}")
 
@@ -131,19 +142,16 @@ class BenchHands:
         return answer
 
 
-def mounted_nodes(c: Configuration, bench: RehearsalBench) -> tuple[Nodes, Plant]:
-    """Return the bench's drives and cables before the platform on its legs, at home, and what to close.
-
-    Raises PlantError.
-    """
+def mounted(c: Configuration, wiring: Wiring) -> Plant:
+    """Return the platform on its legs as they are mounted, at home. Raises PlantError."""
     assert c.plant is not None
     model = c.plant.model
     if not isinstance(model, StewartPlant):
         model = StewartPlant(type="stewart")
     robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
-    joints = np.array(robot["base_joints"])[list(bench.wiring.base_joint)]
+    joints = np.array(robot["base_joints"])[list(wiring.base_joint)]
     p, R = known_poses(c)[0]
-    plant = stewart_plant(
+    return stewart_plant(
         model,
         Robot(
             robot | {"base_joints": joints.tolist()},
@@ -153,4 +161,3 @@ def mounted_nodes(c: Configuration, bench: RehearsalBench) -> tuple[Nodes, Plant
             R0=R,
         ),
     )
-    return Nodes(bench.behind_cables(plant), bench.drives_end, c.plant.drives, c.drives), plant

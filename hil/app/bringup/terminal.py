@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import TextIO
 
-from hil.bringup.context import Refused, Request
+from hil.bringup.context import RefusedError, Request
 
 READINGS = frozenset({"measure", "read_gauge", "read_push"})
 
@@ -35,7 +35,7 @@ class Terminal:
         self._write(f"    {request.text}; {how}")
 
     def answer(self) -> float | None:
-        """Return the number typed, 0 for Enter; None as long as there is no line. Raises Refused."""
+        """Return the number typed, 0 for Enter; None as long as there is no line. Raises RefusedError."""
         if not select.select([self._source], [], [], 0.0)[0]:
             return None
         assert self._open is not None
@@ -55,5 +55,5 @@ class Terminal:
         line = self._source.readline()
         typed = line.strip().lower()
         if not line or typed in ("no", "n", "q", "quit"):
-            raise Refused("ended by the operator; what was found is kept")
+            raise RefusedError("ended by the operator; what was found is kept")
         return typed

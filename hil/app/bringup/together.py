@@ -1,11 +1,11 @@
 """The last step of a rehearsal: all six legs under the ordinary controller, at reduced limits."""
 
-from drivers.signals import Mode
-from hil.app.bringup.rehearsal import mounted_nodes
+from hil.app.bringup.rehearsal import mounted
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import build_lockstep
 from hil.loop.run_end import Ending
+from plant_fmu.drives.nodes import Nodes
 from plant_fmu.rehearsal.bench import RehearsalBench
 
 
@@ -16,17 +16,19 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     Raises PlantError.
     """
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
-    nodes, plant = mounted_nodes(c, bench)
+    assert c.plant is not None
+    plant = mounted(c, bench.wiring)
     try:
+        nodes = Nodes(bench.behind_cables(plant), bench.drives_end, c.plant.drives, c.drives)
         lockstep = build_lockstep(c, cycle, nodes)
         return lockstep.run(None, lambda *_: None)
     finally:
         plant.close()
 
 
-def lines_of(ending: Ending) -> list[str]:
-    """Return how the six legs ran, as lines of the checklist."""
-    done = ending.mode is Mode.PARKED and ending.success
-    mark = "x" if done else "!"
-    figures = "brakes carried the platform, first motion done, parked" if done else ending.trouble
+def lines_of(success: bool, words: str) -> list[str]:
+    """Return how the six legs ran, as lines of the checklist; `words`: what else is to be said of it."""
+    mark = "x" if success else "!"
+    done = "brakes carried the platform, first motion done, parked" if success else "ended early"
+    figures = f"{done}: {words}" if words else done
     return [f"[{mark}] together: six legs at reduced limits", f"      {figures}"]

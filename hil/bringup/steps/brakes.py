@@ -78,7 +78,9 @@ def judge(c: Context) -> list[Finding]:
         mend = f"Write drives.node_ids: {order}, or give the drives the numbers of their legs."
         found.append(Finding("ids", tuple(sorted(exchanged)), text, mend))
     if crossed:
-        text = "; ".join(f"drive {d} counts leg {j}, its brake is that of leg {d}" for d, j in crossed.items())
+        text = "; ".join(
+            f"drive {d} counts leg {j}, its brake is that of leg {d}" for d, j in crossed.items()
+        )
         mend = "Exchange these drives' encoder cables."
         found.append(Finding("encoder_crossed", tuple(sorted(crossed)), text, mend))
     stuck = [d for d in range(LEGS) if not opens[d]]

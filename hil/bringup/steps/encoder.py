@@ -85,7 +85,7 @@ def _stroke(c: Context, short: list[tuple[int, float]]) -> list[Finding]:
     if len(short) == LEGS:
         low = max(c.known("encoder", leg)["tape_m"][0] for leg in range(LEGS))
         high = min(c.known("encoder", leg)["tape_m"][1] for leg in range(LEGS))
-        text = f"all legs end at {low:.4f} and {high:.4f} m, configured are {m.length_min:g} and {m.length_max:g}"
+        text = f"all end at {low:.4f} and {high:.4f} m, configured are {m.length_min:g} and {m.length_max:g}"
         mend = "Write the stroke into platform.length_min_m and platform.length_max_m."
         return [Finding("stroke", tuple(range(LEGS)), text, mend)]
     found = []

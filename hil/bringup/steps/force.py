@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.arrays import Array
 from drivers.signals import LEGS, DriveMode
-from hil.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, Stopped
+from hil.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, StoppedError
 from hil.bringup.step import Step
 
 RAMP_S = 0.8
@@ -52,14 +52,14 @@ def _ramp(c: Context, drive: int, sign: float, origin: Array) -> dict[str, Any]:
 def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, float]:
     """Return which leg has moved most since `before`, and by how much.
 
-    Raises Stopped where a leg is further than TRAVEL_M from `origin`.
+    Raises StoppedError where a leg is further than TRAVEL_M from `origin`.
     """
     away = c.travelled(origin)
     leg = max(away, key=lambda k: abs(away[k]))
     if abs(away[leg]) > TRAVEL_M:
         c.drives.off()
         text = f"leg {leg} went {1e3 * away[leg]:+.2f} mm under drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
-        raise Stopped(Finding("runaway", (drive,), text, "Look at force scale, brake and load of this leg."))
+        raise StoppedError(Finding("runaway", (drive,), text, "Look at force scale, brake and load of it."))
     moves = c.travelled(before)
     most = max(moves, key=lambda k: abs(moves[k]))
     return most, moves[most]
@@ -72,7 +72,7 @@ def breakaway(fact: dict[str, Any]) -> float | None:
 
 
 def judge(c: Context) -> list[Finding]:
-    """Name forces of the wrong sign and legs that do not move; `friction` has the figures of those that do."""
+    """Name forces of the wrong sign, and legs that do not move by their drives."""
     found, still = [], []
     for drive in range(LEGS):
         fact = c.known("force", drive)
@@ -97,7 +97,9 @@ def judge(c: Context) -> list[Finding]:
         found.append(Finding("motor_crossed", tuple(weak), text, mend))
     elif weak:
         text = f"it does not move with {limit}, but by hand"
-        found.append(Finding("no_force", tuple(weak), text, "Look at the motor's cable and the drive's scale."))
+        found.append(
+            Finding("no_force", tuple(weak), text, "Look at the motor's cable and the drive's scale.")
+        )
     return found
 
 

@@ -1,5 +1,7 @@
 """Scale of each force, by a force gauge, and what follows from all that was measured leg by leg."""
 
+from functools import partial
+
 import numpy as np
 
 from drivers.signals import LEGS, DriveMode
@@ -39,7 +41,7 @@ def find(c: Context) -> None:
                     c.drives.step(DriveMode.RUN, drive, force)
                     guard(c, drive, origin, origin)
                 ask = Request("read_gauge", leg, 0.0, f"Read the gauge at leg {leg}, N, > 0 pushing")
-                read = c.ask(ask, lambda f=force, d=drive: c.drives.step(DriveMode.RUN, d, f))
+                read = c.ask(ask, partial(c.drives.step, DriveMode.RUN, drive, force))
                 pairs.append([force, read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})

@@ -15,7 +15,7 @@ def find(c: Context) -> None:
     """Have the platform hung at the known poses and read the legs, all drives off."""
     for pose in range(len(c.machine.pose_lengths)):
         if c.facts.get("mounted", {}).get(str(pose)) is None:
-            text = f"Mount the legs and hang the platform at known pose {pose} of the guide, levers on the brakes"
+            text = f"Mount the legs, levers on the brakes, and hang the platform at known pose {pose}"
             c.ask(Request("hang", -1, float(pose), text))
             c.rest(0.02)
             c.keep("mounted", pose, {"q_m": c.lengths().tolist()})
@@ -35,7 +35,9 @@ def judge(c: Context) -> list[Finding]:
             text += ", and fits no pair of joints"
         else:
             text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
-        found.append(Finding("mounted_elsewhere", (leg,), text, "Mount it at its joints, or mend the geometry."))
+        found.append(
+            Finding("mounted_elsewhere", (leg,), text, "Mount it at its joints, or mend the geometry.")
+        )
     return found
 
 

@@ -80,7 +80,9 @@ def _silent(c: Context, leg: int, bus: dict[str, object]) -> Finding:
         return Finding("wrong_protocol", (leg,), text, "Compare bus.layout and the version of the protocol.")
     if strange:
         names = ", ".join(f"{identifier:#x}" for identifier in strange)
-        text = f"node {node} does not answer; identifiers of no drive of {c.machine.protocol} are heard: {names}"
+        text = (
+            f"node {node} does not answer; identifiers of no drive of {c.machine.protocol} are heard: {names}"
+        )
         return Finding("absent", (leg,), text, "Look which device sends them, and at its node number.")
     text = f"node {node} does not answer"
     return Finding("absent", (leg,), text, "Look at its power, its cable, its bit rate and its node number.")

@@ -49,11 +49,12 @@ def _wait_s(c: Context) -> float:
 
 
 def _before(until_s: float | None, period: float) -> float | None:
-    return None if until_s is None else max(0.0, until_s - period)
+    """Return the least time that it can have been: a command goes late in its tick."""
+    return None if until_s is None else max(0.0, until_s - 2.0 * period)
 
 
 def _find_polled(c: Context) -> None:
-    """Polls feed the watchdog and tell of it: each drive alone is asked once before and once after its time.
+    """Ask each drive alone once before and once after its time: polls feed the watchdog, and tell of it.
 
     These drives have no state between off and enabled, so the brake of a leg on its trestle opens meanwhile.
     """
@@ -83,6 +84,7 @@ def judge(c: Context) -> list[Finding]:
     found = []
     wait, period = c.machine.watchdog_s, 1.0 / c.drives.line.rate_Hz
     polled = c.drives.protocol.command_delay_ticks > 0
+    waited = LATE * wait if polled else _wait_s(c)
     for leg in range(LEGS):
         fact = c.known("watchdog", leg)
         until = fact["until_s"]
@@ -91,7 +93,7 @@ def judge(c: Context) -> list[Finding]:
             mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
             found.append(Finding("not_powered", (leg,), text, mend))
         elif until is None:
-            text = f"it is still powered after {1e3 * (LATE * wait if polled else _wait_s(c)):g} ms of silence, set were {1e3 * wait:g} ms"
+            text = f"it is still powered after {1e3 * waited:g} ms of silence, set were {1e3 * wait:g} ms"
             mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
             found.append(Finding("watchdog_missing", (leg,), text, mend))
         elif until > LATE * wait + 3.0 * period:

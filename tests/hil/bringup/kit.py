@@ -1,0 +1,91 @@
+"""Rehearsals in process, with an eye on what the plant is made to do."""
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from drivers.arrays import Array
+from hil.app.bringup.machine import bringup_rate, build_machine, known_poses
+from hil.app.bringup.rehearsal import BenchHands, BenchLine, build_bench
+from hil.app.compose import build_protocol
+from hil.app.configuration.configuration import Configuration, load
+from hil.bringup.context import Context, Request
+from hil.bringup.drives import Drives
+from hil.bringup.procedure import STEPS, Outcome, bring_up
+from hil.bringup.step import Step
+from plant_fmu.rehearsal.bench import RehearsalBench
+from plant_fmu.rehearsal.wiring import Wiring
+
+configuration = cache(load)
+
+
+@dataclass
+class Watched:
+    """What the drives did to the cables, as the plant's end saw it."""
+
+    most_open: int = 0
+    most_force_N: float = 0.0
+    most_travel_m: float = 0.0
+    """Of a leg in one opening of a brake, while no hand was on it."""
+    _origin: Array = field(default_factory=lambda: np.zeros(6))
+    _open: bool = False
+
+    def look(self, bench: RehearsalBench, force: Array, brake: Array) -> None:
+        free, legs = int((brake == 0.0).sum()), np.array([bench.length(leg) for leg in range(6)])
+        self.most_open = max(self.most_open, free)
+        if free:
+            self.most_force_N = max(self.most_force_N, float(np.abs(force).max()))
+            if not self._open or bench._legs._hand.any():
+                self._origin = legs
+            self.most_travel_m = max(self.most_travel_m, float(np.abs(legs - self._origin).max()))
+        self._open = free > 0
+
+
+class Hands(BenchHands):
+    """The bench's hands, which count what they are asked, and may raise at some request."""
+
+    def __init__(self, bench: RehearsalBench, c: Configuration, stop_at: int = -1) -> None:
+        super().__init__(bench, known_poses(c))
+        self.requests: list[Request] = []
+        self._stop_at = stop_at
+        self.agrees = True
+
+    def consent(self, *_: str) -> bool:
+        return self.agrees
+
+    def ask(self, request: Request) -> None:
+        self.requests.append(request)
+        if len(self.requests) == self._stop_at:
+            raise KeyboardInterrupt
+        super().ask(request)
+
+
+class Rehearsal:
+    """One bring-up against one wiring."""
+
+    def __init__(self, name: str, wiring: Wiring, *, seed: int = 1, stop_at: int = -1, facts=None) -> None:
+        self.c = c = configuration(name)
+        self.bench = bench = build_bench(c, wiring, seed)
+        self.watched = Watched()
+        step = bench.cables.step
+
+        def watch(force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+            result = step(force, brake, wrench, dt_s)
+            self.watched.look(bench, force, brake)
+            return result
+
+        bench.cables.step = watch  # type: ignore[method-assign]
+        self.hands = Hands(bench, c, stop_at)
+        protocol = build_protocol(c)
+        self.machine = build_machine(c, protocol)
+        self.drives = Drives(protocol, BenchLine(bench.nodes, bringup_rate(c)), self.machine.watchdog_s)
+        self.context = Context(self.machine, self.drives, self.hands, {} if facts is None else facts)
+
+    def run(self, steps: tuple[Step, ...] = STEPS) -> Outcome:
+        return bring_up(self.context, steps)
+
+
+def named(outcome: Outcome) -> set[tuple[str, tuple[int, ...]]]:
+    """Return names and legs of the findings."""
+    return {(finding.name, tuple(sorted(finding.legs))) for finding in outcome.findings}

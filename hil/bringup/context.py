@@ -98,8 +98,8 @@ class Machine:
 
     @property
     def force_N(self) -> float:
-        """Most force of any step."""
-        return FORCE_SHARE * self.rated_N
+        """Most force at the leg of any step: before the losses it is FORCE_SHARE of the rated one."""
+        return FORCE_SHARE * self.rated_N * (1.0 - self.losses)
 
 
 class RefusedError(HilError):

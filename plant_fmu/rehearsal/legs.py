@@ -14,7 +14,7 @@ from drivers.signals import LEGS
 from plant_fmu.bench import advance
 from plant_fmu.plant import Truth, whole_steps
 
-GAUGE_YIELD_M = 2e-4
+GAUGE_YIELD_M = 5e-5
 """How far a gauge gives way under `LegBench.gauge_N`."""
 HAND_M = 3e-3
 """A hand follows a leg that gives way so far."""

@@ -12,7 +12,7 @@ from hil.bringup.steps.force import breakaway, guard
 
 LEVELS = (0.4, 0.6, 0.8, 1.0)
 """Of the most force of a step."""
-RAMP_S, HOLD_S = 0.1, 0.06
+RAMP_S, HOLD_S = 0.12, 0.06
 BEYOND = 1.15
 """Levels beyond so many times the breakaway force count."""
 WITHIN = 0.06

@@ -75,7 +75,8 @@ def test_a_mistake_is_named_with_its_legs(name, case):
     outcome = rehearsal.run()
     assert named(outcome) == expected
     assert rehearsal.watched.most_open <= 1
-    assert rehearsal.watched.most_force_N <= 0.02 * rehearsal.machine.rated_N * 1.001
+    # mit truncates: one code of torque is 0.24 N of leg force on this machine
+    assert rehearsal.watched.most_force_N <= 0.02 * rehearsal.machine.rated_N + 0.25
     assert all(finding.mend for finding in outcome.findings)
 
 

@@ -1,0 +1,150 @@
+"""What a bring-up writes and reads: state, found configuration, checklist, words, the terminal."""
+
+import io
+import json
+import os
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError, RunError
+from hil.app.bringup.checklist import checklist
+from hil.app.bringup.command import files_of
+from hil.app.bringup.found import commented, found_text
+from hil.app.bringup.store import Store, identity
+from hil.app.bringup.terminal import Terminal
+from hil.app.bringup.words import mistake_of, wiring_of
+from hil.app.configuration.configuration import load, loads
+from hil.bringup.context import Finding, RefusedError, Request
+from hil.bringup.steps import encoder, ids, scan, silence
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.hil.bringup.kit import Rehearsal
+
+FIRST = (scan.STEP, silence.STEP, ids.STEP, encoder.STEP)
+
+
+def test_another_node_number_is_other_hardware_and_nothing_is_kept(tmp_path):
+    c = load("virtual")
+    path = tmp_path / "state.json"
+    store = Store(path, identity(c, ()))
+    store.facts["scan"] = {"0": {"answers": 1.0}}
+    store.save()
+    assert Store(path, identity(c, ())).facts == {"scan": {"0": {"answers": 1.0}}}
+    other = loads(c.text.replace("node_ids: [1, 2,", "node_ids: [2, 1,"), "x", c.folder)
+    assert other.drives.node_ids[:2] == [2, 1]
+    again = Store(path, identity(other, ()))
+    assert (again.facts, again.changed) == ({}, "node numbers")
+
+
+def test_what_is_to_be_mended_is_measured_again_and_the_rest_is_kept(tmp_path):
+    store = Store(tmp_path / "s.json", {})
+    for step in ("ids", "encoder", "opens", "mounted"):
+        store.facts[step] = {str(leg): {} for leg in range(6)}
+    store.forget([Finding("encoder_sign", (3,), "", "")])
+    facts = json.loads((tmp_path / "s.json").read_text())["facts"]
+    assert sorted(facts["encoder"]) == ["0", "1", "2", "4", "5"]
+    assert "mounted" not in facts
+
+
+def test_a_file_that_is_no_state_is_refused(tmp_path):
+    path = tmp_path / "s.json"
+    path.write_text("{}")
+    with pytest.raises(RunError, match="no state of a bring-up"):
+        Store(path, {})
+
+
+def test_no_file_is_written_over(tmp_path):
+    given = tmp_path / "my.yaml"
+    given.write_text("")
+    c = load("virtual")
+    first = files_of(str(given), c, None, rehearsal=False)
+    assert first.found == tmp_path / "my.bringup.yaml"
+    first.checklist.write_text("x")
+    assert files_of(str(given), c, None, rehearsal=False).found == tmp_path / "my.bringup-2.yaml"
+
+
+def test_the_found_configuration_loads_with_comments_and_reduced_limits():
+    rehearsal = Rehearsal("virtual", Wiring())
+    outcome = rehearsal.run(FIRST)
+    text = found_text(rehearsal.c, rehearsal.context, outcome.findings)
+    found = loads(text, "found", rehearsal.c.folder)
+    assert found.limits.speed_m_s == 0.5
+    assert "# proven by silence: 12 ms at the latest" in text
+    assert "NOT RELEASED" not in text
+    assert found.platform == rehearsal.c.platform
+
+
+def test_a_wrong_lead_a_reversed_drive_and_a_zero_are_found_for_motors():
+    """The encoder then reads what the tape does: q = offset + sign lead n."""
+    wiring = wired(
+        Mistake("wrong_lead", 1, value=1.25), Mistake("drive_reversed", 2), Mistake("offset", 4, value=5e-3)
+    )
+    rehearsal = Rehearsal("desktop", wiring)
+    outcome = rehearsal.run(FIRST)
+    assert {f.name for f in outcome.findings} == {"encoder_scale", "encoder_sign", "offset"}
+    findings = [
+        Finding("wrong_lead", (1,), "", ""),
+        Finding("drive_reversed", (2,), "", ""),
+        *[f for f in outcome.findings if f.name == "offset"],
+    ]
+    found = loads(found_text(rehearsal.c, rehearsal.context, findings), "found", rehearsal.c.folder)
+    gear, was = found.drives.transmission, rehearsal.c.drives.transmission
+    assert gear.sign == [1, -1, -1, -1, 1, -1]
+    assert gear.pulley_radius_m == pytest.approx([0.02, 0.016, 0.02, 0.02, 0.02, 0.02], rel=5e-3)
+    # the bench's encoders are right at the middle of the stroke, 0.325 m, where the offset is; but leg 4
+    assert was.offset_m == 0.325
+    assert np.array(gear.offset_m) - 0.325 == pytest.approx([0, 0, 0, 0, -5e-3, 0], abs=1e-3)
+
+
+def test_comments_stand_above_their_keys():
+    text = commented("a:\n  x: 1\nb:\n  x: 2\n", {("b", "x"): ["measured"]})
+    assert text == "a:\n  x: 1\nb:\n  # measured\n  x: 2\n"
+
+
+def test_the_checklist_marks_what_passed_and_what_was_found():
+    rehearsal = Rehearsal("virtual", wired(Mistake("encoder_sign", 3)))
+    outcome = rehearsal.run(FIRST)
+    lines = checklist(rehearsal.context, outcome, ["[ ] together"])
+    assert "[x] scan: who answers on the bus" in lines
+    assert "[!] encoder: encoders and strokes, by tape" in lines
+    assert "[ ] force: forces and friction, one leg at a time" in lines
+    assert any(line.startswith("    ! encoder_sign: leg 3: ") for line in lines)
+    assert sum("leg" in line and "reads -" in line for line in lines) == 1
+
+
+def test_words_of_mistakes():
+    assert mistake_of("encoder_scale leg=2 value=1.01") == Mistake("encoder_scale", 2, value=1.01)
+    assert wiring_of(["ids_swapped leg=1 other=4"]).motor == (0, 4, 2, 3, 1, 5)
+    for words in (
+        "nonsense leg=1",
+        "offset leg=x",
+        "offset of=1",
+        "ids_swapped leg=1 other=1",
+        "offset leg=6",
+    ):
+        with pytest.raises(ConfigurationError, match="--mistake"):
+            wiring_of([words])
+
+
+def test_the_terminal_takes_numbers_asks_again_and_ends():
+    reading, writing = os.pipe()
+    said: list[str] = []
+    with os.fdopen(reading) as source:
+        terminal = Terminal(said.append, source)
+        terminal.ask(Request("measure", 1, 0.0, "Measure leg 1"))
+        assert terminal.answer() is None
+        os.write(writing, b"1.2x\n")
+        assert terminal.answer() is None
+        assert "is no number" in said[-1]
+        os.write(writing, b"1.25\n")
+        assert terminal.answer() == 1.25
+        terminal.ask(Request("push", 1, 0.0, "Push"))
+        os.write(writing, b"no\n")
+        with pytest.raises(RefusedError):
+            terminal.answer()
+        os.close(writing)
+
+
+def test_a_closed_terminal_is_no_consent():
+    with pytest.raises(RefusedError):
+        Terminal(lambda _: None, io.StringIO("")).consent("step", "does", "Ctrl-C")

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import HilError
-from drivers.signals import LEGS, DriveMode
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from hil.bringup.drives import Drives
 
 FORCE_SHARE = 0.02
@@ -169,6 +169,18 @@ class Context:
             yield
         finally:
             self.drives.off(self.machine.brake_shut_s)
+
+    def drive(self, drive: int, force: float = 0.0) -> None:
+        """Command one tick of a drive whose brake is open, N. Raises StoppedError where it has lost power."""
+        record = self.drives.step(DriveMode.RUN, drive, force)
+        state = DriveState(int(record["drive_state"][drive]))
+        if state is not DriveState.RUN:
+            why = (
+                DriveFault(int(record["drive_fault"][drive])).name if record["drive_fault"][drive] < 6 else ""
+            )
+            text = f"the drive has gone from RUN to {state.name} {why}".rstrip()
+            mend = "Look at the drive's fault; WATCHDOG: this machine stalled, or the bus did. Try again."
+            raise StoppedError(Finding("lost_power", (drive,), text, mend))
 
     def reads(self) -> dict[int, tuple[int, float]]:
         """Return for each drive whose encoder is known the leg that it counts, and m of reading a m."""

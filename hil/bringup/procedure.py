@@ -22,7 +22,7 @@ STEPS: tuple[Step, ...] = (
 """In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
 
 
-ENDS = frozenset({"runaway", "not_powered"})
+ENDS = frozenset({"runaway", "not_powered", "lost_power"})
 """Findings after which nothing more is tried."""
 
 
@@ -62,10 +62,12 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
         if findings and step.gate:
             return _outcome(passed, findings, step.name)
         c.operator.tell(f"{step.name}: {step.title}")
-        if not c.operator.consent(step.title, step.will, step.stop):
+        known = step.kept and step.name in c.facts.get("passed", {})
+        if not known and not c.operator.consent(step.title, step.will, step.stop):
             raise RefusedError(f"ended before step {step.name}; what was found is kept")
         try:
-            step.find(c)
+            if not known:
+                step.find(c)
             found = step.judge(c)
         except StoppedError as stop:
             found = [stop.finding]
@@ -76,7 +78,8 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
             return _outcome(passed, findings, step.name)
         if not found:
             passed.append(step.name)
-            c.operator.tell("  passed")
+            c.keep("passed", step.name, fact=True)
+            c.operator.tell("  passed before" if known else "  passed")
     return _outcome(passed, findings, "")
 
 

@@ -19,5 +19,7 @@ class Step(NamedTuple):
     """Finds the facts that are not known yet. Raises StoppedError."""
     judge: Callable[[Context], list[Finding]]
     """Names what is wrong by the facts."""
+    kept: bool = True
+    """Once passed it is not done again for the same hardware."""
     gate: bool = True
     """A finding ends the bring-up here; else the next steps still look for its cause."""

@@ -14,7 +14,7 @@ def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str
     done = set(outcome.passed)
     for step in STEPS:
         figures = _figures(c, step.name)
-        mark = "x" if step.name in done else "!" if figures else " "
+        mark = "x" if step.name in done else "!" if figures and outcome.findings else " "
         lines.append(f"[{mark}] {step.name}: {step.title}")
         lines += [f"      {line}" for line in figures]
     lines += [f"    ! {finding.line}" for finding in outcome.findings]

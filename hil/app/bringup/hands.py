@@ -35,21 +35,20 @@ def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
 
     Raises ConfigurationError for mistakes that are none, RunError where somebody else serves them.
     """
+    path = hands_socket(c.bus.interface, c.bus.channel)
+    if asked(path):
+        raise RunError(f"{path}: another bench is served on this bus; end it first")
     bench = build_bench(c, wiring_of(mistakes))
     platform = mounted(c, bench.wiring)
     hands = BenchHands(bench, known_poses(c), mounted=lambda: platform)
-    path = hands_socket(c.bus.interface, c.bus.channel)
-    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as door:
+    with contextlib.ExitStack() as stack:
+        stack.callback(platform.close)
+        door = stack.enter_context(contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)))
         door.setblocking(False)
-        if path.exists() and asked(path):
-            raise RunError(f"{path}: another bench is served on this bus; end it first")
         path.unlink(missing_ok=True)
         door.bind(str(path))
-        try:
-            yield Bench(bench.nodes, bench.cables, lambda: _serve(door, hands))
-        finally:
-            path.unlink(missing_ok=True)
-            platform.close()
+        stack.callback(path.unlink, missing_ok=True)
+        yield Bench(bench.nodes, bench.cables, lambda: _serve(door, hands))
 
 
 def asked(path: Path) -> bool:

@@ -58,6 +58,7 @@ class Store:
                 for step in _BY_LEG:
                     self.facts.get(step, {}).pop(str(leg), None)
             self.facts.pop("mounted", None)
+            self.facts.pop("passed", None)
         self.save()
 
 

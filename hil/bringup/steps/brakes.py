@@ -8,7 +8,7 @@ from functools import partial
 from statistics import median
 from typing import Any
 
-from drivers.signals import LEGS, DriveMode
+from drivers.signals import LEGS
 from hil.bringup.context import TRAVEL_M, Context, Finding, Request
 from hil.bringup.step import Step
 
@@ -35,7 +35,7 @@ def find(c: Context) -> None:
         fact: dict[str, Any] = {"legs": [], "hand_N": None}
         with c.opened(drive):
             for leg in likely:
-                moved, hand_N = gives_way(c, leg, partial(c.drives.step, DriveMode.RUN, drive), "open")
+                moved, hand_N = gives_way(c, leg, partial(c.drive, drive), "open")
                 if moved:
                     fact = {"legs": [leg], "hand_N": hand_N}
                     break

@@ -7,7 +7,7 @@ leg that has gone TRAVEL_M is a runaway.
 from typing import Any
 
 from drivers.arrays import Array
-from drivers.signals import LEGS, DriveMode
+from drivers.signals import LEGS
 from hil.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, StoppedError
 from hil.bringup.step import Step
 
@@ -38,13 +38,13 @@ def _ramp(c: Context, drive: int, sign: float, origin: Array) -> dict[str, Any]:
     found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
     for n in range(1, ticks + 1):
         force = sign * c.machine.force_N * n / ticks
-        c.drives.step(DriveMode.RUN, drive, force)
+        c.drive(drive, force)
         leg, by_m = guard(c, drive, before, origin)
         if abs(by_m) > MOVED_M:
             found = {"force_N": abs(force), "leg": leg, "way": 1 if by_m > 0.0 else -1}
             break
     for _ in range(c.drives.ticks(SETTLE_S)):
-        c.drives.step(DriveMode.RUN, drive, 0.0)
+        c.drive(drive)
         guard(c, drive, before, origin)
     return found
 

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from drivers.signals import LEGS, DriveMode
+from drivers.signals import LEGS
 from hil.bringup.context import Context, Finding, Request
 from hil.bringup.step import Step
 from hil.bringup.steps.encoder import tolerance
@@ -35,13 +35,13 @@ def find(c: Context) -> None:
                 before, aim = force, level * c.machine.force_N
                 for n in range(1, c.drives.ticks(RAMP_S) + 1):
                     force = before + (aim - before) * n / c.drives.ticks(RAMP_S)
-                    c.drives.step(DriveMode.RUN, drive, force)
+                    c.drive(drive, force)
                     guard(c, drive, origin, origin)
                 for _ in range(c.drives.ticks(HOLD_S)):
-                    c.drives.step(DriveMode.RUN, drive, force)
+                    c.drive(drive, force)
                     guard(c, drive, origin, origin)
                 ask = Request("read_gauge", leg, 0.0, f"Read the gauge at leg {leg}, N, > 0 pushing")
-                read = c.ask(ask, partial(c.drives.step, DriveMode.RUN, drive, force))
+                read = c.ask(ask, partial(c.drive, drive, force))
                 pairs.append([force, read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})

@@ -10,9 +10,7 @@ CANOPEN_HEARTBEAT = 0x700
 
 
 def find(c: Context) -> None:
-    """Poll all drives, commanded off, and set them up."""
-    if c.known("scan", 0) is not None:
-        return
+    """Poll all drives, commanded off, and set them up: at every start, since drives forget."""
     heard, doubled, foreign, refused = [0] * LEGS, 0, 0, 0
     strange: set[int] = set()
     ticks = c.drives.ticks(LISTEN_S)
@@ -95,4 +93,5 @@ STEP = Step(
     "Ctrl-C; nothing can move",
     find,
     judge,
+    kept=False,
 )

@@ -1,5 +1,6 @@
 """What a bring-up writes and reads: state, found configuration, checklist, words, the terminal."""
 
+import contextlib
 import io
 import json
 import os
@@ -7,16 +8,19 @@ import os
 import numpy as np
 import pytest
 
+from drivers.bus_address import BusAddress
 from drivers.errors import ConfigurationError, RunError
 from hil.app.bringup.checklist import checklist
-from hil.app.bringup.command import files_of
+from hil.app.bringup.command import files_of, run_bringup
 from hil.app.bringup.found import commented, found_text
+from hil.app.bringup.hands import RemoteHands, served_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.words import mistake_of, wiring_of
 from hil.app.configuration.configuration import load, loads
 from hil.bringup.context import Finding, RefusedError, Request
 from hil.bringup.steps import encoder, ids, scan, silence
+from hil.record.log import Log
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.bringup.kit import Rehearsal
 
@@ -148,3 +152,57 @@ def test_the_terminal_takes_numbers_asks_again_and_ends():
 def test_a_closed_terminal_is_no_consent():
     with pytest.raises(RefusedError):
         Terminal(lambda _: None, io.StringIO("")).consent("step", "does", "Ctrl-C")
+
+
+def test_the_hands_of_a_served_bench_are_asked_by_a_socket(tmp_path, monkeypatch):
+    (tmp_path / "run").mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+    c = load("virtual")
+    beside = Terminal(lambda _: None, io.StringIO(""))
+    address = BusAddress(c.bus.interface, c.bus.channel)
+    with pytest.raises(RunError, match="nobody serves a bench"):
+        RemoteHands(address, beside, lambda *_: True)
+    with served_bench(c, ["end_stop leg=2 value=0.5"]) as bench:
+        with contextlib.closing(RemoteHands(address, beside, lambda *_: True)) as hands:
+            lengths = []
+            for request in (Request("place", 2, 1.0), Request("measure", 2)):
+                hands.ask(request)
+                assert hands.answer() is None
+                bench.hands()
+                lengths.append(hands.answer())
+        with pytest.raises(RunError, match="another bench"), served_bench(c, []):
+            pass
+    # stroke 0.75 to 2.2 m, and 2 % beyond it, less half of it
+    assert lengths == [0.0, pytest.approx(2.2 + 0.02 * 1.45 - 0.5 * 1.45, abs=1e-3)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["virtual", "desktop", "lab"])
+def test_a_rehearsal_ends_with_six_legs_that_move_and_files_that_load(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said: list[str] = []
+    summary = run_bringup(name, load(name), mistakes=[], yes=True, say=said.append)
+    assert summary["success"]
+    found = load(summary["found"])
+    assert found.drives.node_ids == load(name).drives.node_ids
+    checked = (tmp_path / summary["checklist"]).read_text()
+    assert checked.count("[x]") == 9
+    events = [text for _, _, text in Log(summary["log"]).events()]
+    assert "[x] gauge: force scales, by force gauge" in events
+    again = run_bringup(name, load(name), mistakes=[], yes=True, say=said.append)
+    assert again["success"]
+    assert said.count("  passed before") == 7
+
+
+@pytest.mark.long
+def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    c = load("virtual")
+    state = tmp_path / "s.json"
+    bad = Rehearsal("virtual", wired(Mistake("encoder_sign", 3)))
+    store = Store(state, identity(c, ()))
+    bad.context.facts, bad.context.save = store.facts, store.save
+    store.forget(bad.run().findings)
+    good = Rehearsal("virtual", Wiring(), facts=Store(state, identity(c, ())).facts)
+    assert good.run().success
+    assert {r.leg for r in good.hands.requests if r.act != "hang"} == {3}

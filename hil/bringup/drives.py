@@ -13,7 +13,6 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.protocol import (
     DeviceCommand,
-    DeviceMessage,
     DriveProtocol,
     DriveSetup,
     Frame,
@@ -52,6 +51,8 @@ class Drives:
         self.watchdog_s = watchdog_s
         self._sink = sink
         reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
+        self._legs_of: dict[int, frozenset[int]] = {}
+        """Identifier of a frame that starts a tick -> drives that it addresses, as far as was asked."""
         self.locks = self._is_broadcast()
         """One command goes to several drives."""
         lock_s = LOCK_S if self.locks else watchdog_s
@@ -124,7 +125,7 @@ class Drives:
             return frames
         others = make(self._rest, self.tick)
         return tuple(
-            mine if leg in self._addressed([mine]) else other
+            mine if leg in self._addressed(mine) else other
             for mine, other in zip(frames, others, strict=True)
         )
 
@@ -145,12 +146,14 @@ class Drives:
                 return True
         return False
 
-    def _addressed(self, frames: Sequence[Frame]) -> tuple[int, ...]:
-        """Return the drives that the last of some frames commands or polls, by their own end of the codec."""
-        memory, messages = self.protocol.power_up(), tuple[DeviceMessage, ...]()
-        for frame in frames:
-            memory, messages = self.protocol.parse(memory, frame)
-        return tuple({leg for m in messages if isinstance(m, _ADDRESSED) for leg in m.legs})
+    def _addressed(self, frame: Frame) -> frozenset[int]:
+        """Return the drives that a frame commands or polls, by their own end of the codec."""
+        legs = self._legs_of.get(frame.id)
+        if legs is None:
+            _, messages = self.protocol.parse(self.protocol.power_up(), frame)
+            legs = frozenset(leg for m in messages if isinstance(m, _ADDRESSED) for leg in m.legs)
+            self._legs_of[frame.id] = legs
+        return legs
 
     # set-up
 

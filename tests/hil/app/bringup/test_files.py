@@ -93,6 +93,8 @@ def test_a_wrong_lead_a_reversed_drive_and_a_zero_are_found_for_motors():
     ]
     found = loads(found_text(rehearsal.c, rehearsal.context, findings), "found", rehearsal.c.folder)
     gear, was = found.drives.transmission, rehearsal.c.drives.transmission
+    assert gear is not None
+    assert was is not None
     assert gear.sign == [1, -1, -1, -1, 1, -1]
     assert gear.pulley_radius_m == pytest.approx([0.02, 0.016, 0.02, 0.02, 0.02, 0.02], rel=5e-3)
     # the bench's encoders are right at the middle of the stroke, 0.325 m, where the offset is; but leg 4

@@ -58,7 +58,7 @@ class Bench(NamedTuple):
     nodes: Nodes
     plant: Plant
     hands: Callable[[], None]
-    """Called often: lets hands do what they were asked."""
+    """Called often: does what somebody has asked of the hands."""
 
 
 def _no_hands() -> None:
@@ -99,8 +99,8 @@ def run_plant(
         bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
         if supervisor is not None and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
             bus.clock.hold()
-        nodes, physics = build_nodes(c) if bench is None else (bench.nodes, bench.plant)
-        stack.callback(physics.close)
+        served = bench or Bench(*build_nodes(c), _no_hands)
+        stack.callback(served.plant.close)
         recording = None
         if c.plant.log:
             recording = stack.enter_context(
@@ -126,11 +126,9 @@ def run_plant(
             try:
                 with _failures_logged(recording, bus.clock):
                     faults = ProcessFaults(c.plant.faults, bus.clock.now())
-                    hands = _no_hands if bench is None else bench.hands
-                    last = _serve(nodes, bus, recording, stop, duration_s, supervisor, faults, hands)
-                    trouble = ""
+                    last, trouble = _serve(served, bus, recording, stop, duration_s, supervisor, faults), ""
             except PlantError as error:
-                last, trouble = nodes.snapshot(), str(error)
+                last, trouble = served.nodes.snapshot(), str(error)
             finally:
                 bus.clock.leave()
         summary = _summary(last, trouble, stop.reason, granted)
@@ -202,15 +200,15 @@ def _failures_logged(recording: Recording | None, clock: Clock) -> Iterator[None
 
 
 def _serve(
-    nodes: Nodes,
+    bench: Bench,
     bus: Bus,
     recording: Recording | None,
     stop: _Stop,
     duration_s: float | None,
     supervisor: int | None,
     faults: ProcessFaults,
-    hands: Callable[[], None],
 ) -> Snapshot:
+    nodes = bench.nodes
     now = bus.clock.now()
     bus.drain_now()
     nodes.start(now)
@@ -226,7 +224,7 @@ def _serve(
         received = bus.wait(min((now + IDLE_NS, *(t_ns for t_ns, _ in later))))
         now = bus.clock.now()
         faults.strike(now)
-        hands()
+        bench.hands()
         later += nodes.step(now, received)
         outgoing = latest([frame for t_ns, frame in later if t_ns <= now])
         later = [entry for entry in later if entry[0] > now]

@@ -112,6 +112,12 @@ def run_bringup(
         for line in lines:
             recording.event(int(context.drives.record["t_ns"]), "info", line)
         store.forget(outcome.findings)
+    return _summary(c, outcome, files, path, reason, success=success)
+
+
+def _summary(
+    c: Configuration, outcome: Outcome, files: Files, log: Path, reason: str, *, success: bool
+) -> dict[str, Any]:
     return {
         "success": success,
         "kind": "bringup",
@@ -122,7 +128,7 @@ def run_bringup(
         "checklist": str(files.checklist),
         **({"found": str(files.found)} if files.found.exists() else {}),
         "state": str(files.state),
-        "log": str(path),
+        "log": str(log),
     }
 
 

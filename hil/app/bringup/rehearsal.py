@@ -13,7 +13,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_dict
 from hil.bringup.context import Request
 from hil.bringup.line import Heard
-from plant_fmu.config import DriveEmulation, StewartPlant
+from plant_fmu.config import PlantSettings, StewartPlant
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.rehearsal.bench import RehearsalBench, Stand
@@ -22,29 +22,33 @@ from plant_fmu.stewart.plant import stewart_plant
 
 COMMAND_SHARE = 0.4
 """When in a tick its command arrives, as a share of the period."""
-BRAKE_SHARE = 0.25
-"""Force of a brake whose own is not known, as a share of the rated force."""
+UNLOADED = 0.5
+"""Share of its friction that a leg without load has."""
+
+
+def emulated(c: Configuration) -> PlantSettings:
+    """Return the section `plant` with a platform: the configured one, or that of a machine without one."""
+    model = StewartPlant(type="stewart")
+    if c.plant is None:
+        return PlantSettings(model=model)
+    return c.plant if isinstance(c.plant.model, StewartPlant) else c.plant.model_copy(update={"model": model})
 
 
 def build_bench(c: Configuration, wiring: Wiring, seed: int = 1) -> RehearsalBench:
     """Return the bench of a configuration's machine on trestles, wired like that."""
-    platform = build_platform(c.platform)
-    model = None if c.plant is None else c.plant.model
+    platform, plant = build_platform(c.platform), emulated(c)
+    model = plant.model
+    assert isinstance(model, StewartPlant)
     stand = Stand(
-        mass_kg=float(platform.rod.mass)
-        + (model.reflected_mass_kg if isinstance(model, StewartPlant) else 0.0),
-        # a leg without load has half of its friction
-        friction_N=0.5 * model.coulomb_friction_N if isinstance(model, StewartPlant) else 0.0,
-        brake_N=model.brake_force_N
-        if isinstance(model, StewartPlant)
-        else BRAKE_SHARE * c.drives.force_limit_N,
+        mass_kg=float(platform.rod.mass) + model.reflected_mass_kg,
+        friction_N=UNLOADED * model.coulomb_friction_N,
+        brake_N=model.brake_force_N,
         length_min=c.platform.length_min_m,
         length_max=c.platform.length_max_m,
         base_joints=platform.base_joints,
         platform_joints=platform.platform_joints,
     )
-    emulation = DriveEmulation() if c.plant is None else c.plant.drives
-    return RehearsalBench(build_protocol(c), emulation, c.drives, stand, wiring, seed)
+    return RehearsalBench(build_protocol(c), plant.drives, c.drives, stand, wiring, seed)
 
 
 class BenchLine:
@@ -144,10 +148,8 @@ class BenchHands:
 
 def mounted(c: Configuration, wiring: Wiring) -> Plant:
     """Return the platform on its legs as they are mounted, at home. Raises PlantError."""
-    assert c.plant is not None
-    model = c.plant.model
-    if not isinstance(model, StewartPlant):
-        model = StewartPlant(type="stewart")
+    model = emulated(c).model
+    assert isinstance(model, StewartPlant)
     robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
     joints = np.array(robot["base_joints"])[list(wiring.base_joint)]
     p, R = known_poses(c)[0]

@@ -1,6 +1,6 @@
 """The last step of a rehearsal: all six legs under the ordinary controller, at reduced limits."""
 
-from hil.app.bringup.rehearsal import mounted
+from hil.app.bringup.rehearsal import emulated, mounted
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import build_lockstep
@@ -16,10 +16,9 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     Raises PlantError.
     """
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
-    assert c.plant is not None
     plant = mounted(c, bench.wiring)
     try:
-        nodes = Nodes(bench.behind_cables(plant), bench.drives_end, c.plant.drives, c.drives)
+        nodes = Nodes(bench.behind_cables(plant), bench.drives_end, emulated(c).drives, c.drives)
         lockstep = build_lockstep(c, cycle, nodes)
         return lockstep.run(None, lambda *_: None)
     finally:

@@ -1,6 +1,7 @@
 """Mistakes of a rehearsal in words: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4`."""
 
 from collections.abc import Sequence
+from math import isfinite
 
 from drivers.errors import ConfigurationError
 from plant_fmu.rehearsal.wiring import MISTAKES, Mistake, Wiring, wired
@@ -18,7 +19,7 @@ def mistake_of(words: str) -> Mistake:
             number = float(text)
         except ValueError:
             number = float("nan")
-        if key not in _KEYS or not equals or number != number:  # noqa: PLR0124 - nan is what is no number
+        if key not in _KEYS or not equals or not isfinite(number):
             raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {', '.join(_KEYS)} = a number")
         given[key] = number
     if name not in MISTAKES:

@@ -179,7 +179,7 @@ def test_the_hands_of_a_served_bench_are_asked_by_a_socket(tmp_path, monkeypatch
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["virtual", "desktop", "lab"])
+@pytest.mark.parametrize("name", ["virtual", "desktop", "lab", "socketcan"])
 def test_a_rehearsal_ends_with_six_legs_that_move_and_files_that_load(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said: list[str] = []

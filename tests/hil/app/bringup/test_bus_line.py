@@ -1,0 +1,75 @@
+"""The bring-up's line on a bus: one tick a period, all frames of the window, and a bus that is down."""
+
+from typing import Any, cast
+
+import pytest
+
+from drivers.can.bus import Bus, BusEvents
+from drivers.errors import BusError
+from drivers.protocol import Frame, Received
+from hil.app.bringup.bus_line import BusLine
+
+POLL, ANSWER, LATE = Frame(1, b"p"), Frame(2, b"a"), Frame(3, b"l")
+
+
+class Clock:
+    """Time that passes when somebody waits for it."""
+
+    def __init__(self) -> None:
+        self.t_ns = 1_000_000
+
+    def now(self) -> int:
+        return self.t_ns
+
+    def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
+        del spin_ns
+        self.t_ns = max(self.t_ns, t_ns)
+
+
+class FakeBus:
+    """Answers each poll after 0.3 ms, and once more 1.6 ms later."""
+
+    def __init__(self) -> None:
+        self.clock, self.off = Clock(), False
+        self.due: list[Received] = []
+        self.sent: list[Frame] = []
+
+    def flush_tx(self) -> None:
+        self.due = []
+
+    def send(self, frames: Any) -> int:
+        for frame in frames:
+            self.sent.append(frame)
+            now = self.clock.t_ns
+            self.due += [Received(now + 300_000, ANSWER), Received(now + 1_900_000, LATE)]
+        return 0
+
+    def drain_now(self) -> list[Received]:
+        here = [r for r in self.due if r.t_ns <= self.clock.t_ns]
+        self.due = [r for r in self.due if r.t_ns > self.clock.t_ns]
+        return here
+
+    def wait(self, deadline_ns: int) -> list[Received]:
+        self.clock.t_ns = min([deadline_ns, *(r.t_ns for r in self.due)])
+        return self.drain_now()
+
+    def events(self) -> BusEvents:
+        return BusEvents(0, self.off, 0)
+
+
+def test_a_tick_has_the_answers_of_its_window_and_what_was_late_before():
+    bus = FakeBus()
+    line = BusLine(cast("Bus", bus), 500.0)
+    first, second = line.exchange([POLL]), line.exchange([POLL])
+    assert [r.frame for r in first.frames] == [ANSWER]
+    assert [r.frame for r in second.frames] == [LATE, ANSWER]
+    assert second.frames[0].t_ns < second.since_ns <= second.frames[1].t_ns
+    assert second.since_ns - first.since_ns == 2_000_000
+
+
+def test_a_bus_that_is_down_ends_the_bring_up():
+    bus = FakeBus()
+    line = BusLine(cast("Bus", bus), 500.0)
+    bus.off = True
+    with pytest.raises(BusError, match="down"):
+        line.exchange([])

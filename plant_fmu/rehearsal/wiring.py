@@ -105,6 +105,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "end_stop": (("shorter",), 1, 0.15, "an end stop in the way, share of the stroke"),
     "watchdog_missing": (("watchdog",), 1, inf, "the drive has no watchdog"),
     "watchdog_long": (("watchdog",), 1, 8.0, "the watchdog takes so many times what was set"),
+    "watchdog_short": (("watchdog",), 1, 0.3, "the watchdog takes this share of what was set"),
     "absent": (("present",), 1, 0.0, "no power, or no bus, at a drive"),
     "wrong_protocol": (("other_protocol",), 1, 1.0, "the drive speaks CANopen as delivered"),
 }

@@ -8,7 +8,7 @@ POWER_S = 0.1
 WAIT, WAIT_S = 6.0, 0.4
 """Silence ends after so many times the configured watchdog, and not before this."""
 EARLY, LATE = 0.5, 1.5
-"""A watchdog that takes more or less than so many times the configured one, within three ticks, is wrong."""
+"""A watchdog that takes less or more than so many times the configured one is wrong."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
@@ -65,26 +65,25 @@ def _find_polled(c: Context) -> None:
         bounds: list[float | None] = [None, None]
         with c.opened(leg):
             powered = int(c.drives.record["drive_state"][leg]) in _POWERED
-            for n, share in enumerate((0.5, LATE)):
-                ticks = c.drives.ticks(share * wait) + n
+            for n, silence in enumerate((EARLY * wait, LATE * wait, _wait_s(c))):
+                ticks = c.drives.ticks(silence) + n
                 for _ in range(ticks):
                     c.drives.step(DriveMode.RUN, leg, silent=True)
                 c.drives.step(DriveMode.RUN, leg)
                 gone = int(c.drives.record["drive_state"][leg]) not in _POWERED
                 seconds = (ticks + 1) / c.drives.line.rate_Hz
-                if n == 0:
-                    bounds[0] = 0.0 if gone else seconds
-                elif gone:
+                if gone:
                     bounds[1] = seconds
+                    break
+                bounds[0] = seconds
         c.keep("watchdog", leg, {"powered": powered, "until_s": bounds[1], "since_s": bounds[0]})
 
 
 def judge(c: Context) -> list[Finding]:
-    """Name drives whose watchdog is missing or takes too long."""
+    """Name drives whose watchdog is missing, too slow or too fast."""
     found = []
     wait, period = c.machine.watchdog_s, 1.0 / c.drives.line.rate_Hz
     polled = c.drives.protocol.command_delay_ticks > 0
-    waited = LATE * wait if polled else _wait_s(c)
     for leg in range(LEGS):
         fact = c.known("watchdog", leg)
         until = fact["until_s"]
@@ -93,13 +92,13 @@ def judge(c: Context) -> list[Finding]:
             mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
             found.append(Finding("not_powered", (leg,), text, mend))
         elif until is None:
-            text = f"it is still powered after {1e3 * waited:g} ms of silence, set were {1e3 * wait:g} ms"
+            text = f"it is still powered after {1e3 * _wait_s(c):g} ms of silence, set were {1e3 * wait:g} ms"
             mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
             found.append(Finding("watchdog_missing", (leg,), text, mend))
         elif until > LATE * wait + 3.0 * period:
             text = f"it reacts {1e3 * until:g} ms after the last command, set were {1e3 * wait:g} ms"
             found.append(Finding("watchdog_long", (leg,), text, "Set the drive's watchdog, or its unit."))
-        elif until < EARLY * wait - 3.0 * period or (polled and not fact["since_s"]):
+        elif until < EARLY * wait or (polled and not fact["since_s"]):
             text = f"it reacts within {1e3 * until:g} ms of silence, set were {1e3 * wait:g} ms"
             found.append(Finding("watchdog_short", (leg,), text, "Set the drive's watchdog, or its unit."))
     return found

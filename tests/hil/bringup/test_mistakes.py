@@ -32,6 +32,7 @@ CASES = {
     "no_watchdog": (wired(Mistake("watchdog_missing", 4)), {("watchdog_missing", (4,))}),
     "slow_watchdog": (wired(Mistake("watchdog_long", 0)), {("watchdog_long", (0,))}),
     "watchdog_twice": (wired(Mistake("watchdog_long", 5, value=2.5)), {("watchdog_long", (5,))}),
+    "fast_watchdog": (wired(Mistake("watchdog_short", 1)), {("watchdog_short", (1,))}),
     "homed_4_mm_off": (wired(Mistake("offset", 3)), {("offset", (3,))}),
     "homed_less_2_mm_off": (wired(Mistake("offset", 0, value=-2e-3)), {("offset", (0,))}),
     "two_with_one_id": (wired(Mistake("same_id", 5, 2)), {("same_id", (2, 5))}),

@@ -70,7 +70,12 @@ def test_one_percent_of_scale_is_named():
 
 
 @pytest.mark.parametrize(
-    ("mistake", "name"), [("watchdog_missing", "watchdog_missing"), ("watchdog_long", "watchdog_long")]
+    ("mistake", "name"),
+    [
+        ("watchdog_missing", "watchdog_missing"),
+        ("watchdog_long", "watchdog_long"),
+        ("watchdog_short", "watchdog_short"),
+    ],
 )
 def test_a_drive_without_its_watchdog_is_named_before_any_brake_opens(mistake, name):
     rehearsal = Rehearsal("virtual", wired(Mistake(mistake, 4)))

@@ -11,12 +11,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
     "run": "The controller, in real time.",
-    "bringup": "From parts to a moving platform, one leg at a time; rehearsals, too.",
     "plant": "Six emulated drives and the platform, in real time.",
     "sim": "Both ends in lockstep, in simulated time.",
     "replay": "A log's inputs again, compared to the bit.",
     "check": "Figures and problems of a configuration; nothing moves.",
     "new": "A configuration of your robot from a few figures.",
+    "bringup": "From parts to a moving platform, one leg at a time; rehearsals, too.",
     "watch": "Live page about a run, in any browser.",
     "export": "A log's frames and columns as files for other tools.",
     "report": "One HTML page about a log: what went wrong, or what was left.",

@@ -25,7 +25,7 @@ CASES = {
     "drive_reversed": (wired(Mistake("drive_reversed", 0)), {("drive_reversed", (0,))}),
     "brake_stuck_shut": (wired(Mistake("brake_stuck_shut", 2)), {("brake_stuck_shut", (2,))}),
     "brake_stuck_open": (wired(Mistake("brake_stuck_open", 4)), {("brake_stuck_open", (4,))}),
-    "brake_weak": (wired(Mistake("brake_weak", 1)), {("brake_stuck_open", (1,))}),
+    "brake_weak": (wired(Mistake("brake_weak", 1, value=2e-4)), {("brake_stuck_open", (1,))}),
     "brakes_crossed": (wired(Mistake("brake_crossed", 0, 3)), {("brake_crossed", (0, 3))}),
     "encoders_crossed": (wired(Mistake("encoder_crossed", 2, 5)), {("encoder_crossed", (2, 5))}),
     "motors_crossed": (wired(Mistake("motor_crossed", 1, 3)), {("motor_crossed", (1, 3))}),

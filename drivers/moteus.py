@@ -1,16 +1,15 @@
 """moteus: registers over CAN FD, the query in the frame of the command, both ends.
 
 Identifier: source << 8 | destination, bit 15 where a reply is wanted; extended where it is over 0x7FF, so
-commands are, and replies of the ids from 8 on. A frame is subframes, little-endian: 0x00, 0x04, 0x08, 0x0C
-write int8, int16, int32, float from a register on, 0x10 to 0x1C read, 0x20 to 0x2C reply; the low two bits
-count registers, or are 0 and a count follows. NOP 0x50 fills up. Torque goes as feed-forward of position mode
-without position and gains. Every such command carries the time after which the drive gives up (mode 11, until
-a stop), and a stop clears faults: outside RUN the polls are stops. A drive that restarts obeys the
-next command. Source: the reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
+commands are, and replies of the ids from 8 on. What a frame holds is in `moteus_registers`. Torque goes as
+feed-forward of position mode without position and gains. Every such command carries the time after which the
+drive gives up (mode 11, until a stop), and a stop clears faults: outside RUN the polls are stops. A drive
+that restarts obeys the next command. An emulated drive answers whoever asks what he asks for; of modes it has
+stop and torque, refuses others, and still answers. Source: the reference of the moteus protocol (mjbots), and
+the package `moteus` 1.1.1.
 """
 
 import struct
-from bisect import bisect_left
 from collections.abc import Sequence
 from math import isnan, nan
 
@@ -19,6 +18,26 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
+from drivers.moteus_registers import (
+    COMMAND,
+    FAULT,
+    HOME_STATE,
+    MODE,
+    PLACE,
+    REPLY,
+    SPEED,
+    TEMPERATURE,
+    TIMEOUT,
+    TORQUE,
+    TRAJECTORY_COMPLETE,
+    VOLTAGE,
+    WRITE,
+    Asked,
+    asked,
+    pad,
+    registers,
+    reply_to,
+)
 from drivers.motor_drives import MotorMemory, put
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import (
@@ -40,18 +59,18 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
+    Status,
     Sync,
 )
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
-REPLY = 0x8000
-"""Bit of an identifier: a reply is wanted."""
-NOP = 0x50
+REPLY_WANTED = 0x8000
+"""Bit of an identifier."""
+ALL_NODES = 0x7F
+"""As destination: all drives."""
 STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
 """Modes."""
-MODE, PLACE, SPEED, TORQUE, FAULT, TIMEOUT, COMMAND = 0x000, 0x001, 0x002, 0x003, 0x00F, 0x027, 0x020
-"""Registers; COMMAND begins position, velocity, feed-forward torque, scales of kp and kd, most torque."""
 QUERY = bytes.fromhex("11001f01130d")
 """Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
 DEFAULT_TIMEOUT_S = 0.1
@@ -78,57 +97,9 @@ FAULTS = {
     50: "velocity control error",
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
-_SIZES = (1, 2, 4, 4)
-_FORMS = ("b", "h", "i", "f")
-_SCALES = {PLACE: (0.01, 0.0001, 0.00001), SPEED: (0.1, 0.00025, 0.00001), TORQUE: (0.5, 0.01, 0.001)}
-"""Of an int8, int16, int32."""
-_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 _STRANGE = REMOTE | ERROR | OTHER_BUSES
 _OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 _MAX_TORQUE = 1e4
-
-
-def pad(data: bytes) -> bytes:
-    """Return the data filled up to the next length of CAN FD."""
-    return data + bytes((NOP,)) * (_LENGTHS[bisect_left(_LENGTHS, len(data))] - len(data))
-
-
-def registers(data: bytes, kind: int) -> dict[int, float] | None:
-    """Return what the subframes of a kind (0x00 write, 0x20 reply) hold, NaN for what is not known.
-
-    Registers without a scale come as they are. Errors (0x30, 0x31) end the frame. None if it is not whole.
-    """
-    found: dict[int, float] = {}
-    at = 0
-    try:
-        while at < len(data):
-            head = data[at]
-            at += 1
-            if head == NOP:
-                continue
-            if head & 0xF0 == 0x30:
-                break
-            width, count = head >> 2 & 3, head & 3
-            if count == 0:
-                count, at = data[at], at + 1
-            first, at = data[at], at + 1
-            if head & 0xF0 == 0x10:
-                continue
-            if head & 0xF0 != kind or first + count > 0x80 or at + count * _SIZES[width] > len(data):
-                return None
-            for k, raw in enumerate(struct.unpack_from(f"<{count}{_FORMS[width]}", data, at)):
-                found[first + k] = _value(first + k, width, raw)
-            at += count * _SIZES[width]
-    except IndexError:
-        return None
-    return found
-
-
-def _value(register: int, width: int, raw: float) -> float:
-    scales = _SCALES.get(register)
-    if width == 3 or scales is None:
-        return float(raw)
-    return nan if raw == -(1 << (8 * _SIZES[width] - 1)) else raw * scales[width]
 
 
 def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
@@ -138,6 +109,8 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
 
 
 STOP = pad(b"\x01\0\0" + QUERY)
+_QUERIED = asked(QUERY)
+_WELL = {VOLTAGE: 24.0, TEMPERATURE: 30.0, TRAJECTORY_COMPLETE: 0.0, HOME_STATE: 0.0}
 
 
 class MoteusProtocol(MotorProtocol):
@@ -166,9 +139,10 @@ class MoteusProtocol(MotorProtocol):
                 f"drives.options: host_id out of range, allowed: 0 to 126, given: {host}"
             )
         self.reactions, self._most = (timeout_mode,), most
-        self._command_ids = tuple(REPLY | host << 8 | node for node in nodes)
+        self._command_ids = tuple(REPLY_WANTED | host << 8 | node for node in nodes)
         self._reply_ids = tuple(node << 8 | host for node in nodes)
-        self._commanded_legs = {identifier: leg for leg, identifier in enumerate(self._command_ids)}
+        self._nodes, self._host = tuple(nodes), host
+        self._legs = {node: leg for leg, node in enumerate(nodes)}
         self._answering_legs = {identifier: leg for leg, identifier in enumerate(self._reply_ids)}
         self.feedback_ids = frozenset(self._reply_ids)
 
@@ -223,12 +197,13 @@ class MoteusProtocol(MotorProtocol):
             return None
         if bool(flags & EXTENDED) != (identifier > 0x7FF):
             return None
-        if identifier in self._commanded_legs:
-            return Heard(self._commanded_legs[identifier], foreign=True)
+        to = identifier & ALL_NODES
+        if identifier <= 0xFFFF and (to in self._legs or to == ALL_NODES):
+            return Heard(self._legs.get(to, 0), foreign=True)
         leg = self._answering_legs.get(identifier)
         if leg is None:
             return None
-        said = registers(data, 0x20)
+        said = registers(data, REPLY)
         if said is None or not {MODE, PLACE, SPEED, TORQUE, FAULT} <= said.keys():
             return Heard(leg, broken=True)
         mode, fault = int(said[MODE]), 0
@@ -247,13 +222,27 @@ class MoteusProtocol(MotorProtocol):
     # drives' end
 
     def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end; a frame that asks is answered."""
-        leg = self._commanded_legs.get(frame.id)
-        if leg is None or frame.flags & _STRANGE or not frame.flags & EXTENDED or not frame.flags & FD:
+        """Decode at the drives' end, from any controller, to one drive or to all; obey, then answer."""
+        identifier, data, flags = frame
+        if flags & _STRANGE or not flags & FD or identifier > (0xFFFF if flags & EXTENDED else 0x7FF):
             return memory, ()
-        written = registers(frame.data, 0x00)
+        to, source = identifier & 0x7F, identifier >> 8 & 0x7F
+        legs = [self._legs[to]] if to in self._legs else range(LEGS if to == ALL_NODES else 0)
+        written = registers(data, WRITE) if legs else {}
         if written is None:
             return memory, (Rejected("subframes that are not whole"),)
+        messages: list[DeviceMessage] = []
+        for leg in legs:
+            memory, done = self._obey(memory, leg, written)
+            messages += done
+            if identifier & REPLY_WANTED:
+                memory = memory._replace(asked=put(memory.asked, leg, (source, asked(data))))
+                messages.append(Sync(0, (leg,)))
+        return memory, tuple(messages)
+
+    def _obey(
+        self, memory: MotorMemory, leg: int, written: dict[int, float]
+    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
         after, torque, mode = memory.enabled[leg], 0.0, written.get(MODE)
         modes: tuple[int, ...] = ()
         settings: tuple[DeviceMessage, ...] = ()
@@ -261,9 +250,10 @@ class MoteusProtocol(MotorProtocol):
             modes, after = (DriveMode.RESET,), False
             settings = (Configure(leg, DEFAULT_TIMEOUT_S, self.reactions[0]),)
         elif mode == POSITION:
-            torque = written.get(COMMAND + 2, nan)
+            torque = written.get(COMMAND + 2, 0.0)
             most, timeout_s = written.get(COMMAND + 5, nan), written.get(TIMEOUT, nan)
-            if isnan(torque) or most <= 0.0 or written.get(COMMAND + 3) or written.get(COMMAND + 4):
+            gains = written.get(COMMAND + 3, 1.0), written.get(COMMAND + 4, 1.0)
+            if isnan(torque) or most <= 0.0 or gains != (0.0, 0.0):
                 return memory, (Rejected("position mode that is no torque command"),)
             torque = min(max(torque, -most), most) if most > 0.0 else torque
             if not after:
@@ -275,7 +265,7 @@ class MoteusProtocol(MotorProtocol):
         memory, commands = self._commanded(memory, leg, modes, torque)
         memory = memory._replace(enabled=put(memory.enabled, leg, after))
         first, last = (settings, ()) if mode == POSITION else ((), settings)
-        return memory, (*first, *commands, *last, Sync(0, (leg,)))
+        return memory, (*first, *commands, *last)
 
     def answer(
         self,
@@ -287,23 +277,37 @@ class MoteusProtocol(MotorProtocol):
         state: Ints,
         fault: Ints | None = None,
     ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
-        """Encode what the drives of `sync.legs` answer to QUERY: 24 V, 30 degrees; a lost encoder is NaN."""
+        """Encode what the drives of `sync.legs` answer to what they were asked, to whom it was that asked."""
+        said = self._states(sync, length, rate, force, state, fault)
+        return memory, [(leg, self._reply(leg, *memory.asked[leg], held)) for leg, held in said]
+
+    @staticmethod
+    def report(memory: MotorMemory, _status: Status) -> tuple[MotorMemory, tuple[Frame, ...]]:
+        """Return nothing: a drive speaks when it is asked."""
+        return memory, ()
+
+    def _reply(self, leg: int, host: int, wanted: Asked, said: dict[int, float]) -> Frame:
+        identifier = self._nodes[leg] << 8 | host
+        return Frame(identifier, pad(reply_to(wanted, said)), FD | BRS | EXTENDED * (identifier > 0x7FF))
+
+    def _states(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None
+    ) -> list[tuple[int, dict[int, float]]]:
+        """Return the registers of each drive of `sync.legs`."""
         codes = np.zeros(LEGS, np.int64) if fault is None else fault
         turns, speeds, torques = self.motor(length, rate, force)
-        frames = []
+        found = []
         for leg in sync.legs:
             self.finite(leg, turns[leg], speeds[leg], torques[leg])
-            said, why = int(state[leg]) & ~INVALID, DriveFault(int(codes[leg]))
-            mode, code = POSITION if said == _RUN else STOPPED, 0
-            if said == _FAULT:
+            at, why = int(state[leg]) & ~INVALID, DriveFault(int(codes[leg]))
+            mode, code = POSITION if at == _RUN else STOPPED, 0
+            if at == _FAULT:
                 mode = TIMED_OUT if why is DriveFault.WATCHDOG else FAULTED
                 code = 0 if mode == TIMED_OUT else _CODES.get(why, 33)
-            values = (nan, nan) if int(state[leg]) & INVALID else (turns[leg], speeds[leg])
-            floats = struct.pack("<3f", *values, torques[leg])
-            data = bytes((0x21, MODE, mode, 0x2F, PLACE)) + floats + bytes((0x23, 0x0D, 48, 30, code))
-            identifier = self._reply_ids[leg]
-            frames.append((leg, Frame(identifier, pad(data), FD | BRS | EXTENDED * (identifier > 0x7FF))))
-        return memory, frames
+            place, speed = (nan, nan) if int(state[leg]) & INVALID else (turns[leg], speeds[leg])
+            held = {MODE: float(mode), PLACE: place, SPEED: speed, TORQUE: torques[leg], FAULT: float(code)}
+            found.append((leg, held | _WELL))
+        return found
 
     # bus time
 

@@ -24,6 +24,8 @@ class MotorMemory(NamedTuple):
     enabled: tuple[bool, ...] = (False,) * LEGS
     registers: tuple[tuple[tuple[int, float], ...], ...] = ((),) * LEGS
     """What has been written, by leg."""
+    asked: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ((0, ()),) * LEGS
+    """Who wants what of each drive, in families where a query says so."""
 
 
 def put(values: tuple[Any, ...], leg: int, value: Any) -> tuple[Any, ...]:
@@ -44,6 +46,14 @@ class MotorDrives(ABC):
     def report(self, memory: MotorMemory, _status: Status) -> tuple[MotorMemory, tuple[Frame, ...]]:
         """Return nothing: such drives speak when they are asked."""
         return memory, ()
+
+    def restarted(self, memory: MotorMemory, legs: Sequence[int]) -> MotorMemory:
+        """Return the memory with drives that were switched off and on: disabled, nothing written in them."""
+        fresh = self.power_up()
+        for leg in legs:
+            parts = zip(memory, fresh, strict=True)
+            memory = MotorMemory(*(put(now, leg, new[leg]) for now, new in parts))
+        return memory
 
     @abstractmethod
     def answer(

@@ -78,3 +78,11 @@ def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, 
             f"without losses), {protocol} carries up to {torque_Nm:g} N m: lower it, or change gear_ratio or "
             "lead_m"
         )
+
+
+def unwatched(family: str) -> str:
+    """Return the danger of drives whose watchdog nobody sets."""
+    return (
+        f"drives.watchdog_ms: {family} has no watchdog that is set from here; set the drive's own with its "
+        "maker's tool if it has one, else it keeps its last torque for ever when the controller stops"
+    )

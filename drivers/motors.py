@@ -91,6 +91,10 @@ class MotorDialogue(NamedTuple):
     """Tick of the last request."""
     read: tuple[float | None, ...] = (None,) * LEGS
     """What the last answer held that was not the right one."""
+    said: tuple[int, ...] = (0,) * LEGS
+    """Tick in which it last said whether it is enabled."""
+    patience_ticks: int = NEVER
+    """After which a drive that does not say so is in BOOT: nobody knows what it does."""
 
 
 def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
@@ -100,14 +104,6 @@ def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
     if not set_up or (ran and mode == DriveMode.RUN):
         return DriveState.BOOT
     return DriveState.READY if mode in (DriveMode.READY, DriveMode.RUN) else _OFF
-
-
-def unwatched(family: str) -> str:
-    """Return the danger of drives whose watchdog nobody sets."""
-    return (
-        f"drives.watchdog_ms: {family} has no watchdog that is set from here; set the drive's own with its "
-        "maker's tool if it has one, else it keeps its last torque for ever when the controller stops"
-    )
 
 
 class MotorProtocol(MotorDrives):
@@ -214,7 +210,7 @@ class MotorProtocol(MotorDrives):
         rejected, doubled, foreign = 0, 0, 0
         answers: dict[int, Heard] = {}
         faults = tick["drive_fault"]
-        power = list(dialogue.power)
+        power, said = list(dialogue.power), list(dialogue.said)
         asked = int(_RUN if dialogue.mode == DriveMode.RUN else _OFF)
         for t_ns, frame in frames_of(run):
             heard = self.hear(frame)
@@ -235,10 +231,12 @@ class MotorProtocol(MotorDrives):
                 if heard.power is not None or not self.reports_power:
                     power[leg] = asked if heard.power is None else heard.power
                     faults[leg] = heard.fault
+                    said[leg] = number
                 if heard.feedback:
                     answers[leg] = heard
         if answers or tuple(power) != dialogue.power:
-            dialogue = self._measure(dialogue._replace(power=tuple(power)), answers, tick)
+            dialogue = dialogue._replace(power=tuple(power), said=tuple(said))
+            dialogue = self._measure(dialogue, answers, tick)
         tick["counted_age"], tick["rejected"], tick["doubled"] = tick["age"], rejected, doubled
         tick["foreign"] = foreign
         return self._restarted(dialogue, tick)
@@ -284,10 +282,12 @@ class MotorProtocol(MotorDrives):
 
     @staticmethod
     def _restarted(dialogue: MotorDialogue, tick: Record) -> MotorDialogue:
-        """Forget the set-up of drives that were silent for long."""
+        """Forget the set-up of drives that were silent for long, and the state of those that tell none."""
         for leg, age in enumerate(tick["age"].tolist()):
             if age > RESTART_TICKS and dialogue.done[leg]:
                 dialogue = dialogue._replace(done=put(dialogue.done, leg, 0))
+            if tick["tick"] - dialogue.said[leg] > dialogue.patience_ticks:
+                dialogue = dialogue._replace(power=put(dialogue.power, leg, int(DriveState.BOOT)))
         return dialogue
 
     def command(

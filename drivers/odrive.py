@@ -10,6 +10,7 @@ message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set wi
 
 import struct
 from collections.abc import Sequence
+from math import ceil
 
 import numpy as np
 
@@ -47,6 +48,7 @@ HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07
 IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
 TORQUE_CONTROL, PASSTHROUGH = 1, 1
+MISSED_BEATS = 3
 ERRORS = {
     0x1: "initializing",
     0x2: "system level",
@@ -85,6 +87,8 @@ _MAX_TORQUE = 1e4
 _OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 _SIZES = {ESTOP: (), AXIS_STATE: (4, 8), MODES: (8,), TORQUE: (4, 8), CLEAR: (0, 1)}
 """Lengths that an axis accepts of what it hears; of Estop any."""
+_COMMANDS = frozenset({*_SIZES, 0x04, 0x06, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F})
+"""What a controller sends with data; the emulated axis has those of `_SIZES`."""
 
 
 class ODriveProtocol(MotorProtocol):
@@ -96,13 +100,15 @@ class ODriveProtocol(MotorProtocol):
     stop_latches = True
     shares_identifiers = False
 
-    def __init__(self, nodes: Sequence[int], watchdog_s: float, transmission: Transmission) -> None:
-        """Take six node numbers and the watchdog that odrivetool has set in the axes.
+    def __init__(
+        self, nodes: Sequence[int], watchdog_s: float, transmission: Transmission, heartbeat_s: float = 0.1
+    ) -> None:
+        """Take six node numbers, and the watchdog and heartbeat that odrivetool has set in the axes.
 
         Raises ConfigurationError for a node over 62: 63 is "not set".
         """
         super().__init__(transmission)
-        self._watchdog_s = watchdog_s
+        self._watchdog_s, self._heartbeat_s = watchdog_s, heartbeat_s
         for leg, node in enumerate(nodes):
             if not 0 <= node <= 62:
                 raise ConfigurationError(
@@ -151,6 +157,14 @@ class ODriveProtocol(MotorProtocol):
         """Return nothing: an axis confirms no setting. Its control mode is sent with each enabling."""
         return ((),) * LEGS
 
+    def start(self, setup: DriveSetup) -> MotorDialogue:
+        """As the base, and let an axis count as unknown after `MISSED_BEATS` heartbeats that did not come.
+
+        Estimates are answered in any state: only the heartbeat tells whether the axis is still enabled.
+        """
+        ticks = ceil(MISSED_BEATS * self._heartbeat_s * setup.rate_Hz)
+        return super().start(setup)._replace(patience_ticks=max(ticks, 2))
+
     def begin(self, _dialogue: MotorDialogue, _tick: int) -> tuple[Frame, ...]:
         """Return the six remote frames."""
         return self._polls
@@ -184,7 +198,7 @@ class ODriveProtocol(MotorProtocol):
         leg, kind = self._legs.get(identifier >> 5), identifier & 0x1F
         if flags & (_STRANGE | REMOTE) or identifier > 0x7FF or leg is None:
             return None
-        if kind in _SIZES:
+        if kind in _COMMANDS:
             return Heard(leg, foreign=True)
         if kind not in (HEARTBEAT, ESTIMATES):
             return None
@@ -217,8 +231,10 @@ class ODriveProtocol(MotorProtocol):
             return memory, (Sync(0, (leg,)),)
         if kind == ESTOP:
             return memory._replace(enabled=put(memory.enabled, leg, False)), (EmergencyStop((leg,)),)
-        if kind not in _SIZES:
+        if kind not in _COMMANDS:
             return memory, ()
+        if kind not in _SIZES:
+            return memory, (Rejected(f"command {kind:#x} is not emulated"),)
         if len(frame.data) not in _SIZES[kind]:
             return memory, (Rejected(f"command {kind:#x} of {len(frame.data)} bytes"),)
         return self._obey(memory, leg, kind, frame.data)
@@ -239,6 +255,8 @@ class ODriveProtocol(MotorProtocol):
                 return memory, (Rejected(f"axis state {state}"),)
             torque_controlled = dict(memory.registers[leg]).get(MODES) == TORQUE_CONTROL
             enables = state == CLOSED_LOOP and torque_controlled and not after
+            if state == CLOSED_LOOP and not torque_controlled:
+                return memory, (Rejected("closed loop without torque control"),)
             modes = (DriveMode.OFF,) if state == IDLE else (DriveMode.READY, DriveMode.RUN) * enables
             after = state == CLOSED_LOOP and (after or enables)
         elif after:
@@ -248,10 +266,13 @@ class ODriveProtocol(MotorProtocol):
                 return memory, (Rejected("torque that is no number"),)
         memory, commands = self._commanded(memory, leg, modes, torque)
         memory = memory._replace(enabled=put(memory.enabled, leg, after))
-        tool: tuple[DeviceMessage, ...] = ()
-        if kind == AXIS_STATE and state == IDLE:
-            tool = (Configure(leg, self._watchdog_s, Reaction.BRAKE),)
-        return memory, (*commands, *tool)
+        held = dict(memory.registers[leg])
+        if kind != AXIS_STATE or (state == CLOSED_LOOP and AXIS_STATE in held):
+            return memory, commands
+        held[AXIS_STATE] = float(state)
+        memory = memory._replace(registers=put(memory.registers, leg, tuple(held.items())))
+        tool = (Configure(leg, self._watchdog_s, Reaction.BRAKE),)
+        return memory, (*commands, *tool) if state == IDLE else (*tool, *commands)
 
     def answer(
         self,
@@ -293,4 +314,6 @@ def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
     transmission = required(drives.transmission, "odrive")
     Options(drives.options, "odrive", ())
     refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
-    return ODriveProtocol(drives.node_ids, 1e-3 * drives.watchdog_ms, transmission)
+    return ODriveProtocol(
+        drives.node_ids, 1e-3 * drives.watchdog_ms, transmission, 1e-3 * drives.heartbeat_ms
+    )

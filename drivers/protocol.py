@@ -284,7 +284,10 @@ class DriveProtocol(Protocol):
         """
 
     def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
-        """Encode what a drive sends of its state and fault, at its heartbeat and at each change."""
+        """Learn what a drive is in, at its heartbeat and at each change, and return what it sends of it."""
+
+    def restarted(self, memory: Memory, legs: Sequence[int]) -> Memory:
+        """Return the memory after drives were switched off and on, where their state alone does not tell."""
 
     # bus time
     def cyclic_frames(self) -> tuple[Frame, ...]:

@@ -42,7 +42,7 @@ from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 _CYCLIC, _CYCLIC_FORM = (o.CONTROLWORD, o.TARGET_TORQUE), struct.Struct("<Hh")
 _SHOWN, _SHOWN_FORM = (o.STATUSWORD, o.POSITION, o.TORQUE), struct.Struct("<Hih")
 """What the PDOs of a torque loop carry, and its bytes."""
-_MAX_TORQUE = PLACE[o.MAX_TORQUE]
+_MAX_TORQUE, _MODE = PLACE[o.MAX_TORQUE], PLACE[o.MODE]
 NO_WATCHDOG_s = 1e6
 """Time after which a drive without a consumer heartbeat time reacts."""
 _SHORT_PDO = 0x8210
@@ -197,12 +197,20 @@ def on_rpdo(device: Device, pdo: Pdo, data: bytes) -> Step:
         elif key == o.TARGET_TORQUE:
             torque = signed(key, value)
         elif not refused(device.values, key, value, size):
-            device = device._replace(values=with_value(device.values, key, value))
+            device = _stored(device, key, value)
     return control(device, word, torque)
 
 
+def _stored(device: Device, key: Key, value: int) -> Device:
+    """Return the drive with another value; a mode of operation is in force at once, and shown."""
+    values = with_value(device.values, key, value)
+    if key == o.MODE:
+        values = with_value(values, o.MODE_SHOWN, value)
+    return device._replace(values=values)
+
+
 def control(device: Device, word: int, torque: int) -> Step:
-    """Let a controlword and a target torque act."""
+    """Let a controlword and a target torque act; without a mode of operation no torque follows."""
     leg, before = (device.leg,), device.state
     state = commanded(word, before, rises=not device.word & 0x80)
     if state is State.QUICK_STOP and before is State.ENABLED and device.get(o.QUICK_STOP) == 0:
@@ -210,7 +218,7 @@ def control(device: Device, word: int, torque: int) -> Step:
     count = device.commands
     messages: list[DeviceMessage] = []
     if state is State.ENABLED:
-        most = device.values[_MAX_TORQUE]
+        most = device.values[_MAX_TORQUE] if device.values[_MODE] else 0
         force = np.array([min(max(torque, -most), most) * device.N_per_permille])
         if before is not State.ENABLED:
             messages.append(UnwatchedCommand(leg, DriveMode.READY, force, count + 1))
@@ -264,9 +272,7 @@ def _written(
         return *control(device, value, device.torque), 0
     if key == o.TARGET_TORQUE:
         return device._replace(torque=signed(key, value)), (), 0
-    device = device._replace(values=with_value(device.values, key, value))
-    if key == o.MODE:
-        device = device._replace(values=with_value(device.values, o.MODE_SHOWN, value))
+    device = _stored(device, key, value)
     acts = key in (o.CONSUMER_HEARTBEAT, o.FAULT_REACTION) and device.started
     return device, (_configure(device),) if acts else (), 0
 

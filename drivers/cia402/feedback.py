@@ -109,6 +109,9 @@ class Feedback:
         if kind == _SDO:
             following = answered(dialogue, leg, data, number)
             heard.rejected += following is None
+            reply = o.read_reply(data)
+            if reply is not None and reply.key == o.ERROR_CODE and heard.state[leg] == DriveState.FAULT:
+                heard.fault[leg] = heard.fault[leg] or (0 if reply.abort else reply.value)
             return dialogue if following is None else following
         if len(data) != 1 or data[0] not in _NMT_STATES:
             heard.rejected += 1

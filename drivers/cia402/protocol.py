@@ -247,6 +247,11 @@ class Cia402Protocol:
         """Encode boot-up, EMCY and heartbeat of a drive, see `Devices`."""
         return self._devices.report(memory, status)
 
+    @staticmethod
+    def restarted(memory: Memory, _legs: Sequence[int]) -> Memory:
+        """Return the memory as it is: a drive's state tells `Devices`."""
+        return memory
+
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:

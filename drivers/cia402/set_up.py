@@ -18,6 +18,8 @@ TRIES = 20
 _NOT_ASKED = -1
 _NOT_THERE = (o.NO_OBJECT, o.NO_SUB_INDEX)
 _POWERED = (DriveState.READY, DriveState.RUN)
+_WHY = Step("read", o.ERROR_CODE, 0, 2)
+"""What a drive in fault is asked whose EMCY was not heard: it was sent once, before us or into a loss."""
 
 
 class Cia402Dialogue(NamedTuple):
@@ -119,15 +121,17 @@ def next_frames(
 
     A drive that is heard in READY or RUN is not asked.
     """
-    if all(dialogue.done(leg) for leg in range(LEGS)):
+    states, ages, codes = (tick[name].tolist() for name in ("drive_state", "age", "drive_fault"))
+    puzzles = [states[leg] == DriveState.FAULT and not codes[leg] for leg in range(LEGS)]
+    if all(dialogue.done(leg) and not puzzles[leg] for leg in range(LEGS)):
         return dialogue, ()
     number = int(tick["tick"])
     waits = patience(dialogue)
-    states, ages = tick["drive_state"].tolist(), tick["age"].tolist()
     frames: list[Frame] = []
     for k in range(LEGS):
         leg = (number * most + k) % LEGS
-        step, asked = dialogue.step(leg), dialogue.asked[leg]
+        done, asked = dialogue.done(leg), dialogue.asked[leg]
+        step = _WHY if done and puzzles[leg] else dialogue.step(leg)
         if step is None or (asked != _NOT_ASKED and number - asked < waits):
             continue
         if states[leg] in _POWERED and ages[leg] < waits:
@@ -139,7 +143,8 @@ def next_frames(
             step = dialogue.plans[leg][0]
         frames.append(step.frame(nodes[leg]))
         dialogue = dialogue._replace(
-            asked=put(dialogue.asked, leg, number), tries=put(dialogue.tries, leg, dialogue.tries[leg] + 1)
+            asked=put(dialogue.asked, leg, number),
+            tries=put(dialogue.tries, leg, 0 if done else dialogue.tries[leg] + 1),
         )
         if step.kind == "nmt" and step.value != o.START:
             dialogue = advanced(dialogue, leg)

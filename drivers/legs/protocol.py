@@ -371,6 +371,11 @@ class LegsProtocol(Traits):
         bodies = self._split(data.data)
         return memory, [(leg, _new(Frame, (id_, bodies[leg], flags))) for leg, id_ in self._feedback_legs]
 
+    @staticmethod
+    def restarted(memory: int, _legs: Sequence[int]) -> int:
+        """Return the memory as it is: a drive's state tells."""
+        return memory
+
     def report(self, memory: int, status: Status) -> tuple[int, tuple[Frame, ...]]:
         """Encode one drive's heartbeat."""
         leg, state, fault, holds = status

@@ -24,13 +24,13 @@ from drivers.mit.fields import (
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
 from drivers.motor_drives import MotorMemory, put
+from drivers.motor_settings import unwatched
 from drivers.motors import (
     OWN_CODE,
     Exchange,
     Heard,
     MotorDialogue,
     MotorProtocol,
-    unwatched,
 )
 from drivers.protocol import (
     ERROR,
@@ -49,11 +49,11 @@ from drivers.protocol import (
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
-ENABLE, DISABLE, CLEAR = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB))
+ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
 STRANGE = EXTENDED | FD | REMOTE | ERROR | OTHER_BUSES
 REGISTERS = 0x7FF
 """Identifier of Damiao's requests."""
-READ, WRITE = 0x33, 0x55
+READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX = 9, 10, 21, 22, 23
 TICKS_PER_S = 20_000
 """Of Damiao's TIMEOUT."""
@@ -167,8 +167,10 @@ class MitProtocol(MotorProtocol):
     def _hear_damiao(self, leg: int, data: bytes) -> Heard:
         node = self._nodes[leg]
         # A status is 0, 1 or above 7, so only a disabled drive near the lower end of its position could look
-        # like a register's answer: it has the position code 0x33 or 0x55 there, 0x0033 with register 9 to 23.
-        if data[0] == node and data[1] == 0 and data[2] in (READ, WRITE) and data[3] in _KIND:
+        # like a register's answer: it has the position code 0x0033 or 0x0055 there.
+        if data[0] == node and data[1] == 0 and data[2] in (READ, WRITE):
+            if data[3] not in _KIND:
+                return Heard(leg)
             (value,) = struct.unpack(_KIND[data[3]], data[4:])
             return Heard(leg, answer=(data[3], float(value)))
         status = data[0] >> 4
@@ -206,6 +208,9 @@ class MitProtocol(MotorProtocol):
             return memory, (Rejected(f"command of {len(frame.data)} bytes"),)
         modes: tuple[int, ...] = ()
         torque, after = 0.0, memory.enabled[leg]
+        enables = frame.data == ENABLE and not after
+        if frame.data == ZERO:
+            return memory, (Rejected("the zero of the position is not emulated"), Sync(0, (leg,)))
         if frame.data == ENABLE:
             modes, after = (() if after else (DriveMode.READY, DriveMode.RUN)), True
         elif frame.data == DISABLE:
@@ -216,15 +221,25 @@ class MitProtocol(MotorProtocol):
             modes, torque = (DriveMode.RUN,), unpack_command(frame.data, self.ranges)[4]
         memory, commands = self._commanded(memory, leg, modes, torque)
         memory = memory._replace(enabled=put(memory.enabled, leg, after))
-        set_by_tool: tuple[DeviceMessage, ...] = ()
-        if not self.damiao and frame.data == DISABLE:
-            set_by_tool = (Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE),)
-        return memory, (*commands, *set_by_tool, Sync(0, (leg,)))
+        first, last = self._delivered(memory, leg, enables, frame.data == DISABLE)
+        return memory, (*first, *commands, *last, Sync(0, (leg,)))
+
+    def _delivered(
+        self, memory: MotorMemory, leg: int, enables: bool, disables: bool
+    ) -> tuple[tuple[DeviceMessage, ...], tuple[DeviceMessage, ...]]:
+        """Return what a drive is set to that no controller has set up, before and after the command."""
+        held = Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE)
+        if self.damiao:
+            ticks = dict(memory.registers[leg]).get(TIMEOUT, 0.0)
+            return ((held._replace(watchdog_s=ticks / TICKS_PER_S) if ticks > 0.0 else held,) * enables), ()
+        return (held,) * enables, (held,) * disables
 
     def _on_register(self, memory: MotorMemory, data: bytes) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        leg = self._legs.get(data[0] | data[1] << 8) if len(data) > 1 else None
+        if len(data) == 8 and data[2] == REFRESH and leg is not None:
+            return memory, (Sync(0, (leg,)),)
         if len(data) != 8 or data[2] not in (READ, WRITE) or data[3] not in _KIND:
             return memory, (Rejected("register request"),)
-        leg = self._legs.get(data[0] | data[1] << 8)
         if leg is None:
             return memory, ()
         r, register = self.ranges, data[3]

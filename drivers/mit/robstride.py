@@ -15,13 +15,13 @@ from drivers.errors import ConfigurationError
 from drivers.mit.fields import TURN, Ranges, code, value
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
 from drivers.motor_drives import MotorMemory, put
+from drivers.motor_settings import unwatched
 from drivers.motors import (
     OWN_CODE,
     Exchange,
     Heard,
     MotorDialogue,
     MotorProtocol,
-    unwatched,
 )
 from drivers.protocol import (
     ERROR,
@@ -184,6 +184,7 @@ class RobStrideProtocol(MotorProtocol):
             return self._on_register(memory, leg, kind, data)
         modes: tuple[int, ...] = ()
         torque, after = 0.0, memory.enabled[leg]
+        delivered = (Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE),) * (kind == ENABLE and not after)
         if kind == ENABLE:
             modes, after = (() if after else (DriveMode.READY, DriveMode.RUN)), True
         elif kind == STOP:
@@ -192,7 +193,8 @@ class RobStrideProtocol(MotorProtocol):
             end = self.ranges.torque
             modes, torque = (DriveMode.RUN,), (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
         memory, commands = self._commanded(memory, leg, modes, torque)
-        return memory._replace(enabled=put(memory.enabled, leg, after)), (*commands, Sync(0, (leg,)))
+        memory = memory._replace(enabled=put(memory.enabled, leg, after))
+        return memory, (*delivered, *commands, Sync(0, (leg,)))
 
     def _on_register(
         self, memory: MotorMemory, leg: int, kind: int, data: bytes

@@ -21,7 +21,7 @@ from drivers.clock import Clock
 from drivers.errors import HilError, PlantError, RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveState
-from hil.app.compose import attachments, build_nodes, build_scene
+from hil.app.compose import attachments, build_nodes, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
@@ -126,7 +126,9 @@ def run_plant(
             try:
                 with _failures_logged(recording, bus.clock):
                     faults = ProcessFaults(c.plant.faults, bus.clock.now())
-                    last, trouble = _serve(served, bus, recording, stop, duration_s, supervisor, faults), ""
+                    awaited = build_protocol(c).awaited
+                    last = _serve(served, bus, recording, stop, duration_s, supervisor, faults, awaited)
+                    trouble = ""
             except PlantError as error:
                 last, trouble = served.nodes.snapshot(), str(error)
             finally:
@@ -207,6 +209,7 @@ def _serve(
     duration_s: float | None,
     supervisor: int | None,
     faults: ProcessFaults,
+    awaited: Callable[[Frame], int],
 ) -> Snapshot:
     nodes = bench.nodes
     now = bus.clock.now()
@@ -226,7 +229,7 @@ def _serve(
         faults.strike(now)
         bench.hands()
         later += nodes.step(now, received)
-        outgoing = latest([frame for t_ns, frame in later if t_ns <= now])
+        outgoing = latest([frame for t_ns, frame in later if t_ns <= now], awaited)
         later = [entry for entry in later if entry[0] > now]
         if outgoing:
             bus.send(outgoing)
@@ -253,13 +256,14 @@ def _serve(
     return nodes.snapshot()
 
 
-def latest(frames: list[Frame]) -> list[Frame]:
-    """Return one frame of each identifier, its newest, as a drive's mailboxes would send them.
+def latest(frames: list[Frame], awaited: Callable[[Frame], int]) -> list[Frame]:
+    """Return one frame of each drive and kind, its newest, as a drive's mailboxes would send them.
 
     After a stall of this process several SYNCs are answered at once. What is out of date would keep the bus
-    busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz.
+    busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz. `awaited`, the
+    protocol's, tells drives apart that share an identifier.
     """
-    newest = {frame.id: frame for frame in frames}
+    newest = {(frame.id, awaited(frame)): frame for frame in frames}
     return frames if len(newest) == len(frames) else list(newest.values())
 
 

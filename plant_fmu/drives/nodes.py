@@ -82,15 +82,14 @@ class Nodes:
         self._settings = drives
         self._faults = FaultPlan() if faults is None else faults
         self._h_s = plant.internal_step_s
-        self._h_ns = plant.internal_step_s * 1e9
+        self._h_ns = self._h_s * 1e9
         self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
         self._brake_after_ns = round(drives.brake_after_ms * 1e6)
         self.start(0)
 
     def start(self, t0_ns: int) -> None:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
-        self._t0_ns = t0_ns
-        self._now_ns = t0_ns
+        self._t0_ns = self._now_ns = t0_ns
         self._k = 0
         self._length, self._rate = self._plant.reset()
         gear = self._settings.transmission
@@ -278,6 +277,7 @@ class Nodes:
             raise PlantError("the plant crashed: fault plant_crash")
         self._drives.disturb(self._present, self._length, self._rate, t)
         self._turns.switch_on(self._present.reset, self._length)
+        self._memory = self._protocol.restarted(self._memory, np.flatnonzero(self._present.reset).tolist())
         self._weigh()
         self._actuate(t)
         self._calm_ns = min(self._calm_ns, int(self._drives.moved_ns.min()))

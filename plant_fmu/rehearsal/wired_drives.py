@@ -33,7 +33,7 @@ PRE_OPERATIONAL = b"\x7f"
 class WiredDrives:
     """A drive protocol whose drives' end is that of a wiring; the controller's end is not to be used.
 
-    Families whose drives answer by what they remember (`RememberingDrives`) are not covered.
+    What drives remember is by the number that they answer to: two with one number share it.
     """
 
     def __init__(self, protocol: DriveProtocol, wiring: Wiring, node_ids: Sequence[int]) -> None:
@@ -85,36 +85,48 @@ class WiredDrives:
         factor = self._wiring.watchdog[drive]
         return round(watchdog_s - NEVER_S, 9) if isinf(factor) else watchdog_s / factor
 
-    def feedbacks(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def answer(
+        self,
+        memory: Memory,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[Memory, list[tuple[int, Frame]]]:
         """Encode what the drives answer, each under the number that it was given."""
         if self._plain:
-            return self._protocol.feedbacks(sync, length, rate, force, state, fault)
+            return self._protocol.answer(memory, sync, length, rate, force, state, fault)
         frames = []
         for drive in sync.legs:
             if drive in self._mute:
                 continue
             as_leg = self._wiring.answers_as[drive]
-            values = (_moved(each, as_leg, drive) for each in (length, rate, force, state))
+            length_, rate_, force_, state_ = (
+                _moved(each, as_leg, drive) for each in (length, rate, force, state)
+            )
             code = None if fault is None else _moved(fault, as_leg, drive)
-            length_, rate_, force_, state_ = values
             said = sync._replace(legs=(as_leg,))
-            answers = self._protocol.feedbacks(said, length_, rate_, force_, state_, code)
+            memory, answers = self._protocol.answer(memory, said, length_, rate_, force_, state_, code)
             frames += [(drive, frame) for leg, frame in answers if leg == as_leg]
-        return frames
+        return memory, frames
 
-    def status(self, status: Status) -> tuple[Frame, ...]:
+    def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
         """Encode one drive's heartbeat, which confirms what the drive was told."""
         drive = status.leg
         if self._wiring.other_protocol[drive]:
-            return (Frame(HEARTBEAT + self._node_ids[drive], PRE_OPERATIONAL),)
+            return memory, (Frame(HEARTBEAT + self._node_ids[drive], PRE_OPERATIONAL),)
         if not self._wiring.present[drive]:
-            return ()
+            return memory, ()
         as_leg, holds = self._wiring.answers_as[drive], status.set_up
         if holds is not None:
             holds = Configure(as_leg, self._told(drive, holds.watchdog_s), holds.reaction)
-        return self._protocol.status(Status(as_leg, status.state, status.fault, holds))
+        return self._protocol.report(memory, Status(as_leg, status.state, status.fault, holds))
+
+    def restarted(self, memory: Memory, legs: Sequence[int]) -> Memory:
+        """Return the memory after drives were switched off and on."""
+        return self._protocol.restarted(memory, [self._wiring.answers_as[k] for k in legs])
 
 
 def _moved(values: Any, to: int, drive: int) -> Any:

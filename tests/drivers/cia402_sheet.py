@@ -1,8 +1,12 @@
-"""The emulated CiA 402 drive's object dictionary as the text of an EDS, for tools that nobody here wrote."""
+"""The emulated CiA 402 drive's object dictionary as the text of an EDS, for tools that nobody here wrote.
+
+`python -m tests.drivers.cia402_sheet` writes the one that is shipped.
+"""
 
 from __future__ import annotations
 
 from itertools import groupby
+from pathlib import Path
 
 from drivers.cia402.dictionary import ENTRIES, Entry
 
@@ -45,3 +49,13 @@ def sheet(*without: int) -> str:
         for sub in subs:
             lines += _variable(f"{index:04X}sub{sub:X}", f"{name} {sub}", ENTRIES[index, sub])
     return "\n".join(lines)
+
+
+def write() -> None:
+    """Write the shipped data sheet."""
+    file = Path(__file__).parents[2] / "drivers" / "cia402" / "emulated_drive.eds"
+    file.write_text(sheet() + "\n", encoding="ascii")
+
+
+if __name__ == "__main__":
+    write()

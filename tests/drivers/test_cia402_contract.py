@@ -6,10 +6,20 @@ import pytest
 
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives
 from tests.drivers.protocol_contract import ProtocolContract
+from tests.drivers.trouble_contract import TroubleContract
 
 
-class TestCia402WithVelocity(ProtocolContract):
+class TestCia402WithVelocity(TroubleContract):
     RESOLUTION = (STEP_m, STEP_m, PERMILLE_N, PERMILLE_N)
+    LENGTHS = (-326.0, 327.0)
+    """2^31 counts of 20 mm / 2^17 about 0.75 m."""
+    SPEED = 327.0
+    MOST_N = 10_000.0
+    """0x6072 in the drive."""
+    BEATS = "nothing"
+
+    def beat_ids(self, protocol):
+        return {0x701, 0x702, 0x703, 0x704, 0x705, 0x706}
 
     @pytest.fixture
     def protocol(self):

@@ -11,10 +11,10 @@ from drivers.cia402.emergency import meaning
 from drivers.cia402.feedback import difference
 from drivers.cia402.states import State
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import DriveSetup, Frame, Received, Sync, run_of
+from drivers.protocol import Answer, DeviceCommand, DriveSetup, Frame, Received, Status, Sync, run_of
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.faults.drive import DriveReset, DriveSilence
-from tests.drivers.cia402_drives import SCREW_m, STEP_m, drives
+from tests.drivers.cia402_drives import PERMILLE_N, SCREW_m, STEP_m, drives
 from tests.drivers.protocol_contract import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 
 RUN = Command(DriveMode.RUN, FORCE)
@@ -35,6 +35,36 @@ def alone(ends: Ends, frames, ticks: int) -> list[Frame]:
         t = ends.tick * PERIOD_NS
         sent += [frame for _, frame in ends.nodes.step(t, [Received(t, f) for f in frames])]
     return sent
+
+
+@pytest.mark.parametrize(("mode", "torque"), [(None, 0.0), (4, 500.0), (10, 500.0)])
+def test_a_drive_without_a_mode_of_operation_gives_no_torque(mode, torque):
+    protocol = drives()
+    memory = protocol.power_up()
+    _, (booted,) = protocol.report(memory, Status(0, DriveState.BOOT, 0))
+    assert booted == Frame(0x701, b"\0")
+    memory, _ = protocol.report(memory, Status(0, DriveState.BOOT, 0))
+    if mode is not None:
+        memory, _ = protocol.parse(memory, Frame(0x601, o.download(o.MODE, mode, 1)))
+    memory, _ = protocol.parse(memory, Frame(0x000, b"\x01\x01"))
+    memory, _ = protocol.parse(memory, Frame(0x601, o.download(o.TARGET_TORQUE, 500, 2)))
+    for word in (0x06, 0x07, 0x0F):
+        memory, messages = protocol.parse(memory, Frame(0x601, o.download(o.CONTROLWORD, word, 2)))
+    run = [each for each in messages if isinstance(each, DeviceCommand) and each.mode == DriveMode.RUN]
+    assert run[0].force[0] == pytest.approx(torque * PERMILLE_N, rel=1e-12)
+
+
+def test_a_mode_that_comes_by_pdo_is_the_one_that_is_shown():
+    protocol = drives()
+    memory, _ = protocol.report(protocol.power_up(), Status(0, DriveState.BOOT, 0))
+    mapping = [(0x1400, 1, 0x80000201, 4), (0x1600, 0, 0, 1), (0x1600, 1, 0x60600008, 4), (0x1600, 0, 1, 1)]
+    for index, sub, value, size in (*mapping, (0x1400, 1, 0x201, 4)):
+        memory, _ = protocol.parse(memory, Frame(0x601, o.download((index, sub), value, size)))
+    memory, _ = protocol.parse(memory, Frame(0x000, b"\x01\x01"))
+    memory, _ = protocol.parse(memory, Frame(0x201, b"\x0a"))
+    _, (answer,) = protocol.parse(memory, Frame(0x601, o.upload(o.MODE_SHOWN)))
+    assert isinstance(answer, Answer)
+    assert answer.frame.data[4] == 10
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4)])

@@ -19,13 +19,15 @@ from drivers.mit.fields import Ranges, device_motion, pack_command, unpack_comma
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.mit.variants import VARIANTS
+from drivers.motors import Heard
 from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync, run_of
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from tests.drivers.drives_end import answers
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, ProtocolContract, at_tick
+from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, at_tick
+from tests.drivers.trouble_contract import TroubleContract
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
@@ -40,25 +42,32 @@ FINE_m_s, FINE_N = 2 * 800.0 / 65535 / (2 * np.pi) * LEAD_m, 2 * 288.0 / 65535 *
 NODES = (1, 2, 3, 4, 5, 15)
 
 
-class TestMiniCheetah(ProtocolContract):
+class MitInTrouble(TroubleContract):
+    LENGTHS, SPEED = (0.24, 3.26), 6.36
+    """95.5 rad and 400 rad/s behind 0.1 m a turn, less than a step from the ends."""
+
+
+class TestMiniCheetah(MitInTrouble):
     RESOLUTION = (STEP_m, STEP_m_s, STEP_N, STEP_N)
-    SETS_WATCHDOG = TELLS_BOOT = False
+    SETS_WATCHDOG = TELLS_BOOT = WATCHED = TELLS_FAULTS = False
+    RESTART, WRAPS = "nothing", True
 
     @pytest.fixture
     def protocol(self):
         return MitProtocol("mini_cheetah", WIDE, NODES, 0, GEAR)
 
 
-class TestCubeMars(ProtocolContract):
+class TestCubeMars(MitInTrouble):
     RESOLUTION = (STEP_m, STEP_m_s, STEP_N, STEP_N)
-    SETS_WATCHDOG = TELLS_BOOT = False
+    SETS_WATCHDOG = TELLS_BOOT = WATCHED = CLEARS = False
+    RESTART = "nothing"
 
     @pytest.fixture
     def protocol(self):
         return MitProtocol("cubemars", WIDE, NODES, 0, GEAR)
 
 
-class TestDamiao(ProtocolContract):
+class TestDamiao(MitInTrouble):
     RESOLUTION = (STEP_m, STEP_m_s, STEP_N, STEP_N)
     TELLS_BOOT = False
 
@@ -67,9 +76,9 @@ class TestDamiao(ProtocolContract):
         return MitProtocol("damiao", WIDE, NODES, 16, GEAR)
 
 
-class TestRobStride(ProtocolContract):
+class TestRobStride(MitInTrouble):
     RESOLUTION = (STEP_m, FINE_m_s, FINE_N, FINE_N)
-    SETS_WATCHDOG = TELLS_BOOT = False
+    SETS_WATCHDOG = TELLS_BOOT = WATCHED = False
 
     @pytest.fixture
     def protocol(self):
@@ -225,7 +234,7 @@ def test_damiao_registers_are_read(vector):
     heard = damiao().hear(Frame(vector["id"], bytes.fromhex(vector["data"])))
     assert heard is not None
     if vector["inputs"]["rid"] == 5:
-        assert heard.answer is None, "a register that nobody asks for"
+        assert heard == Heard(4), "a register that nobody here asks for, and no feedback"
     else:
         assert heard.answer == (vector["inputs"]["rid"], vector["decoded"]["value"])
 
@@ -374,6 +383,18 @@ def test_another_controller_a_second_answer_and_a_stale_one_are_told_apart(make,
     assert (m["doubled"], m["foreign"]) == (0, Foreign.COMMAND)
     m = measured(answer._replace(t_ns=begun - 1))
     assert (m["rejected"], m["age"][2] > 0) == (1, True)
+
+
+@pytest.mark.parametrize("variant", ["mini_cheetah", "cubemars", "damiao"])
+def test_a_drive_is_enabled_by_a_controller_that_has_set_nothing_up(variant):
+    protocol = MitProtocol(variant, WIDE, NODES, 16 if variant == "damiao" else 0, GEAR)
+    nodes = Ends(protocol).nodes
+    torque = pack_command(0.0, 0.0, 0.0, 0.0, 10.0, WIDE)
+    for k, data in enumerate((b"\xff" * 7 + b"\xfc", torque, torque)):
+        nodes.step(k * PERIOD_NS, [Received(k * PERIOD_NS, Frame(2, data))])
+    assert nodes.snapshot().state.tolist() == [0, DriveState.RUN, 0, 0, 0, 0]
+    assert nodes.snapshot().command[1] == pytest.approx(-10.0 * NEWTONS, abs=STEP_N)
+    assert nodes.snapshot().rejected == 0
 
 
 def test_a_drive_whose_ranges_are_others_is_not_set_up_and_says_which():

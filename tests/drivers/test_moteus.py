@@ -15,12 +15,24 @@ from hypothesis import strategies as st
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.moteus import QUERY, STOP, MoteusProtocol, pad, registers, torque_command
-from drivers.protocol import BRS, EXTENDED, FD, Configure, DeviceCommand, DriveSetup, Frame
+from drivers.moteus import QUERY, STOP, MoteusProtocol, torque_command
+from drivers.moteus_registers import pad, registers
+from drivers.protocol import (
+    BRS,
+    EXTENDED,
+    FD,
+    Configure,
+    DeviceCommand,
+    DriveSetup,
+    Frame,
+    Rejected,
+    Sync,
+)
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from tests.drivers import moteus_foreign as foreign
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
+from tests.drivers.trouble_contract import TroubleContract
 
 DATA = Path(__file__).parents[1] / "data/drives"
 VECTORS = json.loads((DATA / "moteus.json").read_text("utf-8"))["vectors"]
@@ -31,9 +43,11 @@ NODES = (1, 2, 3, 4, 5, 126)
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
 
 
-class TestMoteus(ProtocolContract):
+class TestMoteus(TroubleContract):
     RESOLUTION = (1e-7, 1e-6, 1e-3, 1e-3)
-    SETS_WATCHDOG = TELLS_BOOT = False
+    SETS_WATCHDOG = TELLS_BOOT = ENDS = LATCHES = False
+    LENGTHS, SPEED, RELATIVE = (-100.0, 100.0), 100.0, 1e-7
+    RESTART = "obeys"
 
     @pytest.fixture
     def protocol(self):
@@ -171,6 +185,85 @@ def test_a_drive_that_restarts_in_motion_obeys_again_from_the_next_command_on():
         states.append(int(ends.measurement["drive_state"][3]))
     assert states == [DriveState.RUN] * 10
     assert ends.nodes.snapshot().state[3] == DriveState.RUN
+
+
+def asked_by_the_package(package: Any, width: str) -> tuple[Frame, dict[int, float]]:
+    """Return a query of controller 5 to drive 3, and the steps of what it asks for at that width."""
+    resolution = package.QueryResolution()
+    for name in ("position", "velocity", "torque", "q_current", "abs_position", "voltage", "temperature"):
+        setattr(resolution, name, getattr(package, width))
+    resolution._extra = {0x120: package.INT32}
+    command = package.Controller(id=3, source_can_id=5, query_resolution=resolution).make_query()
+    r = package.Register
+    steps = {
+        "INT8": {r.POSITION: 0.01, r.VELOCITY: 0.1, r.TORQUE: 0.5, r.VOLTAGE: 0.5, r.TEMPERATURE: 1.0},
+        "INT16": {r.POSITION: 1e-4, r.VELOCITY: 2.5e-4, r.TORQUE: 0.01, r.VOLTAGE: 0.1, r.TEMPERATURE: 0.1},
+        "INT32": {r.POSITION: 1e-5, r.VELOCITY: 1e-5, r.TORQUE: 1e-3, r.VOLTAGE: 1e-3, r.TEMPERATURE: 1e-3},
+        "F32": {r.POSITION: 1e-6, r.VELOCITY: 1e-6, r.TORQUE: 1e-6, r.VOLTAGE: 1e-6, r.TEMPERATURE: 1e-6},
+    }[width]
+    return Frame(0x8000 | 5 << 8 | 3, pad(bytes(command.data)), EXTENDED | FD | BRS), steps
+
+
+@pytest.mark.parametrize("width", ["INT8", "INT16", "INT32", "F32"])
+def test_the_package_reads_what_an_emulated_drive_answers_to_its_query_at_any_width(width):
+    package: Any = pytest.importorskip("moteus")
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    query, steps = asked_by_the_package(package, width)
+    memory, messages = protocol.parse(protocol.power_up(), query)
+    assert messages == (Sync(0, (2,)),)
+    six = np.ones(6)
+    states = np.full(6, DriveState.RUN, np.int64)
+    force = -0.75 * six * UNIT.N_per_Nm
+    _, ((leg, reply),) = protocol.answer(memory, Sync(0, (2,)), 0.123 * six, -1.5 * six, force, states)
+    assert (leg, reply.id) == (2, 3 << 8 | 5)
+    said, r = package.moteus.parse_reply(reply.data), package.Register
+    truth = {r.POSITION: 0.123, r.VELOCITY: -1.5, r.TORQUE: -0.75, r.VOLTAGE: 24.0, r.TEMPERATURE: 30.0}
+    for register, value in truth.items():
+        assert said[register] == pytest.approx(value, abs=steps[register]), register
+    assert (said[r.MODE], said[r.FAULT]) == (10, 0)
+    assert np.isnan(said[r.Q_CURRENT])
+    assert np.isnan(said[r.ABS_POSITION])
+    assert 0x120 not in said, "no state of the drive: an error"
+
+
+def test_a_command_to_all_drives_is_obeyed_by_all_and_one_that_wants_no_reply_gets_none():
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    torque = pad(torque_command(0.5, 2.0, 0.1))
+    memory, messages = protocol.parse(protocol.power_up(), Frame(0x7F, torque, FD | BRS))
+    assert memory.enabled == (True,) * 6
+    legs = [each.legs for each in messages if isinstance(each, DeviceCommand) and each.mode == DriveMode.RUN]
+    assert legs == [(leg,) for leg in range(6)]
+    assert not [each for each in messages if isinstance(each, Sync)]
+    _, messages = protocol.parse(memory, Frame(0x807F, torque, EXTENDED | FD | BRS))
+    assert [each.legs for each in messages if isinstance(each, Sync)] == [(leg,) for leg in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("what", "written"),
+    [
+        ("gains", "01000a0c06200000c07f000000000000003f0000803f0000803f00000040"),
+        ("no gains given: the drive's own", "01000a0d220000003f"),
+        ("torque without the scale of kd", "01000a0e220000003f00000000"),
+        ("torque without the scale of kp", "01000a0d220000003f0d2400000000"),
+        ("position", "01000a0e200000803ecdccccbd"),
+        ("brake", "01000f"),
+    ],
+)
+def test_a_command_that_an_emulated_drive_does_not_have_is_counted_and_answered(what, written):
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    frame = Frame(0x8001, pad(bytes.fromhex(written) + QUERY), EXTENDED | FD | BRS)
+    _, messages = protocol.parse(protocol.power_up(), frame)
+    assert isinstance(messages[0], Rejected), what
+    assert messages[1:] == (Sync(0, (0,)),)
+
+
+@pytest.mark.parametrize("identifier", [0x8002, 0x0002, 0x8502, 0x0502, 0x7F, 0x857F])
+def test_commands_of_any_other_controller_are_foreign_with_or_without_a_reply(identifier):
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    heard = protocol.hear(Frame(identifier, STOP, FD | BRS | EXTENDED * (identifier > 0x7FF)))
+    assert heard is not None
+    assert heard.foreign
+    assert protocol.hear(Frame(2 << 8 | 9, STOP, FD | BRS)) is None, "what a drive tells somebody else"
 
 
 @pytest.mark.parametrize("data", ["21", "2100", "2f01000000", "ff", "210001", "2c", "2c7f7f", "7f01"])

@@ -16,11 +16,22 @@ from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import REMOTE, DeviceCommand, DriveSetup, Frame, Received, Status, Sync, run_of
+from drivers.protocol import (
+    REMOTE,
+    DeviceCommand,
+    DriveSetup,
+    Frame,
+    Received,
+    Rejected,
+    Status,
+    Sync,
+    run_of,
+)
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from tests.drivers.drives_end import answers, reports
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
+from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
+from tests.drivers.trouble_contract import TroubleContract
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/odrive.json").read_text("utf-8"))["vectors"]
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
@@ -29,9 +40,14 @@ SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 NODES = (0, 1, 2, 3, 5, 62)
 
 
-class TestODrive(ProtocolContract):
+class TestODrive(TroubleContract):
     RESOLUTION = (1e-7, 1e-6, None, 1e-3)
-    SETS_WATCHDOG = TELLS_BOOT = False
+    SETS_WATCHDOG = TELLS_BOOT = ENDS = False
+    LENGTHS, SPEED, RELATIVE = (-100.0, 100.0), 100.0, 1e-7
+    BEATS, OTHER = "state", 0x200
+
+    def beat_ids(self, protocol):
+        return {node << 5 | 1 for node in NODES}
 
     @pytest.fixture
     def protocol(self):
@@ -139,7 +155,7 @@ def test_an_axis_whose_control_mode_was_never_set_does_not_close_its_loop():
     protocol = unit()
     closed = protocol.poll(protocol.start(SETUP)._replace(mode=DriveMode.RUN), 1)
     memory, messages = protocol.parse(protocol.power_up(), closed)
-    assert messages == ()
+    assert messages == (Rejected("closed loop without torque control"),)
     assert memory.enabled == (False,) * 6
 
 
@@ -155,6 +171,23 @@ def test_a_lost_encoder_is_a_blind_leg_and_another_controller_is_heard():
     ends.protocol.decode(ends.dialogue, run_of(received), ends.measurement, m, begun)
     assert m["blind"].tolist() == [0, 1, 0, 0, 0, 0]
     assert m["foreign"] == Foreign.COMMAND
+
+
+def test_an_axis_is_enabled_by_a_controller_that_never_sent_it_idle():
+    nodes = Ends(unit()).nodes
+    mode, closed = Frame(0x2B, struct.pack("<II", 1, 1)), Frame(0x27, struct.pack("<Ixxxx", 8))
+    nodes.step(0, [Received(0, each) for each in (mode, closed, Frame(0x2E, struct.pack("<fxxxx", 0.5)))])
+    assert nodes.snapshot().state.tolist() == [0, DriveState.RUN, 0, 0, 0, 0]
+    assert nodes.snapshot().command[1] == pytest.approx(0.5 * 2 * np.pi)
+    assert nodes.snapshot().rejected == 0
+
+
+@pytest.mark.parametrize("kind", [0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x0F, 0x16])
+def test_a_set_point_of_another_controller_is_foreign_whatever_it_sets(kind):
+    heard = unit().hear(Frame(5 << 5 | kind, bytes(8)))
+    assert heard is not None
+    assert heard.foreign
+    assert heard.leg == 4
 
 
 def test_silence_trips_the_watchdog_that_the_axis_has_and_the_heartbeat_says_so():

@@ -25,29 +25,43 @@ from hil.loop.report import waiting_text
 from hil.record.log import Log
 from tests.drivers.protocol_contract import Ends, ProtocolContract
 from tests.drivers.stub_protocol import StubProtocol, stub
+from tests.drivers.trouble_contract import TroubleContract
 
 NODES = "node_ids: [1, 2, 3, 4, 5, 6]"
 STUB_NODES = "protocol: stub\n  node_ids: [4096, 513, 770, 1027, 1284, 65535]"
 
 
-class TestLegsClassic(ProtocolContract):
+class LegsInTrouble(TroubleContract):
+    LENGTHS = (-214.0, 214.0)
+    BEATS = "set-up"
+    NODES: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+
+    def beat_ids(self, protocol):
+        return {0x700 + node for node in self.NODES}
+
+
+class TestLegsClassic(LegsInTrouble):
     RESOLUTION = (1e-7, 1e-4, None, 3.75)
+    SPEED = 3.27
 
     @pytest.fixture
     def protocol(self):
         return LegsProtocol("classic", (1, 2, 3, 4, 5, 6))
 
 
-class TestLegsFd(ProtocolContract):
+class TestLegsFd(LegsInTrouble):
     RESOLUTION = (1e-7, 1e-7, 3.75, 1e-3)
+    SPEED = 214.0
+    NODES = (127, 20, 30, 40, 50, 1)
 
     @pytest.fixture
     def protocol(self):
         return LegsProtocol("fd", (127, 20, 30, 40, 50, 1))
 
 
-class TestLegsIdeal(ProtocolContract):
+class TestLegsIdeal(LegsInTrouble):
     RESOLUTION = (0.0, 0.0, 0.0, 0.0)
+    SPEED = 1e3
 
     @pytest.fixture
     def protocol(self):

@@ -72,5 +72,6 @@ def known_identifiers(protocol: DriveProtocol) -> frozenset[int]:
     known = {frame.id for frame in protocol.cyclic_frames()}
     for leg in range(LEGS):
         with contextlib.suppress(ProtocolError):
-            known |= {frame.id for frame in protocol.status(Status(leg, int(DriveState.OFF), 0))}
+            _, said = protocol.report(protocol.power_up(), Status(leg, int(DriveState.OFF), 0))
+            known |= {frame.id for frame in said}
     return frozenset(known)

@@ -7,45 +7,47 @@ from importlib import resources
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import loads
+from hil.app.configuration.configuration import load, loads
 from hil.app.sim.command import simulate
-from tests.broad import broad
 
-OPTIONS = """  protocol: cia402
-  options: {{rated_torque_Nm: {rated}, velocity: {velocity}}}
-  transmission: {{lead_m: 0.02, counts_per_turn: 131072, offset_m: 0.7}}"""
+PDO = {"velocity: difference": "velocity: pdo", "  rate_Hz: 400": "  rate_Hz: 312.5"}
+SAME = ("platform", "controller", "monitor", "engage", "reference", "limits", "reactions", "plant")
+"""Sections of a shipped configuration that its twin with CiA 402 drives has, too."""
 
 
-def configuration(name, rate_Hz, velocity, rated, **more):
-    text = resources.files("configs").joinpath(f"{name}.yaml").read_text(encoding="utf-8")
-    changes = {
-        "  layout: fd": "  layout: classic",
-        "  protocol: legs": OPTIONS.format(rated=rated, velocity=velocity),
-        "  rate_Hz: 1000": f"  rate_Hz: {rate_Hz}",
-        "  watchdog_ms: 10": "  watchdog_ms: 20",
-    }
-    for old, new in (changes | more).items():
+def configuration(name, changes=None):
+    text = resources.files("configs").joinpath(f"{name}-cia402.yaml").read_text(encoding="utf-8")
+    for old, new in (changes or {}).items():
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     return loads(text, name)
 
 
+@pytest.mark.parametrize("name", ["virtual", "lab"])
+def test_a_shipped_robot_and_its_twin_with_cia402_drives_differ_in_bus_drives_and_rate_alone(name):
+    ours, theirs = load(name), load(f"{name}-cia402")
+    assert theirs.drives.protocol == "cia402"
+    for section in SAME:
+        one, other = (getattr(c, section).model_dump() for c in (ours, theirs))
+        if section == "plant":
+            one["drives"].pop("encoder_resolution_m")
+            assert other["drives"].pop("encoder_resolution_m") == 0.0, "the drives count by themselves"
+        assert one == other, section
+    assert theirs.drives.force_limit_N == ours.drives.force_limit_N
+    assert theirs.loop.model_dump() == ours.loop.model_dump() | {"rate_Hz": 400.0}
+
+
 @pytest.mark.parametrize(
-    ("name", "rate_Hz", "velocity", "rated", "peak_mm"),
-    broad(
-        [
-            ("virtual", 400, "difference", 60, 0.25),
-            ("lab", 312.5, "pdo", 9.5, 2.5),
-            ("virtual", 312.5, "pdo", 60, 0.3),
-            ("lab", 400, "difference", 9.5, 2.5),
-        ],
-        quick=2,
-    ),
+    ("name", "changes", "peak_mm"),
+    [
+        ("virtual", {}, 0.19),
+        pytest.param("virtual", PDO, 0.26, marks=pytest.mark.long),
+        pytest.param("lab", {}, 2.3, marks=pytest.mark.long),
+        pytest.param("lab", PDO, 2.3, marks=pytest.mark.long),
+    ],
 )
-def test_the_robot_tracks_and_parks_and_the_log_replays_exactly(
-    name, rate_Hz, velocity, rated, peak_mm, tmp_path
-):
-    found = simulate(configuration(name, rate_Hz, velocity, rated), log=tmp_path / "run.mcap", duration_s=4.0)
+def test_the_robot_tracks_and_parks_and_the_log_replays_exactly(name, changes, peak_mm, tmp_path):
+    found = simulate(configuration(name, changes), log=tmp_path / "run.mcap", duration_s=4.0)
     assert found["success"], found
     assert found["final_mode"] == "PARKED"
     assert found["rejected_frames"] == 0
@@ -54,9 +56,8 @@ def test_the_robot_tracks_and_parks_and_the_log_replays_exactly(
 
 
 def test_a_rate_that_the_bus_does_not_carry_is_refused_with_the_arithmetic():
-    configuration("virtual", 400, "difference", 60)
     with pytest.raises(ConfigurationError) as refused:
-        configuration("virtual", 400, "pdo", 60)
+        configuration("virtual", {"velocity: difference": "velocity: pdo"})
     text = str(refused.value)
     assert "6 x classic  8 byte: 135 bit = 135.0 us each, 810.0 us" in text
     assert "12 x classic  4 byte: 95 bit = 95.0 us each, 1140.0 us" in text
@@ -67,4 +68,4 @@ def test_a_rate_that_the_bus_does_not_carry_is_refused_with_the_arithmetic():
 def test_a_reaction_that_such_drives_do_not_have_is_refused():
     changes = {"  silence: brake ": "  silence: hold  "}
     with pytest.raises(ConfigurationError, match=r"allowed with drives\.protocol cia402.*brake, damp"):
-        configuration("virtual", 400, "difference", 60, **changes)
+        configuration("virtual", changes)

@@ -79,7 +79,7 @@ def test_the_group_lists_its_commands_in_the_order_of_their_use_and_all_shipped_
     listed = re.findall(r"^  (\w+) {2,}[A-Z]", text.partition("Commands:")[2], re.MULTILINE)
     assert listed[:5] == ["run", "plant", "sim", "replay", "check"]
     assert "fmu" in listed
-    names = re.findall(r"\w+", re.findall(r"shipped one:(.*?)\. Logs", text, re.DOTALL)[0])
+    names = re.findall(r"[\w-]+", re.findall(r"shipped one:(.*?)\.\s+Logs", text, re.DOTALL)[0])
     assert sorted(set(names) - {"the", "default"}) == sorted(shipped())
 
 

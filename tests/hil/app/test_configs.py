@@ -17,7 +17,17 @@ from hil.app.configuration.text_file import shipped
 
 ROOT = Path(__file__).parents[3]
 BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())
-NAMES = ["bench", "desktop", "ideal", "lab", "socketcan", "vcan50", "virtual"]
+NAMES = [
+    "bench",
+    "desktop",
+    "ideal",
+    "lab",
+    "lab-cia402",
+    "socketcan",
+    "vcan50",
+    "virtual",
+    "virtual-cia402",
+]
 
 
 class Floats(yaml.SafeLoader):

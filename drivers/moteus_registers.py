@@ -1,0 +1,169 @@
+"""The subframes of moteus: registers that are written, asked for and answered. Pure.
+
+mjlib multiplex, as the package moteus 1.1.1 has it: a head says kind, width (int8, int16, int32, float) and
+count, 0 for a count that follows; counts and registers are varuints, values little-endian. The smallest
+integer of a width stands for "not known".
+"""
+
+import struct
+from bisect import bisect_left
+from math import isfinite, nan
+
+NOP = 0x50
+WRITE, READ, REPLY = 0x00, 0x10, 0x20
+"""Kinds of subframes."""
+MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
+TRAJECTORY_COMPLETE, HOME_STATE, VOLTAGE, TEMPERATURE, FAULT = 0x00B, 0x00C, 0x00D, 0x00E, 0x00F
+COMMAND, TIMEOUT = 0x020, 0x027
+"""COMMAND begins position, velocity, feed-forward torque, scales of kp and kd, most torque."""
+READ_ERROR, NO_REGISTER = 0x31, 1
+_READABLE = 0x10
+"""Registers below are states of the drive."""
+_FLOAT = 3
+_SIZES = (1, 2, 4, 4)
+_FORMS = ("b", "h", "i", "f")
+_SCALES = {
+    PLACE: (0.01, 0.0001, 0.00001),
+    SPEED: (0.1, 0.00025, 0.00001),
+    TORQUE: (0.5, 0.01, 0.001),
+    VOLTAGE: (0.5, 0.1, 0.001),
+    TEMPERATURE: (1.0, 0.1, 0.001),
+}
+"""Of an int8, int16, int32."""
+_COMMAND_SCALES = {COMMAND: PLACE, COMMAND + 1: SPEED, COMMAND + 2: TORQUE, COMMAND + 5: TORQUE}
+_TIME_SCALES = (0.01, 0.001, 0.000001)
+_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+
+Asked = tuple[tuple[int, int], ...]
+"""Registers with the width in which each is asked for."""
+
+
+def pad(data: bytes) -> bytes:
+    """Return the data filled up to the next length of CAN FD."""
+    return data + bytes((NOP,)) * (_LENGTHS[bisect_left(_LENGTHS, len(data))] - len(data))
+
+
+def _varuint(data: bytes, at: int) -> tuple[int, int]:
+    """Return a number of seven bits a byte, and where it ends. Raises IndexError if the data end before."""
+    number = shift = 0
+    while True:
+        number |= (data[at] & 0x7F) << shift
+        shift += 7
+        at += 1
+        if not data[at - 1] & 0x80:
+            return number, at
+
+
+def registers(data: bytes, kind: int) -> dict[int, float] | None:
+    """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known.
+
+    Registers without a scale come as they are. Errors (0x30, 0x31) end the frame. None if it is not whole.
+    """
+    found: dict[int, float] = {}
+    at = 0
+    try:
+        while at < len(data):
+            head = data[at]
+            at += 1
+            if head == NOP:
+                continue
+            if head & 0xF0 == 0x30:
+                break
+            width, count = head >> 2 & 3, head & 3
+            if count == 0:
+                count, at = _varuint(data, at)
+                if count == 0:
+                    continue
+            first, at = _varuint(data, at)
+            if head & 0xF0 == READ:
+                continue
+            if head & 0xF0 != kind or at + count * _SIZES[width] > len(data):
+                return None
+            for k, raw in enumerate(struct.unpack_from(f"<{count}{_FORMS[width]}", data, at)):
+                found[first + k] = _value(first + k, width, raw)
+            at += count * _SIZES[width]
+    except IndexError:
+        return None
+    return found
+
+
+def _scale(register: int, width: int) -> float | None:
+    if register == TIMEOUT:
+        return _TIME_SCALES[width]
+    scales = _SCALES.get(_COMMAND_SCALES.get(register, register))
+    return None if scales is None else scales[width]
+
+
+def _value(register: int, width: int, raw: float) -> float:
+    scale = None if width == _FLOAT else _scale(register, width)
+    if scale is None:
+        return float(raw)
+    return nan if raw == -(1 << (8 * _SIZES[width] - 1)) else raw * scale
+
+
+def asked(data: bytes) -> Asked:
+    """Return what a frame asks for, in its order, up to where it is not whole."""
+    found: list[tuple[int, int]] = []
+    at = 0
+    try:
+        while at < len(data):
+            head = data[at]
+            at += 1
+            if head == NOP:
+                continue
+            width, count = head >> 2 & 3, head & 3
+            if count == 0:
+                count, at = _varuint(data, at)
+                if count == 0:
+                    continue
+            first, at = _varuint(data, at)
+            if head & 0xF0 == READ:
+                found += [(first + k, width) for k in range(min(count, _LENGTHS[-1]))]
+            else:
+                at += count * _SIZES[width]
+    except IndexError:
+        pass
+    return tuple(found)
+
+
+def reply_to(wanted: Asked, said: dict[int, float]) -> bytes:
+    """Return the reply to what is asked for, not filled up; it ends where a frame is full.
+
+    A state that the drive does not know is NaN, or the smallest integer; a register that is no state is an
+    error.
+    """
+    data = b""
+    at = 0
+    while at < len(wanted):
+        first, width = wanted[at]
+        if first >= _READABLE:
+            data += bytes((READ_ERROR, *_as_varuint(first), NO_REGISTER))
+            at += 1
+            continue
+        count = 1
+        while at + count < len(wanted) and wanted[at + count] == (first + count, width):
+            count += 1
+        count = min(count, _READABLE - first)
+        head = (REPLY | width << 2 | count,) if count < 4 else (REPLY | width << 2, count)
+        data += bytes((*head, first))
+        data += b"".join(_packed(first + k, width, said.get(first + k, nan)) for k in range(count))
+        at += count
+    return data[: _LENGTHS[-1]]
+
+
+def _as_varuint(number: int) -> tuple[int, ...]:
+    found = []
+    while number > 0x7F:
+        found.append(number & 0x7F | 0x80)
+        number >>= 7
+    return (*found, number)
+
+
+def _packed(register: int, width: int, value: float) -> bytes:
+    if width == _FLOAT:
+        return struct.pack("<f", value)
+    most = (1 << (8 * _SIZES[width] - 1)) - 1
+    raw = -most - 1
+    if isfinite(value):
+        raw = int(min(max(value / (_scale(register, width) or 1.0), -most), most))
+    return struct.pack("<" + _FORMS[width], raw)

@@ -1,0 +1,121 @@
+"""The masters of the page about foreign controllers move the drives that `hil plant` serves."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from drivers.signals import DriveState
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.drives.snapshot import Snapshot
+from tests.drivers.cia402_sheet import sheet
+from tests.realtime.rig import Process
+from tests.serving import serving
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs/guides/foreign-controllers.md").read_text(encoding="utf-8")
+EDS = ROOT / "drivers/cia402/emulated_drive.eds"
+CHANNEL = f"foreign-{os.getpid()}"
+MOVED_m = 0.02
+
+
+def text(family: str, folder: Path) -> str:
+    """Return configs/bench.yaml with the sections that the page has for a family."""
+    (block,) = (
+        each for each in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL) if f"protocol: {family}" in each
+    )
+    changes: dict[str, Any] = yaml.safe_load(block)
+    changes["bus"]["channel"] = CHANNEL
+    changes["recording"] = {"folder": f"{folder}/runs"}
+    return with_changes((ROOT / "configs/bench.yaml").read_text(encoding="utf-8"), changes)
+
+
+def configuration(family: str, folder: Path) -> Configuration:
+    return loads(text(family, folder), f"{family}.yaml")
+
+
+def run_example(monkeypatch: pytest.MonkeyPatch, name: str, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    runpy.run_path(str(ROOT / "docs/examples" / name), run_name="__main__")
+
+
+def moved_mm(output: str) -> list[float]:
+    return [float(number) for number in re.findall(r"-?[0-9.]+", output[output.index("moved by") :])]
+
+
+def at_rest(nodes: Nodes) -> Snapshot:
+    """Wait until the brakes have closed."""
+    end = time.monotonic() + 5.0
+    while not (snapshot := nodes.snapshot()).brake.all():
+        assert time.monotonic() < end, snapshot
+        time.sleep(0.01)
+    return snapshot
+
+
+def test_the_data_sheet_is_that_of_the_emulated_drive():
+    assert EDS.read_text(encoding="ascii") == sheet() + "\n"
+
+
+@pytest.mark.realtime(patient=True)
+def test_a_canopen_master_moves_one_drive_and_parks_it(tmp_path, monkeypatch, capsys):
+    assert metadata.version("canopen") == "2.4.1"
+    with serving(configuration("cia402", tmp_path)) as nodes:
+        before = nodes.snapshot().length
+        run_example(monkeypatch, "canopen_master.py", str(EDS), CHANNEL)
+        after = at_rest(nodes)
+    (moved,) = moved_mm(capsys.readouterr().out)
+    way = after.length - before
+    assert 1e3 * way[4] == pytest.approx(moved, abs=2.0), "the true way is the one that the master reports"
+    assert 0.7 * MOVED_m < way[4] < MOVED_m * 1.1
+    assert np.abs(np.delete(way, 4)).max() < 1e-9, "the other five stood on their brakes"
+    assert after.state.tolist() == [DriveState.BOOT] * 4 + [DriveState.OFF, DriveState.BOOT]
+    assert after.rejected == 0
+
+
+@pytest.mark.realtime(patient=True)
+def test_the_moteus_package_moves_all_legs_and_stops_them(tmp_path, monkeypatch, capsys):
+    assert metadata.version("moteus") == "1.1.1"
+    with serving(configuration("moteus", tmp_path)) as nodes:
+        before = nodes.snapshot().length
+        run_example(monkeypatch, "moteus_master.py", CHANNEL)
+        after = at_rest(nodes)
+    moved = moved_mm(capsys.readouterr().out)
+    way = after.length - before
+    np.testing.assert_allclose(1e3 * way, moved, rtol=0, atol=2.0)
+    assert (way > 0.7 * MOVED_m).all()
+    assert (way < 1.1 * MOVED_m).all()
+    assert after.state.tolist() == [DriveState.OFF] * 6
+    assert after.rejected == 0
+
+
+@pytest.mark.long
+@pytest.mark.realtime(patient=True)
+@pytest.mark.parametrize(
+    ("family", "example"), [("cia402", "canopen_master.py"), ("moteus", "moteus_master.py")]
+)
+def test_the_masters_move_the_drives_of_the_command_itself(tmp_path, monkeypatch, capsys, family, example):
+    file = tmp_path / "foreign.yaml"
+    file.write_text(text(family, tmp_path), encoding="utf-8")
+    plant = Process(tmp_path, "plant", str(file))
+    try:
+        plant.wait_for_child("hil.record")
+        run_example(monkeypatch, example, *([str(EDS)] if family == "cia402" else []), CHANNEL)
+        plant.interrupt()
+        assert plant.wait() == 0, plant.errors
+    finally:
+        plant.clean_up()
+    assert min(moved_mm(capsys.readouterr().out)) > 14.0
+    assert {*plant.summary["final_states"]} <= {"OFF", "BOOT"}
+    assert plant.summary["rejected_frames"] == 0

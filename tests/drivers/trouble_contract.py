@@ -1,0 +1,483 @@
+"""What every drive protocol promises in trouble, beside its contract: edges, broken frames, power, silence.
+
+A family's test class inherits `TroubleContract` and states where it differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.arrays import Array
+from drivers.config import DriveSettings
+from drivers.errors import ProtocolError
+from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received, Sync
+from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.drive import DriveReset, DriveSilence
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.plan import FaultPlan
+from tests.drivers.drives_end import answers
+from tests.drivers.protocol_contract import (
+    FORCE,
+    LENGTH,
+    PERIOD_NS,
+    Ends,
+    Given,
+    ProtocolContract,
+    reaction_of,
+)
+
+RUN = Command(DriveMode.RUN, FORCE)
+READY = Command(DriveMode.READY, np.zeros(LEGS))
+OFF = Command(DriveMode.OFF, np.zeros(LEGS))
+RESET = Command(DriveMode.RESET, np.zeros(LEGS))
+CLIPS_N = 55_000.0
+"""The emulated drives clip at 60 kN."""
+LEG = 3
+Tamper = Callable[[list[Received]], list[Received]]
+
+
+class Placed(Given):
+    """A plant whose legs are where they are put."""
+
+    def __init__(self) -> None:
+        self.length, self.rate = LENGTH.copy(), np.zeros(LEGS)
+
+    def reset(self) -> tuple[Array, Array]:
+        return self.length.copy(), self.rate.copy()
+
+
+class Line(Ends):
+    """Both ends, a plant that can be placed, and somebody between them who changes frames."""
+
+    def __init__(self, protocol: DriveProtocol, *faults: Fault) -> None:
+        super().__init__(protocol, *faults)
+        self.plant = Placed()
+        emulation, drives = DriveEmulation(encoder_resolution_m=0.0), DriveSettings(heartbeat_ms=24.0)
+        self.nodes = Nodes(self.plant, protocol, emulation, drives, FaultPlan(faults))
+        self.to_hear: Tamper = list
+        """What happens to frames on their way to the controller."""
+        self.to_obey: Callable[[Sequence[Frame]], Sequence[Frame]] = list
+        """What happens to frames on their way to the drives."""
+
+    def _to_drives(self, t_ns: int, frames: Sequence[Frame]) -> None:
+        heard, self.to_controller = self.to_controller, []
+        super()._to_drives(t_ns, self.to_obey(frames))
+        self.to_controller = heard + self.to_hear(self.to_controller)
+
+    def states(self) -> list[int]:
+        return [int(state) for state in self.measurement["drive_state"]]
+
+    def alone(self, ticks: int) -> None:
+        """Let the drives live without a controller; nobody hears them."""
+        for _ in range(ticks):
+            self.tick += 1
+            self._to_drives(self.tick * PERIOD_NS, ())
+        self.to_controller.clear()
+
+    def begin_anew(self) -> None:
+        """Put another controller in the place of this one."""
+        rate_Hz = 1e9 / PERIOD_NS
+        self.dialogue = self.protocol.start(DriveSetup(0.05, reaction_of(self.protocol), rate_Hz))
+        self.to_controller.clear()
+
+    def recover(self) -> None:
+        """Reset, park and set up, as the next run does with --reset."""
+        for command in [OFF] * 3 + [RESET] * self.protocol.reset_ticks:
+            self.step(command)
+        self.until_set_up()
+
+    def restart(self) -> None:
+        """Bring drives that are set up to RUN with a force."""
+        for command in (READY, READY, READY, RUN, RUN, RUN):
+            self.step(command, set_up=False)
+        assert self.states() == [DriveState.RUN] * LEGS
+
+
+def most_force(protocol: DriveProtocol) -> float:
+    """Return the largest force that a command takes."""
+    dialogue, low, high = Ends(protocol).dialogue, 0.0, 2 * CLIPS_N
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        try:
+            protocol.command(dialogue, Command(DriveMode.RUN, np.full(LEGS, middle)), 0)
+        except ProtocolError:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+class TroubleContract(ProtocolContract):
+    """Inherit, and state what is different."""
+
+    LENGTHS: tuple[float, float]
+    """m, that feedback carries."""
+    SPEED: float
+    """m/s, that feedback carries both ways."""
+    RELATIVE = 1e-12
+    """Relative resolution of all of them; 6e-8 of a single."""
+    ENDS = True
+    """What lies beyond saturates or is no reading; False: a single has no end."""
+    WRAPS = False
+    """What lies beyond wraps, as the maker's firmware does."""
+    WATCHED = True
+    """The drive reacts by itself to a silent controller."""
+    RESTART = "boot"
+    """What a drive that restarts in motion shows: boot, nothing (it gives no force), or it obeys again."""
+    TELLS_FAULTS = True
+    LATCHES = True
+    """A fault stays until a reset; else it is over when the drive is switched off."""
+    CLEARS = True
+    """A reset clears a fault; else the drive has to be switched off and on."""
+    MOST_N = CLIPS_N
+    """The drive clips here what a command asks for."""
+    BEATS: str | None = None
+    """What its own heartbeat is for: `state`, `set-up` or `nothing`; None: it has none."""
+    OTHER = 0x40
+    """Bit of an identifier that makes it nobody's."""
+
+    def beat_ids(self, protocol: DriveProtocol) -> set[int]:
+        """Return the identifiers of heartbeats."""
+        return set()
+
+    def ids_of(self, protocol: DriveProtocol, leg: int) -> set[int]:
+        """Return what `awaited` gives for the feedback of a leg."""
+        zeros, run = np.zeros(LEGS), np.full(LEGS, DriveState.RUN, np.int64)
+        frames = answers(protocol, Sync(0), LENGTH, zeros, zeros, run)
+        return {protocol.awaited(frame) for k, frame in frames if k == leg}
+
+    # edges
+
+    def test_any_force_that_a_command_takes_reaches_the_drive_and_the_largest_too(self, protocol):
+        line, most = Line(protocol), min(most_force(protocol), self.MOST_N)
+        line.running()
+        allowed = self.RESOLUTION[3] / 2 * (1 + 1e-6)
+
+        def arrives(force: list[float]) -> None:
+            for _ in range(1 + protocol.command_delay_ticks):
+                line.step(Command(DriveMode.RUN, np.array(force)), set_up=False)
+            np.testing.assert_allclose(line.nodes.snapshot().command, force, rtol=self.RELATIVE, atol=allowed)
+
+        for sign in (1.0, -1.0):
+            arrives([sign * most] * LEGS)
+        one = st.floats(-most, most)
+        settings(max_examples=30)(given(st.lists(one, min_size=LEGS, max_size=LEGS))(arrives))()
+
+    def test_any_length_and_rate_within_the_fields_reach_the_controller(self, protocol):
+        line = Line(protocol)
+        line.until_set_up()
+
+        def arrives(length: list[float], rate: list[float]) -> None:
+            line.plant.length, line.plant.rate = np.array(length), np.array(rate)
+            line.step()
+            line.step()
+            m = line.measurement
+            assert m["age"].tolist() == [0] * LEGS
+            assert not m["blind"].any()
+            spans = np.array([np.abs(self.LENGTHS).max(), self.SPEED])
+            half = np.array(self.RESOLUTION[:2]) / 2 * (1 + 1e-6) + self.RELATIVE * spans
+            np.testing.assert_allclose(m["length"], length, rtol=0, atol=half[0])
+            np.testing.assert_allclose(m["rate"], rate, rtol=0, atol=half[1])
+
+        for length, rate in ((self.LENGTHS[0], -self.SPEED), (self.LENGTHS[1], self.SPEED)):
+            arrives([length] * LEGS, [rate] * LEGS)
+        lengths, rates = st.floats(*self.LENGTHS), st.floats(-self.SPEED, self.SPEED)
+        places, motions = (st.lists(one, min_size=LEGS, max_size=LEGS) for one in (lengths, rates))
+        settings(max_examples=30)(given(places, motions)(arrives))()
+
+    @pytest.mark.parametrize("end", [0, 1])
+    def test_what_lies_beyond_a_field_saturates_or_is_no_reading(self, protocol, end):
+        line = Line(protocol)
+        line.until_set_up()
+        low, high = self.LENGTHS
+        beyond = 3.0 * (high - low) * (1 if end else -1) + (high if end else low)
+        line.plant.length = np.full(LEGS, beyond)
+        line.plant.rate = np.full(LEGS, 50.0 * self.SPEED * (1 if end else -1))
+        for _ in range(3):
+            line.step()
+        m = line.measurement
+        assert np.isfinite([*m["length"], *m["rate"]]).all()
+        if not self.ENDS:
+            np.testing.assert_allclose(m["length"], beyond, rtol=1e-6)
+            return
+        if self.WRAPS:
+            assert (np.abs(m["length"] - beyond) > high - low).all()
+            return
+        read = (m["age"] == 0) & (m["blind"] == 0)
+        at_end = m["length"] >= high - 1e-6 if end else m["length"] <= low + 1e-6
+        assert (at_end | ~read).all(), m["length"]
+        assert (m["rate"][read] * (1 if end else -1) >= self.SPEED * (1 - 1e-6)).all(), m["rate"]
+
+    # frames
+
+    @pytest.mark.parametrize("what", ["cut", "strange", "late"])
+    def test_a_frame_that_is_cut_or_late_or_nobodys_is_no_feedback(self, protocol, what):
+        line = Line(protocol)
+        line.running()
+        before = line.measurement["length"].copy()
+        line.plant.length = LENGTH + 0.01
+        here = self.ids_of(protocol, LEG)
+
+        def spoil(frames: list[Received]) -> list[Received]:
+            return [
+                self._spoiled(each, what) if protocol.awaited(each.frame) in here else each for each in frames
+            ]
+
+        line.to_hear = spoil
+        for k in range(1, 4):
+            line.step(RUN, set_up=False)
+            m = line.measurement
+            assert (m["age"][LEG] >= 1) if what == "late" else (m["age"][LEG] == k)
+            assert m["age"].tolist()[:LEG] == [0] * LEG
+            assert m["foreign"] == m["doubled"] == 0
+            if what == "strange":
+                assert m["rejected"] == 0
+            elif what == "cut":
+                assert m["rejected"] >= 1
+                assert m["length"][LEG] == before[LEG]
+        line.to_hear = list
+        line.step(RUN, set_up=False)
+        assert line.measurement["age"].tolist() == [0] * LEGS
+        assert line.states() == [DriveState.RUN] * LEGS
+
+    def _spoiled(self, each: Received, what: str) -> Received:
+        if what == "late":
+            return each._replace(t_ns=each.t_ns - PERIOD_NS)
+        if what == "cut":
+            return each._replace(frame=each.frame._replace(data=each.frame.data[:3]))
+        return each._replace(frame=each.frame._replace(id=each.frame.id ^ self.OTHER))
+
+    def test_the_same_answer_twice_does_no_harm(self, protocol):
+        line = Line(protocol)
+        line.running()
+        line.to_hear = lambda frames: [each for each in frames for _ in range(2)]
+        for _ in range(3):
+            line.step(RUN, set_up=False)
+            m = line.measurement
+            assert m["age"].tolist() == [0] * LEGS
+            assert m["doubled"] == m["foreign"] == 0
+
+    @pytest.mark.parametrize("what", ["cut", "strange"])
+    def test_a_command_that_is_cut_is_counted_and_one_to_nobody_is_not_and_neither_is_obeyed(
+        self, protocol, what
+    ):
+        line = Line(protocol)
+        line.running()
+        before = line.nodes.snapshot()
+
+        def spoil(frames: Sequence[Frame]) -> list[Frame]:
+            if what == "strange":
+                return [frame._replace(id=frame.id ^ self.OTHER) for frame in frames]
+            return [frame._replace(data=frame.data[:3]) for frame in frames if len(frame.data) > 3]
+
+        line.to_obey = spoil
+        for _ in range(2):
+            line.step(Command(DriveMode.RUN, -FORCE), set_up=False)
+        after = line.nodes.snapshot()
+        assert after.command.tolist() == before.command.tolist()
+        assert (after.rejected > before.rejected) == (what == "cut")
+        line.to_obey = list
+        for _ in range(1 + protocol.command_delay_ticks):
+            line.step(Command(DriveMode.RUN, -FORCE), set_up=False)
+        np.testing.assert_allclose(line.nodes.snapshot().command, -FORCE, rtol=0, atol=self.RESOLUTION[3])
+
+    # power
+
+    def powers_up(self, protocol: DriveProtocol, order: Sequence[int], gap_s: float) -> None:
+        late: list[Fault] = []
+        for k, leg in enumerate(order):
+            at_s = 0.02 + gap_s * k
+            late += [DriveSilence(leg=leg, at_s=0.0, for_s=at_s), DriveReset(leg=leg, at_s=at_s)]
+        line = Line(protocol, *late)
+        while line.tick * PERIOD_NS < 1e9 * (0.05 + gap_s * LEGS):
+            line.step()
+        line.until_set_up()
+        assert protocol.set_up_lacks(line.dialogue) == ("",) * LEGS
+        if self.SETS_WATCHDOG:
+            assert line.nodes._drives.watchdog_ns.tolist() == [50_000_000] * LEGS
+        line.restart()
+
+    @pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4)])
+    def test_drives_that_are_switched_on_one_after_the_other_get_ready(self, protocol, order):
+        self.powers_up(protocol, order, 0.1)
+
+    @pytest.mark.long
+    @pytest.mark.parametrize("seed", range(12))
+    def test_drives_that_are_switched_on_in_any_order_get_ready(self, protocol, seed):
+        generator = np.random.default_rng(seed)
+        self.powers_up(protocol, generator.permutation(LEGS).tolist(), float(generator.uniform(0.0, 0.25)))
+
+    def test_drives_that_were_there_before_the_controller_are_found(self, protocol):
+        line = Line(protocol)
+        line.alone(100)
+        line.begin_anew()
+        line.until_set_up()
+        line.restart()
+
+    def test_a_drive_that_was_off_for_a_while_at_rest_is_set_up_again(self, protocol):
+        off, on = DriveSilence(leg=2, at_s=0.6, for_s=0.15), DriveReset(leg=2, at_s=0.75)
+        line = Line(protocol, off, on)
+        line.until_set_up()
+        while line.tick * PERIOD_NS < 800_000_000:
+            line.step()
+        line.until_set_up()
+        line.restart()
+        if self.SETS_WATCHDOG:
+            assert line.nodes._drives.watchdog_ns.tolist() == [50_000_000] * LEGS
+
+    def test_a_drive_that_restarts_in_motion_shows_it_and_the_others_run_on(self, protocol):
+        line = Line(protocol, DriveReset(leg=2, at_s=0.9))
+        line.running()
+        while line.tick * PERIOD_NS < 890_000_000:
+            line.step(RUN, set_up=False)
+        assert line.states() == [DriveState.RUN] * LEGS
+        for _ in range(30):
+            line.step(RUN, set_up=False)
+            assert [line.states()[leg] for leg in (0, 1, 3, 4, 5)] == [DriveState.RUN] * 5
+        obeys = self.RESTART == "obeys"
+        assert line.states()[2] == (DriveState.BOOT if self.RESTART == "boot" else DriveState.RUN)
+        assert line.nodes.snapshot().brake.tolist() == [0, 0, not obeys, 0, 0, 0]
+        assert bool(line.nodes.snapshot().command[2]) == obeys
+        line.recover()
+        line.restart()
+
+    # faults, silence
+
+    def test_a_fault_is_told_with_its_leg_and_its_meaning(self, protocol):
+        line = Line(protocol)
+        line.running()
+        told: list[tuple[int, Frame]] = []
+        line.nodes._fail(LEG, DriveFault.OVERFORCE, line.nodes.now_ns, told)
+        line.to_controller += [Received(t, frame) for t, frame in told]
+        for _ in range(12):
+            line.step(RUN, set_up=False)
+        states, codes = line.states(), line.measurement["drive_fault"].tolist()
+        if not self.TELLS_FAULTS:
+            assert states == [DriveState.RUN] * LEGS
+            return
+        assert [state == DriveState.FAULT for state in states] == [leg == LEG for leg in range(LEGS)]
+        assert [bool(code) for code in codes] == [leg == LEG for leg in range(LEGS)]
+        known = codes[LEG] in tuple(DriveFault)
+        assert known or protocol.fault_text(codes[LEG])
+        if self.CLEARS:
+            line.recover()
+        else:
+            for _ in range(3 + protocol.reset_ticks):
+                line.step(RESET)
+            assert line.states()[LEG] == DriveState.FAULT
+
+    def test_silent_controllers_leave_no_force_where_the_drive_has_a_watchdog_and_the_next_one_takes_over(
+        self, protocol
+    ):
+        line = Line(protocol)
+        line.running()
+        line.alone(50)
+        snapshot = line.nodes.snapshot()
+        found = DriveState.FAULT if self.WATCHED else DriveState.RUN
+        assert snapshot.state.tolist() == [found] * LEGS
+        line.begin_anew()
+        while not all(protocol.legs_set_up(line.dialogue)):
+            line.step()
+        for _ in range(8):
+            line.step()
+        if self.WATCHED and self.LATCHES:
+            assert line.states() == [DriveState.FAULT] * LEGS
+            assert line.measurement["drive_fault"].all(), "each says why"
+        line.recover()
+        line.restart()
+
+    def test_drives_that_a_dead_daemon_left_enabled_are_switched_off_by_the_next_one(self, protocol):
+        line = Line(protocol)
+        line.running()
+        line.begin_anew()
+        for _ in range(3):
+            line.step()
+        assert line.nodes.snapshot().brake.all()
+        assert not line.nodes.snapshot().command.any()
+        line.recover()
+        line.restart()
+
+    def test_a_drive_that_never_sends_a_heartbeat_is_set_up_only_if_nothing_hangs_on_it(self, protocol):
+        if self.BEATS is None:
+            assert not self.beat_ids(protocol)
+            return
+        line, beats = Line(protocol), self.beat_ids(protocol)
+        heard: set[int] = set()
+
+        def drop(frames: list[Received]) -> list[Received]:
+            heard.update(each.frame.id for each in frames)
+            return [each for each in frames if each.frame.id not in beats]
+
+        line.to_hear = drop
+        for _ in range(150):
+            line.step()
+        assert heard >= beats, "they are sent"
+        needed = self.BEATS != "nothing"
+        assert protocol.legs_set_up(line.dialogue) == (not needed,) * LEGS
+        assert all(protocol.set_up_lacks(line.dialogue)) == needed
+
+    def test_heartbeats_that_stop_in_motion_are_noticed_where_they_alone_tell_the_state(self, protocol):
+        if self.BEATS is None:
+            return
+        line, beats = Line(protocol), self.beat_ids(protocol)
+        line.running()
+        line.to_hear = lambda frames: [each for each in frames if each.frame.id not in beats]
+        for _ in range(100):
+            line.step(RUN, set_up=False)
+        lost = DriveState.BOOT if self.BEATS == "state" else DriveState.RUN
+        assert line.states() == [lost] * LEGS
+        line.to_hear = list
+        for _ in range(12):
+            line.step(RUN, set_up=False)
+        assert line.nodes.snapshot().state.tolist() == [DriveState.RUN] * LEGS
+
+    # all of it
+
+    def survives(self, protocol: DriveProtocol, seed: int) -> None:
+        """Run through random trouble; afterwards all drives must be as new."""
+        generator = np.random.default_rng(seed)
+        resets = [
+            DriveReset(leg=int(generator.integers(LEGS)), at_s=float(t)) for t in generator.uniform(0, 1, 4)
+        ]
+        begins = generator.uniform(0, 1, 3)
+        silences = [
+            DriveSilence(leg=int(generator.integers(LEGS)), at_s=float(t), for_s=0.12) for t in begins
+        ]
+        line = Line(protocol, *resets, *silences)
+        wild = [OFF, READY, RUN, RESET, Command(DriveMode.RUN, -FORCE)]
+
+        def lossy(frames: Sequence[Frame]) -> list[Frame]:
+            return [
+                frame._replace(data=frame.data[: int(generator.integers(9))]) if hit > 0.9 else frame
+                for frame, hit in zip(frames, generator.random(len(frames)), strict=True)
+                if hit > 0.05
+            ]
+
+        line.to_obey = lossy
+        while line.tick * PERIOD_NS < 1_300_000_000:
+            command = wild[int(generator.integers(len(wild)))]
+            for _ in range(int(generator.integers(1, 12))):
+                first = protocol.emergency_stop() if generator.random() < 0.02 else ()
+                line.step(command, first=first)
+            if generator.random() < 0.03:
+                line.begin_anew()
+        line.to_obey = list
+        for _ in range(30):
+            line.step()
+        line.recover()
+        line.restart()
+
+    def test_after_random_trouble_all_drives_run_again(self, protocol):
+        self.survives(protocol, 1)
+
+    @pytest.mark.long
+    @pytest.mark.parametrize("seed", range(2, 12))
+    def test_after_any_random_trouble_all_drives_run_again(self, protocol, seed):
+        self.survives(protocol, seed)

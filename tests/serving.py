@@ -1,0 +1,42 @@
+"""The drives of `hil plant` in a thread of this process: what serves a foreign controller, without its imports."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from drivers.can.bus import Bus
+from hil.app.compose import build_nodes, build_protocol
+from hil.app.configuration.configuration import Configuration
+from hil.app.plant import Bench, _no_hands, _serve, _Stop
+from hil.app.process_faults import ProcessFaults
+from plant_fmu.drives.nodes import Nodes
+
+
+@contextmanager
+def serving(c: Configuration) -> Iterator[Nodes]:
+    """Serve the bus of a configuration as `hil plant` does, and give the drives to look at."""
+    bus = Bus.open(c.bus, role="plant")
+    nodes, physics = build_nodes(c)
+    stop, faults = _Stop(), ProcessFaults([], bus.clock.now())
+    protocol = build_protocol(c)
+    failed: list[Exception] = []
+
+    def serve() -> None:
+        try:
+            _serve(Bench(nodes, physics, _no_hands), bus, None, stop, None, None, faults, protocol.awaited)
+        except Exception as error:  # noqa: BLE001 - raised in the test's thread below
+            failed.append(error)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield nodes
+    finally:
+        stop.reason = "the test is over"
+        thread.join()
+        bus.clock.leave()
+        bus.close()
+        physics.close()
+    assert not failed, failed

@@ -1,0 +1,150 @@
+"""The leg errors that each drive family costs, as the tables of docs/guides/cia402.md and drives.md.
+
+    python -m tools.drive_families desktop      # every family on configs/desktop.yaml
+    python -m tools.drive_families cia402       # CiA 402 beside our own protocol on virtual and lab
+
+Each row is `hil sim` of a shipped configuration with the changes that its table below has. A run that a fault
+has ended shows the fault. A log that does not replay exactly ends the program.
+"""
+
+import sys
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import loads
+from hil.app.sim.command import simulate
+
+Changes = Mapping[str, Any]
+FAMILIES: dict[str, Changes] = {
+    "legs, fd": {
+        "drives": {"protocol": "legs", "options": None, "transmission": None},
+        "bus": {"layout": "fd"},
+    },
+    "legs, classic": {"drives": {"protocol": "legs", "options": None, "transmission": None}},
+    "cia402, difference": {
+        "drives": {
+            "protocol": "cia402",
+            "options": {"variant": None, "model": None, "rated_torque_Nm": 3.0, "velocity": "difference"},
+            "transmission": {"counts_per_turn": 163840},  # 14 bits on the rotor, gear 10 : 1
+        }
+    },
+    "cia402, pdo": {
+        "drives": {
+            "protocol": "cia402",
+            "options": {"variant": None, "model": None, "rated_torque_Nm": 3.0, "velocity": "pdo"},
+            "transmission": {"counts_per_turn": 163840},
+            "watchdog_ms": 16,
+        },
+        "loop": {"rate_Hz": 312.5},
+    },
+    "mit, damiao DM4310": {},
+    "mit, cubemars AK80-9": {"drives": {"options": {"variant": "cubemars", "model": "AK80-9"}}},
+    "mit, mini_cheetah": {
+        "drives": {"options": {"variant": "mini_cheetah", "model": None}},
+        "monitor": {"length_noise_m": 2e-5},  # without friction the legs stray too far for a watch on 10 um
+    },
+    "mit, robstride rs-02": {
+        "drives": {"options": {"variant": "robstride", "model": "rs-02"}},
+        "loop": {"rate_Hz": 312.5},
+    },
+    "odrive": {
+        "drives": {"protocol": "odrive", "options": None},
+        "loop": {"rate_Hz": 312.5},
+    },
+    "moteus": {
+        "drives": {
+            "protocol": "moteus",
+            "options": {"variant": None, "model": None, "timeout_mode": "stopped", "torque_N_m": 7},
+        },
+        "bus": {"layout": "fd"},
+    },
+}
+"""Row of the table -> what differs from configs/desktop.yaml."""
+NO_FRICTION = {"viscous_friction_N_s_m": 0, "coulomb_friction_N": 0}
+NO_LOSS = {"efficiency": 1.0, "back_driving_efficiency": 1.0}
+_FINE = {
+    "options": {"rated_torque_Nm": 6.0},
+    "transmission": {"counts_per_turn": 8388608},
+}
+CIA402: dict[str, tuple[str, Changes]] = {
+    "`legs`, fd, 1000 Hz": ("", {}),
+    "`legs`, fd, 400 Hz": ("", {"loop": {"rate_Hz": 400}}),
+    "`legs`, classic, 400 Hz": ("", {"bus": {"layout": "classic"}, "loop": {"rate_Hz": 400}}),
+    "`cia402`, difference, 400 Hz": ("-cia402", {}),
+    "the same, counts 64 times and torque ten times finer": ("-cia402", {"drives": _FINE}),
+    "`legs`, fd, 312.5 Hz": ("", {"loop": {"rate_Hz": 312.5}}),
+    "`cia402`, pdo, 312.5 Hz": (
+        "-cia402",
+        {"drives": {"options": {"velocity": "pdo"}}, "loop": {"rate_Hz": 312.5}},
+    ),
+}
+"""Row -> ending of the shipped configuration's name, what differs from it."""
+
+
+def merged(*changes: Changes) -> dict[str, Any]:
+    """Return several changes as one, section by section."""
+    whole: dict[str, Any] = {}
+    for change in changes:
+        for key, value in change.items():
+            both = isinstance(value, Mapping) and isinstance(whole.get(key), Mapping)
+            whole[key] = merged(whole[key], value) if both else value
+    return whole
+
+
+def simulated(name: str, changes: Changes, duration_s: float | None) -> dict[str, Any]:
+    """Return the summary of a changed configuration. Raises RuntimeError if its log replays otherwise."""
+    text = resources.files("configs").joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+    with TemporaryDirectory() as folder:
+        summary = simulate(
+            loads(with_changes(text, changes), name), log=Path(folder) / "run.mcap", duration_s=duration_s
+        )
+    if not summary["replay"]["exact"]:
+        raise RuntimeError(f"{name} with {changes}: replay {summary['replay']}")
+    return summary
+
+
+def errors(summary: Mapping[str, Any], per_mm: float = 1.0, digits: int = 3) -> str:
+    """Return rms and peak leg error, or what ended the run."""
+    if not summary["success"]:
+        return str(summary["trouble"]).split(" (")[0]
+    tracking = summary["tracking"]
+    return ", ".join(
+        f"{per_mm * tracking[key]:.{digits}f}" for key in ("rms_leg_error_mm", "peak_leg_error_mm")
+    )
+
+
+def desktop(*families: str, duration_s: float | None = None) -> None:
+    """Print the table of all families, or of some."""
+    print("| family | rate, Hz | bus, % | shipped, mm | no friction, um | nor losses, um |")
+    print("|---|---|---|---|---|---|")
+    smooth = {"plant": {"model": NO_FRICTION}}
+    for name, changes in FAMILIES.items():
+        if families and name not in families:
+            continue
+        given = simulated("desktop", changes, duration_s)
+        lossless = {} if name.startswith("legs") else {"drives": {"transmission": NO_LOSS}}
+        without = [simulated("desktop", merged(changes, smooth, loss), duration_s) for loss in ({}, lossless)]
+        cells = [f"{given['rate_Hz']:g}", f"{given['bus_load_percent']:.1f}", errors(given)]
+        cells += [errors(each, 1e3, 1) for each in without]
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+def cia402() -> None:
+    """Print the table of CiA 402 beside our own protocol."""
+    print("| | `virtual`, mm | `lab`, mm |\n|---|---|---|")
+    for row, (ending, changes) in CIA402.items():
+        found = []
+        for name, duration_s, torque in (("virtual", 4.0, 6.0), ("lab", 6.0, 0.32)):
+            change = dict(changes)
+            if change.get("drives") is _FINE:
+                change["drives"] = merged(_FINE, {"options": {"rated_torque_Nm": torque}})
+            found.append(errors(simulated(name + ending, change, duration_s)))
+        print(f"| {row} | {' | '.join(found)} |", flush=True)
+
+
+if __name__ == "__main__":
+    {"desktop": desktop, "cia402": cia402}[sys.argv[1]](*sys.argv[2:])

@@ -24,6 +24,10 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
         raise ConfigurationError(
             "drives.transmission: protocol legs speaks of leg lengths and forces and has none; leave it out"
         )
+    if bus.channels:
+        from drivers.legs.several import LegsOnBuses  # noqa: PLC0415 - as above
+
+        return LegsOnBuses(bus.layout, drives.node_ids, drives.force_limit_N, bus.legs)
     return LegsProtocol(bus.layout, drives.node_ids, drives.force_limit_N)
 
 
@@ -63,3 +67,16 @@ PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
 A row checks `bus.layout` and, of `drives`, `node_ids`, `options` and `transmission`; its ConfigurationError
 begins with the key.
 """
+
+
+def build_protocol(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    """Return the codec of `drives.protocol`, its drives on one bus or several.
+
+    Raises ConfigurationError for settings that the protocol does not have.
+    """
+    family = PROTOCOLS[drives.protocol](bus, drives)
+    from drivers.several_buses import SeveralBuses  # noqa: PLC0415 - as above
+
+    if not bus.channels or isinstance(family, SeveralBuses):
+        return family
+    return SeveralBuses(family, bus.legs)

@@ -6,11 +6,35 @@ from pydantic import Field, field_validator, model_validator
 
 from drivers import PROTOCOLS
 from drivers.bus_address import BusAddress
+from drivers.errors import ConfigurationError
 from drivers.section import Section
+from drivers.signals import LEGS
+
+MAX_BUSES = LEGS
+"""One leg has one bus."""
+
+
+class ChannelSettings(Section):
+    """One bus of several. What is left out is that of the section `bus`."""
+
+    channel: str
+    """Its name: channels are told apart by it."""
+    legs: Annotated[list[Annotated[int, Field(ge=0, lt=LEGS)]], Field(min_length=1, max_length=LEGS)]
+    """Legs whose drives are on it, counted from 0."""
+    interface: str | None = None
+    """python-can interface."""
+    bitrate_bit_s: Annotated[int, Field(gt=0)] | None = None
+    """Arbitration bit rate."""
+    data_bitrate_bit_s: Annotated[int, Field(gt=0)] | None = None
+    """Data-phase bit rate of CAN FD."""
+    max_load_percent: Annotated[float, Field(gt=0, le=100)] | None = None
+    """Refuse a configuration whose cyclic frames take more of the period than this."""
+    options: dict[str, str | int | float | bool] | None = None
+    """Further keyword arguments for the python-can interface."""
 
 
 class BusSettings(Section):
-    """The CAN bus and how the frames are laid out on it."""
+    """The CAN bus and how the frames are laid out on it; of several buses what they share."""
 
     interface: str = BusAddress().interface
     """python-can interface: localcan, socketcan, udp_multicast, ..."""
@@ -26,6 +50,68 @@ class BusSettings(Section):
     """Refuse a configuration whose cyclic frames take more of the period than this."""
     options: dict[str, str | int | float | bool] = {}
     """Further keyword arguments for the python-can interface."""
+    channels: Annotated[list[ChannelSettings], Field(max_length=MAX_BUSES)] = []
+    """Several buses, each with legs of its own; then `channel` is the first one's and is left out."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _first_of_several(cls, given: Any) -> Any:
+        """Take the first bus's channel: there the operator finds the run."""
+        several = given.get("channels") if isinstance(given, dict) else None
+        channels = several if isinstance(several, list) else []
+        first = channels[0] if channels else None
+        name = first.get("channel") if isinstance(first, dict) else getattr(first, "channel", None)
+        if name is None:
+            return given
+        if given.get("channel", name) != name:
+            raise ValueError(
+                f"both channel and channels, allowed: one of them, given: channel {given['channel']} and "
+                f"{len(channels)} channels"
+            )
+        return {**given, "channel": name}
+
+    @model_validator(mode="after")
+    def _each_leg_once(self) -> "BusSettings":
+        if not self.channels:
+            return self
+        names = [each.channel for each in self.channels]
+        legs = [str(leg) for each in self.channels for leg in each.legs]
+        for what, found in (("channels have the same name", names), ("legs are on two buses", legs)):
+            twice = sorted({each for each in found if found.count(each) > 1})
+            if twice:
+                raise ValueError(f"{what}, allowed: each once, given twice: {', '.join(twice)}")
+        missing = [str(leg) for leg in range(LEGS) if str(leg) not in legs]
+        if missing:
+            raise ValueError(
+                f"legs are on no bus, allowed: each of 0 to {LEGS - 1} once, missing: {', '.join(missing)}"
+            )
+        return self
+
+    @property
+    def buses(self) -> "tuple[BusSettings, ...]":
+        """Each bus by itself, with its own address, bit rates and limit."""
+        shared = {name: getattr(self, name) for name in BusSettings.model_fields if name != "channels"}
+        if not self.channels:
+            return (self,)
+        own = [each.model_dump(exclude={"legs"}, exclude_none=True) for each in self.channels]
+        return tuple(BusSettings(**shared | each) for each in own)
+
+    @property
+    def legs(self) -> tuple[tuple[int, ...], ...]:
+        """Legs of each bus, rising."""
+        if not self.channels:
+            return (tuple(range(LEGS)),)
+        return tuple(tuple(sorted(each.legs)) for each in self.channels)
+
+    def index_of(self, channel: str | None) -> int:
+        """Return which bus a node is on that states a channel; the first where it states none.
+
+        Raises ConfigurationError for a channel that is none of the buses'.
+        """
+        names = [each.channel for each in self.buses]
+        if channel is not None and channel not in names:
+            raise ConfigurationError(f"unknown bus, allowed: {', '.join(names)}, given: {channel}")
+        return 0 if channel is None else names.index(channel)
 
 
 Above0 = Annotated[float, Field(gt=0)]
@@ -154,6 +240,8 @@ class TrackerSettings(Section):
     """Noise of the orientation about each axis."""
     latency_max_ms: Positive = 20.0
     """An older sample is refused. Each millisecond costs the filter memory and time."""
+    channel: str | None = None
+    """Which of `bus.channels` it is on; default: the first."""
 
 
 class ImuSettings(Section):
@@ -164,6 +252,8 @@ class ImuSettings(Section):
     """Samples per second, at most one a tick."""
     angular_rate_std_rad_s: Positive = 2e-3
     specific_force_std_m_s2: Positive = 0.05
+    channel: str | None = None
+    """Which of `bus.channels` it is on; default: the first."""
 
 
 class WrenchSensorSettings(Section):
@@ -172,6 +262,8 @@ class WrenchSensorSettings(Section):
     node_id: Node = 9
     rate_Hz: Positive = 1000.0
     """Samples per second, at most one a tick."""
+    channel: str | None = None
+    """Which of `bus.channels` it is on; default: the first."""
 
 
 class SensorSettings(Section):

@@ -190,6 +190,10 @@ class MoteusProtocol(MotorProtocol):
             data = pad(torque_command(dialogue.torque[leg], self._most, dialogue.watchdog_s))
         return Frame(self._command_ids[leg], data, EXTENDED | FD | BRS)
 
+    def leg_addressed(self, frame: Frame) -> int | None:
+        """Return the leg of the identifier."""
+        return self._legs.get(frame.id & ALL_NODES)
+
     def hear(self, frame: Frame) -> Heard | None:
         """Return what a reply says."""
         identifier, data, flags = frame

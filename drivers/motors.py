@@ -14,6 +14,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ProtocolError
 from drivers.motor_drives import MotorDrives, put
+from drivers.motor_routes import MotorRoutes
 from drivers.protocol import (
     ALWAYS,
     DriveSetup,
@@ -106,7 +107,7 @@ def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
     return DriveState.READY if mode in (DriveMode.READY, DriveMode.RUN) else _OFF
 
 
-class MotorProtocol(MotorDrives):
+class MotorProtocol(MotorRoutes, MotorDrives):
     """Controller's end of such a family. Holds tables only."""
 
     database: tuple[str, str] | None = None

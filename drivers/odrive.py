@@ -192,6 +192,10 @@ class ODriveProtocol(MotorProtocol):
         dialogue, _ = super().command(dialogue, command, tick)
         return dialogue, tuple(self.poll(dialogue, leg) for leg in range(LEGS))
 
+    def leg_addressed(self, frame: Frame) -> int | None:
+        """Return the leg of the node number in the identifier."""
+        return self._legs.get(frame.id >> 5)
+
     def hear(self, frame: Frame) -> Heard | None:
         """Return what estimates or a heartbeat say."""
         identifier, data, flags = frame

@@ -267,6 +267,13 @@ class DriveProtocol(Protocol):
     def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
         """Decode at the drives' end; no messages when the frame is not for them."""
 
+    # which drive a frame concerns: what spreads the legs over several buses
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        """Return the legs that a frame of the controller's end is for."""
+
+    def sender(self, frame: Frame) -> int:
+        """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
+
     def answer(
         self,
         memory: Memory,

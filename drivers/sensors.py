@@ -14,7 +14,7 @@ from drivers.legs.codec import Codec, compile_message, in_range, parsed, read_db
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import intact
 from drivers.legs.kernels import FOREIGN
-from drivers.protocol import Frame, Received
+from drivers.protocol import BUS, OTHER_BUSES, Frame, Received
 
 KINDS = ("tracker", "imu", "wrench")
 _MESSAGES = {
@@ -26,6 +26,7 @@ _MESSAGES = {
 _TRAILER = ("Offset", "Cycle", "Counter", "Validity", "CRC")
 OLDEST = 127
 """Ticks: Cycle counts to 255, and a stamp further back cannot be told from one in the future."""
+_STRANGE = FOREIGN & ~OTHER_BUSES
 _NEVER = -1
 _HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
 
@@ -81,13 +82,18 @@ class SensorProtocol:
         self._sync_register = identifier_state(self.sync_id)
         self._codecs: dict[str, tuple[int, int, Codec]] = {}
         """Kind -> identifier, CRC register after it, codec."""
+        self._bus: dict[str, int] = {}
         for kind in self.rates_Hz:
             name, node, quantities = _MESSAGES[kind]
             codec = compile_message(database.get_message_by_name(name), *quantities, *_TRAILER)
             identifier = codec.id - node + getattr(sensors, kind).node_id
             self._codecs[kind] = identifier, identifier_state(identifier), codec
+            try:
+                self._bus[kind] = bus.index_of(getattr(sensors, kind).channel)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"sensors.{kind}.channel: {error}") from error
         self._heard = {
-            identifier: (KINDS.index(kind), register, codec)
+            identifier: (KINDS.index(kind), BUS * self._bus[kind], register, codec)
             for kind, (identifier, register, codec) in self._codecs.items()
         }
 
@@ -95,6 +101,10 @@ class SensorProtocol:
     def kinds(self) -> tuple[str, ...]:
         """The configured ones of KINDS."""
         return tuple(self._codecs)
+
+    def bus_of(self, kind: str) -> int:
+        """Return the index of the bus that a sensor is on: it hears SYNC and sends there."""
+        return self._bus[kind]
 
     def decode(self, frames: Sequence[Received], tick: int, previous: Readings) -> Readings:
         """Return the samples among this tick's frames.
@@ -110,9 +120,11 @@ class SensorProtocol:
         counters = list(previous.counters)
         rejected = lost = 0
         for _, (identifier, data, flags) in frames:
-            if identifier not in heard or flags & FOREIGN:
+            if identifier not in heard:
                 continue
-            kind, register, codec = heard[identifier]
+            kind, on_bus, register, codec = heard[identifier]
+            if flags & FOREIGN != on_bus:
+                continue
             if len(data) != codec.length or not intact(data, register):
                 rejected += 1
                 continue
@@ -152,11 +164,14 @@ class SensorProtocol:
         raw = [round(v / scale) for v, scale in zip(bounded, codec.scale, strict=False)]
         invalid = bounded != list(values)
         data = codec.pack(*raw, offset, cycle & 0xFF, int(invalid) << 4 | counter & 0xF)
-        return Frame(identifier, data + bytes([crc8(data, register)]), codec.flags)
+        return Frame(identifier, data + bytes([crc8(data, register)]), codec.flags + BUS * self._bus[kind])
 
     def cycle_of(self, frame: Frame) -> int | None:
-        """Return the Cycle of a SYNC, at a sensor's end; None for any other frame and for a damaged one."""
-        if frame.id != self.sync_id or frame.flags & FOREIGN or len(frame.data) != 2:
+        """Return the Cycle of a SYNC, at a sensor's end; None for any other frame and for a damaged one.
+
+        On whichever bus it came: a sensor hears that of its own.
+        """
+        if frame.id != self.sync_id or frame.flags & _STRANGE or len(frame.data) != 2:
             return None
         return frame.data[0] if intact(frame.data, self._sync_register) else None
 

@@ -104,13 +104,16 @@ class TickInput(NamedTuple):
     """Whole periods skipped just before this tick."""
     stretched_ns: int = 0
     """How long the time of a virtual bench stood still since the last tick."""
+    sync_skew_ns: int = 0
+    """From SYNC on the first of several buses to SYNC on the last, of this tick."""
     frames: tuple[Received, ...] = ()
     """Received since the last step, in the order consumed."""
     sends_failed: int = 0
     """Frames that the bus did not take: the previous tick's command and this tick's SYNC."""
     bus_errors: int = 0
     """Error frames since the last tick."""
-    bus_off: bool = False
+    bus_off: int = 0
+    """Bit i: bus i is off."""
     bus_overflow: int = 0
     """Receive overflows since the last tick."""
     recorder_alive: bool = True

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
-from typing import NamedTuple, Protocol, Self
+from contextlib import ExitStack
+from typing import NamedTuple, Self
 
 from drivers.can.bus_time import BitTiming
-from drivers.can.collect import Source, collect
+from drivers.can.collect import collect
+from drivers.can.link_group import Link, LinkGroup
+from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.participant import Participant
 from drivers.can.python_can import open_python_can
 from drivers.can.runtime_folder import RoleLock
@@ -30,42 +33,21 @@ class BusEvents(NamedTuple):
 
     errors: int
     """Error frames."""
-    off: bool
-    """The bus is off, down, or has taken no frame for `DEAD_AFTER_NS`, as of now."""
+    off: int
+    """Bit i: bus i is off or down as of now; every bit where none has taken a frame for `DEAD_AFTER_NS`."""
     overflow: int
     """Received frames that were lost because they were not read in time."""
 
 
-class Link(Source, Protocol):
-    """One interface behind a Bus. Received frames may be error frames."""
-
-    @property
-    def off(self) -> bool:
-        """The interface says that the bus is off or down."""
-
-    @property
-    def overflow(self) -> int:
-        """Frames lost so far."""
-
-    def send(self, frames: Sequence[Frame]) -> int:
-        """Return how many frames were taken, from the first on."""
-
-    def flush_tx(self) -> object:
-        """Drop frames that wait to be sent."""
-
-    def close(self) -> None:
-        """Free the interface."""
-
-
 class Bus:
-    """An open bus.
+    """An open bus, or several as one: then each frame says by its flags on which it is.
 
     `clock` is that of its frames' times and of all deadlines.
 
     Mutable state: the link, the error count since the last `events`, and since when it refuses frames.
     """
 
-    def __init__(self, link: Link, role: RoleLock | None = None) -> None:
+    def __init__(self, link: Link | LinkGroup, role: RoleLock | ExitStack | None = None) -> None:
         self._link = link
         self.clock = link.clock
         self._role = role
@@ -79,17 +61,26 @@ class Bus:
         """Open the bus of the configuration.
 
         role: `controller` and `plant` are exclusive on a channel of this machine, any other name is not.
+        Several `localcan` channels go by the clock of the first.
         Raises RunError when another process has the role, BusError when the bus cannot be opened.
         """
         if settings.layout == "ideal":
             raise BusError("bus.layout: ideal takes no bus time and is for hil sim only; use classic or fd")
-        lock = RoleLock(settings.interface, settings.channel, role) if role in EXCLUSIVE_ROLES else None
-        try:
-            return cls(_LINKS.get(settings.interface, open_python_can)(settings), lock)
-        except BaseException:
-            if lock is not None:
-                lock.close()
-            raise
+        links: list[Link] = []
+        with ExitStack() as roles, ExitStack() as opened:
+            clock: BenchClock | None = None
+            for each in settings.buses:
+                if role in EXCLUSIVE_ROLES:
+                    roles.callback(RoleLock(each.interface, each.channel, role).close)
+                if each.interface == "localcan":
+                    participant = _open_localcan(each, clock)
+                    clock = participant.clock
+                    links.append(participant)
+                else:
+                    links.append(_LINKS.get(each.interface, open_python_can)(each))
+                opened.callback(links[-1].close)
+            opened.pop_all()
+            return cls(links[0] if len(links) == 1 else LinkGroup(links), roles.pop_all())
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send frames and return the number of those that the bus did not take.
@@ -138,10 +129,18 @@ class Bus:
     def events(self) -> BusEvents:
         """Return error frames and losses since the last call, and whether the bus is off now."""
         overflow = self._link.overflow
-        events = BusEvents(self._errors, self._link.off or self._dead, overflow - self._overflow_seen)
+        group = self._link if isinstance(self._link, LinkGroup) else None
+        off = int(self._link.off) if group is None else group.off_bits
+        if self._dead:
+            off = 1 if group is None else group.every_bit
+        events = BusEvents(self._errors, off, overflow - self._overflow_seen)
         self._errors = 0
         self._overflow_seen = overflow
         return events
+
+    def skew_ns(self) -> int:
+        """Return the time between the first frames of the last `send` on the buses; 0 of a single bus."""
+        return self._link.skew_ns() if isinstance(self._link, LinkGroup) else 0
 
     def flush_tx(self) -> None:
         """Drop frames that still wait to be sent. Raises BusError when the interface cannot."""
@@ -160,12 +159,14 @@ class Bus:
         self.close()
 
 
-def _open_localcan(settings: BusSettings) -> Link:
+def _open_localcan(settings: BusSettings, clock: BenchClock | None = None) -> Participant:
     spin_us = _number(settings, "spin_us", 50.0)
     tx_limit = int(_number(settings, "tx_limit", 64))
     _refuse_options(settings, {"spin_us", "tx_limit"})
     fd = settings.layout == "fd"
-    return Participant(settings.channel, BitTiming.of(settings), fd=fd, spin_us=spin_us, tx_limit=tx_limit)
+    return Participant(
+        settings.channel, BitTiming.of(settings), fd=fd, spin_us=spin_us, tx_limit=tx_limit, clock=clock
+    )
 
 
 def _open_socketcan(settings: BusSettings) -> Link:
@@ -197,7 +198,6 @@ def _refuse_options(settings: BusSettings, known: set[str]) -> None:
 
 
 _LINKS: dict[str, Callable[[BusSettings], Link]] = {
-    "localcan": _open_localcan,
     "socketcan": _open_socketcan,
     "virtual": _refuse_virtual,
 }

@@ -183,9 +183,13 @@ def budget(
 
 
 def check(
-    frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
+    frames: Iterable[Frame],
+    timing: BitTiming,
+    rate_Hz: float,
+    max_load_percent: float = 70.0,
+    where: str = "bus",
 ) -> BusBudget:
-    """Return the budget, or refuse it with the arithmetic shown.
+    """Return the budget, or refuse it with the arithmetic shown; `where` is the key of the bus.
 
     Raises ConfigurationError when the frames take more than `max_load_percent` of the period, BusError for
     a frame that cannot be on the bus.
@@ -193,7 +197,7 @@ def check(
     result = budget(frames, timing, rate_Hz, max_load_percent)
     if not result.fits:
         raise ConfigurationError(
-            f"bus: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
+            f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
             f"(data phase {timing.data_bitrate / 1e6:g} Mbit/s), worst-case stuffing:\n{result.table()}\n"
             f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
             "the bus): lower loop.rate_Hz, raise the bit rates, or use bus.layout: fd if the drives know it"

@@ -7,6 +7,7 @@ start in local time, without a zone, as its readers expect.
 
 import re
 from bisect import bisect_left
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
@@ -37,9 +38,9 @@ class FrameWriter(Protocol):
 class CandumpWriter:
     """What `candump -L` writes: canplayer and Wireshark read it. It has no room for the direction."""
 
-    def __init__(self, path: Path, channel: str) -> None:
+    def __init__(self, path: Path, channels: Sequence[str]) -> None:
         self._file = path.open("w", encoding="ascii")
-        self._channel = re.sub(r"[^A-Za-z0-9_.-]", "_", channel) or "can0"
+        self._channels = [re.sub(r"[^A-Za-z0-9_.-]", "_", each) or "can0" for each in channels]
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
         """Add a frame."""
@@ -53,7 +54,8 @@ class CandumpWriter:
         else:
             body = "#R" if flags & REMOTE else f"#{data.hex().upper()}"
         us = _microseconds(utc_ns)
-        channel = f"{self._channel}_{frame.bus}" if frame.bus else self._channel
+        named = frame.bus < len(self._channels)
+        channel = self._channels[frame.bus] if named else f"{self._channels[0]}_{frame.bus}"
         self._file.write(f"({us // 1_000_000}.{us % 1_000_000:06d}) {channel} {head}{body}\n")
 
     def close(self) -> None:
@@ -64,8 +66,8 @@ class CandumpWriter:
 class AscWriter:
     """Vector's ASCII log. Mutable state: the second at which its times begin, of the first frame."""
 
-    def __init__(self, path: Path, channel: str) -> None:
-        del channel
+    def __init__(self, path: Path, channels: Sequence[str]) -> None:
+        del channels
         self._file = path.open("w", encoding="ascii")
         self._start_us = -1
 
@@ -118,8 +120,8 @@ def _asc(frame: Frame, direction: str) -> str:
 class BlfWriter:
     """Vector's binary log, by python-can."""
 
-    def __init__(self, path: Path, channel: str) -> None:
-        del channel
+    def __init__(self, path: Path, channels: Sequence[str]) -> None:
+        del channels
         self._file = path.open("wb")
         self._writer = BLFWriter(self._file)
 

@@ -46,6 +46,23 @@ class PythonCan:
         self.off = False
         return len(frames)
 
+    def first_sent_ns(self) -> None:
+        """Return None: python-can does not say when a frame was on the wire."""
+        return
+
+    def fileno(self) -> int:
+        """Return the interface's descriptor, readable when something has come; -1 where it has none."""
+        return self._bus.fileno() if self._selectable else -1
+
+    def foresee(self) -> None:
+        """Return None: what is under way is not known."""
+        return
+
+    def arm(self, *, idle: bool = True) -> bool:
+        """Return True: the interface tells by itself."""
+        del idle
+        return True
+
     def _take(self, timeout_s: float) -> bool:
         try:
             message = self._bus.recv(timeout_s)

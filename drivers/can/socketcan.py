@@ -114,6 +114,23 @@ class SocketCan:
             self._down = False
         return len(frames)
 
+    def first_sent_ns(self) -> None:
+        """Return None: nobody asks the kernel when a frame was on the wire."""
+        return
+
+    def fileno(self) -> int:
+        """Return the socket's descriptor, readable when something has come."""
+        return self._socket.fileno()
+
+    def foresee(self) -> None:
+        """Return None: what is under way is not known."""
+        return
+
+    def arm(self, *, idle: bool = True) -> bool:
+        """Return True: the socket tells by itself."""
+        del idle
+        return True
+
     def _set_down(self) -> None:
         self._down = True
         self._since_ns = time.time_ns()

@@ -17,6 +17,7 @@ from drivers.cia402.devices import Devices, Memory
 from drivers.cia402.emergency import meaning
 from drivers.cia402.feedback import FOREIGN, Feedback
 from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan, watchdog_ms
+from drivers.cia402.routes import Routes
 from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
 from drivers.cia402.states import RESET_FAULT, STOP_QUICKLY, State, controlword
 from drivers.errors import ConfigurationError, ProtocolError
@@ -53,7 +54,7 @@ _DIFFERENCE = (
 )
 
 
-class Cia402Protocol:
+class Cia402Protocol(Routes):
     """Six CiA 402 drives. Holds tables only.
 
     `node_ids` are the drives' node numbers, leg order; `transmission` says what a turn and a torque are at

@@ -42,9 +42,10 @@ OTHERS = 4 * LEGS
 """Place in `identifiers` of `fold`: E-stop, SYNC, the six CONFIG, and the commands of all layouts."""
 _ESTOP, _SYNC, _CONFIG, _COMMAND = OTHERS, OTHERS + 1, OTHERS + 2, OTHERS + 2 + LEGS
 FORCE_AT, FORCE_SIZE, FORCE_KIND, COUNTER_AT, COUNTER_SIZE = range(5)
-MODE_AT, MODE_SIZE, CHECK_AT, CHECK_SIZE, FRAME = range(5, 10)
+MODE_AT, MODE_SIZE, CHECK_AT, CHECK_SIZE, FORCES, FRAME = range(5, 11)
 """Places in `form` of `encode`: first force, its bits and kind; first bit and bits of counter and mode; first
-byte and bytes of the check; then size and register of that check after the identifier of each frame."""
+byte and bytes of the check; forces in a frame; then size and register of that check after the identifier of
+each frame. Forces beyond the last frame are not sent."""
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _BOOT = int(DriveState.BOOT)
@@ -278,7 +279,7 @@ def encode(force: Array, counter: int, mode: int, form: Ints, scale: Array, data
     """
     word = np.empty(1, np.int64)
     frames = (form.shape[0] - FRAME) // 2
-    share = LEGS // frames
+    share = form[FORCES]
     start = 0
     data[:] = 0
     if force.shape[0] != LEGS:

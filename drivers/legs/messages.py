@@ -11,12 +11,20 @@ from typing import NamedTuple
 from drivers.errors import ConfigurationError
 from drivers.legs.codec import Codec, Layout, compile_message, layout_of, parsed, read_dbc
 from drivers.legs.crc import crc16, identifier_state
+from drivers.signals import LEGS
 
 COMMANDS = {
     "classic": ("COMMAND_CLASSIC_A", "COMMAND_CLASSIC_B"),
     "fd": ("COMMAND_FD",),
     "ideal": ("COMMAND_IDEAL",),
 }
+SHORT_COMMANDS = {
+    "classic": ("COMMAND_CLASSIC_A",),
+    "fd": ("COMMAND_FD_SHORT",),
+    "ideal": ("COMMAND_IDEAL",),
+}
+"""Of a bus with SHORT legs or fewer."""
+SHORT = 3
 LAYOUTS = tuple(COMMANDS)
 RATED_N = 0.001, 4294967.295
 """Least and largest rated force that the checksum of a set-up can carry, N."""
@@ -49,8 +57,8 @@ class Messages(NamedTuple):
     """Of the commands of all layouts."""
 
 
-def read_messages(layout: str, rated_force_N: float, legs: int) -> Messages:
-    """Return the messages of a layout for drives of a rated force.
+def read_messages(layout: str, rated_force_N: float, places: int = LEGS) -> Messages:
+    """Return the messages of a layout for drives of a rated force; commands with room for `places` forces.
 
     Raises ConfigurationError if the checksum of a set-up cannot carry that.
     """
@@ -68,9 +76,10 @@ def read_messages(layout: str, rated_force_N: float, legs: int) -> Messages:
     )
     trailer = ("Mode", "Counter", "CRC") if layout == "classic" else ("Counter", "Mode", "CRC")
     commands: list[CommandFrame] = []
-    share = legs // len(COMMANDS[layout])
-    for k, name in enumerate(COMMANDS[layout]):
-        addressed = tuple(range(k * share, (k + 1) * share))
+    names = (SHORT_COMMANDS if places <= SHORT else COMMANDS)[layout]
+    for name in names:
+        share = sum(signal.name.startswith("Force") for signal in get(name).signals)
+        addressed = tuple(range(len(commands) * share, (len(commands) + 1) * share))
         of = layout_of(get(name), *(f"Force{leg + 1}" for leg in addressed), *trailer)
         wide = of.place("CRC").size == 16
         register = crc16(of.id.to_bytes(2, "little")) if wide else identifier_state(of.id)
@@ -84,7 +93,14 @@ def read_messages(layout: str, rated_force_N: float, legs: int) -> Messages:
         status=compile_message(get("STATUS_1"), "State", "Fault", "SetUp", "CRC"),
         feedback=_in_newtons(feedback, rated_force_N),
         commands=tuple(commands),
-        command_ids=tuple(get(name).frame_id for names in COMMANDS.values() for name in names),
+        command_ids=tuple(
+            dict.fromkeys(
+                get(name).frame_id
+                for layouts in (COMMANDS, SHORT_COMMANDS)
+                for names in layouts.values()
+                for name in names
+            )
+        ),
     )
 
 

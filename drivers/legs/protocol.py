@@ -23,8 +23,9 @@ from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_comm
 from drivers.legs.kernels import FOREIGN, QUANTITIES, encode, fold
 from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
 from drivers.legs.set_up import NOT_HEARD, checksums_heard, lack
-from drivers.legs.traits import Traits
+from drivers.legs.traits import Traits, checked_nodes
 from drivers.protocol import (
+    ALL_LEGS,
     ALWAYS,
     Configure,
     DeviceCommand,
@@ -41,7 +42,6 @@ from drivers.protocol import (
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 
-MAX_NODE = 127
 TRIES = 10
 """How often a drive that does not confirm its set-up is sent its CONFIG."""
 SETUP_S = 0.02
@@ -84,7 +84,8 @@ class LegsProtocol(Traits):
     """The own protocol in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
 
     `node_ids` are the drives' node numbers, leg order, 1..127, all different; `rated_force_N` is the unit of
-    the forces where their fields are short. The drives' end remembers Cycle of the present SYNC. Raises
+    the forces where their fields are short. `slots`: place of each leg's force in the command; `places`: how
+    many forces a command has room for, 3 or all. The drives' end remembers Cycle of the present SYNC. Raises
     ConfigurationError on other node numbers, an unknown layout or a rated force that does not fit.
     """
 
@@ -92,22 +93,22 @@ class LegsProtocol(Traits):
     set_up_frames = 1
     reset_ticks = 5
 
-    def __init__(self, layout: str, node_ids: Sequence[int], rated_force_N: float = 60_000.0) -> None:
+    def __init__(
+        self,
+        layout: str,
+        node_ids: Sequence[int],
+        rated_force_N: float = 60_000.0,
+        slots: Sequence[int] = ALL_LEGS,
+        places: int = LEGS,
+    ) -> None:
         if layout not in LAYOUTS:
             raise ConfigurationError(f"bus.layout: {layout!r} is unknown, allowed are {', '.join(LAYOUTS)}")
-        nodes = tuple(node_ids)
-        if len(nodes) != LEGS or len(set(nodes)) != LEGS:
-            raise ConfigurationError(f"drives.node_ids: allowed: {LEGS} different ones, given: {list(nodes)}")
-        for leg, node in enumerate(nodes):
-            if not 1 <= node <= MAX_NODE:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: out of range, allowed: a whole number at least 1 and at most "
-                    f"{MAX_NODE}, given: {node}"
-                )
+        nodes = checked_nodes(node_ids)
         self.layout = layout
         self.node_ids = nodes
         self.rated_force_N = rated_force_N
-        messages = read_messages(layout, rated_force_N, LEGS)
+        self._slots = tuple(slots)
+        messages = read_messages(layout, rated_force_N, places)
         self.database = "legs.dbc", messages.text
         self._version = messages.version
         self._estop, self._sync = messages.estop, messages.sync
@@ -124,6 +125,10 @@ class LegsProtocol(Traits):
         self._feedback_register = dict(self._feedback_key)
         self._status_id = [self._status.id - 1 + node for node in nodes]
         self._config_id = [self._config.id - 1 + node for node in nodes]
+        self._configured = {identifier: leg for leg, identifier in enumerate(self._config_id)}
+        self.senders = {
+            identifier: leg for ids in (feedback_id, self._status_id) for leg, identifier in enumerate(ids)
+        }
         self._sync_register = identifier_state(self._sync.id)
         self._syncs = [
             Frame(self._sync.id, cycle + _BYTES[crc8(cycle, self._sync_register)], self._sync.flags)
@@ -159,7 +164,8 @@ class LegsProtocol(Traits):
         )
         self._counter_mask = (1 << counter.size) - 1
         frames = [(frame.layout.length, frame.register) for frame in self._commands]
-        fields = [*force, *counter[:2], *mode[:2], check.start // 8, check.size // 8]
+        forces = len(self._commands[0].legs)
+        fields = [*force, *counter[:2], *mode[:2], check.start // 8, check.size // 8, forces]
         self._command_form = np.array([*fields, *chain(*frames)], np.int64)
         steps = 1 << force.size - 1
         ends = (command.low[0], command.high[0]) if self._exact else (-steps, steps - 1)
@@ -221,7 +227,7 @@ class LegsProtocol(Traits):
         codec = self._config
         try:
             watchdog = round(watchdog_s / codec.scale[0])
-            body = codec.pack(watchdog, int(reaction), leg + 1, self._version)
+            body = codec.pack(watchdog, int(reaction), self._slots[leg] + 1, self._version)
         except (struct.error, ValueError, OverflowError):
             watchdog = 0
         if watchdog < 1:
@@ -341,7 +347,7 @@ class LegsProtocol(Traits):
         watchdog, reaction, slot, version = codec.unpack(data)
         if version != self._version:
             return Rejected(f"CONFIG of version {version} of the protocol, this drive has {self._version}")
-        if watchdog < 1 or reaction >= _REACTIONS or slot != leg + 1:
+        if watchdog < 1 or reaction >= _REACTIONS or slot != self._slots[leg] + 1:
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {slot}")
         return Configure(leg, watchdog * codec.scale[0], Reaction(reaction))
 
@@ -370,11 +376,6 @@ class LegsProtocol(Traits):
         flags = self._feedback.flags
         bodies = self._split(data.data)
         return memory, [(leg, _new(Frame, (id_, bodies[leg], flags))) for leg, id_ in self._feedback_legs]
-
-    @staticmethod
-    def restarted(memory: int, _legs: Sequence[int]) -> int:
-        """Return the memory as it is: a drive's state tells."""
-        return memory
 
     def report(self, memory: int, status: Status) -> tuple[int, tuple[Frame, ...]]:
         """Encode one drive's heartbeat."""

@@ -145,6 +145,11 @@ class MitProtocol(MotorProtocol):
             return Frame(node, ENABLE)
         return Frame(node, pack_command(0.0, 0.0, 0.0, 0.0, dialogue.torque[leg], self.ranges))
 
+    def leg_addressed(self, frame: Frame) -> int | None:
+        """Return the leg of a drive's identifier, or of the one that a register request names."""
+        node = frame.data[0] | frame.data[1] << 8 if frame.id == REGISTERS and self.damiao else frame.id
+        return self._legs.get(node)
+
     def hear(self, frame: Frame) -> Heard | None:
         """Return what a reply says: position turns, velocity turns/s, torque N m, status."""
         identifier, data, flags = frame

@@ -128,6 +128,10 @@ class RobStrideProtocol(MotorProtocol):
         )
         return self._to(CONTROL, leg, middle, code(dialogue.torque[leg], -r.torque, r.torque, 16))
 
+    def leg_addressed(self, frame: Frame) -> int | None:
+        """Return the leg of the motor number in the identifier's low byte."""
+        return self._legs.get(frame.id & 0xFF)
+
     def hear(self, frame: Frame) -> Heard | None:
         """Return what a feedback or a register's answer says."""
         identifier, data, flags = frame

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers import PROTOCOLS
+import drivers
 from drivers.arrays import Array
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import PlantError
@@ -17,8 +17,10 @@ from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.regular_file import read_regular
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
+from hil.app.configuration.bus_budget import bus_names
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
+from hil.app.configuration.fault_rules import refuse_of_no_bus
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import encoder_limits
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
@@ -76,7 +78,7 @@ REFERENCE_PLAN = "reference.npy"
 
 def build_protocol(configuration: Configuration) -> DriveProtocol:
     """Return the codec that both ends use."""
-    return PROTOCOLS[configuration.drives.protocol](configuration.bus, configuration.drives)
+    return drivers.build_protocol(configuration.bus, configuration.drives)
 
 
 def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float | None = None) -> DriveSetup:
@@ -145,6 +147,7 @@ def build_cycle(
             sensors=build_sensors(c),
             fusion=_fusion(c, platform, rate_Hz),
             predictor=predictor,
+            buses=bus_names(c.bus) if c.bus.channels else (),
         )
     )
 
@@ -259,6 +262,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
         more, seed = ((), 0) if faults is None else (faults.faults, faults.seed)
+        refuse_of_no_bus(more, c.bus)
         plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)
         drives = (plant, build_protocol(c), c.plant.drives, c.drives, plan)
         sensors = build_sensors(c)
@@ -332,7 +336,7 @@ def record(
             "protocol_version": protocol_version(c),
         },
         scene=build_scene(c),
-        can_channel=c.bus.channel,
+        can_channel=[each.channel for each in c.bus.buses],
         lockstep=lockstep,
         ring_ticks=c.recording.ring_ticks,
         live=Live(live, duration_s, None if lockstep else websocket(c)),
@@ -350,8 +354,7 @@ def websocket(c: Configuration) -> tuple[str, int] | None:
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
     """Return the databases of protocol and sensors: what the frames of a log mean."""
     ours = (build_protocol(configuration), build_sensors(configuration))
-    found = [each.database for each in ours if each is not None and each.database is not None]
-    return [(name, text.encode()) for name, text in found]
+    return [(d[0], d[1].encode()) for each in ours if each is not None and (d := each.database) is not None]
 
 
 def protocol_version(configuration: Configuration) -> str:

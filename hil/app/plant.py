@@ -111,7 +111,7 @@ def run_plant(
                     attachments=attachments(c),
                     metadata={"kind": "plant"},
                     scene=build_scene(c),
-                    can_channel=c.bus.channel,
+                    can_channel=[each.channel for each in c.bus.buses],
                     ring_ticks=c.recording.ring_ticks,
                     clock=bus.clock,
                 )
@@ -257,13 +257,13 @@ def _serve(
 
 
 def latest(frames: list[Frame], awaited: Callable[[Frame], int]) -> list[Frame]:
-    """Return one frame of each drive and kind, its newest, as a drive's mailboxes would send them.
+    """Return the newest frame of each drive and kind on each bus, as a drive's mailboxes would send them.
 
     After a stall of this process several SYNCs are answered at once. What is out of date would keep the bus
     busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz. `awaited`, the
     protocol's, tells drives apart that share an identifier.
     """
-    newest = {(frame.id, awaited(frame)): frame for frame in frames}
+    newest = {(frame.id, frame.bus, awaited(frame)): frame for frame in frames}
     return frames if len(newest) == len(frames) else list(newest.values())
 
 

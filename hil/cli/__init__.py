@@ -79,9 +79,9 @@ def main() -> None:
       hil faults             what becomes of every kind of fault, at every moment
 
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
-    virtual-cia402, socketcan, lab, lab-cia402, desktop, bench, vcan50. Logs are MCAP
-    files; without --log they go into the folder recording.folder of the configuration,
-    `runs`, under the name and the time. No log is ever overwritten.
+    virtual-cia402, socketcan, lab, lab-cia402, two_buses, desktop, bench, vcan50. Logs
+    are MCAP files; without --log they go into the folder recording.folder of the
+    configuration, `runs`, under the name and the time. No log is ever overwritten.
 
     \b
     Exit codes of every command:

@@ -38,6 +38,9 @@ class LimitSettings(Section):
     """Condition number of J (lengths made comparable) that faults."""
     stale_warn_ticks: Annotated[int, Field(ge=1)] = 2
     stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
+    sync_skew_us: Positive | None = None
+    """Several buses: a tick whose SYNCs are farther apart counts as late, for its legs are not read at one
+    instant. Default: a tenth of the period."""
     missed_stop_ticks: Annotated[int, Field(ge=1)] = 5
     """Periods missed in a row that ask for a controlled stop."""
     stretch_percent: Annotated[float, Field(ge=0, le=100)] = 5.0

@@ -120,7 +120,8 @@ class Cycle:
         buffer: Any = tick.base
         _put_input(
             buffer.data, 0,
-            number, inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sends_failed,
+            number, inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns,
+            inp.sends_failed,
             inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.recorder_alive, inp.recorder_dropped,
             inp.compute_ns, len(inp.frames), zlib.crc32(run),
         )  # fmt: skip

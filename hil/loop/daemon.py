@@ -122,6 +122,7 @@ def _run(course: Course, shell: Shell) -> Ending:
         opening = cycle.begin(tick)
         sends_failed += bus.send(opening)
         frames += _answers(cycle, bus, tick, t_ns + lateness_ns, t_ns + window_ns)
+        skew_ns = bus.skew_ns()
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
         heard = console.take()
@@ -131,6 +132,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             lateness_ns=lateness_ns,
             skipped=skipped,
             stretched_ns=stood_ns - stood_before_ns,
+            sync_skew_ns=skew_ns,
             frames=tuple(frames),
             sends_failed=sends_failed,
             bus_errors=errors.errors,

@@ -59,5 +59,7 @@ class Parts:
     sensors: SensorProtocol | None = None
     fusion: PoseFusion | None = None
     """Gives the pose once the legs have; None: the legs alone do."""
+    buses: tuple[str, ...] = ()
+    """Channel and legs of each bus, where there are several."""
     predictor: Predictor | None = None
     """For a law that reads state and reference at the instant at which its force acts."""

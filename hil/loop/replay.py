@@ -102,8 +102,7 @@ class Recorded(Protocol):
 def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick."""
     columns: dict[str, Any] = dict(zip(INPUT_COLUMNS, _INPUT.unpack_from(entry.row.tobytes()), strict=True))
-    for flag in ("bus_off", "recorder_alive"):
-        columns[flag] = bool(columns[flag])
+    columns["recorder_alive"] = bool(columns["recorder_alive"])
     return TickInput(
         **columns,
         frames=entry.received,

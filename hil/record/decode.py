@@ -59,10 +59,12 @@ class Decoder:
         else:
             self._schemas[record.id] = Schema(record.name, bytes(record.data))
 
-    def expect(self, topic: str, columns: Sequence[Column], can_channel: str, epoch_ns: int) -> None:
-        """Set the topic and columns of the rows, the name of the bus and the UTC of t_ns = 0."""
+    def expect(
+        self, topic: str, columns: Sequence[Column], can_channels: Sequence[str], epoch_ns: int
+    ) -> None:
+        """Set the topic and columns of the rows, the names of the buses and the UTC of t_ns = 0."""
         self._topic = topic
-        self._bus = can_channel.encode()
+        self._buses = [name.encode() for name in can_channels]
         self._epoch = epoch_ns
         self._row = RowCodec(columns)
 
@@ -124,18 +126,20 @@ class Decoder:
         mine = self.messages_of(table, CAN)
         items = np.zeros(len(mine), ITEM)
         buffer = np.frombuffer(data, np.uint8)
-        shortest = frame_layout(0, self._bus).payload.itemsize
+        shortest = [(name, frame_layout(0, name).payload.itemsize) for name in self._buses]
         sizes = table.length[mine] - RECORD_HEADER
         for size in np.unique(sizes).tolist():
             at = np.flatnonzero(sizes == size)
-            length = size - shortest
-            if 0 <= length <= MAX_DATA:
-                layout = frame_layout(length, self._bus)
-                starts = table.offset[mine[at]] + RECORD_HEADER
-                payloads = buffer[starts[:, None] + np.arange(size)]
-                if layout.fits(payloads):
-                    items[at] = self._unpack(payloads.view(layout.payload).reshape(len(at)), length)
-                    continue
+            for name, least in shortest:
+                length = size - least
+                if 0 <= length <= MAX_DATA:
+                    layout = frame_layout(length, name)
+                    starts = table.offset[mine[at]] + RECORD_HEADER
+                    payloads = buffer[starts[:, None] + np.arange(size)]
+                    fit = layout.fitting(payloads)
+                    known = np.ascontiguousarray(payloads[fit]).view(layout.payload).reshape(-1)
+                    items[at[fit]] = self._unpack(known, length)
+                    at = at[~fit]
             with self.understood(CAN):
                 for i in at.tolist():
                     items[i] = self._convert(self._protobuf(data, table, int(mine[i])))

@@ -2,6 +2,7 @@
 
 import struct
 from bisect import bisect_left
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,17 +52,26 @@ class _Block(NamedTuple):
 class Encoder:
     """Turns batches into messages. State: the tick that comes next, for events between ticks."""
 
-    def __init__(self, table: Table, *, epoch_ns: int, can_channel: str, scene: Scene | None) -> None:
+    def __init__(
+        self,
+        table: Table,
+        *,
+        epoch_ns: int,
+        can_channel: str,
+        scene: Scene | None,
+        can_channels: Sequence[str] = (),
+    ) -> None:
+        """Take the columns, UTC of t_ns = 0, the bus's name, what is drawn, the names of several buses."""
         self._row = RowCodec(table.columns)
         self._epoch = epoch_ns
-        self._bus = can_channel.encode()
+        self._buses = [name.encode() for name in can_channels or (can_channel,)]
         self._view_every = scene.every if scene else VIEW_EVERY
         self._drawer = SceneDrawer(scene) if scene else None
         self._operator = message_class(operator_schema())
         self._next_tick = 0
         self.channels: dict[int, tuple[str, Schema, dict[str, str]]] = {
             TICK: (table.topic, row_schema(table), {}),
-            CAN: ("/can", frame_schema(), {"channel": can_channel}),
+            CAN: ("/can", frame_schema(), {"channel": ", ".join(can_channels) or can_channel}),
             COMMANDS: ("/operator", operator_schema(), {}),
             EVENTS: ("/events", _foxglove(Log), {}),
             TF: ("/tf", _foxglove(FrameTransform), {}),
@@ -81,9 +91,12 @@ class Encoder:
         frames = items["kind"] <= SENT
         lengths = np.where(frames, items["length"], 255)
         for length in np.unique(lengths[frames]).tolist():
-            mine = np.flatnonzero(lengths == length)
-            at = position[mine]
-            blocks.append(self._frames(items[mine], length, ticks[at], times[at], index[mine], key[mine]))
+            of_length = np.flatnonzero(lengths == length)
+            for bus, name in enumerate(self._buses):
+                mine = of_length[np.minimum(items["bus"][of_length], len(self._buses) - 1) == bus]
+                at = position[mine]
+                data = items[mine], length, name
+                blocks.append(self._frames(*data, ticks[at], times[at], index[mine], key[mine]))
         for i in np.flatnonzero(~frames).tolist():
             n = int(position[i])
             blocks.extend(self._rare(items, i, int(ticks[n]), int(times[n]), int(index[i]), key[i : i + 1]))
@@ -97,8 +110,10 @@ class Encoder:
         log_time = rows["t_ns"] + self._epoch
         return self._block(records, TICK, rows["tick"], log_time, log_time, np.arange(len(rows)) * _LAST)
 
-    def _frames(self, items: Rows, length: int, ticks: Ints, times: Ints, index: Ints, key: Ints) -> _Block:
-        records = layout.frame_layout(length, self._bus).new(len(items))
+    def _frames(
+        self, items: Rows, length: int, bus: bytes, ticks: Ints, times: Ints, index: Ints, key: Ints
+    ) -> _Block:
+        records = layout.frame_layout(length, bus).new(len(items))
         log_time = items["t_ns"] + self._epoch
         seconds, nanos = np.divmod(log_time, 1_000_000_000)
         records["seconds"] = layout.pack_varint5(seconds)

@@ -47,10 +47,15 @@ class Layout(NamedTuple):
 
     def fits(self, payloads: Bytes) -> bool:
         """Return whether all payloads (n, size) have exactly this layout."""
+        return bool(self.fitting(payloads).all())
+
+    def fitting(self, payloads: Bytes) -> NDArray[np.bool_]:
+        """Return which of the payloads (n, size) have exactly this layout, (n,)."""
         if payloads.shape[1] != self.payload.itemsize:
-            return False
+            return np.zeros(len(payloads), np.bool_)
         expected = self.template[RECORD_HEADER:][self.constant]
-        return bool((payloads[:, self.constant] == expected).all())
+        fit: NDArray[np.bool_] = (payloads[:, self.constant] == expected).all(axis=1)
+        return fit
 
 
 class Builder:

@@ -5,6 +5,7 @@ A log that was cut, or is still being written, is read as far as it goes.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,7 +63,9 @@ class LogFile:
     topic: str
     """Topic of the rows, `/tick` or `/plant`."""
     can_channel: str
-    """Name of the bus."""
+    """Name of the bus; of several, of the first."""
+    can_channels: tuple[str, ...]
+    """Name of each bus."""
     epoch_ns: int
     """UTC of t_ns = 0."""
     lockstep: bool
@@ -89,8 +92,10 @@ class LogFile:
             )
             self.topic, self.epoch_ns = identity["topic"], int(identity["epoch_ns"])
             self.can_channel, self.lockstep = identity["can_channel"], identity["mode"] == "lockstep"
-            _require(self.epoch_ns, self.can_channel)
-            self._decoder.expect(self.topic, self.columns, self.can_channel, self.epoch_ns)
+            names = json.loads(identity["can_channels"]) if "can_channels" in identity else []
+            self.can_channels = tuple(map(str, names)) or (self.can_channel,)
+            _require(self.epoch_ns, (self.can_channel, *self.can_channels))
+            self._decoder.expect(self.topic, self.columns, self.can_channels, self.epoch_ns)
         except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
             raise LogError(
                 f"{path}: metadata record {IDENTITY!r} cannot be read: {error!r}; {MEND}"
@@ -234,10 +239,10 @@ class LogFile:
         return data, table
 
 
-def _require(epoch_ns: int, can_channel: str) -> None:
+def _require(epoch_ns: int, can_channels: tuple[str, ...]) -> None:
     """Raise ValueError for what no recorder writes."""
-    if not 0 <= epoch_ns < 1 << 63 or not can_channel.isprintable():
-        raise ValueError(f"epoch_ns {epoch_ns}, can_channel {can_channel!r}")
+    if not 0 <= epoch_ns < 1 << 63 or not "".join(can_channels).isprintable():
+        raise ValueError(f"epoch_ns {epoch_ns}, can_channels {can_channels!r}")
 
 
 def _no_record(record: Record) -> LogError:

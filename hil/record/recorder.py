@@ -82,6 +82,7 @@ class Recorder:
             table,
             epoch_ns=int(identity["epoch_ns"]),
             can_channel=identity["can_channel"],
+            can_channels=json.loads(identity.get("can_channels", "[]")),
             scene=Scene(**setup["scene"]) if setup["scene"] else None,
         )
         # fixed batches make the whole data section, not only its messages, the same for the same run

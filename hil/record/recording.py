@@ -120,7 +120,7 @@ class Recording:
         attachments: Sequence[tuple[str, bytes]] = (),
         metadata: Mapping[str, object] | None = None,
         scene: Scene | None = None,
-        can_channel: str = "can0",
+        can_channel: str | Sequence[str] = "can0",
         lockstep: bool = False,
         ring_ticks: int = 8192,
         live: Live = Live(),  # noqa: B008 - frozen
@@ -132,8 +132,9 @@ class Recording:
         Call it before the process is pinned or made real-time: the recorder inherits the affinity. Text of
         the configuration and further (name, content) are attached; `metadata` goes into the metadata record
         `hil`, as JSON where it is not text. `table` has scalar columns `tick` and `t_ns`; `can_channel` is
-        the name of the bus in the frames. In `lockstep` time is simulated: wait where the ring of
-        `ring_ticks` is full, a fixed epoch, reproducible messages. `live` is what is shown meanwhile.
+        the name of the bus in the frames, or those of several in their order. In `lockstep` time is
+        simulated: wait where the ring of `ring_ticks` is full, a fixed epoch, reproducible messages. `live`
+        is what is shown meanwhile.
         `clock` is that of the rows' and frames' times. `mirror`: where the newest row is
         shown while it runs, and what of the run is said there (rows of TICKS only).
 
@@ -160,7 +161,7 @@ class Recording:
                 "topic": table.topic,
                 "columns": describe(table.columns),
                 "epoch_ns": str(created_ns if lockstep else created_ns - clock.now()),
-                "can_channel": can_channel,
+                **_channels(can_channel),
                 "mode": "lockstep" if lockstep else "realtime",
             },
         }
@@ -305,6 +306,13 @@ def _start(ring: Ring, setup: Mapping[str, Any], files: Sequence[bytes]) -> subp
         finish(process)
         raise LogError(str(reply.get("error", f"{setup['path']}: the recorder process did not start")))
     return process
+
+
+def _channels(names: str | Sequence[str]) -> dict[str, str]:
+    """Return what the log says of its buses."""
+    if isinstance(names, str):
+        return {"can_channel": names}
+    return {"can_channel": names[0]} | ({"can_channels": json.dumps(list(names))} if len(names) > 1 else {})
 
 
 def _mirror(mirror: tuple[Path, Mapping[str, object]] | None, table: Table) -> dict[str, object] | None:

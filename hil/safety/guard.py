@@ -78,7 +78,10 @@ class Safety:
                 self.limits[name] = getattr(limits, name)
         self.limits["length_min_m"], self.limits["length_max_m"] = length_min, length_max
         self.limits["force_N"] = min(limits.force_N, drive_force_limit)
-        self.limits["period_ns"] = round(1e9 / rate_Hz)
+        period_ns = round(1e9 / rate_Hz)
+        self.limits["period_ns"] = period_ns
+        apart_us = limits.sync_skew_us
+        self.limits["sync_skew_ns"] = period_ns // 10 if apart_us is None else round(1e3 * apart_us)
         self.limits["settle_ticks"] = round(SETTLE_S * rate_Hz)
         self.limits["stop_on_recorder_loss"] = recorder_stop(losing=True, on_loss=on_recorder_loss)
         for name, value in encoders._asdict().items():

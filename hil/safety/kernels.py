@@ -42,6 +42,7 @@ from hil.safety.standstill import REST_m_s, at_rest, forget_place, moved_legs
 from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
 from hil.safety.timing import (
     HARMFUL_STRETCH_NS,
+    is_apart,
     is_degraded,
     is_late,
     late_history,
@@ -88,6 +89,7 @@ LIMITS = np.dtype(
         ("missed_stop_ticks", "<i8"),
         ("stretch_percent", "<f8"),
         ("period_ns", "<i8"),
+        ("sync_skew_ns", "<i8"),
         ("stop_on_recorder_loss", "<i8"),
         *ENCODER_LIMITS,
     ]
@@ -318,7 +320,7 @@ def judge_tick(
     Returns fault bits, warning bits and why to stop. Takes the tick whole but for what is sent: the rules
     look at all of it. Changes memory, the force window and what is watched; see `Safety`.
     """
-    late = is_late(tick.lateness_ns, limits.period_ns)
+    late = is_late(tick.lateness_ns, limits.period_ns) or is_apart(tick.sync_skew_ns, limits.sync_skew_ns)
     losing = recorder_losing(tick.recorder_alive != 0, tick.recorder_dropped, memory.dropped)
     memory.dropped = tick.recorder_dropped
     warnings = judge_loop(tick, memory, late, losing) | tick.fusion_warnings

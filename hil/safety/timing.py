@@ -21,6 +21,12 @@ def is_late(lateness_ns: int, period_ns: int) -> bool:
 
 
 @helper
+def is_apart(sync_skew_ns: int, limit_ns: int) -> bool:
+    """Tell whether the buses had their SYNC so far apart that the tick counts as late."""
+    return sync_skew_ns > limit_ns
+
+
+@helper
 def late_history(history: int, late: bool, skipped: int) -> int:
     """Return the last HISTORY ticks as bits, 1 late, newest lowest; a skipped period counts as late."""
     for _ in range(min(skipped, HISTORY)):

@@ -153,8 +153,8 @@ class Nodes:
             self._calm_ns = self._now_ns
 
     @property
-    def bus_off(self) -> bool:
-        """A fault has cut the bus."""
+    def bus_off(self) -> int:
+        """Bit i: a fault has cut bus i."""
         return self._present.bus_off
 
     @property

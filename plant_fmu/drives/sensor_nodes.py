@@ -61,8 +61,8 @@ class SensedNodes(Nodes):
         self._start_ns = self._until_ns = t0_ns
         self._count = dict.fromkeys(self._sensors.kinds, 0)
         self._due_ns = dict.fromkeys(self._sensors.kinds, t0_ns)
-        self._sync: tuple[int, int] | None = None
-        """When the last SYNC ended, and its Cycle."""
+        self._sync: dict[int, tuple[int, int]] = {}
+        """By bus: when the last SYNC ended, and its Cycle."""
         self._dtwist = np.zeros(6)
         self._waiting: list[tuple[int, Frame]] = []
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
@@ -96,7 +96,7 @@ class SensedNodes(Nodes):
         for at_ns, frame in frames:
             cycle = self._sensors.cycle_of(frame)
             if cycle is not None:
-                self._sync = at_ns, cycle
+                self._sync[frame.bus] = at_ns, cycle
         self._until_ns = t_ns
         return super().step(t_ns, frames)
 
@@ -116,12 +116,13 @@ class SensedNodes(Nodes):
         settings = getattr(self._noise, kind)
         values = self._measure[kind](self._moment(t_ns))
         lost = self._chance.random() < 0.01 * settings.lost_percent
-        if self._sync is None or lost or self._present.hangs:
+        sync = self._sync.get(self._sensors.bus_of(kind))
+        if sync is None or lost or self._present.hangs:
             return
-        offset_s = (t_ns - self._sync[0]) * 1e-9
+        offset_s = (t_ns - sync[0]) * 1e-9
         if offset_s > _LONGEST_STAMP_S:
             return
-        frame = self._sensors.encode(kind, values.tolist(), self._sync[1], offset_s, self._count[kind])
+        frame = self._sensors.encode(kind, values.tolist(), sync[1], offset_s, self._count[kind])
         sent_ns = t_ns + round(settings.latency_ms * 1e6)
         carried = self._schedule.carry(sent_ns, frame, to_drives=False)
         self._waiting += [(at_ns, arriving) for at_ns, arriving, _ in carried]

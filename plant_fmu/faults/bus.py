@@ -1,26 +1,35 @@
-"""Faults of the bus as a whole."""
+"""Faults of a bus as a whole."""
 
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame
+from drivers.config import MAX_BUSES
+from drivers.protocol import BUS, Dialogue, DriveProtocol, DriveSetup, Frame
 from drivers.signals import LEGS, Command, DriveMode, Reaction
 from plant_fmu.faults.fault import LastingFault, Passage, Passed, Place, Present
 
+BusIndex = Annotated[int, Field(ge=0, lt=MAX_BUSES)]
 _SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 _DATA = bytes(8)
+EVERY_BUS = (1 << MAX_BUSES) - 1
 
 
 class BusOff(Passage):
     """No frame passes in either direction; in lockstep the controller's interface reports bus off."""
 
     kind: Literal["bus_off"] = "bus_off"
+    bus: BusIndex | None = None
+    """Place in `bus.channels`, from 0; default: every bus."""
 
     def act(self, present: Present) -> None:
         """Cut the bus."""
-        present.bus_off = True
+        present.bus_off |= EVERY_BUS if self.bus is None else 1 << self.bus
+
+    def concerns(self, frame: Frame) -> bool:
+        """Tell whether a frame is on the bus that is cut."""
+        return self.bus in (None, frame.bus)
 
     def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
         """Lose every frame."""
@@ -32,6 +41,8 @@ class SenderFault(LastingFault):
     """A node that should not be there sends at its own rate. Both ends hear it."""
 
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 1000.0
+    bus: BusIndex = 0
+    """Place in `bus.channels` of the bus that it is on, from 0."""
 
     def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
         """Return what it sends the n-th time."""
@@ -48,7 +59,7 @@ class BusFlood(SenderFault):
     def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
         """Return one frame."""
         del protocol, number
-        return (Frame(self.identifier, _DATA),)
+        return (Frame(self.identifier, _DATA, BUS * self.bus),)
 
 
 class BusSecondController(SenderFault):
@@ -60,7 +71,8 @@ class BusSecondController(SenderFault):
     def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
         """Return what starts its tick, and its command."""
         dialogue = protocol.start(_SETUP)
-        return protocol.begin(dialogue, number) + command(protocol, dialogue, self.force_N, number)
+        frames = protocol.begin(dialogue, number) + command(protocol, dialogue, self.force_N, number)
+        return tuple(frame for frame in frames if frame.bus == self.bus)
 
 
 def command(protocol: DriveProtocol, dialogue: Dialogue, force_N: float, tick: int) -> tuple[Frame, ...]:

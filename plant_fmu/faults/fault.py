@@ -66,7 +66,9 @@ class Present:
         """(6,) N, N m on the platform at its origin, base frame."""
         self.masses: list[tuple[float, Array]] = []
         """kg, and where they lie on the platform: (3,) m, platform frame."""
-        self.bus_off = self.not_finite = self.hangs = self.crashes = False
+        self.bus_off = 0
+        """Bit i: bus i is cut."""
+        self.not_finite = self.hangs = self.crashes = False
 
 
 class Fault(Section):

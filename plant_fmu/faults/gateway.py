@@ -55,7 +55,7 @@ class Gateway:
                 for _, fault in self._schedule.active(t_ns):
                     if isinstance(fault, FramesForgedCommand):
                         frames = forged(self._protocol, fault.force_N, message.counter)
-                        self._add(t_ns, frames, heard)
+                        self._add(t_ns, [each for each in frames if each.bus == frame.bus], heard)
 
     def _send(self, until_ns: int, heard: list[Timed]) -> None:
         """Let others send what they send by `until_ns`."""

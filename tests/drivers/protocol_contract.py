@@ -393,6 +393,16 @@ class ProtocolContract:
             assert 0 <= frame.id <= (0x1FFF_FFFF if frame.flags & EXTENDED else 0x7FF)
             assert frame.bus == 0
 
+    def test_it_tells_which_drive_a_frame_is_for_and_which_has_sent_it(self, protocol):
+        ends = Ends(protocol)
+        ends.until_set_up()
+        ends.step()
+        assert {protocol.sender(each.frame) for each in ends.received} == set(range(LEGS))
+        stop = protocol.emergency_stop()
+        assert {protocol.sender(frame) for frame in (*ends.opening, *ends.sent, *stop)} == {-1}
+        for frames in (ends.opening, stop):
+            assert {leg for frame in frames for leg in protocol.addressed(frame)} == set(range(LEGS))
+
     @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 255 * BUS])
     def test_frames_of_another_kind_or_bus_are_foreign(self, protocol, flag):
         ends = Ends(protocol)

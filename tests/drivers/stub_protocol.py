@@ -133,6 +133,13 @@ class StubProtocol:
         fields = _FIELDS[kind]
         return kind, leg, fields.unpack(frame.data) if len(frame.data) == fields.size else None
 
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        return (self._meaning[frame.id][1],)
+
+    def sender(self, frame: Frame) -> int:
+        read = self._read(frame)
+        return read[1] if read is not None and read[0] in (PLACE, LOAD, DONE, BEAT) else -1
+
     # controller's end
 
     def start(self, setup: DriveSetup) -> StubDialogue:

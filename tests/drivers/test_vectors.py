@@ -15,6 +15,7 @@ import pytest
 import drivers
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.legs.protocol import LegsProtocol
+from drivers.legs.several import LegsOnBuses
 from drivers.protocol import (
     BRS,
     FD,
@@ -35,6 +36,7 @@ NODES = (1, 2, 3, 4, 5, 6)
 RATED_N = 32_000.0
 """One step of the short force fields, 1/16000 of the rated force, is 2 N."""
 P = {layout: LegsProtocol(layout, NODES, RATED_N) for layout in ("classic", "fd", "ideal")}
+TWO_BUSES = LegsOnBuses("fd", NODES, RATED_N, ((0, 1, 2), (3, 4, 5)))
 GENERAL: Any = cantools.database.load_file(Path(drivers.__file__).parent / "legs/legs.dbc")
 DATABASE: Any = cantools.database.Database()
 DATABASE.add_dbc_string(P["fd"].database[1])
@@ -125,6 +127,22 @@ VECTORS = [
             "Counter": 0xA7,
             "Mode": 2,
             "CRC": 0x4D07,
+        },
+    ),
+    Vector(
+        "COMMAND_FD_SHORT",
+        TWO_BUSES.command(None, Command(DriveMode.RUN, FD_FORCE), TICK)[1][0],
+        0x111,
+        FD | BRS,
+        # the same three of leg 1 to 3; the check begins with the bytes 11 01 of the identifier
+        "34 44 0F 00  FF FF FF FF  00 87 93 03  A7  02  A1 5F",
+        {
+            "Force1": 1000.5,
+            "Force2": -0.001,
+            "Force3": 60_000,
+            "Counter": 0xA7,
+            "Mode": 2,
+            "CRC": 0x5FA1,
         },
     ),
     Vector(
@@ -292,11 +310,11 @@ def test_codec_writes_the_bytes_computed_by_hand(vector):
 def test_the_check_covers_identifier_and_all_bytes_before_it_and_behind_it_is_nothing(vector):
     data = bytes.fromhex(vector.data)
     lead = bytes([vector.identifier % 256, vector.identifier // 256])
-    if vector.message == "COMMAND_FD":
-        assert (
-            bitwise_crc(lead + data[:26], 16, 0x5935, 0) == data[26] + 256 * data[27] == vector.signals["CRC"]
-        )
-        assert not any(data[28:])
+    if vector.message in ("COMMAND_FD", "COMMAND_FD_SHORT"):
+        at = 26 if vector.message == "COMMAND_FD" else 14
+        check = data[at] + 256 * data[at + 1]
+        assert bitwise_crc(lead + data[:at], 16, 0x5935, 0) == check == vector.signals["CRC"]
+        assert not any(data[at + 2 :])
     else:
         assert bitwise_crc(lead + data[:-1], 8, 0x1D, 0xFF) == data[-1] == vector.signals["CRC"]
 

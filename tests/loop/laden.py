@@ -9,7 +9,7 @@ import yaml
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.output import closing
-from hil.app.sim.lockstep import build_lockstep
+from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from plant_fmu.faults.plan import FaultPlan
 

@@ -20,7 +20,7 @@ from hil.app.faults.case_run import Job, run_case
 from hil.app.faults.cases import LEG, MATRIX, cases
 from hil.app.faults.command import run_matrix
 from hil.app.faults.verdict import Bounds, Seen, Trace, see
-from hil.app.sim.lockstep import build_lockstep
+from hil.app.sim.build import build_lockstep
 from hil.cli import main
 from hil.loop.run_end import Course
 from plant_fmu.faults import FAULTS

@@ -8,11 +8,13 @@ import time
 from array import array
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.can.bus import Bus, Link
+from drivers.can.bus import Bus
+from drivers.can.link_group import Link, LinkGroup
 from drivers.can.runtime_folder import RoleLock
 from drivers.errors import RunError
 from drivers.protocol import Frame, Received
@@ -45,7 +47,7 @@ class StampedBus(Bus):
     Mutable state beside the bus': `stamps`, three numbers (ns) a tick.
     """
 
-    def __init__(self, link: Link, role: RoleLock | None = None) -> None:
+    def __init__(self, link: Link | LinkGroup, role: RoleLock | ExitStack | None = None) -> None:
         super().__init__(link, role)
         self.stamps = array("q")
 

@@ -256,11 +256,21 @@ def look(words: Ints, state: Ints, waiting: Ints, flying: Ints, ended: Ints, now
     return given
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, INTEGER, INTEGER)
-def append(words: Ints, clock: Ints, state: Ints, gettime: int, at: int, kind: int, number: int) -> None:
+@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, INTEGER, INTEGER)
+def append(
+    words: Ints,
+    clock_words: Ints,
+    clock: Ints,
+    state: Ints,
+    gettime: int,
+    at: int,
+    kind: int,
+    number: int,
+) -> None:
     """Append an entry of this participant: frame `number` of its outbox is queued, or it withdraws.
 
-    clock, gettime, at: of the participant's `bench_clock`. The frame is queued at the instant of the entry.
+    clock_words, clock, gettime, at: of the participant's `bench_clock`, which may be that of another wire.
+    The frame is queued at the instant of the entry.
     """
     index = max(state[CURSOR], load(words, HINT_AT))
     slot = state[SERIAL] % SLOTS
@@ -273,7 +283,7 @@ def append(words: Ints, clock: Ints, state: Ints, gettime: int, at: int, kind: i
             index += 1
         else:
             if kind == QUEUE:
-                read_clock(words, clock, gettime, at)
+                read_clock(clock_words, clock, gettime, at)
                 store(words, place + QUEUED, clock[NOW])
             if _append(words, index, seen, kind, slot, number):
                 return

@@ -13,6 +13,8 @@ from drivers.can.localcan import log
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.doorbell import Doorbell
 from drivers.can.localcan.layout import (
+    END,
+    NUMBER,
     OUTBOX,
     QUEUE,
     RECORD,
@@ -21,6 +23,7 @@ from drivers.can.localcan.layout import (
     VERSION,
     WITHDRAW,
     WORD,
+    record_at,
     slot_at,
 )
 from drivers.can.localcan.wire import Slot, Wire
@@ -52,7 +55,8 @@ class Participant:
 
     The timing (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
     `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
-    `tx_limit`: frames that may wait for the bus before `send` takes no more.
+    `tx_limit`: frames that may wait for the bus before `send` takes no more. `clock`: of a participant on
+    another channel, whose time is this one's too; by default the channel has its own.
 
     Mutable state: the shared wire; what this reader knows of its log; frames received by a look that was
     not for them; the kinds of frames that have passed the check, with priority and duration.
@@ -71,6 +75,7 @@ class Participant:
         own: bool = False,
         spin_us: float = 50.0,
         tx_limit: int = TX_LIMIT,
+        clock: BenchClock | None = None,
     ) -> None:
         self._own = own
         self._spin_ns = int(spin_us * 1000)
@@ -78,12 +83,15 @@ class Participant:
         self._fixed: BitTiming | None = None
         self._known: dict[tuple[int, int, int], tuple[int, int]] = {}
         self._inbox: list[Received] = []
+        self._first_number = -1
+        """Of the first frame of the last `send`; -1: none was taken."""
         self._torn = 0
         """Frames that were overwritten while they were read."""
         self._thread = threading.RLock()
         """Users of python-can send and receive in several threads."""
         self.channel = channel
         self._closed = True
+        self._lent_clock = clock
         self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{VERSION}")
         self._bell = Doorbell(channel)
         self.fileno = self._bell.fileno
@@ -122,7 +130,7 @@ class Participant:
         self._serials = np.zeros(SLOTS, np.int64)
         self._bell.bind(self.serial)
         wire.register(self.serial, os.getpid())
-        self.clock = BenchClock(wire.words, self.serial, self._bell)
+        self.clock = self._lent_clock or BenchClock(wire.words, self.serial, self._bell)
 
     def _agree(self, timing: BitTiming | None, fd: bool | None, others: list[Slot]) -> None:
         wire = self._wire
@@ -153,7 +161,8 @@ class Participant:
         if self._closed:
             return
         self._closed = True
-        self.clock.leave()
+        if self._lent_clock is None:
+            self.clock.leave()
         alone = self._wire.lock()
         try:
             self._remove(self.serial)
@@ -191,6 +200,7 @@ class Participant:
             room = min(self._tx_limit - int(state[log.OWN_WAITING]), QUEUE_LIMIT - int(state[log.WAITING]))
             taken = max(0, min(len(packed), room))
             number = wire.count(serial)
+            self._first_number = number if taken else -1
             for key, duration, id_, flags, data in packed[:taken]:
                 wire.put(serial, number, 0, key, duration, serial, id_, flags, len(data), data)
                 wire.counted(serial, number + 1)
@@ -237,8 +247,15 @@ class Participant:
             return int(self._state[log.WITHDRAWN]) - before
 
     def _append(self, kind: int, number: int) -> None:
-        words, clock, gettime, at = self.clock.arguments
-        log.append(words, clock, self._state, gettime, at, kind, number)
+        clock_words, clock, gettime, at = self.clock.arguments
+        log.append(self._wire.words, clock_words, clock, self._state, gettime, at, kind, number)
+
+    def first_sent_ns(self) -> int | None:
+        """Return when the first frame of the last `send` ended, as far as this node has looked; else None."""
+        at = record_at(self.serial, self._first_number)
+        end = int(self._wire.words[at + END])
+        same = int(self._wire.words[at + NUMBER]) == self._first_number
+        return end if self._first_number >= 0 and same and end >= 0 else None
 
     # receiving
     @property
@@ -289,6 +306,10 @@ class Participant:
         # awake: a ring would change nothing but bring the promise forward
         self._wire.words[slot_at(self.serial) + SLOT_RUNG] = clock.now()
         clock.working()
+
+    def foresee(self) -> int | None:
+        """Return when the next foreign frame that is under way will have ended; None where there is none."""
+        return self._foresee(frozenset())
 
     def _foresee(self, missing: AbstractSet[int]) -> int | None:
         """Return when all missing identifiers will have ended, as far as the last look can tell.

@@ -3,7 +3,7 @@
 from hil.app.bringup.rehearsal import emulated, mounted
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration
-from hil.app.sim.lockstep import build_lockstep
+from hil.app.sim.build import build_lockstep
 from hil.loop.run_end import Ending
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.rehearsal.bench import RehearsalBench

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
 from hil.app.check.brakes import brake_line
+from hil.app.check.bus import report_bus
 from hil.app.check.controller import report_controller
 from hil.app.check.dangers import dangers
 from hil.app.check.encoders import report_encoders
@@ -17,8 +17,7 @@ from hil.app.check.monitor import report_monitor
 from hil.app.check.payload import broken_by, carried_along, report_payload
 from hil.app.check.pushes import clipped
 from hil.app.check.silence import silence_of
-from hil.app.compose import build_admission, build_protocol, drive_setup
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.compose import build_admission
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.schema import named_schema, schema_is_there
@@ -46,7 +45,7 @@ def inspect(c: Configuration) -> Report:
     platform = build_platform(c.platform)
     model = Model(platform, leg_spin=c.platform.leg_spin)
     _robot(report, c, platform, model)
-    _bus(report, c)
+    report_bus(report, c)
     _drives(report, c)
     report_controller(report, c)
     report_monitor(report, c)
@@ -79,41 +78,6 @@ def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -
         "static_forces_N": tau.tolist(),
         "condition": float(number),
     }
-
-
-def _bus(report: Report, c: Configuration) -> None:
-    title = f"bus {c.bus.interface} {c.bus.channel}, layout {c.bus.layout}"
-    budget = bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
-    if budget is None:
-        report.sections[title] = ["no bus time: exists only in lockstep (hil sim)"]
-        return
-    lines = budget.table().splitlines()
-    lines.append(f"  highest rate at {c.bus.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
-    report.sections[title] = [line.removeprefix("  ") for line in lines]
-    report.figures["bus"] = {
-        "load_percent": budget.load_percent,
-        "total_us": budget.total_ns / 1e3,
-        "allowed_rate_Hz": budget.allowed_rate_Hz,
-    }
-    protocol = build_protocol(c)
-    opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
-    opens = {frame.id for frame in opening}
-    feedback_ns = sum(
-        frame_time_ns(len(f.data), f.flags, BitTiming.of(c.bus))
-        for f in protocol.cyclic_frames()
-        if f.id in opens or protocol.awaited(f) in protocol.feedback_ids
-    )
-    feedback_us = feedback_ns / 1e3
-    window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
-    report.sections[title].append(
-        f"SYNC to sixth feedback {feedback_us:.0f} us of a window of {window_us:.0f} us"
-    )
-    report.figures["bus"]["feedback_us"] = feedback_us
-    if feedback_us > window_us:
-        report.warnings.append(
-            f"SYNC and six feedbacks take {feedback_us:.0f} us of bus time and the window is "
-            f"{window_us:.0f} us (loop.feedback_window_us): legs will be stale"
-        )
 
 
 def _drives(report: Report, c: Configuration) -> None:

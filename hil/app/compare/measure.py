@@ -17,7 +17,7 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.compare import DisturbanceSettings, StepSettings
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import pose_arrays
-from hil.app.sim.lockstep import build_lockstep
+from hil.app.sim.build import build_lockstep
 from hil.config.values import AXES
 from hil.loop.clock import collector_paused
 from hil.loop.run_end import Course

@@ -33,7 +33,9 @@ def address(path: str | Path) -> Address:
     if not document.problems and isinstance(bus, dict) and isinstance(reference, dict):
         default = BusAddress()
         interface = bus.get("interface", default.interface)
-        channel = bus.get("channel", default.channel)
+        several = bus.get("channels")
+        first = several[0] if isinstance(several, list) and several and isinstance(several[0], dict) else bus
+        channel = first.get("channel", default.channel)
         if isinstance(interface, str) and isinstance(channel, str):
             return Address(BusAddress(interface, channel), reference.get("type") == "live")
     from hil.app.configuration.configuration import load  # noqa: PLC0415 - what this module is there to avoid

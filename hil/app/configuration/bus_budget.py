@@ -1,23 +1,24 @@
 """The bus time that a configuration's frames take."""
 
-from drivers import PROTOCOLS
+from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, BusBudget, check
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
+from drivers.several_buses import off_bus
 
 
-def bus_budget(
+def bus_budgets(
     bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
-) -> BusBudget | None:
-    """Return the bus time of the fullest tick at `rate_Hz`; None for the ideal layout, which takes no time.
+) -> tuple[BusBudget, ...]:
+    """Return the bus time of the fullest tick at `rate_Hz`, bus by bus; none for layout ideal.
 
-    Raises ConfigurationError with the arithmetic when it is more than `max_load_percent`, for settings that
-    the protocol does not have, and for sensors where layout or protocol have no room for them.
+    Raises ConfigurationError with the arithmetic of a bus on which it is more than `max_load_percent`, for
+    settings that the protocol does not have, and for sensors where layout or protocol have no room for them.
     """
     nodes = SensorProtocol(bus, sensors)
-    protocol = PROTOCOLS[drives.protocol](bus, drives)
+    protocol = build_protocol(bus, drives)
     try:
         protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, protocol.reactions[0], rate_Hz))
     except ProtocolError as error:
@@ -28,6 +29,45 @@ def bus_budget(
             f"drives.protocol: {drives.protocol} sends no SYNC that sensors can stamp their samples against"
         )
     if bus.layout == "ideal":
-        return None
+        return ()
     frames += nodes.cyclic_frames(rate_Hz)
-    return check(frames, BitTiming.of(bus), rate_Hz, bus.max_load_percent)
+    return tuple(
+        check(
+            [off_bus(frame) for frame in frames if frame.bus == index],
+            BitTiming.of(each),
+            rate_Hz,
+            each.max_load_percent,
+            f"bus.channels[{index}]" if bus.channels else "bus",
+        )
+        for index, each in enumerate(bus.buses)
+    )
+
+
+def bus_budget(
+    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
+) -> BusBudget | None:
+    """Return the budget of the fullest bus, see `bus_budgets`; None for layout ideal, which takes no time."""
+    found = bus_budgets(bus, drives, sensors, rate_Hz)
+    return max(found, key=lambda each: each.load_percent) if found else None
+
+
+def bus_names(bus: BusSettings) -> tuple[str, ...]:
+    """Return the channel of each bus, with its legs where there are several."""
+    if not bus.channels:
+        return (bus.channel,)
+    return tuple(
+        f"{each.channel} (legs {', '.join(map(str, legs))})"
+        for each, legs in zip(bus.buses, bus.legs, strict=True)
+    )
+
+
+def loads(
+    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
+) -> dict[str, object]:
+    """Return what a summary says of the bus load: of several buses, of each by its channel too."""
+    found = bus_budgets(bus, drives, sensors, rate_Hz)
+    most = max((each.load_percent for each in found), default=None)
+    if len(found) < 2:
+        return {"bus_load_percent": most}
+    by_channel = {each.channel: own.load_percent for each, own in zip(bus.buses, found, strict=True)}
+    return {"bus_load_percent": most, "bus_load_percent_by_channel": by_channel}

@@ -90,7 +90,7 @@ class Configuration(Section):
         no section `plant` where one is needed, faults that the command cannot bring about.
         """
         found = []
-        if command in ("run", "plant") and self.bus.interface == "virtual":
+        if command in ("run", "plant") and any(each.interface == "virtual" for each in self.bus.buses):
             found.append(
                 f"{self._source}: bus.interface: python-can's `virtual` bus lives inside one process, and "
                 f"`hil {command}` is one end of a bus between two; use localcan here, or `hil sim`"

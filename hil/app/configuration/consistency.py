@@ -20,7 +20,7 @@ from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable
 from hil.app.configuration.drive_rules import homing, own_reaction, reported_stroke
-from hil.app.configuration.fault_rules import platform_loads
+from hil.app.configuration.fault_rules import faulty_buses, platform_loads
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path
 from hil.config.estimation import EstimationSettings
@@ -74,18 +74,20 @@ def feedback_window(loop: LoopSettings, _: Folder) -> Iterator[Finding]:
 
 def bit_rates(bus: BusSettings, _: Folder) -> Iterator[Finding]:
     """Refuse bit rates outside ISO 11898-1: arbitration to 1 Mbit/s, data phase not slower than that."""
-    if bus.bitrate_bit_s > 1_000_000:
-        message = f"too fast for arbitration, allowed: at most 1000000, given: {bus.bitrate_bit_s}"
-        yield ("bus", "bitrate_bit_s"), message
-    if bus.layout == "fd" and bus.data_bitrate_bit_s < bus.bitrate_bit_s:
-        message = (
-            f"slower than arbitration, allowed: at least {bus.bitrate_bit_s} (bus.bitrate_bit_s), "
-            f"given: {bus.data_bitrate_bit_s}"
-        )
-        yield ("bus", "data_bitrate_bit_s"), message
+    for n, each in enumerate(bus.buses):
+        where: Path = ("bus", "channels", n) if bus.channels else ("bus",)
+        if each.bitrate_bit_s > 1_000_000:
+            message = f"too fast for arbitration, allowed: at most 1000000, given: {each.bitrate_bit_s}"
+            yield (*where, "bitrate_bit_s"), message
+        if each.layout == "fd" and each.data_bitrate_bit_s < each.bitrate_bit_s:
+            message = (
+                f"slower than arbitration, allowed: at least {each.bitrate_bit_s} (bus.bitrate_bit_s), "
+                f"given: {each.data_bitrate_bit_s}"
+            )
+            yield (*where, "data_bitrate_bit_s"), message
 
 
-_KEYED = re.compile(r"(?:(bus|drives)(?:\.(\w+))?(?:\[(\d+)\])?: )?(.*)", re.DOTALL)
+_KEYED = re.compile(r"(?:(bus|drives|sensors)((?:\.\w+)*)(?:\[(\d+)\])?: )?(.*)", re.DOTALL)
 """An error that may begin with the key that it objects to."""
 
 
@@ -98,8 +100,8 @@ def bus_load(
     except HilError as error:
         found = _KEYED.fullmatch(str(error))
         assert found is not None
-        section, key, index, message = found.groups()
-        where: Path = (section or "bus", key) if key else (section or "bus",)
+        section, keys, index, message = found.groups()
+        where: Path = (section or "bus", *filter(None, (keys or "").split(".")))
         yield (*where, int(index)) if index else where, message
 
 
@@ -377,8 +379,8 @@ RULES: tuple[Rule, ...] = (
     watchdog, rated_force, feedback_window, bit_rates, bus_load, node_numbers, sensor_rates,
     fusion_sources, measured_wrench, live_preview, geometry, stroke, reference_poses, reference_path,
     endless_reference, designed_controllers, certified_law, plant_steps, emulated_sensors, plant_lag,
-    brake_times, standstill, fmu_file, bench_rest, platform_loads, own_reaction, reported_stroke,
-    homing,
+    brake_times, standstill, fmu_file, bench_rest, platform_loads, faulty_buses, own_reaction,
+    reported_stroke, homing,
 )  # fmt: skip
 """A parameter has the name of its section; the last one is the folder."""
 

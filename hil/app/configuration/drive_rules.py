@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drivers import PROTOCOLS
+from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import HilError
 from drivers.protocol import DriveProtocol
@@ -18,7 +18,7 @@ from hil.config.reactions import ReactionSettings
 def _protocol(bus: BusSettings, drives: DriveSettings) -> DriveProtocol | None:
     """Return the codec; None where its settings are wrong, which the rule on the bus load says."""
     try:
-        return PROTOCOLS[drives.protocol](bus, drives)
+        return build_protocol(bus, drives)
     except HilError:
         return None
 

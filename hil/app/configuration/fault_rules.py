@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 
+from drivers.config import BusSettings
+from drivers.errors import ConfigurationError
 from hil.app.configuration.yaml_positions import Path
 from plant_fmu.config import BenchPlant, PlantSettings
 from plant_fmu.faults.fault import Fault
@@ -20,6 +22,32 @@ def platform_loads(plant: PlantSettings | None, _: FilePath | None) -> Iterator[
                 f"{fault.kind} needs a platform, and plant type bench has none: use another plant or kind"
             )
             yield ("plant", "faults", n, "kind"), message
+
+
+def faulty_buses(
+    plant: PlantSettings | None, bus: BusSettings, _: FilePath | None
+) -> Iterator[tuple[Path, str]]:
+    """Refuse a fault of a bus that there is not."""
+    for n, fault in enumerate(() if plant is None else plant.faults):
+        message = of_no_bus(fault, bus)
+        if message:
+            yield ("plant", "faults", n, "bus"), message
+
+
+def of_no_bus(fault: Fault, bus: BusSettings) -> str:
+    """Return what is wrong with the bus that a fault names; empty where there is such a bus, or none."""
+    last, given = len(bus.buses) - 1, getattr(fault, "bus", None) or 0
+    if given <= last:
+        return ""
+    allowed = "0, there is one bus" if last == 0 else f"0 to {last}, the place in bus.channels"
+    return f"no such bus, allowed: {allowed}, given: {given}"
+
+
+def refuse_of_no_bus(faults: Sequence[Fault], bus: BusSettings) -> None:
+    """Raise ConfigurationError where a fault names a bus that there is not."""
+    wrong = [f"{fault.kind}: {text}" for fault in faults if (text := of_no_bus(fault, bus))]
+    if wrong:
+        raise ConfigurationError(*wrong)
 
 
 def cannot_serve(command: str, faults: Sequence[Fault]) -> Iterator[str]:

@@ -15,7 +15,7 @@ def write_frames(log: Log, path: Path, form: str, shift_ns: int) -> int:
 
     Raises LogError: the log is damaged.
     """
-    writer = WRITERS[form](path, log.can_channel)
+    writer = WRITERS[form](path, log.can_channels)
     offset, count = log.epoch_ns + shift_ns, 0
     try:
         for t_ns, _, sent, bus, can_id, data, flags in log.can_frames():

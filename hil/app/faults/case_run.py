@@ -11,7 +11,7 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.fault_words import show_fault
 from hil.app.faults.cases import Case
 from hil.app.faults.verdict import REST_S, Bounds, Trace, judge, see
-from hil.app.sim.lockstep import build_lockstep
+from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending

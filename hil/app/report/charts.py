@@ -171,9 +171,7 @@ def _time(rows: Rows, traffic: Traffic, rate_Hz: float) -> Iterator[Chart]:
         curve = Curve(stretched.name, factor * rows[stretched.name].astype(np.float64))
         yield Chart("stretched", section, stretched.meaning, unit, (curve,))
     if traffic.busy_ns:
-        busy = tuple(
-            Curve(f"bus {bus}", 1e-7 * rate_Hz * busy) for bus, busy in sorted(traffic.busy_ns.items())
-        )
+        busy = tuple(Curve(name, 1e-7 * rate_Hz * busy) for name, busy in sorted(traffic.busy_ns.items()))
         title = "bus load: worst-case wire time of a tick's frames, of its period"
         yield Chart("bus", section, title, "%", busy, (100.0,))
     columns = [COLUMNS[name] for name in ("rejected", "sends_failed", "bus_errors", "bus_overflow")]

@@ -120,8 +120,8 @@ def _page(
     if not len(rows):
         raise LogError(f"{path}: has no tick: nothing to report")
     t, name = seconds(rows), printable(path.name)
-    timing = BitTiming.of(c.bus) if c is not None and c.bus.layout != "ideal" else None
-    bus = traffic(log, rows, timing)
+    timings = [] if c is None or c.bus.layout == "ideal" else [BitTiming.of(each) for each in c.bus.buses]
+    bus = traffic(log, rows, timings)
     shown = charts(rows, c, bus, rate_Hz)
     powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING) | (rows["mode"] == Mode.HELD)
     moving = None if c is None else scene(rows, t, c)

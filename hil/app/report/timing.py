@@ -1,5 +1,6 @@
 """The loop's own time: how late it woke up, how long it computed, how late the drives answered."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,8 +23,9 @@ class Traffic(NamedTuple):
 
     answered_ns: Array
     """(n,) from the tick's scheduled time to the last frame that it consumed; nan without one."""
-    busy_ns: dict[int, Array]
-    """By bus: (n,) worst-case wire time of a tick's frames, sent and received; empty without a timing."""
+    busy_ns: dict[str, Array]
+    """By name of the bus: (n,) worst-case wire time of a tick's frames, sent and received; empty without a
+    timing."""
 
 
 class Spread(NamedTuple):
@@ -35,22 +37,29 @@ class Spread(NamedTuple):
     """At PERCENTILES."""
 
 
-def traffic(log: Log, rows: Rows, timing: BitTiming | None) -> Traffic:
-    """Read the frames of a log. timing: None where frames take no bus time, or nobody knows how much."""
+def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
+    """Read the frames of a log.
+
+    timings: of each bus, none where frames take no bus time, or nobody knows how much.
+    """
     n = len(rows)
     answered = np.full(n, np.nan)
-    busy: dict[int, Array] = {}
+    busy: dict[str, Array] = {}
+    names = [f"bus {name}" for name in log.can_channels]
     for k, tick in zip(range(n), log.ticks(), strict=False):  # a log that is being written has more by now
         if tick.received:
             answered[k] = max(r.t_ns for r in tick.received) - int(tick.row["t_ns"])
-        if timing is None:
+        if not timings:
             continue
         for frame in (*tick.sent, *(r.frame for r in tick.received)):
             bus = frame.flags // BUS
-            if bus not in busy:
-                busy[bus] = np.zeros(n)
+            name = names[bus] if bus < len(names) else f"bus {bus}"
+            if name not in busy:
+                busy[name] = np.zeros(n)
             try:
-                busy[bus][k] += frame_time_ns(len(frame.data), frame.flags % BUS, timing)
+                busy[name][k] += frame_time_ns(
+                    len(frame.data), frame.flags % BUS, timings[min(bus, len(timings) - 1)]
+                )
             except BusError:  # a frame that no bus carries takes no time of it
                 continue
     return Traffic(answered, busy)

@@ -14,7 +14,7 @@ from drivers.can.bus import Bus
 from drivers.errors import LogError, RunError
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, record
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bus_budget import bus_names, loads
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
@@ -180,10 +180,16 @@ def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) 
             "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
         )
         text = (
-            f"no drive answered on {c.bus.interface} channel {c.bus.channel} within {NO_DRIVES_S:g} s: check "
+            f"no drive answered on {_where(c)} within {NO_DRIVES_S:g} s: check "
             f"power, wiring, bit rate and drives.node_ids{start}"
         )
     return "; ".join(filter(None, (text, plant)))
+
+
+def _where(c: Configuration) -> str:
+    """Name the buses."""
+    named = zip(c.bus.buses, bus_names(c.bus), strict=True)
+    return " and ".join(f"{each.interface} channel {name}" for each, name in named)
 
 
 def _summary(
@@ -197,7 +203,6 @@ def _summary(
     stretching: bool,
 ) -> dict[str, Any]:
     rate = cycle.parts.rate_Hz
-    budget = bus_budget(c.bus, c.drives, c.sensors, rate)
     result: dict[str, Any] = {
         "success": ending.success and not trouble,
         "kind": "run",
@@ -209,7 +214,7 @@ def _summary(
         "trouble": trouble or None,
         "story": told(ending),
         "real_time": {"granted": granted.granted, "missing": granted.missing},
-        "bus_load_percent": None if budget is None else budget.load_percent,
+        **loads(c.bus, c.drives, c.sensors, rate),
         "resident_MB": resident_MB(),
     }
     dropped = closed.dropped + closed.lost

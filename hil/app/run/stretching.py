@@ -8,6 +8,7 @@ from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.localcan.bench_clock import BenchClock
+from drivers.several_buses import off_bus
 from hil.app.configuration.configuration import Configuration
 from hil.loop.cycle import Cycle
 from hil.safety.timing import HARMFUL_STRETCH_NS
@@ -20,21 +21,29 @@ _LEAST_NS = 100_000
 def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
     """Return the clock that may stand still; None where time must not: hardware, or `on_stall: fault`."""
     clock = bus.clock
+    # all on one clock: a bus of hardware among them goes by its own
     return clock if c.loop.on_stall == "stretch" and isinstance(clock, BenchClock) else None
 
 
 def begin(clock: BenchClock, c: Configuration, cycle: Cycle, window_ns: int) -> None:
     """Let time stand still from now on, and hold it.
 
-    Of what the frames of SYNC and feedback leave of the feedback window, a part each is for the controller to
-    wake up in, for the drives to do so, and two for these to answer; the rest is kept.
+    Of what the frames of SYNC and feedback leave of the feedback window, on the fullest bus, a part each is
+    for the controller to wake up in, for the drives to do so, and two for these to answer; the rest is kept.
     """
-    protocol, timing = cycle.parts.protocol, BitTiming.of(c.bus)
+    protocol = cycle.parts.protocol
     asked = protocol.begin(cycle.dialogue, 0)
     answers = [
         frame for frame in protocol.cyclic_frames() if protocol.awaited(frame) in protocol.feedback_ids
     ]
-    bus_ns = sum(frame_time_ns(len(f.data), f.flags, timing) for f in (*asked, *answers))
+    bus_ns = max(
+        sum(
+            frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))
+            for f in (*asked, *answers)
+            if f.bus == index
+        )
+        for index, each in enumerate(c.bus.buses)
+    )
     spare_ns = max(window_ns - bus_ns, _LEAST_NS)
     clock.begin(wake_ns=spare_ns // 6, work_ns=spare_ns // 3)
     clock.hold()

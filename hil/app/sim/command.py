@@ -10,7 +10,7 @@ from drivers.errors import ConfigurationError
 from drivers.protocol import Frame
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes, record
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bus_budget import loads
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
@@ -20,8 +20,9 @@ from hil.app.output import closing, log_path, told
 from hil.app.plant import plant_row
 from hil.app.plant_columns import PLANT
 from hil.app.replay import replay_log
+from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
-from hil.app.sim.lockstep import Given, Lockstep, build_lockstep
+from hil.app.sim.lockstep import Given, Lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Ending
@@ -92,7 +93,7 @@ def _record_plant(c: Configuration, path: Path) -> Recording:
     """Start the recorder of the plant's truth: one row for each tick, no frames."""
     return Recording.start(
         path, configuration=c.text, table=PLANT, metadata={"kind": "plant"}, lockstep=True,
-        can_channel=c.bus.channel, ring_ticks=c.recording.ring_ticks,
+        can_channel=[each.channel for each in c.bus.buses], ring_ticks=c.recording.ring_ticks,
     )  # fmt: skip
 
 
@@ -120,7 +121,7 @@ def simulate(
     c.require("sim")
     assert c.plant is not None
     rate = c.loop.rate_Hz
-    budget = bus_budget(c.bus, c.drives, c.sensors, rate)
+    bus_load = loads(c.bus, c.drives, c.sensors, rate)
     watchdog_s = c.drives.watchdog_ms * 1e-3
     keeper = Keeper(c, emulated=True)
     cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)
@@ -170,7 +171,7 @@ def simulate(
         **({"plant_log": str(truth_path)} if plant_log else {}),
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),
-        "bus_load_percent": None if budget is None else budget.load_percent,
+        **bus_load,
         "wall_s": wall,
         "real_time_factor": (len(rows) - 1) / rate / wall,
         **figures(rows),

@@ -13,7 +13,6 @@ from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import PlantError
 from drivers.protocol import ALWAYS, Frame, Received
 from drivers.signals import Mode
-from hil.app.configuration.configuration import Configuration
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
@@ -84,6 +83,10 @@ class Lockstep:
     feedback_window_s: float
     compute_us: float = COMPUTE_US
     tick: int = -1
+    buses: int = 1
+    """How many there are."""
+    skew_ns: int = 0
+    """From this tick's SYNC on the first bus to that on the last."""
     free_ns: int = ALWAYS
     """When the bus falls free."""
     _queued: list[tuple[int, int, int, int, bool, Frame]] = field(default_factory=list)
@@ -125,7 +128,8 @@ class Lockstep:
             tick,
             t_ns,
             frames=tuple(feedback),
-            bus_off=self.nodes.bus_off,
+            sync_skew_ns=self.skew_ns,
+            bus_off=self.nodes.bus_off & (1 << self.buses) - 1,
             operator=operator,
             setpoints=setpoints,
             orders=orders,
@@ -154,12 +158,7 @@ class Lockstep:
     def _exchange(self, t_ns: int, opening: tuple[Frame, ...]) -> tuple[list[Received], int]:
         """Let SYNC reach the drives and their answers the controller; return those and the step's time."""
         deadline = t_ns + self.window_ns
-        if not self._send(t_ns, opening, deadline, self._commands):
-            self._queue([(t_ns, frame) for frame in opening], from_drive=False)
-            self._carry(t_ns)
-            # what starts the tick waits for the frame on the wire, on a flooded bus in vain
-            while self.free_ns <= deadline and any(queued[-1] in opening for queued in self._queued):
-                self._carry(self.free_ns)
+        self._open(t_ns, opening, deadline)
         synced = self._commands[-1].t_ns if self._commands else t_ns
         commands, self._commands = self._commands, []
         replies = self.nodes.step(max(synced, t_ns), commands)
@@ -187,6 +186,15 @@ class Lockstep:
                 self._late = answers[taken:]
                 return early + answers[:taken], min(end_ns, deadline)
         return early + answers, deadline
+
+    def _open(self, t_ns: int, opening: tuple[Frame, ...], deadline: int) -> None:
+        """Let what starts the tick reach the drives."""
+        if not self._send(t_ns, opening, deadline, self._commands):
+            self._queue([(t_ns, frame) for frame in opening], from_drive=False)
+            self._carry(t_ns)
+            # it waits for the frame on the wire, on a flooded bus in vain
+            while self.free_ns <= deadline and any(queued[-1] in opening for queued in self._queued):
+                self._carry(self.free_ns)
 
     def _send(
         self, t_ns: int, frames: Sequence[Frame], end_ns: int, receiver: list[Received]
@@ -273,9 +281,3 @@ class Lockstep:
             observe(*stepped)
             ending = course.ending(tick)
         return ending
-
-
-def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes) -> Lockstep:
-    """Return both ends on the configured bus; layout `ideal` takes no bus time."""
-    timing = None if c.bus.layout == "ideal" else BitTiming.of(c.bus)
-    return Lockstep(cycle, nodes, timing, c.loop.window_s(c.loop.rate_Hz))

@@ -66,8 +66,11 @@ def estop(m: Moment) -> Iterator[Seen]:
 
 def bus(m: Moment) -> Iterator[Seen]:
     """Tell a bus that is off from one that takes no frames."""
-    if m.tick["bus_off"]:
-        yield Seen("off", sentence="the bus is off: its controller has counted too many errors")
+    off = int(m.tick["bus_off"])
+    if off:
+        names = [name for bus, name in enumerate(m.cycle.parts.buses) if off >> bus & 1]
+        which = f"bus {' and bus '.join(names)}" if names else "the bus"
+        yield Seen("off", sentence=f"{which} is off: its controller has counted too many errors")
         return
     refused = int(m.cycle.parts.safety.memory["refused"])
     row = 1 << IN_A_ROW

@@ -5,7 +5,7 @@ import json
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
-from hil.app.sim.lockstep import build_lockstep
+from hil.app.sim.build import build_lockstep
 from hil.loop.run_end import Course
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.plan import FaultPlan

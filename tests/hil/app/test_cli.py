@@ -123,7 +123,7 @@ def test_an_unknown_configuration_names_the_shipped_ones():
     result = hil("sim", "virtal")
     assert result.exit_code == 2
     assert result.stderr == (
-        "hil: virtal: no such file; shipped configurations are: bench, desktop, ideal, lab, socketcan, vcan50, virtual\n"
+        "hil: virtal: no such file; shipped configurations are: bench, desktop, ideal, lab, socketcan, two_buses, vcan50, virtual\n"
     )
 
 

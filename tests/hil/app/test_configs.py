@@ -24,6 +24,7 @@ NAMES = [
     "lab",
     "lab-cia402",
     "socketcan",
+    "two_buses",
     "vcan50",
     "virtual",
     "virtual-cia402",

@@ -128,7 +128,7 @@ GOLDEN = [
 
 def test_the_lines_of_candump_are_those_of_can_utils(tmp_path):
     out = tmp_path / "a.log"
-    writer = WRITERS["candump"](out, "vcan0")
+    writer = WRITERS["candump"](out, ["vcan0"])
     for frame, _ in GOLDEN:
         writer.write(1_769_860_800_000_000_500, frame, sent=False)
     writer.close()
@@ -153,7 +153,7 @@ def test_remote_and_error_frames_come_back_as_such(tmp_path, ending):
 
 
 def test_a_strange_name_of_a_bus_stays_one_word(tmp_path):
-    writer = WRITERS["candump"](tmp_path / "a.log", "/dev/tty ACM0")
+    writer = WRITERS["candump"](tmp_path / "a.log", ["/dev/tty ACM0"])
     writer.write(0, Frame(1, b""), sent=True)
     writer.close()
     assert (tmp_path / "a.log").read_text() == "(0.000000) _dev_tty_ACM0 001#\n"

@@ -1,0 +1,161 @@
+"""Several buses behind one door: frames carry the index of their bus."""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from operator import itemgetter
+from typing import Protocol
+
+from drivers.can.collect import Source
+from drivers.can.localcan.bench_clock import BenchClock
+from drivers.clock import MONOTONIC, Clock
+from drivers.protocol import BUS, Frame, Received
+
+_TIME = itemgetter(0)
+_FIRST_LOOK_NS = 200_000
+"""Between two looks at a link that cannot be waited for together with others."""
+_LOOK_S = 1e-3
+"""Between two looks while time stands still, or a bus is off."""
+
+
+class Link(Source, Protocol):
+    """One interface behind a Bus. Received frames may be error frames."""
+
+    @property
+    def off(self) -> bool:
+        """The interface says that the bus is off or down."""
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far."""
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Return how many frames were taken, from the first on."""
+
+    def first_sent_ns(self) -> int | None:
+        """Return when the first frame of the last `send` ended on the wire; None where that is not known."""
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when something has come; -1 where there is none."""
+
+    def foresee(self) -> int | None:
+        """Return when the next foreign frame that is under way will have ended; None where none is known."""
+
+    def arm(self, *, idle: bool = True) -> bool:
+        """Ask for a word by `fileno`, unless something has come; return whether nothing has."""
+
+    def flush_tx(self) -> object:
+        """Drop frames that wait to be sent."""
+
+    def close(self) -> None:
+        """Free the interface."""
+
+
+class LinkGroup:
+    """The links of several buses as one.
+
+    Mutable state: the links; on which of them each identifier was last received; when each had taken what
+    the last `send` gave it.
+    """
+
+    def __init__(self, links: Sequence[Link]) -> None:
+        """Take the links in the order of their buses."""
+        self._links = tuple(links)
+        clocks = {id(link.clock) for link in self._links}
+        self.clock: Clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
+        self._home: dict[int, int] = {}
+        self._taken_ns = [0] * len(self._links)
+
+    @property
+    def off_bits(self) -> int:
+        """Bit i is set while bus i is off or down."""
+        return sum(1 << bus for bus, link in enumerate(self._links) if link.off)
+
+    @property
+    def every_bit(self) -> int:
+        """The bits of all buses."""
+        return (1 << len(self._links)) - 1
+
+    @property
+    def off(self) -> bool:
+        """Whether a bus is off or down."""
+        return self.off_bits != 0
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far, on all buses."""
+        return sum(link.overflow for link in self._links)
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Return how many frames the buses took, each bus from its first on."""
+        own: list[list[Frame]] = [[] for _ in self._links]
+        for identifier, data, flags in frames:
+            own[flags // BUS].append(Frame(identifier, data, flags % BUS))
+        taken = 0
+        for bus, link in enumerate(self._links):
+            if own[bus]:
+                taken += link.send(own[bus])
+                self._taken_ns[bus] = self.clock.now()
+        return taken
+
+    def skew_ns(self) -> int:
+        """Return the time from the first to the last of the first frames that `send` put on the buses.
+
+        Their ends on the wire where every link knows them, else the instants at which the interfaces had
+        taken what was for them.
+        """
+        ends = [end for link in self._links if (end := link.first_sent_ns()) is not None]
+        times = ends if len(ends) == len(self._links) else self._taken_ns
+        return max(times) - min(times)
+
+    def receive(self) -> list[Received]:
+        """Return what is there on all buses, in the order of time."""
+        received: list[Received] = []
+        for bus, link in enumerate(self._links):
+            for t_ns, (identifier, data, flags) in link.receive():
+                self._home[identifier] = bus
+                received.append(Received(t_ns, Frame(identifier, data, flags + BUS * bus)))
+        received.sort(key=_TIME)
+        return received
+
+    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
+        """Sleep until there may be more, at most until the deadline.
+
+        What is missing is awaited bus by bus, each identifier on the bus where it was last heard; where
+        that is not known, or anything is awaited, on all buses together.
+        """
+        if missing and missing <= self._home.keys():
+            bus = min(self._home[identifier] for identifier in missing)
+            there = {identifier for identifier in missing if self._home[identifier] == bus}
+            self._links[bus].block(deadline_ns, there)
+            return
+        clock = self.clock
+        ends = [end for link in self._links if (end := link.foresee()) is not None]
+        if ends:
+            clock.sleep_until(min(*ends, deadline_ns))
+            return
+        files = [link.fileno() for link in self._links]
+        if min(files) < 0:
+            clock.sleep_until(min(deadline_ns, clock.now() + _FIRST_LOOK_NS))
+            return
+        bench = clock if isinstance(clock, BenchClock) else None
+        if bench is not None:
+            bench.waiting(deadline_ns)
+        quiet = [link.arm(idle=False) for link in self._links]
+        left_s = (deadline_ns - clock.now()) * 1e-9
+        if all(quiet) and left_s > 0:
+            stands = self.off or (bench is not None and bench.stands())
+            select.select(files, [], [], min(left_s, _LOOK_S) if stands else left_s)
+        clock.working()
+
+    def flush_tx(self) -> None:
+        """Drop frames that wait to be sent. Raises BusError where an interface cannot."""
+        for link in self._links:
+            link.flush_tx()
+
+    def close(self) -> None:
+        """Leave all buses."""
+        for link in self._links:
+            link.close()

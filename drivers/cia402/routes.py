@@ -1,0 +1,28 @@
+"""Which drive a frame of CANopen concerns: the predefined connection set says it by the node number."""
+
+from drivers.cia402 import objects as o
+from drivers.protocol import ALL_LEGS, Frame
+
+_NODE = 0x7F
+_FROM_DRIVES = frozenset((o.EMCY_ID, *o.TPDO_ID, o.SDO_REPLY_ID, o.HEARTBEAT_ID))
+_FOR_ONE = frozenset((*o.RPDO_ID, o.SDO_REQUEST_ID))
+
+
+class Routes:
+    """What a frame's identifier says, for six nodes."""
+
+    node_ids: tuple[int, ...]
+    """Leg order."""
+
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        """Return the leg of a PDO or SDO, or of the NMT command of one node; the others are for all."""
+        node = frame.id & _NODE if frame.id & ~_NODE in _FOR_ONE else 0
+        if frame.id == o.NMT_ID:
+            node = frame.data[1]
+        return (self.node_ids.index(node),) if node else ALL_LEGS
+
+    def sender(self, frame: Frame) -> int:
+        """Return the leg of a PDO, SDO, EMCY or heartbeat of one of the drives."""
+        node = frame.id & _NODE
+        ours = frame.id & ~_NODE in _FROM_DRIVES and node in self.node_ids
+        return self.node_ids.index(node) if ours else -1

@@ -1,0 +1,290 @@
+"""A drive family whose drives are on several buses: each frame to and from the bus of its drive.
+
+The controller's end keeps one dialogue: what it sends goes out on the bus of the leg that it is for, what is
+for all on every bus, in the order of the buses. A drive's frame counts on its own bus only. At the drives'
+end the drives of each bus have a memory of their own, for they hear that bus alone.
+"""
+
+from collections.abc import Sequence
+
+from drivers.arrays import Array, Ints
+from drivers.protocol import (
+    ALWAYS,
+    BUS,
+    Alive,
+    Answer,
+    Configure,
+    DeviceCommand,
+    DeviceMessage,
+    Dialogue,
+    DriveProtocol,
+    DriveSetup,
+    EmergencyStop,
+    Frame,
+    Memory,
+    Received,
+    Status,
+    Sync,
+    frames_of,
+    run_of,
+)
+from drivers.signals import LEGS, Command, Reaction
+from drivers.tick_columns import Record
+
+Memories = tuple[Memory, ...]
+"""What the drives of each bus remember."""
+
+
+def on_bus(frame: Frame, bus: int) -> Frame:
+    """Return a frame of bus 0 on another one."""
+    return frame._replace(flags=frame.flags + BUS * bus) if bus else frame
+
+
+def off_bus(frame: Frame) -> Frame:
+    """Return a frame as the family knows it, which has one bus."""
+    return frame._replace(flags=frame.flags % BUS) if frame.flags >= BUS else frame
+
+
+class SeveralBuses:
+    """A `DriveProtocol` on several buses, made from the same one on a single bus. Holds tables only."""
+
+    def __init__(self, family: DriveProtocol, legs: Sequence[Sequence[int]]) -> None:
+        """Take the family and the legs of each bus, which together are all legs, each once."""
+        self.family = family
+        self.legs = tuple(map(tuple, legs))
+        self.bus_of = tuple(
+            next(bus for bus, there in enumerate(self.legs) if leg in there) for leg in range(LEGS)
+        )
+        self._buses = tuple(range(len(self.legs)))
+
+    # what the family says of itself
+
+    @property
+    def database(self) -> tuple[str, str] | None:
+        """As the family's."""
+        return self.family.database
+
+    @property
+    def feedback_ids(self) -> frozenset[int]:
+        """As the family's."""
+        return self.family.feedback_ids
+
+    @property
+    def shares_identifiers(self) -> bool:
+        """As the family's."""
+        return self.family.shares_identifiers
+
+    @property
+    def command_delay_ticks(self) -> int:
+        """As the family's."""
+        return self.family.command_delay_ticks
+
+    @property
+    def set_up_frames(self) -> int:
+        """As the family's."""
+        return self.family.set_up_frames
+
+    @property
+    def reset_ticks(self) -> int:
+        """As the family's."""
+        return self.family.reset_ticks
+
+    @property
+    def reactions(self) -> tuple[Reaction, ...]:
+        """As the family's."""
+        return self.family.reactions
+
+    @property
+    def dangers(self) -> tuple[str, ...]:
+        """As the family's."""
+        return self.family.dangers
+
+    @property
+    def force_on_brakes(self) -> bool:
+        """See `DriveProtocol.force_on_brakes`."""
+        return self.family.force_on_brakes
+
+    @property
+    def stop_latches(self) -> bool:
+        """As the family's."""
+        return self.family.stop_latches
+
+    def reported_lengths(self) -> tuple[Array, Array] | None:
+        """As the family's."""
+        return self.family.reported_lengths()
+
+    def fault_text(self, code: int) -> str:
+        """As the family's."""
+        return self.family.fault_text(code)
+
+    def legs_set_up(self, dialogue: Dialogue) -> tuple[bool, ...]:
+        """As the family's."""
+        return self.family.legs_set_up(dialogue)
+
+    def set_up_lacks(self, dialogue: Dialogue) -> tuple[str, ...]:
+        """As the family's."""
+        return self.family.set_up_lacks(dialogue)
+
+    # controller's end
+
+    def start(self, setup: DriveSetup) -> Dialogue:
+        """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
+        return self.family.start(setup)
+
+    def begin(self, dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
+        """Frames that start a tick: SYNC on every bus, or each drive's poll on its own."""
+        return self._spread(self.family.begin(dialogue, tick))
+
+    def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
+        """Frames of one tick's command. Raises ProtocolError if a force does not fit."""
+        dialogue, frames = self.family.command(dialogue, command, tick)
+        return dialogue, self._spread(frames)
+
+    def set_up(self, dialogue: Dialogue, tick: Record) -> tuple[Dialogue, tuple[Frame, ...]]:
+        """Frames of the start-up dialogue of this tick."""
+        dialogue, frames = self.family.set_up(dialogue, tick)
+        return dialogue, self._spread(frames)
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        """Frames that fault all drives at once."""
+        return self._spread(self.family.emergency_stop())
+
+    def _spread(self, frames: Sequence[Frame]) -> tuple[Frame, ...]:
+        """Put each frame on the buses of the legs that it is for."""
+        addressed, bus_of = self.family.addressed, self.bus_of
+        sent = []
+        for frame in frames:
+            legs = addressed(frame)
+            if len(legs) == 1:
+                sent.append(on_bus(frame, bus_of[legs[0]]))
+            else:
+                sent += [on_bus(frame, bus) for bus in sorted({bus_of[leg] for leg in legs})]
+        return tuple(sent)
+
+    def _strays(self, frame: Frame, known: Frame) -> bool:
+        """Tell whether a drive's frame comes on another bus than its own."""
+        leg = self.family.sender(known)
+        return leg >= 0 and self.bus_of[leg] != frame.bus
+
+    def decode(
+        self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> Dialogue:
+        """Fill the measurement of a tick; see `DriveProtocol.decode`.
+
+        A frame of a drive that comes on another bus than its own is refused, and counted in `rejected`.
+        """
+        kept, strays = [], 0
+        for t_ns, frame in frames_of(run):
+            known = off_bus(frame)
+            if self._strays(frame, known) or frame.bus >= len(self.legs):
+                strays += 1
+            else:
+                kept.append(Received(t_ns, known))
+        dialogue = self.family.decode(dialogue, run_of(kept), last, tick, since_ns)
+        tick["rejected"] += strays
+        return dialogue
+
+    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is feedback of this tick on its drive's own bus that can be trusted."""
+        known = off_bus(received.frame)
+        return not self._strays(received.frame, known) and self.family.fresh(
+            Received(received.t_ns, known), tick, since_ns
+        )
+
+    def awaited(self, frame: Frame) -> int:
+        """Return which of `feedback_ids` a frame is; another number for what is no feedback."""
+        return self.family.awaited(off_bus(frame))
+
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        """Return the legs on the frame's bus that it is for."""
+        return tuple(leg for leg in self.family.addressed(off_bus(frame)) if self.bus_of[leg] == frame.bus)
+
+    def sender(self, frame: Frame) -> int:
+        """Return the leg whose drive sends a frame on its own bus, else -1."""
+        known = off_bus(frame)
+        return -1 if self._strays(frame, known) else self.family.sender(known)
+
+    # drives' end
+
+    def power_up(self) -> Memories:
+        """Return the memories of drives that have heard nothing."""
+        return tuple(self.family.power_up() for _ in self._buses)
+
+    def parse(self, memory: Memories, frame: Frame) -> tuple[Memories, tuple[DeviceMessage, ...]]:
+        """Decode at the drives' end: the drives of the frame's bus hear it, and no others."""
+        bus = frame.bus
+        if bus >= len(self.legs):
+            return memory, ()
+        own, messages = self._parse(memory[bus], off_bus(frame), bus)
+        at_home = [self._on(bus, message) for message in messages]
+        kept = tuple(message for message in at_home if message is not None)
+        return _with(memory, bus, own), kept
+
+    def _parse(self, own: Memory, frame: Frame, bus: int) -> tuple[Memory, tuple[DeviceMessage, ...]]:
+        """Decode a frame at the drives of one bus; messages may name legs that are not there."""
+        del bus
+        return self.family.parse(own, frame)
+
+    def _on(self, bus: int, message: DeviceMessage) -> DeviceMessage | None:
+        """Return what a message says to the legs of a bus, an answer on that bus; None for nothing."""
+        there = self.legs[bus]
+        match message:
+            case Answer(leg, frame):
+                return Answer(leg, on_bus(frame, bus)) if leg in there else None
+            case Configure(leg=leg):
+                return message if leg in there else None
+            case DeviceCommand(legs=named):
+                legs = tuple(leg for leg in named if leg in there)
+                if legs == named or not legs:
+                    return message if legs else None
+                return message._replace(legs=legs, force=message.force[[leg in there for leg in named]])
+            case Sync(legs=named) | Alive(legs=named) | EmergencyStop(legs=named):
+                legs = tuple(leg for leg in named if leg in there)
+                return message._replace(legs=legs) if legs or not named else None
+        return message
+
+    def answer(
+        self,
+        memory: Memories,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[Memories, list[tuple[int, Frame]]]:
+        """Encode what the drives of `sync.legs` answer, each on its own bus; see `DriveProtocol.answer`."""
+        frames: list[tuple[int, Frame]] = []
+        for bus in sorted({self.bus_of[leg] for leg in sync.legs}):
+            own, answers = self.family.answer(memory[bus], sync, length, rate, force, state, fault)
+            memory = _with(memory, bus, own)
+            mine = set(self.legs[bus]).intersection(sync.legs)
+            frames += [(leg, on_bus(frame, bus)) for leg, frame in answers if leg in mine]
+        return memory, frames
+
+    def report(self, memory: Memories, status: Status) -> tuple[Memories, tuple[Frame, ...]]:
+        """Encode one drive's heartbeat, and learn what it is in."""
+        bus = self.bus_of[status.leg]
+        own, frames = self.family.report(memory[bus], status)
+        return _with(memory, bus, own), tuple(on_bus(frame, bus) for frame in frames)
+
+    def restarted(self, memory: Memories, legs: Sequence[int]) -> Memories:
+        """Return the memory after drives were switched off and on."""
+        for bus, there in enumerate(self.legs):
+            again = [leg for leg in legs if leg in there]
+            memory = _with(memory, bus, self.family.restarted(memory[bus], again))
+        return memory
+
+    # bus time
+
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """Return one example of every frame sent once per tick, on the bus where it is sent."""
+        found: list[Frame] = []
+        for frame in self.family.cyclic_frames():
+            leg = self.family.sender(frame)
+            found += [on_bus(frame, self.bus_of[leg])] if leg >= 0 else self._spread([frame])
+        return tuple(found)
+
+
+def _with(memory: Memories, bus: int, own: Memory) -> Memories:
+    return (*memory[:bus], own, *memory[bus + 1 :])

@@ -1,0 +1,69 @@
+"""What `hil check` says of the bus time, bus by bus."""
+
+from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.several_buses import off_bus
+from hil.app.check.findings import Report
+from hil.app.compose import build_protocol, drive_setup
+from hil.app.configuration.bus_budget import bus_budgets, bus_names
+from hil.app.configuration.configuration import Configuration
+
+
+def report_bus(report: Report, c: Configuration) -> None:
+    """Add the arithmetic of each bus, and a warning where the feedbacks come after the window."""
+    buses, names = c.bus.buses, bus_names(c.bus)
+    titles = [
+        f"bus {each.interface} {name}, layout {c.bus.layout}" for each, name in zip(buses, names, strict=True)
+    ]
+    budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    if not budgets:
+        report.sections[titles[0]] = ["no bus time: exists only in lockstep (hil sim)"]
+        return
+    feedback_us = [1e-3 * ns for ns in answered_ns(c)]
+    window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
+    figures = []
+    for title, budget, answered_us in zip(titles, budgets, feedback_us, strict=True):
+        lines = budget.table().splitlines()
+        lines.append(f"  highest rate at {budget.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
+        lines.append(f"  SYNC to last feedback {answered_us:.0f} us of a window of {window_us:.0f} us")
+        report.sections[title] = [line.removeprefix("  ") for line in lines]
+        figures.append(
+            {
+                "load_percent": budget.load_percent,
+                "total_us": budget.total_ns / 1e3,
+                "allowed_rate_Hz": budget.allowed_rate_Hz,
+                "feedback_us": answered_us,
+            }
+        )
+    report.figures["bus"] = max(figures, key=lambda each: each["load_percent"])
+    if c.bus.channels:
+        by_channel = {each.channel: own for each, own in zip(buses, figures, strict=True)}
+        report.figures["bus"] = report.figures["bus"] | {"channels": by_channel}
+    _window(report, max(feedback_us), window_us)
+
+
+def answered_ns(c: Configuration) -> list[int]:
+    """Return the bus time of SYNC or polls and the feedbacks, bus by bus, ns."""
+    protocol = build_protocol(c)
+    opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
+    opens = {frame.id for frame in opening}
+    counted = [
+        frame
+        for frame in protocol.cyclic_frames()
+        if frame.id in opens or protocol.awaited(frame) in protocol.feedback_ids
+    ]
+    return [
+        sum(
+            frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))
+            for f in counted
+            if f.bus == index
+        )
+        for index, each in enumerate(c.bus.buses)
+    ]
+
+
+def _window(report: Report, feedback_us: float, window_us: float) -> None:
+    if feedback_us > window_us:
+        report.warnings.append(
+            f"SYNC and six feedbacks take {feedback_us:.0f} us of bus time and the window is "
+            f"{window_us:.0f} us (loop.feedback_window_us): legs will be stale"
+        )

@@ -1,0 +1,18 @@
+"""From a Configuration to the lockstep of its buses."""
+
+from drivers.can.bus_time import BitTiming
+from hil.app.configuration.configuration import Configuration
+from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.several_wires import SeveralWires
+from hil.loop.cycle import Cycle
+from plant_fmu.drives.nodes import Nodes
+
+
+def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes) -> Lockstep:
+    """Return both ends on the configured buses; layout `ideal` takes no bus time."""
+    timings = tuple(map(BitTiming.of, c.bus.buses))
+    timing = None if c.bus.layout == "ideal" else timings[0]
+    window_s = c.loop.window_s(c.loop.rate_Hz)
+    if not c.bus.channels:
+        return Lockstep(cycle, nodes, timing, window_s)
+    return SeveralWires(cycle, nodes, timing, window_s, buses=len(timings), timings=timings)

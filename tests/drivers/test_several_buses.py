@@ -1,0 +1,296 @@
+"""Legs on several buses: what the configuration refuses, where each frame goes, what the door to them does."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers import build_protocol
+from drivers.can.bus import Bus
+from drivers.can.link_group import LinkGroup
+from drivers.clock import Clock
+from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
+from drivers.errors import ConfigurationError
+from drivers.legs.protocol import LegsProtocol
+from drivers.legs.several import LegsOnBuses
+from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync, run_of
+from drivers.sensors import Readings, SensorProtocol
+from drivers.several_buses import off_bus
+from drivers.signals import Command, DriveMode, DriveState, Reaction
+from drivers.tick_columns import new_record
+
+HALVES = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
+ODD = ((0, 5), (1, 2, 3, 4))
+FORCE = np.array([10.0, 11.0, 12.0, 13.0, 14.0, 15.0])
+NODES = (1, 2, 3, 4, 5, 6)
+GEAR = TransmissionSettings(lead_m=0.02)
+FAMILIES: dict[str, tuple[str, dict[str, Any], TransmissionSettings | None]] = {
+    "legs": ("fd", {}, None),
+    "cia402": ("classic", {"rated_torque_Nm": 9.0}, GEAR),
+    "damiao": (
+        "classic",
+        {"variant": "damiao", "model": "DM4310"},
+        TransmissionSettings(pulley_radius_m=0.02),
+    ),
+    "robstride": (
+        "classic",
+        {"variant": "robstride", "model": "rs-02"},
+        TransmissionSettings(pulley_radius_m=0.02),
+    ),
+    "odrive": ("classic", {}, GEAR),
+    "moteus": ("fd", {"timeout_mode": "stopped", "torque_N_m": 7}, GEAR),
+}
+SETUP = DriveSetup(0.02, Reaction.BRAKE, 400.0)
+
+
+def buses(*channels: Mapping[str, object], **shared: object) -> BusSettings:
+    return BusSettings.model_validate({"channels": list(channels), **shared})
+
+
+def family(name, legs=((0, 1, 2), (3, 4, 5))):
+    layout, options, gear = FAMILIES[name]
+    protocol = {"damiao": "mit", "robstride": "mit"}.get(name, name)
+    channels = [{"channel": f"c{k}", "legs": list(there)} for k, there in enumerate(legs)]
+    drives = DriveSettings(protocol=protocol, options=options, transmission=gear, force_limit_N=100.0)
+    return build_protocol(buses(*channels, layout=layout), drives)
+
+
+# configuration
+
+
+@pytest.mark.parametrize(
+    ("channels", "message"),
+    [
+        (
+            [HALVES[0], {"channel": "b", "legs": [2, 3, 4, 5]}],
+            "legs are on two buses, allowed: each once, given twice: 2",
+        ),
+        ([HALVES[0], {"channel": "b", "legs": [3, 5]}], "legs are on no bus.*missing: 4"),
+        ([HALVES[0], {"channel": "a", "legs": [3, 4, 5]}], "channels have the same name.*given twice: a"),
+        ([HALVES[0], {"channel": "b", "legs": [3, 4, 6]}], "less than 6"),
+        ([HALVES[0], {"channel": "b", "legs": []}, {"channel": "c", "legs": [3, 4, 5]}], "at least 1 item"),
+    ],
+)
+def test_an_assignment_that_is_none_is_refused(channels, message):
+    with pytest.raises(ValidationError, match=message):
+        buses(*channels)
+
+
+def test_one_channel_and_several_are_not_given_at_once():
+    with pytest.raises(
+        ValidationError, match="both channel and channels, allowed: one of them, given: channel x"
+    ):
+        buses(*HALVES, channel="x")
+
+
+def test_a_bus_has_its_own_values_and_what_is_left_out_is_shared():
+    own = {
+        "channel": "b",
+        "legs": [5, 3, 4],
+        "interface": "socketcan",
+        "bitrate_bit_s": 500_000,
+        "options": {"x": 1},
+    }
+    found = buses(HALVES[0], own, bitrate_bit_s=800_000, max_load_percent=60.0)
+    first, second = found.buses
+    assert (first.interface, first.channel, first.bitrate_bit_s, first.options) == (
+        "localcan",
+        "a",
+        800_000,
+        {},
+    )
+    assert (second.interface, second.channel, second.bitrate_bit_s) == ("socketcan", "b", 500_000)
+    assert (second.max_load_percent, second.options) == (60.0, {"x": 1})
+    assert found.legs == ((0, 1, 2), (3, 4, 5))
+    assert found.channel == "a", "where the operator finds the run"
+
+
+def test_a_sensor_is_on_a_bus_that_there_is_and_hears_and_sends_there():
+    with pytest.raises(
+        ConfigurationError, match=r"sensors\.imu\.channel: unknown bus, allowed: a, b, given: c"
+    ):
+        SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="c")))
+    sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
+    frame = sensors.encode("imu", (0.0,) * 6, 7, 0.0, 3)
+    assert (sensors.bus_of("imu"), frame.bus) == (1, 1)
+    before = sensors.decode([], 7, Readings())
+    assert len(sensors.decode([Received(0, frame)], 7, before).imu) == 1
+    elsewhere = frame._replace(flags=frame.flags - BUS)
+    assert sensors.decode([Received(0, elsewhere)], 7, before).imu == ()
+
+
+# where a frame goes
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("legs", [((0, 1, 2), (3, 4, 5)), ODD, tuple((leg,) for leg in range(6))])
+def test_a_drive_is_polled_commanded_set_up_and_stopped_on_its_own_bus_alone(name, legs):
+    protocol = family(name, legs)
+    on = {leg: bus for bus, there in enumerate(legs) for leg in there}
+    tick = new_record()
+    tick["tick"], tick["age"], tick["drive_state"] = 0, 0, DriveState.BOOT
+    dialogue, command = protocol.command(protocol.start(SETUP), Command(DriveMode.OFF, np.zeros(6)), 0)
+    dialogue, configure = protocol.set_up(dialogue, tick)
+    opening, stop = protocol.begin(dialogue, 0), protocol.emergency_stop()
+    for_all = name in ("legs", "cia402")
+    assert Counter(frame.bus for frame in opening) == {
+        k: 1 if for_all else len(legs[k]) for k in set(on.values())
+    }
+    assert {frame.bus for frame in stop} == set(on.values())
+    single, named = protocol.family, set()
+    for frame in (*opening, *command, *configure, *stop):
+        _, messages = single.parse(single.power_up(), off_bus(frame))
+        alone = {message.leg for message in messages if isinstance(message, Answer | Configure)}
+        for message in messages:
+            legs_of = getattr(message, "legs", ())
+            alone |= set(legs_of) if len(legs_of) == 1 else set()
+        if name == "cia402" and frame.id & 0x780 == 0x200:  # RPDO1 of a node
+            alone = {(frame.id & 0x7F) - 1}
+        assert {on[leg] for leg in alone} <= {frame.bus}
+        named |= alone
+    assert named >= ({0} if name == "legs" else set(range(6)))
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_what_the_drives_answer_is_on_their_bus_and_counts_there_alone(name):
+    protocol = family(name, ODD)
+    zeros = np.zeros(6)
+    state = np.full(6, DriveState.OFF, np.int64)
+    _, answers = protocol.answer(protocol.power_up(), Sync(0), zeros + 0.1, zeros, zeros, state)
+    assert {leg: frame.bus for leg, frame in answers} == {0: 0, 5: 0, 1: 1, 2: 1, 3: 1, 4: 1}
+    assert all(protocol.sender(frame) == leg for leg, frame in answers)
+    moved = [frame._replace(flags=frame.flags + (BUS if frame.bus == 0 else -BUS)) for _, frame in answers]
+    assert {protocol.sender(frame) for frame in moved} == {-1}
+    assert not any(protocol.fresh(Received(5, frame), 0, 0) for frame in moved)
+    for frames, strays in (([frame for _, frame in answers], 0), (moved, len(moved))):
+        last, tick = new_record(), new_record()
+        last["tick"], tick["tick"] = -1, 0
+        protocol.decode(protocol.start(SETUP), run_of([Received(5, each) for each in frames]), last, tick, 0)
+        assert tick["rejected"] == strays
+        assert (tick["age"] == 0).sum() in ((0,) if strays else (6,)) or name == "cia402"
+
+
+@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
+@pytest.mark.parametrize(
+    "legs", [((0, 1, 2), (3, 4, 5)), ODD, ((4,), (2, 0), (5, 1, 3)), ((1, 0, 2, 3, 4), (5,))]
+)
+def test_every_leg_gets_its_own_force_whatever_the_assignment(layout, legs):
+    protocol = LegsOnBuses(layout, NODES, 100.0, [sorted(there) for there in legs])
+    memory = protocol.power_up()
+    got: dict[int, float] = {}
+    for frame in protocol.begin(None, 9) + protocol.command(None, Command(DriveMode.RUN, FORCE), 9)[1]:
+        memory, messages = protocol.parse(memory, frame)
+        for message in messages:
+            if isinstance(message, DeviceCommand):
+                got |= dict(zip(message.legs, message.force.tolist(), strict=True))
+    assert got == pytest.approx(dict(enumerate(FORCE.tolist())), abs=0.01)
+
+
+def test_a_drive_is_told_its_slot_in_the_command_of_its_bus():
+    protocol = LegsOnBuses("fd", NODES, 100.0, ODD)
+    frames = protocol.family.configure(0.01, Reaction.BRAKE)  # type: ignore[attr-defined]
+    assert [frame.data[5] for frame in frames] == [1, 1, 2, 3, 4, 2], "legs 0 and 5; legs 1 to 4"
+    alone = LegsProtocol("fd", NODES, 100.0).configure(0.01, Reaction.BRAKE)
+    assert [frame.data[5] for frame in alone] == [1, 2, 3, 4, 5, 6]
+    _, (message,) = protocol.parse(protocol.power_up(), frames[5])
+    assert message == Configure(5, 0.01, Reaction.BRAKE)
+    assert protocol.parse(protocol.power_up(), frames[5]._replace(flags=frames[5].flags + BUS))[1] == ()
+
+
+def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it():
+    protocol = LegsOnBuses("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
+    first, second = protocol.begin(None, 4)
+    memory, messages = protocol.parse(protocol.power_up(), second)
+    assert messages == (Sync(4, (3, 4, 5)),)
+    commands = protocol.command(None, Command(DriveMode.OFF, np.zeros(6)), 4)[1]
+    kinds = [type(protocol.parse(memory, frame)[1][0]).__name__ for frame in commands]
+    assert kinds == ["Rejected", "DeviceCommand"], "bus 0 has had no SYNC"
+    assert protocol.parse(memory, first)[1] == (Sync(4, (0, 1, 2)),)
+
+
+# the door to several buses
+
+
+class Still(Clock):
+    t_ns = 0
+
+    def now(self) -> int:
+        self.t_ns += 1_000
+        return self.t_ns
+
+
+class FakeLink:
+    off, overflow = False, 3
+
+    def __init__(self, clock, end_ns=None):
+        self.clock, self.sent, self.inbox, self.end_ns, self.blocked = clock, [], [], end_ns, []
+
+    def send(self, frames):
+        self.sent += frames
+        return len(frames) - (self.off is True)
+
+    def receive(self):
+        found, self.inbox = self.inbox, []
+        return found
+
+    def first_sent_ns(self):
+        return self.end_ns
+
+    def block(self, deadline_ns, missing):
+        self.blocked.append(set(missing))
+
+
+def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
+    links = [FakeLink(Still()), FakeLink(Still())]
+    group = LinkGroup(links)  # type: ignore[arg-type]
+    assert group.send([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)]) == 3
+    assert links[0].sent == [Frame(1, b"a")]
+    assert links[1].sent == [Frame(1, b"b"), Frame(2, b"c", 2)]
+    links[0].inbox, links[1].inbox = [Received(20, Frame(7, b"x"))], [Received(10, Frame(8, b"y", 2))]
+    assert group.receive() == [Received(10, Frame(8, b"y", BUS | 2)), Received(20, Frame(7, b"x"))]
+    group.block(99, {7, 8})
+    assert (links[0].blocked, links[1].blocked) == ([{7}], []), "each identifier where it was heard"
+    group.block(99, {8})
+    assert links[1].blocked == [{8}]
+    assert group.overflow == 6
+
+
+def test_the_skew_is_that_of_the_ends_on_the_wire_else_of_the_instants_at_which_the_links_had_their_frames():
+    clock = Still()
+    known = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock, 151_000), FakeLink(clock, 80_000)])  # type: ignore[list-item]
+    assert known.skew_ns() == 76_000
+    unknown = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock)])  # type: ignore[list-item]
+    unknown.send([Frame(1, b""), Frame(1, b"", BUS)])
+    assert unknown.skew_ns() == 1_000
+
+
+def test_one_bus_that_is_off_is_named_by_its_bit():
+    links = [FakeLink(Still()), FakeLink(Still()), FakeLink(Still())]
+    links[2].off = True
+    group = LinkGroup(links)  # type: ignore[arg-type]
+    assert (group.off_bits, group.every_bit) == (0b100, 0b111)
+    assert Bus(group).events().off == 0b100
+
+
+def test_two_localcan_channels_are_one_bus_on_one_clock():
+    settings = buses(*HALVES, layout="fd")
+    with Bus.open(settings, "controller") as near, Bus.open(settings, "plant") as far:
+        sent = [Frame(0x80, b"\1\2"), Frame(0x80, b"\1\2", BUS), Frame(0x111, bytes(16), 6 | BUS)]
+        begun = near.clock.now()
+        assert near.send(sent) == 0
+        heard: list[Received] = []
+        while len(heard) < 3 and near.clock.now() < begun + 500_000_000:
+            heard += far.wait(near.clock.now() + 100_000_000)
+        assert {each.frame for each in heard} == set(sent)
+        near.drain_now()
+        assert near.clock.stretched() == far.clock.stretched() == 0
+        by_bus = {each.frame.bus: each.t_ns for each in heard if each.frame.id == 0x80}
+        assert near.skew_ns() == abs(by_bus[1] - by_bus[0])
+        assert far.send([Frame(0x281, b"x"), Frame(0x284, b"y", BUS)]) == 0
+        found = near.drain(near.clock.now() + 500_000_000, {0x281, 0x284})
+        assert sorted((each.frame.id, each.frame.bus) for each in found) == [(0x281, 0), (0x284, 1)]

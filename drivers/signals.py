@@ -13,6 +13,20 @@ NEVER = 1_000_000
 """Age in ticks of a leg that has never been heard."""
 
 
+class BusState(IntEnum):
+    """How a CAN controller fares, by its error counters (ISO 11898-1)."""
+
+    UNKNOWN = 0
+    """Nothing was heard of it, or the bus has none."""
+    ACTIVE = 1
+    WARNING = 2
+    """A counter has reached 96."""
+    PASSIVE = 3
+    """A counter has reached 128."""
+    OFF = 4
+    """The transmit counter has passed 255: it takes no part any more."""
+
+
 class DriveMode(IntEnum):
     """What the controller asks of all six drives."""
 

@@ -17,6 +17,7 @@ import numpy as np
 from drivers.signals import (
     LEGS,
     NEVER,
+    BusState,
     Doubt,
     DriveFault,
     DriveMode,
@@ -131,6 +132,7 @@ RECORDED = (
     _("input", "bus_errors", int, "", "error frames since the last tick"),
     _("input", "bus_off", int, "", "1 while the bus is off; of several, bit i for the i-th"),
     _("input", "bus_overflow", int, "", "receive overflows since the last tick"),
+    _("input", "bus_state", BusState, "", "the worst of the CAN controller since the last tick"),
     _("input", "recorder_alive", int, "", "1 while the recorder lives"),
     _("input", "recorder_dropped", int, "", "ticks that the recorder has lost so far"),
     _("input", "compute_ns", int, "ns", "time that the last tick's step took"),

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from drivers.arrays import Rows
 from drivers.protocol import Frame, Received
-from drivers.signals import Refusal
+from drivers.signals import BusState, Refusal
 
 
 class Operator(IntEnum):
@@ -116,6 +116,8 @@ class TickInput(NamedTuple):
     """Bit i: bus i is off."""
     bus_overflow: int = 0
     """Receive overflows since the last tick."""
+    bus_state: BusState = BusState.UNKNOWN
+    """The worst of the CAN controller since the last tick: recorded, decides nothing."""
     recorder_alive: bool = True
     recorder_dropped: int = 0
     """Ticks that the recorder has lost so far."""

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from typing import NamedTuple, Self
 
 from drivers.can.bus_time import BitTiming
+from drivers.can.can_interface import RESTART_MS
 from drivers.can.collect import collect
 from drivers.can.link_group import Link, LinkGroup
 from drivers.can.localcan.bench_clock import BenchClock
@@ -21,6 +22,7 @@ from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.protocol import ERROR, Frame, Received
+from drivers.signals import BusState
 
 EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
 """At most one of each on a channel of this machine."""
@@ -34,9 +36,14 @@ class BusEvents(NamedTuple):
     errors: int
     """Error frames."""
     off: int
-    """Bit i: bus i is off or down as of now; every bit where none has taken a frame for `DEAD_AFTER_NS`."""
+    """Bit i: bus i is off or down as of now, or was bus-off since the last call.
+
+    Every bit where none has taken a frame for `DEAD_AFTER_NS`.
+    """
     overflow: int
     """Received frames that were lost because they were not read in time."""
+    state: BusState = BusState.UNKNOWN
+    """The worst state of the CAN controller since the last call."""
 
 
 class Bus:
@@ -44,7 +51,8 @@ class Bus:
 
     `clock` is that of its frames' times and of all deadlines.
 
-    Mutable state: the link, the error count since the last `events`, and since when it refuses frames.
+    Mutable state: the link, the error count since the last `events`, whether it was off then, and since
+    when it refuses frames.
     """
 
     def __init__(self, link: Link | LinkGroup, role: RoleLock | ExitStack | None = None) -> None:
@@ -55,6 +63,12 @@ class Bus:
         self._overflow_seen = 0
         self._refused_since = 0
         self._dead = False
+        self._was_off = False
+
+    @property
+    def facts(self) -> str:
+        """What was read of the interface, in one line; empty where there is nothing to read."""
+        return self._link.facts
 
     @classmethod
     def open(cls, settings: BusSettings, role: str) -> Bus:
@@ -127,13 +141,19 @@ class Bus:
         return frames
 
     def events(self) -> BusEvents:
-        """Return error frames and losses since the last call, and whether the bus is off now."""
-        overflow = self._link.overflow
+        """Return error frames and losses since the last call, and which buses are off.
+
+        Where one has just gone off, what waits to be sent is dropped as far as the interface lets it.
+        """
+        overflow, state = self._link.overflow, self._link.worst_state()
         group = self._link if isinstance(self._link, LinkGroup) else None
-        off = int(self._link.off) if group is None else group.off_bits
+        off = int(self._link.off or state is BusState.OFF) if group is None else group.off_bits
         if self._dead:
             off = 1 if group is None else group.every_bit
-        events = BusEvents(self._errors, off, overflow - self._overflow_seen)
+        if off and not self._was_off:
+            self._link.died()
+        self._was_off = off != 0
+        events = BusEvents(self._errors, off, overflow - self._overflow_seen, state)
         self._errors = 0
         self._overflow_seen = overflow
         return events
@@ -143,7 +163,10 @@ class Bus:
         return self._link.skew_ns() if isinstance(self._link, LinkGroup) else 0
 
     def flush_tx(self) -> None:
-        """Drop frames that still wait to be sent. Raises BusError when the interface cannot."""
+        """Drop frames that still wait to be sent, and have a dead bus another try.
+
+        Raises BusError when the interface cannot, or is not the configured one any more.
+        """
         self._link.flush_tx()
 
     def close(self) -> None:
@@ -170,8 +193,8 @@ def _open_localcan(settings: BusSettings, clock: BenchClock | None = None) -> Pa
 
 
 def _open_socketcan(settings: BusSettings) -> Link:
-    _refuse_options(settings, set())
-    return SocketCan(settings.channel, fd=settings.layout == "fd")
+    _refuse_options(settings, {RESTART_MS})
+    return SocketCan(settings)
 
 
 def _refuse_virtual(settings: BusSettings) -> Link:

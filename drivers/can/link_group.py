@@ -12,6 +12,7 @@ from drivers.can.collect import Source
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import MONOTONIC, Clock
 from drivers.protocol import BUS, Frame, Received
+from drivers.signals import BusState
 
 _TIME = itemgetter(0)
 _FIRST_LOOK_NS = 200_000
@@ -22,6 +23,10 @@ _LOOK_S = 1e-3
 
 class Link(Source, Protocol):
     """One interface behind a Bus. Received frames may be error frames."""
+
+    @property
+    def facts(self) -> str:
+        """What was read of the interface, in one line; empty where there is nothing to read."""
 
     @property
     def off(self) -> bool:
@@ -46,6 +51,12 @@ class Link(Source, Protocol):
     def arm(self, *, idle: bool = True) -> bool:
         """Ask for a word by `fileno`, unless something has come; return whether nothing has."""
 
+    def worst_state(self) -> BusState:
+        """Return the worst state of the controller since the last call."""
+
+    def died(self) -> None:
+        """Take note that the bus has died: frames that wait to be sent are stale."""
+
     def flush_tx(self) -> object:
         """Drop frames that wait to be sent."""
 
@@ -57,7 +68,7 @@ class LinkGroup:
     """The links of several buses as one.
 
     Mutable state: the links; on which of them each identifier was last received; when each had taken what
-    the last `send` gave it.
+    the last `send` gave it; the worst state of each at the last look.
     """
 
     def __init__(self, links: Sequence[Link]) -> None:
@@ -67,11 +78,31 @@ class LinkGroup:
         self.clock: Clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
         self._home: dict[int, int] = {}
         self._taken_ns = [0] * len(self._links)
+        self._states = [BusState.UNKNOWN] * len(self._links)
+
+    @property
+    def facts(self) -> str:
+        """What was read of the interfaces; empty where there is nothing to read."""
+        return "; ".join(link.facts for link in self._links if link.facts)
 
     @property
     def off_bits(self) -> int:
-        """Bit i is set while bus i is off or down."""
-        return sum(1 << bus for bus, link in enumerate(self._links) if link.off)
+        """Bit i is set while bus i is off or down, or was bus-off before the last `worst_state`."""
+        return sum(1 << bus for bus in range(len(self._links)) if self._is_off(bus))
+
+    def _is_off(self, bus: int) -> bool:
+        return self._links[bus].off or self._states[bus] is BusState.OFF
+
+    def worst_state(self) -> BusState:
+        """Return the worst state of all controllers since the last call."""
+        self._states = [link.worst_state() for link in self._links]
+        return max(self._states)
+
+    def died(self) -> None:
+        """Take note that buses have died: those that are off, or all."""
+        off = [link for bus, link in enumerate(self._links) if self._is_off(bus)]
+        for link in off or self._links:
+            link.died()
 
     @property
     def every_bit(self) -> int:

@@ -13,13 +13,14 @@ from typing import Any
 import can
 
 from drivers.can.localcan.interface import from_message, to_message
+from drivers.can.no_controller import NoController
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.protocol import Frame, Received
 
 
-class PythonCan:
+class PythonCan(NoController):
     """One bus of python-can. Mutable state: the bus, whether its last call failed."""
 
     overflow = 0

@@ -1,103 +1,171 @@
-"""SocketCAN as a raw socket: frames with the kernel's time stamps, error frames, losses.
+"""SocketCAN as a raw socket: frames with the kernel's time stamps, error frames, losses, stale frames.
 
-Layouts and constants are those of linux/can.h, linux/can/raw.h and linux/can/error.h.
+Layouts and constants are those of linux/can.h, linux/can/raw.h and asm-generic/socket.h.
 """
 
 import errno
 import select
 import socket
 import struct
+import sys
 import time
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from pathlib import Path
+from contextlib import suppress
 
+from drivers.can import netlink
+from drivers.can.can_interface import CanInterface, parse, refusal
+from drivers.can.error_frames import read_error
 from drivers.clock import MONOTONIC
+from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.signals import BusState
 
 _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 _TIMESPEC = struct.Struct("=qq")
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
-_SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40
-_ERR_CRTL, _ERR_BUSOFF, _ERR_RESTARTED = 0x004, 0x040, 0x100
-_CRTL_RX_OVERFLOW = 0x01
-_IFF_UP = 1
+_SO_TIMESTAMPNS, _SO_RXQ_OVFL, _SO_MEMINFO = 35, 40, 55
+_WMEM = struct.Struct("=8xI")
+"""What SO_MEMINFO begins with, up to SK_MEMINFO_WMEM_ALLOC."""
 _SOL_CAN_RAW, _RAW_ERR_FILTER, _RAW_FD_FRAMES, _ERR_MASK = 101, 2, 5, 0x1FFFFFFF
+_GONE = frozenset({errno.ENXIO, errno.ENODEV})
 _FD_MTU = 72
 _BATCH = 512
 _RECEIVE_BUFFER = 1 << 20
 _FLUSH_S = 0.05
+STUCK_NS = 50_000_000
+"""A bus that has not emptied our transmit queue once in so long is dead, ..."""
+STUCK_LOOKS = 5
+"""... if we have looked so often: a machine that stood still has not."""
+_LOOK_NS = 100_000_000
+"""How often it is looked whether an interface is back."""
 
 
 class SocketCan:
     """A raw CAN socket.
 
-    Mutable state: the socket, whether the bus is off and since when, and `overflow`, frames lost so far in
-    the kernel or the controller.
-    Raises BusError when the kernel has no CAN, or the channel does not exist, is down or cannot carry CAN FD.
+    Mutable state: the socket, `overflow` (frames lost so far in the kernel or the controller), whether the
+    interface is down, gone or not the configured one any more and since when, whether the controller is
+    bus-off, its worst state since it was asked for, and since when our frames wait.
+    Raises BusError when the kernel has no CAN, or the channel does not exist, is down or differs from
+    the section `bus`.
     """
 
     clock = MONOTONIC
 
-    def __init__(self, channel: str, *, fd: bool) -> None:
+    def __init__(self, settings: BusSettings) -> None:
         self.overflow = 0
-        self._down = False
-        self._bus_off = False
-        self._since_ns = 0
-        self._kernel_lost = 0
-        self.channel = channel
+        self.channel = settings.channel
+        self._settings = settings
+        self._down = self._gone = self._refused = self._bus_off = self._stuck = self._dropped = False
+        self._since_ns = self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
+        self._state = self._worst = BusState.UNKNOWN
         try:
-            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        except (OSError, AttributeError) as error:
-            raise BusError(
-                f"bus socketcan:{channel}: this kernel has no CAN sockets ({error}); load them with "
-                "'modprobe can can_raw' where the kernel has them, or use bus.interface: localcan"
-            ) from error
+            self._socket, self._interface = self._open()
+        except AttributeError as error:
+            raise self._no_can(error) from error
+        state = BusState.UNKNOWN if self._interface.controller is None else self._interface.controller.state
+        self._state = self._worst = state
+
+    @property
+    def facts(self) -> str:
+        """What was read of the interface, in one line."""
+        stale = (
+            ""
+            if netlink.administers()
+            else ("; without the right CAP_NET_ADMIN frames that wait on a dead bus stay in its queue")
+        )
+        return f"bus socketcan:{self._interface.facts}{stale}"
+
+    def _no_can(self, error: Exception) -> BusError:
+        return BusError(
+            f"bus socketcan:{self.channel}: this kernel has no CAN sockets ({error}); load them with "
+            "'modprobe can can_raw' where the kernel has them, or use bus.interface: localcan"
+        )
+
+    def _open(self) -> tuple[socket.socket, CanInterface]:
         try:
-            self._set_up(fd)
+            sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise self._no_can(error) from error
+        try:
+            return sock, self._set_up(sock)
         except BaseException:
-            self._socket.close()
+            sock.close()
             raise
 
-    def _set_up(self, fd: bool) -> None:
-        sock, channel = self._socket, self.channel
-        sock.setblocking(False)
-        device = Path("/sys/class/net") / channel
-        if not channel or "/" in channel or not device.exists():
+    def _look(self) -> CanInterface:
+        """Read the interface. Raises BusError where it is not the one of the configuration."""
+        channel = self.channel
+        try:
+            interface = parse(channel, netlink.get_link(channel))
+        except (OSError, ValueError) as error:
             raise BusError(
                 f"bus socketcan:{channel}: no such network interface; 'ip link' lists them, and "
                 f"'ip link add {channel} type vcan' makes a virtual one (or use bus.interface: localcan)"
-            )
-        if not int((device / "flags").read_text(), 16) & _IFF_UP:
-            raise BusError(f"bus socketcan:{channel} is down: 'ip link set {channel} up' (bit rates first)")
-        if fd and int((device / "mtu").read_text()) < _FD_MTU:
-            raise BusError(
-                f"bus socketcan:{channel} carries classic CAN only: 'ip link set {channel} mtu 72' (vcan) or "
-                f"'ip link set {channel} type can ... fd on', or use bus.layout: classic"
-            )
+            ) from error
+        why = refusal(interface, self._settings)
+        if why:
+            raise BusError(f"bus socketcan:{channel} {why}")
+        return interface
+
+    def _set_up(self, sock: socket.socket) -> CanInterface:
+        sock.setblocking(False)
+        interface = self._look()
         try:
-            if fd:
+            if self._settings.layout == "fd":
                 sock.setsockopt(_SOL_CAN_RAW, _RAW_FD_FRAMES, 1)
             sock.setsockopt(_SOL_CAN_RAW, _RAW_ERR_FILTER, _ERR_MASK)
             sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
             # the kernel grants what net.core.rmem_max allows
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            sock.bind((channel,))
+            sock.bind((self.channel,))
         except OSError as error:
             raise BusError(
-                f"bus socketcan:{channel} does not open: {error.strerror}; is it a CAN interface?"
+                f"bus socketcan:{self.channel} does not open: {error.strerror}; is it a CAN interface?"
             ) from error
+        return interface
 
     @property
     def off(self) -> bool:
-        """Whether the interface is down or the controller bus-off, until the contrary is seen."""
-        return self._down or self._bus_off
+        """Whether the interface is down, gone or another one, the controller bus-off, or our frames wait.
+
+        Until the contrary is seen.
+        """
+        return self._down or self._refused or self._bus_off or self._stuck
+
+    def worst_state(self) -> BusState:
+        """Return the worst state of the controller since the last call."""
+        worst, self._worst = self._worst, self._state
+        return worst
+
+    def _look_at_queue(self) -> None:
+        """Take note whether our frames wait in the transmit queue, since when, and how often they did."""
+        (waiting,) = _WMEM.unpack(self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _WMEM.size))
+        if not waiting:
+            self._waited = 0
+            self._stuck = False
+            return
+        now = time.monotonic_ns()
+        if not self._waited:
+            self._waiting_since = now
+        self._waited += 1
+        self._stuck = self._waited >= STUCK_LOOKS and now - self._waiting_since >= STUCK_NS
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Return how many frames the kernel took, from the first on."""
+        """Return how many frames the kernel took, from the first on.
+
+        None while the bus is off, or older ones have waited for STUCK_NS: what a dead bus is given comes out
+        when it is back.
+        """
+        self._look_at_queue()
+        if self._refused or self._bus_off or self._stuck:
+            return 0
+        if self._down and not self._is_back():
+            return 0
         for i, frame in enumerate(frames):
             try:
                 self._socket.send(pack(frame))
@@ -108,10 +176,9 @@ class SocketCan:
                         f"({len(frame.data)} bytes): {error.strerror}; see bus.layout"
                     ) from error
                 # no buffer: the bus is busy, or nobody acknowledges
-                if error.errno in {errno.ENETDOWN, errno.ENXIO, errno.ENODEV}:
-                    self._set_down()
+                if error.errno == errno.ENETDOWN or error.errno in _GONE:
+                    self._set_down(error)
                 return i
-            self._down = False
         return len(frames)
 
     def first_sent_ns(self) -> None:
@@ -131,9 +198,34 @@ class SocketCan:
         del idle
         return True
 
-    def _set_down(self) -> None:
+    def _set_down(self, error: OSError) -> None:
         self._down = True
+        self._gone = self._gone or error.errno in _GONE
         self._since_ns = time.time_ns()
+
+    def _is_back(self) -> bool:
+        """Look now and then whether an interface that was down or deleted is there again."""
+        now = time.monotonic_ns()
+        if now - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now
+            with suppress(BusError):
+                self._come_back()
+        return not self._down
+
+    def _come_back(self) -> None:
+        """Go on with an interface that is up again. Raises BusError where it is not the configured one."""
+        if not self._gone:
+            self._interface = self._look()
+            # the socket keeps one error of the time when it was down
+            self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        else:
+            sock, self._interface = self._open()
+            self._socket.close()
+            self._socket = sock
+            self._waited = self._kernel_lost = 0
+        self._down = self._gone = self._bus_off = False
+        controller = self._interface.controller
+        self._state = BusState.UNKNOWN if controller is None else controller.state
 
     def receive(self) -> list[Received]:
         """Return the frames that are there, error frames included."""
@@ -144,8 +236,8 @@ class SocketCan:
                 raw, ancillary, _, _ = self._socket.recvmsg(_FD_MTU, 64)
             except BlockingIOError:
                 break
-            except OSError:
-                self._set_down()
+            except OSError as error:
+                self._set_down(error)
                 break
             t_ns = time.time_ns()
             for _, kind, value in ancillary:
@@ -153,42 +245,93 @@ class SocketCan:
                     seconds, nanoseconds = _TIMESPEC.unpack(value[:16])
                     t_ns = seconds * 1_000_000_000 + nanoseconds
                 elif kind == _SO_RXQ_OVFL:
-                    lost = int.from_bytes(value[:4], "little")
+                    lost = int.from_bytes(value[:4], sys.byteorder)
                     self.overflow += (lost - self._kernel_lost) & 0xFFFFFFFF
                     self._kernel_lost = lost
             frame = unpack(raw)
             if frame.flags & ERROR:
-                self._note(frame, t_ns)
-            elif self.off and t_ns > self._since_ns:
-                # what arrives afterwards proves that the bus is back
-                self._down = self._bus_off = False
+                self._note(frame)
+            else:
+                self._dropped = False
+                if t_ns > self._since_ns:
+                    # it proves that the interface is up; a controller that is bus-off may have had it before
+                    self._down = False
+                if self._bus_off and self._interface.controller is None:
+                    # a virtual interface never says that it was restarted
+                    self._bus_off, self._state = False, BusState.UNKNOWN
             received.append(Received(t_ns + real_to_monotonic, frame))
         return received
 
-    def _note(self, frame: Frame, t_ns: int) -> None:
-        if frame.id & _ERR_BUSOFF:
-            self._bus_off = True
-            self._since_ns = t_ns
-        elif frame.id & _ERR_RESTARTED:
-            self._bus_off = False
-        if frame.id & _ERR_CRTL and frame.data[1] & _CRTL_RX_OVERFLOW:
-            self.overflow += 1
+    def _note(self, frame: Frame) -> None:
+        report = read_error(frame)
+        self.overflow += report.overflow
+        if report.state is BusState.UNKNOWN:
+            return
+        self._state = report.state
+        self._worst = max(self._worst, report.state)
+        self._bus_off = report.state is BusState.OFF
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
         """Sleep until something can be received, or the deadline."""
         seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
         select.select([self._socket], [], [], min(seconds, 1e-3) if self.off else seconds)
 
-    def flush_tx(self) -> None:
-        """Wait until the kernel takes frames again. What lies in its queue cannot be dropped from here.
+    def died(self) -> None:
+        """Drop what waits to be sent, once until something is received, where this process may.
 
-        Raises BusError when it does not: the queue holds stale frames that would reach the drives later.
+        A controller that is to stay bus-off is left so: its driver drops the frames when it is restarted.
         """
-        if not select.select([], [self._socket], [], _FLUSH_S)[1]:
+        controller = self._interface.controller
+        stays_off = self._bus_off and controller is not None and not controller.restart_ms
+        if self._dropped or self._down or stays_off:
+            return
+        self._dropped = True
+        with suppress(OSError):
+            self._drop()
+
+    def _drop(self) -> None:
+        """Take the interface down and up, which drops the frames in its queue and in the controller."""
+        netlink.set_up(self._interface.number, up=False)
+        netlink.set_up(self._interface.number, up=True)
+        self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        self._bus_off = False
+        self._look_at_queue()
+
+    def flush_tx(self) -> None:
+        """Drop stale frames, restart a bus-off controller, and compare the interface with the section `bus`.
+
+        Stale are frames that wait longer than 50 ms, whoever sent them. The interface is taken down and up.
+        Raises BusError where that needs the right CAP_NET_ADMIN and this process has it not, or where the
+        interface is gone or differs: the bus then counts as off.
+        """
+        self._refused = True
+        try:
+            if not self._gone and self._to_drop():
+                self._drop()
+        except PermissionError as error:
             raise BusError(
-                f"bus socketcan:{self.channel} has stale frames in its transmit queue and sends none; "
-                f"clear it with 'ip link set {self.channel} down' and '... up'"
-            )
+                f"bus socketcan:{self.channel} is bus-off, or has stale frames in its transmit queue and "
+                f"sends none; clear it with 'ip link set {self.channel} down' and '... up', or give this "
+                "program the right CAP_NET_ADMIN"
+            ) from error
+        except OSError as error:
+            raise BusError(f"bus socketcan:{self.channel} cannot be cleared: {error.strerror}") from error
+        self._come_back()
+        self._refused = False
+
+    def _to_drop(self) -> bool:
+        """Tell whether a controller is bus-off, or frames still wait after a while."""
+        interface = parse(self.channel, netlink.get_link(self.channel))
+        if not interface.up:
+            return False
+        if interface.controller is not None and interface.controller.state is BusState.OFF:
+            return True
+        end = time.monotonic() + _FLUSH_S
+        while netlink.queued(interface.number):
+            if time.monotonic() >= end:
+                return True
+            time.sleep(_FLUSH_S / 10)
+        return False
 
     def close(self) -> None:
         """Close the socket."""

@@ -121,9 +121,8 @@ class Cycle:
         _put_input(
             buffer.data, 0,
             number, inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns,
-            inp.sends_failed,
-            inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.recorder_alive, inp.recorder_dropped,
-            inp.compute_ns, len(inp.frames), zlib.crc32(run),
+            inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state,
+            inp.recorder_alive, inp.recorder_dropped, inp.compute_ns, len(inp.frames), zlib.crc32(run),
         )  # fmt: skip
         began_ns = inp.t_ns + inp.lateness_ns
         reported = self.homing.before(last)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from drivers.arrays import ZERO6
 from drivers.can.bus import Bus
-from drivers.errors import HilError
+from drivers.errors import BusError, HilError
 from drivers.protocol import Received
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines
@@ -22,7 +22,7 @@ from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
 from hil.operate.channel import OperatorChannel
 from hil.record import Recording
-from hil.signals import TickInput
+from hil.signals import Operator, TickInput
 
 _READY = "all six drives are ready: {} lets the platform move, Ctrl-C ends the run"
 CONSENT, WORD = _READY.format("Enter"), _READY.format("`hil ctl CONFIG arm`")
@@ -126,6 +126,9 @@ def _run(course: Course, shell: Shell) -> Ending:
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
         heard = console.take()
+        operator = course.commands(tick, heard.operator)
+        if Operator.RESET in operator:
+            _revive(bus, recording, t_ns)
         inp = TickInput(
             tick=tick,
             t_ns=t_ns,
@@ -138,9 +141,10 @@ def _run(course: Course, shell: Shell) -> Ending:
             bus_errors=errors.errors,
             bus_off=errors.off,
             bus_overflow=errors.overflow,
+            bus_state=errors.state,
             recorder_alive=recording.alive,
             recorder_dropped=recording.dropped,
-            operator=course.commands(tick, heard.operator),
+            operator=operator,
             compute_ns=compute_ns,
             setpoints=heard.setpoints,
             orders=heard.orders,
@@ -158,10 +162,18 @@ def _run(course: Course, shell: Shell) -> Ending:
         if course.waits_for_consent and said != ask:
             said = ask
             shell.say(said)
-        if cycle.mode in _AFTER_FAULT and course.stays_for != said:
+        if cycle.mode in _AFTER_FAULT and course.stays_for not in {"", said}:
             said = course.stays_for
             shell.say(said)
             recording.event(t_ns, "error", said)
+
+
+def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
+    """Have a bus that was dead another try, without the frames that it was given before."""
+    try:
+        bus.flush_tx()
+    except BusError as error:
+        recording.event(t_ns, "error", str(error))
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.signals import BusState
 from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
@@ -103,6 +104,7 @@ def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick."""
     columns: dict[str, Any] = dict(zip(INPUT_COLUMNS, _INPUT.unpack_from(entry.row.tobytes()), strict=True))
     columns["recorder_alive"] = bool(columns["recorder_alive"])
+    columns["bus_state"] = BusState(columns["bus_state"])
     return TickInput(
         **columns,
         frames=entry.received,

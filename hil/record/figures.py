@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
-from drivers.signals import Fault, Mode, Warn
+from drivers.signals import BusState, Fault, Mode, Warn
 from drivers.tick_columns import COLUMNS
 from hil.record.metrics import rotation_errors
 from hil.record.value_names import name_of
@@ -38,6 +38,9 @@ def figures(rows: Rows) -> dict[str, Any]:
         "rejected_frames": int(rows["rejected"].sum()),
         "dropped_ticks": int(rows["recorder_dropped"][-1]) if len(rows) else 0,
     }
+    troubles = bus_troubles(rows)
+    if any(troubles.values()):
+        result["bus"] = troubles
     if len(rows) and (rows["setpoints_taken"][-1] or rows["setpoints_refused"][-1]):
         result["setpoints"] = {
             "taken": int(rows["setpoints_taken"][-1]),
@@ -49,6 +52,30 @@ def figures(rows: Rows) -> dict[str, Any]:
     if tracking.any():
         result["first_motion_s"] = float((rows["t_ns"][tracking][0] - rows["t_ns"][0]) * 1e-9)
     return result
+
+
+def bus_troubles(rows: Rows) -> dict[str, int]:
+    """Return what went wrong on the bus: frames, losses, and how often its controller got into each state.
+
+    A state counts where the tick before had a better one, so bus-off at once is no warning before.
+    """
+    state = rows["bus_state"]
+    before = np.concatenate([[BusState.UNKNOWN], state])[:-1]
+    entered = {
+        name: int(np.count_nonzero((state == level) & (before < level)))
+        for name, level in (
+            ("error_warning", BusState.WARNING),
+            ("error_passive", BusState.PASSIVE),
+            ("bus_off", BusState.OFF),
+        )
+    }
+    return {
+        "error_frames": int(rows["bus_errors"].sum()),
+        "frames_not_taken": int(rows["sends_failed"].sum()),
+        "receptions_lost": int(rows["bus_overflow"].sum()),
+        "off_ticks": int(np.count_nonzero(rows["bus_off"])),
+        **entered,
+    }
 
 
 def limited_ticks(rows: Rows) -> dict[str, int]:

@@ -36,8 +36,8 @@ def test_frames_and_error_frames_are_told_apart():
         assert [r.frame.id for r in received] == [0x80, 0x100]
         received += b.wait(soon(0.05))
         assert not any(r.frame.flags & ERROR for r in received)
-        assert b.events() == (1, False, 0)
-        assert b.events() == (0, False, 0)
+        assert b.events()[:3] == (1, False, 0)
+        assert b.events()[:3] == (0, False, 0)
         assert b.drain_now() == []
 
 
@@ -186,7 +186,7 @@ def test_any_python_can_interface_works_through_messages():
         assert [r.frame for r in b.drain(soon(1), {0x7FF, 1})] == frames
         a.send([Frame(5, b"x")])
         assert [r.frame.id for r in b.wait(soon(1))] == [5]
-        assert b.events() == (0, False, 0)
+        assert b.events()[:3] == (0, False, 0)
 
 
 # struct can_frame and canfd_frame of linux/can.h, little endian, written out by hand

@@ -7,29 +7,36 @@ import json
 import statistics
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import cantools.database
+import numpy as np
 import pytest
 
+from drivers.signals import BusState, DriveMode, Mode
+from hil.record.log import Log
 from tests.vcan import uml
+from tests.vcan.cases import CASES
+from tests.vcan.daemon import configuration
 from tests.vcan.listen import read_log
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.vcan, pytest.mark.realtime(patient=True)]
 
 
-def beside_vcan(module: str, share: Path, limit_s: float) -> uml.Completed:
+def beside_vcan(module: str, share: Path, limit_s: float, kernel: str = "any") -> uml.Completed:
     command = [sys.executable, "-m", f"tests.vcan.{module}", str(share)]
     try:
-        return uml.run(command, limit_s=limit_s, share=share.parent)
+        return uml.run(command, limit_s=limit_s, share=share.parent, kernel=kernel)
     except uml.UnavailableError as error:
         pytest.skip(f"NOT TESTED over SocketCAN: {error}")
 
 
-def compile_outside_the_guest(log: Path) -> None:
+def compile_outside_the_guest(configuration: str, log: Path) -> None:
     """Fill the cache of compiled kernels, which the guest reads; what it writes is gone with it."""
-    command = [sys.executable, "-m", "hil.cli", "sim", "vcan50", "--duration", "0.1", "--log", str(log)]
+    command = [sys.executable, "-m", "hil.cli", "sim", configuration, "--duration", "0.1", "--log", str(log)]
     subprocess.run(command, check=False, capture_output=True, timeout=240)
 
 
@@ -50,6 +57,96 @@ def test_python_can_and_candump_see_the_same_frames_on_vcan0(tmp_path):
     ]
 
 
+def test_the_bus_stands_what_the_kernel_does_to_it(tmp_path):
+    # the modules of the running kernel are not ours to load
+    result = tmp_path / "cases.json"
+    done = beside_vcan("cases", result, limit_s=90.0, kernel="uml")
+    assert done.exit_code == 0, done.stderr
+    found = json.loads(result.read_text())
+    assert list(found) == list(CASES)
+    assert not [f"{name}: {trouble}" for name, (_, trouble) in found.items() if trouble]
+
+
+def daemon(scenario: str, tmp_path: Path) -> tuple[dict[str, Any], dict[str, Any], Log]:
+    """Return what a scenario of `daemon.py` found, the summary of the run, and its log."""
+    share = tmp_path / "share"
+    share.mkdir()
+    compile_outside_the_guest(str(configuration(share, "vcan0")), share / "warm.mcap")
+    command = [sys.executable, "-m", "tests.vcan.daemon", scenario, str(share)]
+    try:
+        done = uml.run(command, limit_s=240.0, share=share, kernel="uml")
+    except uml.UnavailableError as error:
+        pytest.skip(f"NOT TESTED over SocketCAN: {error}")
+    assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    found, summary = (json.loads((share / name).read_text()) for name in ("found.json", "run.json"))
+    return found, summary, Log.open(share / "run.mcap")
+
+
+def ticks_to_safe(rows: np.ndarray, cause: np.ndarray) -> list[int]:
+    """Return after how many ticks the drives are told to be off, for each tick in which a cause begins."""
+    begins = np.flatnonzero(cause & ~np.concatenate([[False], cause[:-1]]))
+    off = rows["command_mode"] == DriveMode.OFF
+    return [int(rows["tick"][k + int(np.argmax(off[k:]))] - rows["tick"][k]) for k in begins]
+
+
+@pytest.mark.long
+def test_a_daemon_whose_bus_fails_is_safe_in_5_ticks_and_recovered_by_its_operator(tmp_path):
+    found, summary, log = daemon("recovery", tmp_path)
+    assert found == {
+        "bus-off": ["BUS"],
+        "down": ["BUS"],
+        "deleted": ["BUS"],
+        "second": ["SECOND_CONTROLLER"],
+    }
+    rows = log.rows()
+    # bus-off, down, deleted
+    powered = (rows["mode"] != Mode.WAITING) & (rows["bus_off"] == 1)
+    took = ticks_to_safe(rows, powered)
+    assert len(took) == 3
+    assert max(took) <= 5
+    assert summary["bus"]["bus_off"] == 1
+    assert summary["final_mode"] == "PARKED"
+    assert any("nothing was compared" in event.text for event in log.events())
+
+
+@pytest.mark.long
+def test_warning_and_passive_are_counted_and_bus_off_of_a_controller_is_safe_in_5_ticks(tmp_path):
+    found, summary, log = daemon("states", tmp_path)
+    assert set(found["kept"]) == {"TRACKING"}
+    assert found["faults"] == [["BUS"]] * 2
+    rows = log.rows()
+    took = ticks_to_safe(rows, rows["bus_state"] == BusState.OFF)
+    assert len(took) == 2
+    assert max(took) <= 5
+    counted = {
+        key: summary["bus"][key] for key in ("error_frames", "error_warning", "error_passive", "bus_off")
+    }
+    # twice: warning, passive, active, warning, passive, off
+    assert counted == {"error_frames": 12, "error_warning": 4, "error_passive": 4, "bus_off": 2}
+    assert any("1000000 bit/s, state ACTIVE, restart-ms 0" in event.text for event in log.events())
+
+
+@pytest.mark.long
+def test_a_minute_with_one_per_cent_loss_is_no_fault_and_no_loss_is_uncounted(tmp_path):
+    found, summary, log = daemon("loss", tmp_path)
+    assert found["modes"] == ["TRACKING"]
+    assert summary["faults"] == []
+    near, far = (Counter({int(k): v for k, v in found["heard"][name].items()}) for name in ("hilA", "hilB"))
+    lost, unsaid = far - near, near - far
+    # what left one end and did not come to the other is what the kernel has dropped
+    assert lost.total() == pytest.approx(found["dropped"]["hilB"], abs=3)
+    assert unsaid.total() == pytest.approx(found["dropped"]["hilA"], abs=3)
+    assert lost.total() > 100
+    assert unsaid.total() > 30
+    feedback = range(0x181, 0x187)
+    logged = Counter(r.frame.id for tick in log.ticks() for r in tick.received)
+    missing = sum(near[each] - logged[each] for each in feedback)
+    # the answers to the last SYNC are not read
+    assert 0 <= missing <= 12
+    aged = int(np.count_nonzero(log.rows()["age"] > 0))
+    assert aged >= sum(lost[each] for each in feedback) + 6 * unsaid[0x80]
+
+
 def test_the_command_of_the_guest_ends_at_its_time_limit(tmp_path):
     try:
         done = uml.run(["sleep", "60"], limit_s=1.0, share=tmp_path)
@@ -61,7 +158,7 @@ def test_the_command_of_the_guest_ends_at_its_time_limit(tmp_path):
 def test_run_and_plant_work_together_over_vcan0_at_50_Hz_for_10_s(tmp_path):
     share = tmp_path / "share"
     share.mkdir()
-    compile_outside_the_guest(share / "warm.mcap")
+    compile_outside_the_guest("vcan50", share / "warm.mcap")
     done = beside_vcan("bridge", share, limit_s=240.0)
     assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
     database = cantools.database.can.Database()

@@ -46,6 +46,10 @@ MODULES = (
     "net/can/can-bcm.ko",
     "drivers/net/can/dev/can-dev.ko",
     "drivers/net/can/vcan.ko",
+    "drivers/net/can/vxcan.ko",
+    "drivers/net/can/slcan/slcan.ko",
+    "net/sched/sch_netem.ko",
+    "net/sched/sch_plug.ko",
 )
 
 

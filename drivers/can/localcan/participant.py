@@ -27,6 +27,7 @@ from drivers.can.localcan.layout import (
     slot_at,
 )
 from drivers.can.localcan.wire import Slot, Wire
+from drivers.can.no_controller import NoController
 from drivers.can.runtime_folder import forget_in_child, runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.protocol import ERROR, EXTENDED, FD, Frame, Received
@@ -50,7 +51,7 @@ _LOOK_S = 1e-3
 _FOREVER = 1 << 62
 
 
-class Participant:
+class Participant(NoController):
     """A node on the channel.
 
     The timing (`timing`, `fd`) is that of the first participant that states one; None takes what is there.

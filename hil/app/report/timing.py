@@ -13,6 +13,7 @@ from drivers.protocol import BUS
 from drivers.signals import Warn
 from drivers.tick_columns import COLUMNS
 from hil.app.run.stretching import stretches
+from hil.record.figures import bus_troubles
 from hil.record.log import Log
 
 PERCENTILES = (50.0, 99.0, 99.9, 100.0)
@@ -84,6 +85,7 @@ def counts(rows: Rows, powered: NDArray[np.bool_]) -> list[tuple[str, int]]:
     age = rows["age"]
     gaps = np.maximum(np.diff(rows["tick"]) - 1 - rows["skipped"][1:], 0)
     late = (rows["warnings"] & Warn.LATE) != 0
+    troubles = bus_troubles(rows)
     return [
         ("ticks", len(rows)),
         (f"late ticks ({Warn.LATE.name})", int(late.sum())),
@@ -91,7 +93,12 @@ def counts(rows: Rows, powered: NDArray[np.bool_]) -> list[tuple[str, int]]:
         ("skipped periods", int(rows["skipped"][1:].sum())),
         ("frames refused", int(rows["rejected"].sum())),
         ("frames that the bus did not take", int(rows["sends_failed"].sum())),
-        ("error frames on the bus", int(rows["bus_errors"].sum())),
+        ("error frames on the bus", troubles["error_frames"]),
+        ("receptions lost", troubles["receptions_lost"]),
+        ("CAN controller entered error warning", troubles["error_warning"]),
+        ("CAN controller entered error passive", troubles["error_passive"]),
+        ("CAN controller entered bus-off", troubles["bus_off"]),
+        ("ticks with the bus off, down or dead", troubles["off_ticks"]),
         ("ticks that the recorder lost", int(rows["recorder_dropped"].max(initial=0))),
         ("ticks missing from the log", int(gaps.sum())),
     ]

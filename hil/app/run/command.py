@@ -95,6 +95,8 @@ def run_daemon(
         stack.callback(keeper.close)
         bus.flush_tx()
         bus.drain_now()
+        if bus.facts:
+            recording.event(bus.clock.now(), "info", bus.facts)
         with real_time(c.loop.priority, c.loop.cpu) as granted:
             window_ns = round(c.loop.window_s(rate) * 1e9)
             if clock is not None:

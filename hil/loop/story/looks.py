@@ -5,7 +5,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from drivers.signals import LEGS, Doubt, DriveMode, DriveState, Foreign, Mode
+from drivers.signals import LEGS, BusState, Doubt, DriveMode, DriveState, Foreign, Mode
 from hil.loop.cycle import REST_PATIENCE_S
 from hil.loop.modes import DRIVE_PATIENCE_S, drive_mode
 from hil.loop.obedience import FASTER_m_s
@@ -70,7 +70,10 @@ def bus(m: Moment) -> Iterator[Seen]:
     if off:
         names = [name for bus, name in enumerate(m.cycle.parts.buses) if off >> bus & 1]
         which = f"bus {' and bus '.join(names)}" if names else "the bus"
-        yield Seen("off", sentence=f"{which} is off: its controller has counted too many errors")
+        why = "dead: its interface is down or gone, or sends nothing"
+        if m.tick["bus_state"] == BusState.OFF:
+            why = "off: its controller has counted too many errors"
+        yield Seen("off", sentence=f"{which} is {why}")
         return
     refused = int(m.cycle.parts.safety.memory["refused"])
     row = 1 << IN_A_ROW

@@ -200,8 +200,12 @@ def test_counts_are_those_of_the_whole_log():
     rows["rejected"][[5, 6]] = 3
     rows["sends_failed"][9], rows["bus_errors"][9] = 4, 6
     rows["recorder_dropped"][80:] = 5
+    rows["bus_overflow"][[2, 3]] = 5, 6
+    # passive from the start, active, warning, passive, off, off, warning: a better state is no entry
+    rows["bus_state"][[0, 10, 11, 12, 13, 14, 15]] = 3, 1, 2, 3, 4, 4, 2
+    rows["bus_off"][13:15] = 1
     powered = np.arange(100) >= 15
-    assert [n for _, n in counts(rows, powered)] == [100, 2, 2, 2, 6, 4, 6, 5, 5]
+    assert [n for _, n in counts(rows, powered)] == [100, 2, 2, 2, 6, 4, 6, 11, 1, 2, 1, 2, 5, 5]
 
 
 def test_times_on_the_page_count_from_the_first_row():

@@ -1,0 +1,171 @@
+"""A CAN network interface as the kernel has it, and whether it is the one that the configuration means.
+
+Read by netlink: IFLA_LINKINFO of linux/if_link.h, and within it IFLA_CAN_* of linux/can/netlink.h.
+"""
+
+import struct
+from typing import NamedTuple
+
+from drivers.can.netlink import IFF_UP, attributes, split_link
+from drivers.config import BusSettings
+from drivers.signals import BusState
+
+_IFLA_MTU, _IFLA_TXQLEN, _IFLA_LINKINFO = 4, 13, 18
+_INFO_KIND, _INFO_DATA, _INFO_XSTATS = 1, 2, 3
+_BITTIMING, _STATE, _CTRLMODE, _RESTART_MS, _BERR_COUNTER, _DATA_BITTIMING = 1, 4, 5, 6, 8, 9
+_LOOPBACK, _LISTEN_ONLY, _FD = 0x01, 0x02, 0x20
+_UNKNOWN_RATES = (0, 0xFFFFFFFF)
+"""CAN_BITRATE_UNSET, CAN_BITRATE_UNKNOWN: the adapter was set up past the kernel."""
+_STATES = (BusState.ACTIVE, BusState.WARNING, BusState.PASSIVE, BusState.OFF)
+"""enum can_state; what comes after, stopped and sleeping, is a controller that is down."""
+FD_MTU = 72
+RESTART_MS = "restart_ms"
+"""The option that says what restart-ms has to be."""
+
+
+class Counts(NamedTuple):
+    """struct can_device_stats: how often, since the interface exists."""
+
+    bus_error: int
+    error_warning: int
+    error_passive: int
+    bus_off: int
+    arbitration_lost: int
+    restarts: int
+
+
+class Controller(NamedTuple):
+    """What a CAN controller is set to, and how it fares."""
+
+    bitrate_bit_s: int | None
+    """None where the kernel does not know it."""
+    data_bitrate_bit_s: int | None
+    """Of CAN FD; None where it is off or not known."""
+    state: BusState
+    """UNKNOWN while it is down."""
+    restart_ms: int
+    """It comes back by itself so long after bus-off; 0: it does not."""
+    modes: int
+    """CAN_CTRLMODE_* bits."""
+    errors: tuple[int, int] | None
+    """Transmit and receive error counters, where it tells them."""
+    counts: Counts | None
+
+
+class CanInterface(NamedTuple):
+    """One network interface."""
+
+    name: str
+    number: int
+    """The kernel's, ifindex."""
+    up: bool
+    mtu: int
+    txqueuelen: int
+    kind: str
+    """can, vcan, vxcan; empty where the kernel says none."""
+    controller: Controller | None
+    """None of a virtual interface."""
+
+    @property
+    def facts(self) -> str:
+        """What was read, in one line."""
+        c = self.controller
+        if c is None:
+            return (
+                f"{self.name} is {self.kind or 'of no known kind'}: it has no bit rate, no controller state "
+                "and no restart-ms, so nothing was compared"
+            )
+        rate = "unknown bit rate" if c.bitrate_bit_s is None else f"{c.bitrate_bit_s} bit/s"
+        fast = "" if c.data_bitrate_bit_s is None else f", data {c.data_bitrate_bit_s} bit/s"
+        errors = "" if c.errors is None else f", error counters {c.errors[0]} (tx) and {c.errors[1]} (rx)"
+        return f"{self.name}: {rate}{fast}, state {c.state.name}, restart-ms {c.restart_ms}{errors}"
+
+
+def parse(name: str, answer: bytes) -> CanInterface:
+    """Return the interface of an RTM_NEWLINK payload."""
+    index, flags, link = split_link(answer)
+    info = attributes(link.get(_IFLA_LINKINFO, b""))
+    kind = info.get(_INFO_KIND, b"").rstrip(b"\0").decode(errors="replace")
+    data = attributes(info.get(_INFO_DATA, b""))
+    controller = _controller(data, info.get(_INFO_XSTATS, b"")) if _STATE in data else None
+    return CanInterface(
+        name,
+        index,
+        bool(flags & IFF_UP),
+        _word(link.get(_IFLA_MTU)),
+        _word(link.get(_IFLA_TXQLEN)),
+        kind,
+        controller,
+    )
+
+
+def _controller(data: dict[int, bytes], statistics: bytes) -> Controller:
+    state = _word(data[_STATE])
+    counts = struct.Struct("=6I")
+    return Controller(
+        _rate(data.get(_BITTIMING)),
+        _rate(data.get(_DATA_BITTIMING)),
+        _STATES[state] if state < len(_STATES) else BusState.UNKNOWN,
+        _word(data.get(_RESTART_MS)),
+        _word(data.get(_CTRLMODE, b"")[4:]),
+        struct.unpack_from("=HH", data[_BERR_COUNTER]) if len(data.get(_BERR_COUNTER, b"")) >= 4 else None,
+        Counts(*counts.unpack_from(statistics)) if len(statistics) >= counts.size else None,
+    )
+
+
+def _word(raw: bytes | None) -> int:
+    return int(struct.unpack_from("=I", raw)[0]) if raw and len(raw) >= 4 else 0
+
+
+def _rate(timing: bytes | None) -> int | None:
+    """Return the first member of struct can_bittiming."""
+    rate = _word(timing)
+    return None if rate in _UNKNOWN_RATES else rate
+
+
+def refusal(found: CanInterface, settings: BusSettings) -> str:
+    """Say how an interface differs from the section `bus`; empty where it does not.
+
+    What neither the kernel knows nor the configuration asks for is not compared.
+    """
+    name, fd = found.name, settings.layout == "fd"
+    if not found.up:
+        return f"is down: 'ip link set {name} up' (bit rates first)"
+    c = found.controller
+    lacks_fd = found.mtu < FD_MTU or (c is not None and not c.modes & _FD)
+    if fd and lacks_fd:
+        return (
+            f"carries classic CAN only: 'ip link set {name} mtu 72' (vcan) or "
+            f"'ip link set {name} type can ... fd on', or use bus.layout: classic"
+        )
+    asked = settings.options.get(RESTART_MS)
+    if c is None:
+        if asked is not None:
+            return f"has no restart-ms, bus.options.{RESTART_MS} is {asked}: leave that option out"
+        return ""
+    rates = [("bitrate", "bus.bitrate_bit_s", c.bitrate_bit_s, settings.bitrate_bit_s)]
+    if fd:
+        rates.append(
+            ("dbitrate", "bus.data_bitrate_bit_s", c.data_bitrate_bit_s, settings.data_bitrate_bit_s)
+        )
+    wrong = [
+        f"runs at {word} {has}, {key} is {wants}"
+        for word, key, has, wants in rates
+        if has not in (None, wants)
+    ]
+    if asked is not None and asked != c.restart_ms:
+        wrong.append(f"has restart-ms {c.restart_ms}, bus.options.{RESTART_MS} is {asked}")
+    if c.modes & _LISTEN_ONLY:
+        wrong.append("only listens (listen-only on)")
+    if c.modes & _LOOPBACK:
+        wrong.append("sends to itself alone (loopback on)")
+    if wrong:
+        word = " ".join(f"{word} {wants}" for word, _, _, wants in rates)
+        again = "" if asked is None else f" restart-ms {asked}"
+        mend = f"ip link set {name} type can {word}{again} listen-only off loopback off"
+        return (
+            f"{'; '.join(wrong)}: 'ip link set {name} down', '{mend}' and '... up', or mend the configuration"
+        )
+    if c.state is BusState.OFF:
+        return f"is bus-off: find out why, then 'ip link set {name} type can restart', or down and up"
+    return ""

@@ -1,0 +1,120 @@
+"""Route netlink, as much of it as a network interface needs: links read and set, queues read.
+
+Standard library only. Layouts are those of linux/netlink.h, linux/rtnetlink.h and linux/pkt_sched.h; numbers
+are in the machine's own byte order, a message and an attribute each padded to four bytes.
+"""
+
+import os
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+RTM_NEWLINK, RTM_GETLINK, RTM_GETQDISC = 16, 18, 38
+NLM_F_REQUEST, NLM_F_ACK, NLM_F_DUMP = 0x1, 0x4, 0x300
+IFF_UP = 0x1
+TC_H_ROOT = 0xFFFFFFFF
+_NLMSG_ERROR, _NLMSG_DONE = 2, 3
+_TCA_STATS2, _TCA_STATS_QUEUE = 7, 3
+_KIND = 0x3FFF
+"""The upper two bits of an attribute's type are flags."""
+_CAP_NET_ADMIN = 12
+_HEADER = struct.Struct("=IHHII")
+_ATTRIBUTE = struct.Struct("=HH")
+_LINK = struct.Struct("=BxHiII")
+"""struct ifinfomsg: family, type, index, flags, changed flags."""
+_QUEUE = struct.Struct("=BxxxiIII")
+"""struct tcmsg: family, index, handle, parent, info."""
+_ERROR = struct.Struct("=i")
+"""What struct nlmsgerr begins with: 0, or a negative error number."""
+_ANSWER = 1 << 16
+_TIMEOUT_S = 1.0
+
+
+def attributes(raw: bytes) -> dict[int, bytes]:
+    """Return the route attributes of a message or of a nest, by kind; a cut one ends them."""
+    found: dict[int, bytes] = {}
+    at = 0
+    while at + _ATTRIBUTE.size <= len(raw):
+        size, kind = _ATTRIBUTE.unpack_from(raw, at)
+        if size < _ATTRIBUTE.size or at + size > len(raw):
+            break
+        found[kind & _KIND] = raw[at + _ATTRIBUTE.size : at + size]
+        at += size + -size % 4
+    return found
+
+
+def messages(raw: bytes) -> Iterator[tuple[int, bytes]]:
+    """Return kind and payload of each message in what one read has given."""
+    at = 0
+    while at + _HEADER.size <= len(raw):
+        size, kind, *_ = _HEADER.unpack_from(raw, at)
+        if size < _HEADER.size or at + size > len(raw):
+            break
+        yield kind, raw[at + _HEADER.size : at + size]
+        at += size + -size % 4
+
+
+def request(kind: int, flags: int, body: bytes) -> list[bytes]:
+    """Send one request to the kernel and return the payloads of its answers.
+
+    Raises OSError with the kernel's number where it refuses, and TimeoutError where it does not answer.
+    """
+    answers: list[bytes] = []
+    header = _HEADER.pack(_HEADER.size + len(body), kind, NLM_F_REQUEST | NLM_F_ACK | flags, 1, 0)
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as sock:
+        sock.settimeout(_TIMEOUT_S)
+        sock.send(header + body)
+        while True:
+            for answer, payload in messages(sock.recv(_ANSWER)):
+                if answer == _NLMSG_ERROR:
+                    code = -int(_ERROR.unpack_from(payload)[0])
+                    if code:
+                        raise OSError(code, os.strerror(code))
+                    return answers
+                if answer == _NLMSG_DONE:
+                    return answers
+                answers.append(payload)
+
+
+def get_link(name: str) -> bytes:
+    """Return what RTM_GETLINK answers for an interface. Raises OSError (ENODEV) where there is none."""
+    index = socket.if_nametoindex(name)
+    (answer, *_) = request(RTM_GETLINK, 0, _LINK.pack(socket.AF_UNSPEC, 0, index, 0, 0))
+    return answer
+
+
+def split_link(answer: bytes) -> tuple[int, int, dict[int, bytes]]:
+    """Return index, flags and attributes of an RTM_NEWLINK payload."""
+    _, _, index, flags, _ = _LINK.unpack_from(answer)
+    return index, flags, attributes(answer[_LINK.size :])
+
+
+def set_up(index: int, *, up: bool) -> None:
+    """Bring an interface up or take it down. Raises OSError: EPERM without the right CAP_NET_ADMIN."""
+    body = _LINK.pack(socket.AF_UNSPEC, 0, index, IFF_UP if up else 0, IFF_UP)
+    request(RTM_NEWLINK, 0, body)
+
+
+def queued(index: int) -> int:
+    """Return how many frames wait in the transmit queue of an interface, whoever sent them."""
+    body = _QUEUE.pack(socket.AF_UNSPEC, index, 0, 0, 0)
+    return sum(queue_length(answer, index) for answer in request(RTM_GETQDISC, NLM_F_DUMP, body))
+
+
+def queue_length(answer: bytes, index: int) -> int:
+    """Return the length in an RTM_NEWQDISC payload; 0 of another interface, or of a queue within one."""
+    _, of, _, parent, _ = _QUEUE.unpack_from(answer)
+    if of != index or parent != TC_H_ROOT:
+        return 0
+    statistics = attributes(attributes(answer[_QUEUE.size :]).get(_TCA_STATS2, b""))
+    (length,) = struct.unpack_from("=I", statistics.get(_TCA_STATS_QUEUE, bytes(4)))
+    return int(length)
+
+
+def administers() -> bool:
+    """Tell whether this process may take interfaces down and up."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("CapEff:"):
+            return bool(int(line.split()[1], 16) >> _CAP_NET_ADMIN & 1)
+    return False

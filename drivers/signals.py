@@ -125,6 +125,7 @@ class Refusal(IntFlag):
     FORCE = 16
     ON_THE_WAY = 32
     """It is good itself; what lies before it is not."""
+    SPEED = 64
 
 
 class Fault(IntFlag):

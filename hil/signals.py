@@ -79,6 +79,7 @@ REASONS = {
     Refusal.STROKE: "a leg would be outside the soft ends of its stroke",
     Refusal.CONDITION: "it is too near to a singularity (limits.condition)",
     Refusal.FORCE: "a leg could need more than limits.force_N",
+    Refusal.SPEED: "a leg would be faster than limits.speed_m_s, or too fast to stop before a soft end",
 }
 ON_THE_WAY = "stopped on the way: beyond, "
 

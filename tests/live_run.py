@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import socket
 import subprocess
 import threading
@@ -70,19 +71,32 @@ class Listening:
         self._waits = waits
         self.lines: list[str] = []
         self.times: list[float] = []
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.bind(str(socket_path(*BUS)))
-        self._socket.settimeout(0.1)
+        self._socket.listen(64)
+        self._ready = select.epoll()
+        self._ready.register(self._socket)
+        self._clients: dict[int, socket.socket] = {}
         self._going = True
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
 
     def _listen(self) -> None:
         while self._going:
-            try:
-                data, sender = self._socket.recvfrom(4096)
-            except TimeoutError:
-                continue
+            for number, _ in self._ready.poll(0.1):
+                self._hear(number)
+
+    def _hear(self, number: int) -> None:
+        if number == self._socket.fileno():
+            client, _ = self._socket.accept()
+            self._clients[client.fileno()] = client
+            self._ready.register(client, select.EPOLLIN)
+            return
+        with suppress(ConnectionResetError):  # it did not wait for its answers
+            data = self._clients[number].recv(4096)
+            if not data:
+                self._clients.pop(number).close()
+                return
             tag, _, line = data.decode().partition(" ")
             answer = "taken"
             if line == "status":
@@ -99,7 +113,7 @@ class Listening:
                 self.times.append(time.monotonic())
             if line != "key":
                 with suppress(OSError):
-                    self._socket.sendto(f"{tag} {answer}".encode(), sender)
+                    self._clients[number].send(f"{tag} {answer}".encode())
 
     def __enter__(self) -> Self:
         return self
@@ -107,6 +121,9 @@ class Listening:
     def __exit__(self, *_: object) -> None:
         self._going = False
         self._thread.join()
+        for client in self._clients.values():
+            client.close()
+        self._ready.close()
         self._socket.close()
 
 

@@ -45,6 +45,7 @@ from hil.loop.parts import Parts
 from hil.loop.steering import Steering
 from hil.record import Live, Recording, Scene
 from hil.record.mirror import mirror_path
+from hil.record.schema import RUN
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
@@ -141,7 +142,7 @@ def build_cycle(
             setup=drive_setup(c, rate_Hz, watchdog_s),
             wrench=_external_wrench(c, platform, 1.0 / rate_Hz),
             operator=c.operator,
-            admission=admission if steering is None else None,
+            admission=admission,
             steering=steering,
             last_pose=last_pose_of(c, None) if last_pose is None else last_pose,
             sensors=build_sensors(c),
@@ -314,10 +315,11 @@ def record(
     live: bool = False,
     lockstep: bool = False,
     clock: Clock = MONOTONIC,
+    run: str = "",
 ) -> Recording:
     """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line.
 
-    A run in real time shows itself to `hil watch`.
+    A run in real time shows itself to `hil watch`; `run` is the identity of a simulated one.
     """
     rate_Hz, duration_s = cycle.parts.rate_Hz, cycle.parts.trajectory.duration_s
     mirror = None
@@ -334,6 +336,7 @@ def record(
             "watchdog_s": cycle.parts.setup.watchdog_s,
             "protocol": c.drives.protocol,
             "protocol_version": protocol_version(c),
+            **({RUN: run} if run else {}),
         },
         scene=build_scene(c),
         can_channel=[each.channel for each in c.bus.buses],

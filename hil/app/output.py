@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -23,7 +24,16 @@ from hil.app.terminal import visible
 if TYPE_CHECKING:
     from hil.loop.run_end import Ending  # its kernels are for who runs
 
-console = Console(stderr=True, highlight=False)
+
+class Terminal(Console):
+    """A console that leaves to its caller what a pipe without a reader means."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise BrokenPipeError."""
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+
+console = Terminal(stderr=True, highlight=False)
 PNG = b"\x89PNG\r\n"
 """How every PNG file begins."""
 
@@ -160,7 +170,7 @@ _SILENT = frozenset({"success", "kind", "last_ticks", "story"})
 
 def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
     """Print a summary: a headline and one aligned line for each figure, with its unit."""
-    out = Console(highlight=False, width=width)
+    out = Terminal(highlight=False, width=width)
     good = bool(summary["success"])
     headline = Text(f"{title}: {'success' if good else 'failed'}", style="bold green" if good else "bold red")
     out.print(headline)
@@ -170,7 +180,7 @@ def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
 
 def show_lines(lines: Iterable[str]) -> None:
     """Print lines folded to the terminal, each under its own indentation."""
-    width = Console().width
+    width = Terminal().width
     for line in map(visible, lines):
         text = line.lstrip()
         indent = len(line) - len(text)
@@ -213,7 +223,7 @@ def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
         elif not isinstance(value, dict):
             yield label, _text(value, unit)
         elif set(value) == {"p50", "p99", "max"}:
-            yield label, ", ".join(f"{k} {_number(v)}" for k, v in value.items()) + f" {unit}"
+            yield label, ", ".join(f"{k} {number(v)}" for k, v in value.items()) + f" {unit}"
         elif key == "limited_ticks":
             acted = [f"{_name_and_unit(k)[0].lower()} {n}" for k, n in value.items() if n]
             yield label, ", ".join(acted) or "none"
@@ -265,10 +275,11 @@ def _text(value: Any, unit: str) -> str:
     if isinstance(value, list):
         same = len(value) > 1 and all(v == value[0] for v in value)
         return f"all {value[0]}" if same else "; ".join(map(str, value)) or "none"
-    return f"{_number(value)} {unit}".rstrip()
+    return f"{number(value)} {unit}".rstrip()
 
 
-def _number(value: Any) -> str:
+def number(value: Any) -> str:
+    """Return a figure as tables have it: three digits of a small one, a larger one in full."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

@@ -101,15 +101,18 @@ def walk(
     still = np.zeros(6)
     ends = (trajectory.sample(0.0), trajectory.sample(span))
     rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
-    forces = _drive_forces(plant, q, dq, ddq, tau, rest)
+    forces = drive_forces(plant, q, dq, ddq, tau, rest)
     repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
     return Walk(t, q, dq, ddq, *forces, cond, np.linalg.slogdet(Js)[0], steps == n - 1, repeats)
 
 
-def _drive_forces(
+def drive_forces(
     plant: PlantSettings | None, q: Array, dq: Array, ddq: Array, tau: Array, rest: Array
 ) -> tuple[Array, Array]:
-    """Add what the plant has and the rigid-body model has not; return tau and rest."""
+    """Add what the plant has and the rigid-body model has not; return tau and rest, each (n, 6) N.
+
+    The bench plant has an equation of its own: what is given as tau counts for nothing there.
+    """
     if plant is not None and isinstance(plant.model, StewartPlant):
         m = plant.model
         friction = m.viscous_friction_N_s_m * dq + m.coulomb_friction_N * np.sign(dq)

@@ -2,8 +2,11 @@
 
 import os
 from importlib import import_module
+from typing import Any
 
 import click
+
+from hil.cli.pipes import quiet_pipe
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -53,6 +56,18 @@ class _Table(click.Group):
         assert isinstance(command, click.Command)
         return command
 
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Read the words; print the help where they ask for it."""
+        with quiet_pipe():
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Call the command."""
+        with quiet_pipe():
+            return super().invoke(ctx)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         del ctx
         with formatter.section("Commands"):
@@ -88,6 +103,7 @@ def main() -> None:
       0  success
       1  it ran, and something was wrong; the summary says what
       2  refused before anything moved; the message says why and what is allowed
+      141  nobody reads its output any more, as after `| head -1`
     """
 
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.shell_completion import CompletionItem
 
+from hil.cli.pipes import reader_gone
+
 if TYPE_CHECKING:
     from hil.app.configuration.configuration import Configuration
 
@@ -140,6 +142,8 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         except HilError as error:
             _refuse(str(error))
         except OSError as error:
+            if reader_gone():
+                raise
             place = "" if error.filename is None else f"{error.filename}: "
             _refuse(f"{place}{error.strerror or error}")
 

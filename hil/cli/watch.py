@@ -24,9 +24,9 @@ def command(
     The page reads what the recorder shows of the run: the run neither waits for it nor knows of it. Ctrl-C
     ends it, and nothing else.
 
-    Others see the page with --host; the link then has a token that is needed for everything. There is no
+    Others see the page with --host; the token of the link is needed for everything then. There is no
     encryption: use it in a network that you trust, or through a tunnel. With watch.operate in CONFIG the page
-    has buttons too, and the link of the loopback has the token that they need.
+    has buttons too, which need the token on the loopback as well.
 
     \b
     Examples:

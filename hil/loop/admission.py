@@ -1,4 +1,4 @@
-"""Which poses a set-point may send the platform to."""
+"""Which poses a set-point may send the platform to, and which a move may lead through."""
 
 import math
 
@@ -13,14 +13,16 @@ from hil.mathematics.rotations import rotation_motion_kernel
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
-from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel, lengths_and_jacobian
 from hil.safety.finite import all_finite
+from hil.safety.stroke import overspeed, too_fast_for_end
+from hil.trajectory.path import PoseSample
 
 CLEARANCE_M = 1e-3
 """Room that set-points leave before the soft ends, beyond which moving on is a fault: for the law's error,
 and for the way between two poses that are judged."""
 _NOT_A_POSE, _STROKE = int(Refusal.NOT_A_POSE), int(Refusal.STROKE)
-_CONDITION, _FORCE = int(Refusal.CONDITION), int(Refusal.FORCE)
+_CONDITION, _FORCE, _SPEED = int(Refusal.CONDITION), int(Refusal.FORCE), int(Refusal.SPEED)
 
 
 @kernel(MATRIX, MATRIX, REAL, VECTOR, INTEGER, VECTOR, VECTOR, REAL, REAL, REAL, REAL)
@@ -48,6 +50,33 @@ def judge(
         most += np.abs(inverse_dynamics_kernel(constants, code, p, R, still, one, still) - rest)
     for i in range(6):
         if not most[i] <= force:
+            return _FORCE
+    return 0
+
+
+@kernel(
+    MATRIX, MATRIX, REAL, VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL
+)  # fmt: skip
+def judge_moving(
+    a: Array, b: Array, radius: float, constants: Array, code: int,
+    p: Array, R: Array, twist: Array, dtwist: Array,
+    low: float, high: float, condition: float, force: float, speed: float, deceleration: float,
+) -> int:  # fmt: skip
+    """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`."""
+    q, J, dq = np.empty(6), np.empty((6, 6)), np.zeros(6)
+    lengths_and_jacobian(a, b, p, R, q, J)
+    for i in range(6):
+        for j in range(6):
+            dq[i] += J[i, j] * twist[j]
+        if not low <= q[i] <= high:
+            return _STROKE
+    if not condition_kernel(J, radius) <= condition:
+        return _CONDITION
+    if overspeed(dq, speed) or too_fast_for_end(q, dq, low, high, deceleration):
+        return _SPEED
+    tau = inverse_dynamics_kernel(constants, code, p, R, twist, dtwist, np.zeros(6))
+    for i in range(6):
+        if not abs(tau[i]) <= force:
             return _FORCE
     return 0
 
@@ -83,8 +112,23 @@ class Admission:
             limits.condition,
             min(limits.force_N, drive_force_limit),
         )
+        self._moving = (
+            length_min + limits.stroke_margin_m,
+            length_max - limits.stroke_margin_m,
+            *self._limits[3:],
+            limits.speed_m_s,
+            limits.deceleration_m_s2,
+        )
 
     def __call__(self, chi: Array) -> int:
         """Return the bits of Refusal against the six words chi (6,) m, rad; 0 for a good pose."""
         ddchi, *limits = self._limits
         return judge(*self._robot, chi, ddchi, *limits)
+
+    def on_the_way(self, s: PoseSample) -> int:
+        """Return the bits of Refusal against a sample of a move: what `hil check` asks of a reference.
+
+        Soft ends of the stroke, condition, rates of the legs, the braking way before a soft end, and force.
+        """
+        R = np.ascontiguousarray(s.R)
+        return judge_moving(*self._robot, s.p, R, s.twist, s.dtwist, *self._moving)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from functools import partial
 from typing import Any
 
 from drivers.arrays import ZERO6
@@ -31,6 +32,7 @@ from hil.loop.reference import fill_reference
 from hil.loop.setup_moves import approach
 from hil.loop.sight import Sight
 from hil.loop.steering import NO_SETPOINTS
+from hil.loop.way_back import Inspection
 from hil.safety.guard import Verdict
 from hil.safety.standstill import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
@@ -67,8 +69,11 @@ class Cycle:
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self.effort = Effort(parts, self.durations)
         self.obedience = Obedience(self.effort.model, parts.rate_Hz)
-        jogging = Jogging(parts.operator, parts.rate_Hz, parts.platform, parts.admission)
-        self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging)
+        jogging = Jogging(
+            parts.operator, parts.rate_Hz, parts.platform, parts.admission if parts.steering is None else None
+        )
+        judge = partial(Inspection, parts.platform, parts.admission.on_the_way)
+        self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging, judge)
         self._under_control = parts.reactions.led_to("ss1")
         self._torque_off = parts.reactions.led_to("sto")
         followers = (parts.predictor, parts.wrench.observer)
@@ -288,9 +293,11 @@ class Cycle:
             if facts.stop or self.faults or Operator.STOP in facts.operator:
                 self._enter(Mode.STOPPING, tick)
         elif self.operating.go and motion.resting:
-            motion.start(self.operating.way_back(motion.sample(number), self.first), number)
-            self.mode, self.mode_tick = Mode.STOPPING, number
-            self.operating.enter(self.mode, number, motion)
+            move = self.operating.way("park", number, motion, self.first)
+            if move is not None:
+                motion.start(move, number)
+                self.mode, self.mode_tick = Mode.STOPPING, number
+                self.operating.enter(self.mode, number, motion)
 
     def _yield(self, tick: Record) -> None:
         """Let what holds the platform where it is be all the force, until the brakes are shut."""

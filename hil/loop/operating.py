@@ -10,11 +10,14 @@ from hil.config.operator import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.setup_moves import at_setup_speed
+from hil.loop.way_back import Inspection
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 
 NO_KEY = "the key is not held (operator.deadman_s): hold it, then say start"
+_ON_THE_WAY = frozenset({Operator.KEY, Operator.SPEED})
+"""Orders that leave the platform on its way."""
 NOT_MOVING = "nothing moves in mode {}: the platform has to be on its way or on hold"
 
 
@@ -23,12 +26,20 @@ class Operating:
 
     Mutable state: whether the platform may go, the speed that was asked for, whether it is to park at the
     first pose or on its way there, the tick of the last key frame, the answers to the last tick's orders, the
-    way back to the path after a jog, and what `jogging` keeps.
+    way back to the path after a jog, the one that is being judged and why the last one was refused, and what
+    `jogging` keeps.
     """
 
-    def __init__(self, settings: OperatorSettings, rate_Hz: float, least_s: float, jogging: Jogging) -> None:
-        """Take the least time of a move at set-up speed, s."""
-        self.jogging = jogging
+    def __init__(
+        self,
+        settings: OperatorSettings,
+        rate_Hz: float,
+        least_s: float,
+        jogging: Jogging,
+        judged: Callable[[str, GeodesicMove], Inspection],
+    ) -> None:
+        """Take the least time of a move at set-up speed, s, and what judges such a move, with its name."""
+        self.jogging, self._judged = jogging, judged
         self.settings = settings
         self.least_s = least_s
         deadman_s = settings.deadman_s
@@ -50,6 +61,9 @@ class Operating:
         self.parks = False
         self.jogging.reset()
         self._way_back: GeodesicMove | None = None
+        self._inspection: Inspection | None = None
+        self.trouble = ""
+        """Why a way back cannot be followed, until the next order."""
         self.key_tick: int | None = None
         self.answers: list[str] = []
         """Why each order of the last tick was refused, in their order; empty where it was taken."""
@@ -85,6 +99,8 @@ class Operating:
                 self._jog(orders, tick, motion)
 
     def _take(self, order: Order, tick: int, mode: Mode, motion: Motion) -> str:
+        if order.command not in _ON_THE_WAY:
+            self.trouble, self._inspection = "", None
         if order.command is not Operator.JOG:
             return self._orders[order.command](order, tick, mode)
         on_hold = mode is Mode.TRACKING and not self.go
@@ -108,8 +124,10 @@ class Operating:
         elif motion.trajectory is not self._way_back and motion.resting:
             left = motion.left
             assert left is not None
-            self._way_back = self.way_back(motion.sample(tick), left[0])
-            motion.leave(self._way_back, tick)
+            move = self.way("start: the way back to the path", tick, motion, left[0])
+            if move is not None:
+                self._way_back = move
+                motion.leave(move, tick)
 
     def engage(self, tick: int, motion: Motion) -> None:
         """Begin to move, where the key is held."""
@@ -125,9 +143,23 @@ class Operating:
             motion.settle(tick, 0.0)
         self._aim(tick, mode, motion)
 
-    def way_back(self, here: PoseSample, there: PoseSample) -> GeodesicMove:
-        """Return the move from a pose at rest to one of the reference."""
-        return at_setup_speed(self.settings, self.least_s, here, there)
+    def way(self, name: str, tick: int, motion: Motion, there: PoseSample) -> GeodesicMove | None:
+        """Return the move from rest to a pose of the reference, once it has been judged.
+
+        None before that, and where it cannot be followed: then the platform stays on hold, see `trouble`.
+        """
+        if self._inspection is None:
+            move = at_setup_speed(self.settings, self.least_s, motion.sample(tick), there)
+            self._inspection = self._judged(name, move)
+        found = self._inspection
+        if not found.step():
+            return None
+        self._inspection = None
+        if not found.refusal:
+            return found.move
+        self.trouble = found.refusal
+        self.go = self.parks = False
+        return None
 
     def _aim(self, tick: int, mode: Mode, motion: Motion) -> None:
         jogs = motion.away and motion.trajectory is not self._way_back

@@ -5,7 +5,6 @@ It only names the parts, `hil.app.compose` makes them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,6 +18,7 @@ from hil.config.values import LegSpin
 from hil.control.law import Law
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
+from hil.loop.admission import Admission
 from hil.loop.homing import LastPose
 from hil.loop.steering import Steering
 from hil.robot.geometry import Platform
@@ -49,9 +49,8 @@ class Parts:
     wrench: ExternalWrench
     operator: OperatorSettings
     """What the operator has to do."""
-    admission: Callable[[Array], int] | None = None
-    """Judges poses (6,) m, rad that a jog would come to rest at, see `hil.loop.admission`; None where the
-    reference is live: it goes to set-points instead."""
+    admission: Admission
+    """Judges where a jog would come to rest, and the straight ways."""
     steering: Steering | None = None
     """What takes set-points, where the reference is live."""
     last_pose: LastPose | None = None

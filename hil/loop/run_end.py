@@ -92,7 +92,8 @@ class Course:
     and end in time. `event` takes what each fault tells in its tick. `goes_on`: parked or after a fault a run
     goes on until it is asked to end: by END, or when `duration_s` is over. A fault takes `armed` back.
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
-    over before the drives were ready; the first fault's tick and the last one's text; when a leg last moved.
+    over before the drives were ready; the first fault's tick and the last one's text; when a leg last moved;
+    which way that is not followed has been told.
     """
 
     def __init__(
@@ -107,7 +108,8 @@ class Course:
         event: EventSink = no_event,
     ) -> None:
         self.cycle = cycle
-        self._narrator = Narrator(cycle, event)
+        self._narrator, self._event = Narrator(cycle, event), event
+        self._trouble = ""
         self._operator: tuple[Operator, ...] = ()
         self.stays = stays
         rate = cycle.parts.rate_Hz
@@ -155,10 +157,20 @@ class Course:
     def ending(self, tick: int) -> Ending | None:
         """Return how the run ends with the tick that has just been stepped; None if it goes on."""
         self._narrator.look(self._operator)
+        self._tell()
         ending = self._ending(tick)
         if ending is None:
             return None
         return replace(ending, story=self.story(), reason=ending.reason or self._narrator.short)
+
+    def _tell(self) -> None:
+        """Let the log have why a way that the operator asked for is not followed."""
+        cycle = self.cycle
+        trouble = cycle.operating.trouble
+        if trouble != self._trouble:
+            self._trouble = trouble
+            if trouble:
+                self._event(int(cycle.tick["t_ns"]), "warning", trouble)
 
     def failed(self, plant: str, tick: int) -> Ending:
         """Return how a simulation ends in a tick that could not be stepped, since its plant had failed."""

@@ -27,6 +27,8 @@ def waits_for(course: Course) -> str:
     if operating.moves(mode) and not operating.go:
         if not operating.holds_key(int(cycle.tick["tick"])):
             return NO_KEY
+        if operating.trouble:
+            return f"another order: {operating.trouble}"
         return "start, which first goes back to where the path was left" if cycle.motion.away else "start"
     if operating.moves(mode) and operating.speed == 0.0:
         return "a speed above 0 %"

@@ -1,10 +1,11 @@
-"""The loop's end of the operator channel: datagrams on a socket of this user, read between two ticks.
+"""The loop's end of the operator channel: clients of this user on a socket, read between two ticks.
 
 Bounded work in a tick, whoever sends how much: at most AT_MOST lines are read and answered, none is waited
-for, and none raises.
+for, and none raises. Each client has a connection of its own, and takes its turn: one that floods delays no
+other's line, and one that does not read its answers is dropped before it costs the others theirs.
 """
 
-import contextlib
+import select
 import socket
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Self
@@ -17,12 +18,13 @@ from hil.signals import Operator, Order, SetPoint
 
 AT_MOST = 8
 """Lines read in one tick."""
-QUEUED = 4096
-"""More lines than can wait in a socket."""
+MOST_CLIENTS = 128
+"""At once; the one that has said nothing for the longest makes room."""
+QUEUED = 1 << 17
+"""More lines than can wait in the sockets of all of them."""
 _LONGEST = LONGEST + 18
 """With a tag."""
-Sender = str | bytes | None
-_Waiting = list[tuple[str, Sender]]
+_Waiting = list[tuple[str, socket.socket]]
 
 
 class Heard(NamedTuple):
@@ -39,22 +41,27 @@ SILENCE = Heard()
 class OperatorChannel:
     """Where the operator's lines come in. The controller's role on the bus is held while it is open.
 
-    Mutable state: the socket, who waits for which answer, and how many lines were no words.
+    Mutable state: the socket, the clients, who waits for which answer, and how many lines were no words.
     """
 
     def __init__(self, interface: str, channel: str) -> None:
         """Listen. Raises RunError when the socket cannot be made."""
         self.path = socket_path(interface, channel)
         self.malformed = 0
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._clients: dict[int, socket.socket] = {}
+        """By file descriptor; who spoke last comes last."""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         try:
             self.path.unlink(missing_ok=True)  # left by a controller that was killed: we hold its role now
             self._socket.bind(str(self.path))
             self.path.chmod(0o600)
+            self._socket.listen(MOST_CLIENTS)
         except OSError as error:
             self._socket.close()
             raise RunError(f"operator socket {self.path}: {error.strerror or error}") from error
         self._socket.setblocking(False)
+        self._ready = select.epoll()
+        self._ready.register(self._socket, select.EPOLLIN)
         self.waited_for = False
         """Whether somebody waits for an answer."""
         self._forget()
@@ -69,7 +76,7 @@ class OperatorChannel:
         operator: list[Operator] = []
         orders: list[Order] = []
         setpoints: list[SetPoint] = []
-        for data, sender in lines:
+        for data, client in lines:
             tag, line = split(data.decode("ascii", "replace"))
             if len(data) > _LONGEST:  # cut off, maybe within a number
                 line = data.decode("ascii", "replace")
@@ -77,28 +84,65 @@ class OperatorChannel:
                 said = parse(line)
             except ValueError as error:
                 self.malformed += 1
-                self._reply((tag, sender), f"{REFUSED}{error}")
+                self._reply((tag, client), f"{REFUSED}{error}")
                 continue
             if said.operator is not None:
                 operator.append(said.operator)
-                self._operator.append((tag, sender))
+                self._operator.append((tag, client))
             elif said.order is not None:
                 orders.append(said.order)
-                self._orders.append((tag, sender))
+                self._orders.append((tag, client))
             elif said.setpoint is not None:
                 setpoints.append(said.setpoint)
-                self._setpoints.append((tag, sender))
+                self._setpoints.append((tag, client))
             else:
-                self._status.append((tag, sender))
+                self._status.append((tag, client))
             self.waited_for = True
         return Heard(tuple(operator), tuple(orders), tuple(setpoints))
 
-    def _lines(self, at_most: int) -> list[tuple[bytes, Sender]]:
-        lines: list[tuple[bytes, Sender]] = []
-        with contextlib.suppress(OSError):  # nothing more is there
-            while len(lines) < at_most:
-                lines.append(self._socket.recvfrom(_LONGEST + 1))
+    def _lines(self, at_most: int) -> list[tuple[bytes, socket.socket]]:
+        """Return lines with their clients, one of each client in turn."""
+        lines: list[tuple[bytes, socket.socket]] = []
+        looks = 2 * at_most  # those who come and go are no lines, and bounded too
+        while looks > 0 and (ready := self._ready.poll(0.0, min(at_most - len(lines), MOST_CLIENTS))):
+            looks -= len(ready)
+            for number, _ in ready:
+                client = self._clients.get(number)
+                if client is None:
+                    if number == self._socket.fileno():
+                        self._welcome()
+                    continue
+                try:
+                    data = client.recv(_LONGEST + 1)
+                except (BlockingIOError, ConnectionResetError):
+                    continue  # another one by now; or gone without its answers: what it said is still there
+                except OSError:
+                    data = b""
+                if data:
+                    self._clients[number] = self._clients.pop(number)
+                    lines.append((data, client))
+                else:
+                    self._drop(client)
+            if len(lines) >= at_most:
+                break
         return lines
+
+    def _welcome(self) -> None:
+        """Take the next client in."""
+        try:
+            client, _ = self._socket.accept()
+        except OSError:  # it has gone again
+            return
+        client.setblocking(False)
+        if len(self._clients) >= MOST_CLIENTS:
+            self._drop(next(iter(self._clients.values())))
+        self._clients[client.fileno()] = client
+        self._ready.register(client, select.EPOLLIN)
+
+    def _drop(self, client: socket.socket) -> None:
+        """Let a client go, if it is still there."""
+        if self._clients.pop(client.fileno(), None) is not None:
+            client.close()
 
     def answer(
         self,
@@ -116,16 +160,20 @@ class OperatorChannel:
             (self._orders, orders),
             (self._setpoints, setpoints),
         ):
-            for sender, refusal in zip(waiting, refusals, strict=True):
-                self._reply(sender, f"{REFUSED}{refusal}" if refusal else TAKEN)
+            for asking, refusal in zip(waiting, refusals, strict=True):
+                self._reply(asking, f"{REFUSED}{refusal}" if refusal else TAKEN)
         if self._status:
             text = status()
-            for sender in self._status:
-                self._reply(sender, text)
+            for asking in self._status:
+                self._reply(asking, text)
         self._forget()
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
+        self._ready.close()
         self._socket.close()
         self.path.unlink(missing_ok=True)
 
@@ -136,11 +184,12 @@ class OperatorChannel:
         self._setpoints: _Waiting = []
         self._status: _Waiting = []
 
-    def _reply(self, to: tuple[str, Sender], answer: str) -> None:
-        tag, sender = to
-        if sender:  # a sender without an address does not want one
-            with contextlib.suppress(OSError):  # gone, or it does not read its answers
-                self._socket.sendto(f"{tag}{answer}".encode(), sender)
+    def _reply(self, to: tuple[str, socket.socket], answer: str) -> None:
+        tag, client = to
+        try:
+            client.send(f"{tag}{answer}".encode())
+        except OSError:  # gone, or it does not read its answers
+            self._drop(client)
 
     def __enter__(self) -> Self:
         return self

@@ -76,14 +76,13 @@ class OperatorClient:
         self._where = f"bus {interface}:{channel}"
         self._number = 0
         path = socket_path(interface, channel)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
+        self._socket.settimeout(ANSWER_S)
         try:
-            self._socket.bind("")  # Linux gives it an address of its own, outside the file system
             self._socket.connect(str(path))
         except OSError:
             self._socket.close()
             raise RunError(f"no controller runs on {self._where}: start `hil run` there first") from None
-        self._socket.settimeout(ANSWER_S)
 
     def arm(self) -> Answer:
         """Let the platform move: as Enter in the terminal of `hil run`, or its option --arm."""
@@ -122,11 +121,12 @@ class OperatorClient:
         return self.say(f"speed {float(percent)!r}")
 
     def key(self) -> None:
-        """Say that the operator holds the key (operator.deadman_s). There is no answer, and no wait for one.
+        """Say that the operator holds the key (operator.deadman_s). No answer is waited for.
 
         Raises RunError where the controller has gone.
         """
         self._send("key")
+        self._arrived()  # who does not read is dropped
 
     def jog_axis(self, axis: str, fraction: float) -> Answer:
         """Move along x, y or z of the base frame, or turn about one (rx, ry, rz), from hold.
@@ -209,9 +209,12 @@ class OperatorClient:
         until = time.monotonic() + ANSWER_S
         while time.monotonic() < until:
             try:
-                found, _, answer = self._socket.recv(ANSWER_LONGEST).decode().partition(" ")
+                data = self._socket.recv(ANSWER_LONGEST)
             except OSError:
                 break
+            if not data:
+                break
+            found, _, answer = data.decode().partition(" ")
             if found == tag:  # an older one answers what was given up
                 return answer
         raise RunError(f"the controller on {self._where} did not answer within {ANSWER_S:g} s: has it ended?")
@@ -221,8 +224,8 @@ class OperatorClient:
         answers = []
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
-            while True:
-                answers.append(self._socket.recv(ANSWER_LONGEST).decode().partition(" ")[2])
+            while data := self._socket.recv(ANSWER_LONGEST):
+                answers.append(data.decode().partition(" ")[2])
         self._socket.settimeout(ANSWER_S)
         return answers
 

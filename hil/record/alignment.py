@@ -56,13 +56,15 @@ class Side(NamedTuple):
     lockstep: bool
     configuration: bytes | None
     """None where the log has none."""
+    run: str | None = None
+    """What both logs of one simulation carry, and no other's does; None where the log has none."""
 
 
 def require_one_run(log: Side, plant: Side, places: Ints) -> None:
     """Refuse two logs whose clocks, ticks or configurations do not fit each other.
 
-    In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, and both
-    ends have one configuration.
+    In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, both ends
+    have one configuration, and one identity of the run.
 
     Raises
     ------
@@ -73,8 +75,13 @@ def require_one_run(log: Side, plant: Side, places: Ints) -> None:
     far = abs(log.epoch_ns - plant.epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any())
     both = log.lockstep and plant.lockstep and None not in (log.configuration, plant.configuration)
     other = log.lockstep != plant.lockstep or (both and log.configuration != plant.configuration)
-    if far or other:
-        why = "its configuration is another one" if other and not far else f"no tick of {log.path} is in it"
+    apart = None not in (log.run, plant.run) and log.run != plant.run
+    if far or other or apart:
+        why = f"no tick of {log.path} is in it"
+        if not far:
+            why = (
+                "its configuration is another one" if other else "set-points, commands or faults were others"
+            )
         raise LogError(
             f"{log.path}: the plant's log {plant.path} is of another run: {why}; name the right one with "
             "Log(path, plant=FILE)"

@@ -16,7 +16,7 @@ from drivers.arrays import Ints, Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
 from hil.record.alignment import SENT, SYNC, Side, plant_rows_of, require_one_run
-from hil.record.schema import CONFIGURATION, IDENTITY
+from hil.record.schema import CONFIGURATION, IDENTITY, RUN
 from hil.record.selection import Component, components
 from hil.record.value_names import name_of
 
@@ -119,7 +119,8 @@ def named(column: Column, values: Ints) -> Any:
 
 
 def _side(log: Readable) -> Side:
-    return Side(str(log.path), log.epoch_ns, log.lockstep, log.attachments.get(CONFIGURATION))
+    run = log.metadata[IDENTITY].get(RUN)
+    return Side(str(log.path), log.epoch_ns, log.lockstep, log.attachments.get(CONFIGURATION), run)
 
 
 def _period_ns(log: Readable) -> float | None:

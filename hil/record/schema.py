@@ -10,6 +10,8 @@ from hil.signals import Operator
 LIBRARY = "hexapod-hil"
 IDENTITY, ENVIRONMENT, SUMMARY, SALVAGE = "hil", "environment", "summary", "salvage"
 """Names of the metadata records."""
+RUN = "run"
+"""Key in IDENTITY: what both logs of one simulation carry, and no other's does."""
 CONFIGURATION = "config.yaml"
 """Name of the attachment that holds the configuration."""
 

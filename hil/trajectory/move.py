@@ -1,5 +1,7 @@
 """A rest-to-rest move between two poses."""
 
+from math import hypot
+
 import numpy as np
 
 from drivers.arrays import Array
@@ -43,6 +45,10 @@ class GeodesicMove:
         self._p0, self._R0 = np.array(p0, float), np.array(R0, float, order="C")
         self._dp = np.array(p1, float) - self._p0
         self._phi = relative_rotation(self._R0, np.array(R1, float, order="C"))
+
+    def travel_m(self, reach_m: float) -> float:
+        """Return how far a point at most `reach_m` from the platform's origin moves at most, m."""
+        return hypot(*self._dp.tolist()) + reach_m * hypot(*self._phi.tolist())
 
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""

@@ -14,6 +14,7 @@ from hil.loop.jog_paths import AxisJog, LegJog
 from hil.loop.jogging import LIVE, NO_KEY, NOT_RESTING, ON_HOLD, Jogging
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
+from hil.loop.way_back import Inspection
 from hil.signals import JOG_NAMES, Operator, Order
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
@@ -93,6 +94,11 @@ def test_an_axis_jog_goes_along_or_about_one_axis_of_the_base(axis):
     assert not sample.dtwist.any()
 
 
+def free(name, move):
+    """A way on which nothing is refused."""
+    return Inspection(PLATFORM, lambda _: 0, name, move)
+
+
 class Box:
     """Refuses poses at which a leg is outside low .. high, m; notes what it was asked."""
 
@@ -115,7 +121,7 @@ class Held:
         )
         self.rate_Hz, self.tick = rate_Hz, 0
         jogging = Jogging(self.settings, rate_Hz, PLATFORM, admission)
-        self.operating = Operating(self.settings, rate_Hz, STOP_S, jogging)
+        self.operating = Operating(self.settings, rate_Hz, STOP_S, jogging, free)
         self.motion = Motion(1.0 / rate_Hz, HERE.p, HERE.R, STOP_S)
         self.path = GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0)
         self.motion.start(self.path, 0)

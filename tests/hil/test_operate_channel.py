@@ -6,13 +6,14 @@ import stat
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.errors import RunError
-from hil.operate.channel import AT_MOST, Heard, OperatorChannel
+from hil.operate.channel import AT_MOST, MOST_CLIENTS, QUEUED, Heard, OperatorChannel
 from hil.operate.client import OperatorClient, socket_path
 from hil.operate.words import Said, parse
 from hil.signals import Operator, Order, SetPoint
@@ -213,7 +214,7 @@ def test_nothing_there_is_nothing_at_once(channel):
 
 
 MALFORMED = (
-    *(b"", b"\0", b"\xff\xfe\x00", b"#", b"# ", b"#1", b"#" * 400, b"9" * 4000, "start １".encode()),
+    *(b" ", b"\0", b"\xff\xfe\x00", b"#", b"# ", b"#1", b"#" * 400, b"9" * 4000, "start １".encode()),
     *(b"#" + b"t" * 20 + b" setpoint 0 0 1." + b"0" * 497 + b"12", b"#1 speed " + b" " * 600 + b"50"),
     *(b"speed 1e999", b"speed --1", b"setpoint " + b"1 " * 250, b"hold\nstart", b"start" + b"\0" * 100),
 )
@@ -267,17 +268,68 @@ def test_a_hundred_senders_cost_a_tick_no_more_than_a_few_lines(channel):
     assert sorted(loop.ticks_ns)[len(loop.ticks_ns) // 2] < 1e6
 
 
-def test_a_sender_that_has_gone_or_never_reads_is_no_trouble(channel):
+def test_who_never_reads_is_dropped_and_costs_no_other_an_answer(channel):
+    """A datagram socket of the loop would be full of it: nobody else would be answered."""
+    with OperatorClient("localcan", "hil/0") as other, OperatorClient("localcan", "hil/0") as silent:
+        with suppress(OSError):
+            for _ in range(3000):
+                silent._socket.send(b"hold")
+                assert len(channel.take().orders) == 1
+                channel.answer([], [""], [], str)
+        with pytest.raises(RunError, match="does not listen any more"):
+            silent.key()
+        other._socket.send(b"#1 start")
+        assert len(channel.take().orders) == 1
+        channel.answer([], ["no"], [], str)
+        assert other._socket.recv(4096) == b"#1 refused: no"
+
+
+def test_a_key_that_is_held_for_long_is_heard_for_long(channel):
     with OperatorClient("localcan", "hil/0") as client:
         for _ in range(3000):
-            client._socket.send(b"hold")
-            channel.take()
-            begun = time.perf_counter()
+            client.key()
+            assert [each.command for each in channel.take().orders] == [Operator.KEY]
             channel.answer([], [""], [], str)
-            assert time.perf_counter() - begun < 0.5
-        client._socket.send(b"hold")
-    channel.take()
+
+
+def test_a_word_of_a_sender_that_has_gone_at_once_counts(channel):
+    for _ in range(3):
+        with OperatorClient("localcan", "hil/0") as client:
+            client._socket.send(b"hold")
+            assert len(channel.take().orders) == 1
+            channel.answer([], [""], [], str)
+            client._socket.send(b"park")  # with the answer to hold unread
+        assert [each.command for each in channel.take().orders] == [Operator.PARK]
+        channel.answer([], [""], [], str)
+        assert channel.take() == Heard()
+
+
+def test_a_client_that_floods_delays_the_line_of_no_other(channel):
+    with OperatorClient("localcan", "hil/0") as flood, OperatorClient("localcan", "hil/0") as client:
+        for _ in range(50):
+            flood._socket.send(b"hold")
+        client._socket.send(b"estop")
+        assert channel.take().operator == (Operator.ESTOP,)
+
+
+def test_where_all_places_are_taken_the_one_that_was_silent_for_longest_makes_room(channel):
+    clients = [OperatorClient("localcan", "hil/0") for _ in range(MOST_CLIENTS)]
+    channel.take(QUEUED)
+    clients[0]._socket.send(b"hold")
+    assert len(channel.take().orders) == 1
     channel.answer([], [""], [], str)
+    with OperatorClient("localcan", "hil/0") as late:
+        late._socket.send(b"park")
+        assert [each.command for each in channel.take().orders] == [Operator.PARK]
+        channel.answer([], [""], [], str)
+        assert late._socket.recv(100) == b"taken"
+        with pytest.raises(RunError, match="does not listen"):
+            clients[1].key()
+        clients[0].key()
+        assert len(channel.take().orders) == 1
+        channel.answer([], [""], [], str)
+    for client in clients:
+        client.close()
 
 
 def test_the_socket_is_its_owners_alone_and_goes_with_it(channel):

@@ -10,6 +10,8 @@ from hil.config.operator import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
+from hil.loop.setup_moves import at_setup_speed
+from hil.loop.way_back import Inspection
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 
@@ -24,8 +26,13 @@ def no_jogging(rate_Hz):
     return Jogging(settings, rate_Hz, build_platform(load("lab").platform), None)
 
 
+def free(name, move):
+    """A way on which nothing is refused."""
+    return Inspection(build_platform(load("lab").platform), lambda _: 0, name, move)
+
+
 def made(rate_Hz=1000.0, **settings):
-    operating = Operating(OperatorSettings(**settings), rate_Hz, 0.5, no_jogging(rate_Hz))
+    operating = Operating(OperatorSettings(**settings), rate_Hz, 0.5, no_jogging(rate_Hz), free)
     motion = Motion(1.0 / rate_Hz, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 60.0), 0)
     return operating, motion
@@ -132,9 +139,9 @@ def test_the_way_back_is_nowhere_faster_than_the_set_up_speed():
         (here._replace(p=np.array([0.03, 0.04, 0.0])), 0.02, slice(3)),
         (here._replace(R=turned), np.deg2rad(3.0), slice(3, 6)),
     ):
-        back = operating.way_back(there, here)
+        back = at_setup_speed(operating.settings, 0.5, there, here)
         speeds = [
             float(np.linalg.norm(back.sample(t).twist[part])) for t in np.linspace(0, back.duration_s, 1001)
         ]
         assert max(speeds) == pytest.approx(limit, rel=1e-6)
-    assert operating.way_back(here._replace(p=here.p + 1e-6), here).duration_s == 0.5
+    assert at_setup_speed(operating.settings, 0.5, here._replace(p=here.p + 1e-6), here).duration_s == 0.5

@@ -90,7 +90,7 @@ def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
 
 def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus):
     """Lines read in one tick are few: those of before must not be left for the next."""
-    with OperatorChannel(*bus) as channel, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as flood:
+    with OperatorChannel(*bus) as channel, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as flood:
         held = Held(channel)
         flood.setblocking(False)
         flood.connect(str(channel.path))

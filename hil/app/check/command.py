@@ -14,6 +14,7 @@ from hil.app.check.findings import Report
 from hil.app.check.fmu import report_fmu
 from hil.app.check.fusion import report_fusion
 from hil.app.check.monitor import report_monitor
+from hil.app.check.operating import report_operating
 from hil.app.check.payload import broken_by, carried_along, report_payload
 from hil.app.check.pushes import clipped
 from hil.app.check.silence import silence_of
@@ -204,6 +205,8 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         "condition_max": float(w.condition.max()),
     }
     report.warnings += dangers(c, w, silence)
+    trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+    report_operating(report, c, w, trajectory, model)
     if isinstance(c.reference, LiveReference):
         _live(report, c, c.reference, platform)
     if peak > 0.9 * c.limits.force_N:

@@ -26,7 +26,7 @@ def draw(
     styles = {name: {"color": f"C{k % 10}", "linestyle": LINES[k // 10 % 3]} for k, name in enumerate(laws)}
     for name, o in laws.items():
         if "t" in o.traces:
-            t, error, force = o.traces["t"], o.traces["error_mm"], o.traces["force_N"] / 1e3
+            t, error, force = o.traces["t"], o.traces["error_mm"], o.traces["force_N"]
             label = name if o.fault is None else f"{name}: {o.fault}"
             (line,) = errors.semilogy(
                 t, np.maximum(error, FLOOR_MM), label=label, linewidth=1.3, **styles[name]
@@ -39,7 +39,7 @@ def draw(
         if "step" in o.traces:
             steps.plot(1e3 * o.traces["step_t"], o.traces["step"], linewidth=1.3, **styles[name])
     errors.set(title="largest leg error (X: fault)", xlabel="s along the reference", ylabel="mm")
-    forces.set(title="largest leg force sent", xlabel="s along the reference", ylabel="kN")
+    forces.set(title="largest leg force sent", xlabel="s along the reference", ylabel="N")
     steps.set(
         title="answer to a step of the set-point at home, no rates fed forward",
         xlabel="ms",

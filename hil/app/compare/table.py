@@ -3,19 +3,20 @@
 from collections.abc import Callable
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from hil.app.output import Terminal, number
+
 Columns = tuple[tuple[str, str, str], ...]
-"""Title, key of a law's figures, format."""
+"""Title, key of a law's figures, format; empty: as in summaries, whatever the robot's size."""
 PATH: Columns = (
     ("leg mm\npeak", "peak_leg_error_mm", ".3g"),
     ("\nRMS", "rms_leg_error_mm", ".3g"),
     ("position\npeak mm", "peak_position_error_mm", ".3g"),
     ("rotation\npeak deg", "peak_rotation_error_deg", ".2g"),
-    ("force\npeak N", "peak_force_N", ".0f"),
-    ("force\nvar. kN", "force_variation_N", ".1f"),
+    ("force\npeak N", "peak_force_N", ""),
+    ("force\nvar. N", "force_variation_N", ""),
 )
 STEP: Columns = (
     ("at rest\nleg mm", "steady_leg_error_mm", ".2g"),
@@ -27,13 +28,12 @@ LOAD: Columns = (
     ("leg mm\npeak", "disturbed_peak_leg_error_mm", ".3g"),
     ("\nat rest", "disturbed_steady_leg_error_mm", ".3g"),
 )
-THOUSANDS = frozenset({"force_variation_N"})
 ABSENT = "-"
 
 
 def show(summary: dict[str, Any], width: int | None = None) -> None:
     """Print the laws, the losses path by path, and the claims."""
-    out = Console(highlight=False, width=width)
+    out = Terminal(highlight=False, width=width)
     step = summary["step"]
     parts = {
         f"Along {summary['duration_s']:g} s of the reference": _laws(summary, PATH, result),
@@ -137,4 +137,4 @@ def _cell(row: dict[str, Any], key: str, form: str) -> str:
     value = row.get(key)
     if value is None or value != value:  # noqa: PLR0124 - nan
         return ABSENT
-    return format(value / 1e3 if key in THOUSANDS else value, form)
+    return format(value, form) if form else number(value)

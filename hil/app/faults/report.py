@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from drivers.errors import LogError
 from hil.app.files import write_whole
+from hil.app.output import Terminal
 
 WIDTH = 180
 """Columns of the table where it goes to a file."""
@@ -32,8 +32,8 @@ def show(summary: dict[str, Any]) -> None:
         verdict = Text(f"{'pass' if case['success'] else 'FAIL'}: {case['verdict']}", style=style)
         figures = (_figure(case, key) for key in ("after_ms", "motion_mm"))
         table.add_row(name, case["when"], case["given"], reaction(case), *figures, verdict)
-    terminal = Console().is_terminal
-    Console(highlight=False, width=None if terminal else WIDTH).print(table)
+    terminal = Terminal().is_terminal
+    Terminal(highlight=False, width=None if terminal else WIDTH).print(table)
 
 
 def reaction(case: dict[str, Any]) -> str:

@@ -16,8 +16,8 @@ from hil.app.report.timeline import lanes
 from hil.app.report.timing import Traffic
 from hil.record.metrics import rotation_errors
 
-PREFIXES = {"k": 1e3, "": 1.0, "m": 1e-3, "µ": 1e-6}
-"""SI."""
+PREFIXES = {"m": 1e-3, "µ": 1e-6}
+"""SI, of lengths, turns and times; forces stand in N, of robots of any size."""
 
 
 class Curve(NamedTuple):
@@ -108,23 +108,21 @@ def _forces(rows: Rows, c: Configuration | None) -> Iterator[Chart]:
     section = "Forces"
     for name in ("tau", "drive_force"):
         column = COLUMNS[name]
-        unit, factor = _scale(column.unit, "k")
-        limit = () if c is None else (factor * min(c.limits.force_N, c.drives.force_limit_N),)
+        limit = () if c is None else (min(c.limits.force_N, c.drives.force_limit_N),)
         yield Chart(
             name,
             section,
             column.meaning,
-            unit,
-            _legs(column, rows[name], factor),
+            column.unit,
+            _legs(column, rows[name]),
             (*(-x for x in limit), *limit),
         )
     column = COLUMNS["wrench"]
     if np.any(rows["wrench"]):
         for first, what in ((0, "force"), (3, "moment")):
-            unit, factor = _scale(column.units[first], "k")
             title = f"{column.meaning}: {what}"
-            curves = _legs(column, rows["wrench"], factor)[first : first + 3]
-            yield Chart(f"wrench_{what}", section, title, unit, curves)
+            curves = _legs(column, rows["wrench"])[first : first + 3]
+            yield Chart(f"wrench_{what}", section, title, column.units[first], curves)
 
 
 def _certificate(rows: Rows) -> Iterator[Chart]:

@@ -1,6 +1,7 @@
 """`hil sim`: both ends of the bus in lockstep, in simulated time, as fast as the machine allows."""
 
 import contextlib
+import hashlib
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from drivers.protocol import Frame
 from drivers.signals import Mode
-from hil.app.compose import build_cycle, build_nodes, record
+from hil.app.compose import attachments, build_cycle, build_nodes, record
 from hil.app.configuration.bus_budget import loads
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
@@ -29,6 +30,7 @@ from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures
 from hil.record.log import Log
+from hil.record.schema import RUN
 from hil.signals import SetPoint, TickInput, TickOutput
 from hil.trajectory.sampled import read_poses
 from plant_fmu.faults.plan import FaultPlan
@@ -89,10 +91,31 @@ def _run(
     return lockstep.run(duration_s, observer, recording.event, said, armed=not script.arms)
 
 
-def _record_plant(c: Configuration, path: Path) -> Recording:
+def run_identity(
+    c: Configuration,
+    duration_s: float | None,
+    faults: FaultPlan | None,
+    setpoints: Path | None,
+    commands: Sequence[TimedCommand],
+) -> str:
+    """Return what tells one simulation from every other: a digest of all that it follows from.
+
+    No clock and no chance is in it: the same run again has the same identity, and the same logs.
+    """
+    plan = faults or FaultPlan()
+    said = [list(c.plant.faults) if c.plant else [], list(plan.faults), plan.seed, plan.gravity.tolist()]
+    digest = hashlib.sha256(f"{c.text}\0{duration_s!r}\0{said!r}\0{list(commands)!r}".encode())
+    for name, content in attachments(c):
+        digest.update(f"\0{name}\0".encode() + content)
+    if setpoints is not None:
+        digest.update(b"\0" + setpoints.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def _record_plant(c: Configuration, path: Path, run: str) -> Recording:
     """Start the recorder of the plant's truth: one row for each tick, no frames."""
     return Recording.start(
-        path, configuration=c.text, table=PLANT, metadata={"kind": "plant"}, lockstep=True,
+        path, configuration=c.text, table=PLANT, metadata={"kind": "plant", RUN: run}, lockstep=True,
         can_channel=[each.channel for each in c.bus.buses], ring_ticks=c.recording.ring_ticks,
     )  # fmt: skip
 
@@ -132,6 +155,7 @@ def simulate(
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
     operator = CommandScript(commands, rate)
+    run = run_identity(c, duration_s, faults, setpoints, commands)
     path = log_path(c.recording.folder, c.name, log)
     removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
     truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
@@ -141,8 +165,8 @@ def simulate(
     try:
         lockstep = build_lockstep(c, cycle, nodes)
         with contextlib.ExitStack() as stack:
-            recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True))
-            truth = stack.enter_context(_record_plant(c, truth_path)) if plant_log else None
+            recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True, run=run))
+            truth = stack.enter_context(_record_plant(c, truth_path, run)) if plant_log else None
             stack.enter_context(collector_paused())
             if removed:
                 recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")

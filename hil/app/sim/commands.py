@@ -29,19 +29,20 @@ class CommandScript:
 
     def __init__(self, commands: Iterable[TimedCommand], rate_Hz: float, source: str = "commands") -> None:
         said = [
-            (_tick(at, rate_Hz, source, n), _read(word, source, n))
+            (_tick(at, rate_Hz, source, n), _read(word, source, n), n)
             for n, (t, text) in enumerate(commands, 1)
             for at, word in _repeated(t, text, source, n)
         ]
         self._said = sorted(said, key=lambda each: each[0])
         self._given = 0
-        self.arms = any(each.operator is Operator.ENGAGE for _, each in said)
+        self.arms = any(each.operator is Operator.ENGAGE for _, each, _ in said)
         """Whether the script itself lets the platform move."""
 
     @property
     def left(self) -> int:
-        """How many have not been given."""
-        return len(self._said) - self._given
+        """How many commands have not been given at all; one that is repeated is one."""
+        begun = {n for _, _, n in self._said[: self._given]}
+        return len({n for _, _, n in self._said[self._given :]} - begun)
 
     def __call__(self, tick: int) -> Given:
         """Return the commands of a tick, in their order."""
@@ -50,7 +51,7 @@ class CommandScript:
             self._given += 1
         if first == self._given:
             return NOTHING
-        said = [each for _, each in self._said[first : self._given]]
+        said = [each for _, each, _ in self._said[first : self._given]]
         return Given(
             tuple(each.operator for each in said if each.operator is not None),
             tuple(each.order for each in said if each.order is not None),

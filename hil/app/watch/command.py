@@ -72,7 +72,7 @@ def watch(
     shown = _reachable(address) if address.is_unspecified else host
     link = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
     with listening:
-        announce(f"{link}?token={access.token}" if beyond or c.watch.operate else link)
+        announce(f"{link}?token={access.token}")  # of a full house, those with it stay
         asyncio.run(_serve(server, listening, alive))
     return {
         "success": True,

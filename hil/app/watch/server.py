@@ -48,10 +48,20 @@ class Operates(Protocol):
 class Watcher:
     """One open stream. Mutable state: what it has been sent, and since when it does not read."""
 
-    def __init__(self, writer: asyncio.StreamWriter) -> None:
-        self._writer = writer
+    def __init__(self, writer: asyncio.StreamWriter, *, ours: bool = False) -> None:
+        """Take whether it was opened with the token."""
+        self._writer, self.ours = writer, ours
         self._run = self._heard = -1
         self._behind_since: float | None = None
+
+    @property
+    def behind(self) -> bool:
+        """Whether it does not read."""
+        return self._behind_since is not None
+
+    def leave(self) -> None:
+        """Close the stream; a page opens a new one by itself."""
+        self._writer.transport.abort()
 
     def send(self, feed: Feed, now: float, *, fresh: bool) -> None:
         """Send what is new, or nothing to one that is behind."""
@@ -87,7 +97,8 @@ class Server:
         self._connections: set[asyncio.StreamWriter] = set()
         self._waiting: dict[asyncio.StreamWriter, None] = {}
         """Connections on which no whole request has come yet, the longest wait first."""
-        self._watchers: set[Watcher] = set()
+        self._watchers: dict[Watcher, None] = {}
+        """The longest open first."""
         self._commands = 0
         self._workers = ThreadPoolExecutor(MOST_COMMANDS + 1, "command")
         self._estop = ThreadPoolExecutor(2, "estop")
@@ -123,7 +134,7 @@ class Server:
             now = time.monotonic()
             if self._watchers:
                 fresh = self._feed.look(now)
-                for watcher in self._watchers:
+                for watcher in list(self._watchers):
                     watcher.send(self._feed, now, fresh=fresh)
             due = max(due + PERIOD_S, loop.time())
             await asyncio.sleep(due - loop.time())
@@ -195,20 +206,35 @@ class Server:
     async def _stream(
         self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
+        ours = self._access.knows(request)
         if len(self._watchers) >= MOST_STREAMS:
-            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_STREAMS} pages are open: close one of them")
+            self._make_room(ours=ours)
         sock = writer.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # what waits is old
-        may = self._operating is not None and self._access.operate and self._access.knows(request)
+        may = self._operating is not None and self._access.operate and ours
         hello = {"operate": may, "allowed": self._access.operate}
         writer.write(stream_head() + event("hello", hello))
-        watcher = Watcher(writer)
-        self._watchers.add(watcher)
+        watcher = Watcher(writer, ours=ours)
+        self._watchers[watcher] = None
         self.served += 1
         try:
             await reader.read(1)  # the end, or words that nobody has asked for
         finally:
-            self._watchers.discard(watcher)
+            self._watchers.pop(watcher, None)
+
+    def _make_room(self, *, ours: bool) -> None:
+        """Close a stream for a new one: one that does not read, else the oldest without the token, or of all.
+
+        ours: the new one has the token. Raises Refused where only streams with it are open, and it has not.
+        """
+        others = [each for each in self._watchers if ours or not each.ours]
+        if not others:
+            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_STREAMS} pages are open: close one of them")
+        silent = (each for each in others if each.behind)
+        strangers = (each for each in others if not each.ours)
+        first = next(silent, None) or next(strangers, None) or others[0]
+        self._watchers.pop(first)
+        first.leave()
 
     async def _operate(self, request: Request) -> bytes:
         self._access.check_operate(request)

@@ -1,11 +1,13 @@
 """The command line as a user meets it: help that teaches, exit codes, the summary on the terminal and as JSON."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
 import sys
 import zipfile
+from contextlib import contextmanager, suppress
 
 import click
 import pytest
@@ -13,8 +15,9 @@ from click.testing import CliRunner
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.text_file import shipped
-from hil.app.output import fold, log_path, replay_sentence, show, table, write_json
+from hil.app.output import fold, log_path, replay_sentence, show, show_lines, table, write_json
 from hil.cli import main
+from hil.cli.pipes import quiet_pipe
 
 
 def commands(group, words=()):
@@ -347,3 +350,50 @@ def test_a_set_point_without_its_position_is_refused_and_does_not_wait_for_input
     result = hil("setpoint", "virtual", "--rotation", 0, 5, 0)
     assert result.exit_code == 2
     assert "--rotation needs --position" in result.output
+
+
+# -- a pipe that closes early --------------------------------------------------------------------------------
+
+
+@contextmanager
+def nobody_reads():
+    """Standard output is a pipe whose reader has closed it."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    saved, stdout = os.dup(1), sys.stdout
+    os.dup2(writer, 1)
+    sys.stdout = os.fdopen(1, "w", closefd=False)
+    try:
+        yield
+    finally:
+        with suppress(BrokenPipeError):
+            sys.stdout.close()
+        sys.stdout = stdout
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(writer)
+
+
+@pytest.mark.parametrize("words", ["--help", "sim --help", "schema", "replay tests/data/none.mcap"])
+def test_a_command_that_nobody_reads_any_more_ends_without_a_word(words, capfd):
+    with capfd.disabled(), nobody_reads(), pytest.raises(SystemExit) as end:
+        main(words.split())
+    refused = words.startswith("replay")
+    assert end.value.code == (2 if refused else 141), "what prints nothing ends as ever"
+
+
+@pytest.mark.parametrize(
+    "print_it", [lambda: show("sim", {"success": True}), lambda: show_lines(["a"] * 9999)]
+)
+def test_a_summary_leaves_a_closed_pipe_to_its_command(print_it, capfd):
+    def printed():
+        print_it()
+        sys.stdout.flush()
+
+    with capfd.disabled(), nobody_reads(), pytest.raises(BrokenPipeError):
+        printed()
+
+
+def test_a_pipe_between_processes_that_breaks_is_no_reader_that_has_gone():
+    with pytest.raises(BrokenPipeError), quiet_pipe():
+        raise BrokenPipeError

@@ -382,7 +382,7 @@ def test_all_figures_are_there_in_100_columns_and_no_line_is_longer(compared, ca
     assert max(map(len, output.splitlines())) <= 100
     row = next(line for line in output.splitlines() if line.startswith("robust_inverse_dynamics"))
     assert row.rstrip().endswith(" s"), "fault and time in one line"
-    for title in ("RMS", "position", "rotation", "peak N", "var. kN", "rise", "shoot %", "-3 dB", "at rest"):
+    for title in ("RMS", "position", "rotation", "peak N", "var. N", "rise", "shoot %", "-3 dB", "at rest"):
         assert title in output
 
 

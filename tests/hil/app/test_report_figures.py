@@ -95,12 +95,12 @@ def test_the_curves_of_tracking_are_reference_less_measured_in_the_unit_of_the_a
     np.testing.assert_allclose(unpacked(shown["e_p"]["t"]), frame.index, atol=1e-6)
 
 
-def test_forces_stand_in_kN_with_the_smaller_of_both_limits(page):
+def test_forces_stand_in_N_with_the_smaller_of_both_limits(page):
     shown, _, frame, _ = page
     for name in ("tau", "drive_force"):
-        assert shown[name]["unit"] == "kN"
-        expect(shown[name], LEGS, 1e-3 * columns(frame, name, LEGS))
-        assert shown[name]["levels"] == [-25.0, 25.0], "25 kN of the controller, 30 kN of the drives"
+        assert shown[name]["unit"] == "N"
+        expect(shown[name], LEGS, columns(frame, name, LEGS))
+        assert shown[name]["levels"] == [-25000.0, 25000.0], "25 kN of the controller, 30 kN of the drives"
     assert shown["q"]["levels"] == [0.75, 2.2]
     assert shown["dq"]["levels"] == [-2.0, 2.0]
 
@@ -161,8 +161,8 @@ def test_force_and_moment_of_a_wrench_are_charts_of_their_own():
     rows = rows_of(5, wrench=[1000.0, -2000.0, 3000.0, 40.0, 50.0, -60.0])
     shown = {c.key: c for c in charts(rows, None, Traffic(np.full(5, np.nan), {}), 1000.0)}
     for key, unit, labels, values in (
-        ("wrench_force", "kN", ["fx", "fy", "fz"], [1.0, -2.0, 3.0]),
-        ("wrench_moment", "kN m", ["mx", "my", "mz"], [0.04, 0.05, -0.06]),
+        ("wrench_force", "N", ["fx", "fy", "fz"], [1000.0, -2000.0, 3000.0]),
+        ("wrench_moment", "N m", ["mx", "my", "mz"], [40.0, 50.0, -60.0]),
     ):
         assert (shown[key].unit, [c.label for c in shown[key].curves]) == (unit, labels)
         assert [c.values[0] for c in shown[key].curves] == pytest.approx(values)

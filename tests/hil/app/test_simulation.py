@@ -15,7 +15,10 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import replay_log
+from hil.app.sim.command import run_identity
 from hil.cli import main
+from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.plan import FaultPlan
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +181,23 @@ def test_one_fault_may_stand_as_a_text(tmp_path):
     fault = "encoder_jump leg=3 at=0.9 by=5e-3"
     run = hil.sim("virtual", duration_s=1.0, log=tmp_path / "a.mcap", plant_log=False, faults=fault)
     assert run.summary["faults"] == ["ENCODER"]
+
+
+def test_one_run_has_one_identity_and_none_of_another(run, tmp_path):
+    """All that a simulation follows from is in it, and no clock: its log is the same again."""
+    c = loads(run.log.configuration)
+    first = run_identity(c, 2.0, None, None, ())
+    assert run.log.metadata["hil"]["run"] == run.log.plant.metadata["hil"]["run"] == first
+    poses = [tmp_path / name for name in ("a.csv", "b.csv")]
+    for n, path in enumerate(poses):
+        path.write_text(f"0 0 0 {n}\n")
+    others = [
+        run_identity(load("virtual"), 2.0, None, None, ()),
+        run_identity(c, 3.0, None, None, ()),
+        run_identity(c, 2.0, FaultPlan([EncoderJump(leg=0, at_s=2.0, by_m=5e-3)]), None, ()),
+        run_identity(c, 2.0, FaultPlan(seed=1), None, ()),
+        *(run_identity(c, 2.0, None, None, ((t, "hold"),)) for t in (0.01, 0.011)),
+        *(run_identity(c, 2.0, None, path, ()) for path in poses),
+    ]
+    assert len({first, *others}) == 9
+    assert run_identity(c, 2.0, FaultPlan([EncoderJump(leg=0, at_s=2.0, by_m=5e-3)]), None, ()) == others[2]

@@ -17,9 +17,11 @@ import pytest
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.run_description import run_description
+from hil.app.watch.access import Access
 from hil.app.watch.feed import Feed
+from hil.app.watch.http import Refused
 from hil.app.watch.operating import Operating
-from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Watcher
+from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Server, Watcher
 from hil.record.mirror import FIGURES, Mirror, MirrorReader
 from hil.record.row import TICKS, describe
 from tests.live_run import Listening, LiveRun, Watch, operating
@@ -150,7 +152,10 @@ def test_connections_and_streams_are_bounded(rows):
         streams = [Reading(watch) for _ in range(MOST_STREAMS)]
         for each in streams:
             each.read(0.1)
-        assert ask(watch, "GET", "/stream", Host=f"localhost:{watch.port}")[0] == 503
+        assert ask(watch, "GET", "/stream", Host=f"localhost:{watch.port}")[0] == 200, "the oldest makes room"
+        with pytest.raises(AssertionError, match="has closed"):
+            streams[0].read(2.0)
+        streams.pop(0).close()
         rest = [opened(watch, b"GET") for _ in range(MOST_CONNECTIONS - MOST_STREAMS + 50)]
         time.sleep(0.5)
         assert ask(watch, "GET", "/")[0] == 200, "those who only wait keep nobody out"
@@ -219,6 +224,38 @@ class Transport:
         self.aborted = True
 
 
+def test_of_a_full_house_those_who_do_not_read_leave_first_and_those_with_the_token_last(tmp_path):
+    access = Access("t" * 32, 1, frozenset({"localhost"}), beyond=False, operate=False)
+    feed = Feed(tmp_path / "none")
+    feed.state = b"state"
+
+    def house(*ours):
+        server = Server(feed, access, {}, None)
+        writers: list[Any] = [Transport() for _ in ours]
+        for writer, mine in zip(writers, ours, strict=True):
+            server._watchers[Watcher(writer, ours=mine)] = None
+        return server, writers
+
+    def left(writers):
+        return [writer.aborted for writer in writers]
+
+    server, writers = house(True, False, False)
+    server._make_room(ours=False)
+    assert left(writers) == [False, True, False], "the oldest without the token"
+    server._make_room(ours=True)
+    assert left(writers) == [False, True, True]
+    with pytest.raises(Refused, match="pages are open"):
+        server._make_room(ours=False)
+    server._make_room(ours=True)
+    assert left(writers) == [True, True, True], "the oldest of all"
+    server, writers = house(False, True, False)
+    writers[2].waiting = BEHIND_BYTES + 1
+    for watcher in server._watchers:
+        watcher.send(feed, 0.0, fresh=True)
+    server._make_room(ours=False)
+    assert left(writers) == [False, False, True], "it does not read"
+
+
 def test_a_watcher_that_is_behind_gets_nothing_until_it_reads_and_is_cut_off_in_the_end(tmp_path):
     feed = Feed(tmp_path / "none")
     writer: Any = Transport()
@@ -269,7 +306,7 @@ def test_without_the_token_nothing_is_said_to_the_controller(rows, tmp_path):
 
 def test_where_the_configuration_does_not_allow_it_nobody_operates(rows):
     with Watch("virtual") as watch, LiveRun(rows), Listening() as controller:
-        assert watch.token == ""
+        assert len(watch.token) >= 32, "who has it keeps his place among many"
         assert post(watch, "hold")[0] == 403
         assert controller.lines == []
 

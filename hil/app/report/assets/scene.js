@@ -13,10 +13,26 @@ function makeScene(canvas, given, unpack) {
   const baseOrder = around(base), topOrder = around(joints);
   const placed = (points, p, R, k) => points.map((b) => [0, 1, 2].map((i) =>
     p[3 * k + i] + R[9 * k + 3 * i] * b[0] + R[9 * k + 3 * i + 1] * b[1] + R[9 * k + 3 * i + 2] * b[2]));
-  const all = [...base, ...placed(joints, p, R, 0), ...placed(joints, p, R, t.length - 1)];
-  const middle = [0, 1, 2].map((i) => (Math.min(...all.map((q) => q[i])) + Math.max(...all.map((q) => q[i]))) / 2);
-  const size = Math.max(...all.map((q) => Math.hypot(q[0] - middle[0], q[1] - middle[1], q[2] - middle[2])));
+  /* The box that all poses so far are in. It only grows, so that the picture does not breathe. */
+  const low = [0, 1, 2].map((i) => Math.min(...base.map((q) => q[i])));
+  const high = [0, 1, 2].map((i) => Math.max(...base.map((q) => q[i])));
+  const MARGIN = { left: 16, right: 34, top: 12, bottom: 24 };  // px, of joints, lines and labels
   let yaw = -0.6, tilt = 0.35, now = t[0], marks = [];
+
+  const reach = 20 * Math.max(...base.map((q) => Math.hypot(...q.map((y, i) => y - (low[i] + high[i]) / 2))));
+
+  function hold(points) {
+    if (!points.every((q) => q.every((y) => Math.abs(y) < reach))) return;  // a pose that makes no sense
+    points.forEach((q) => q.forEach((y, i) => {
+      if (y < low[i]) low[i] = y;
+      if (y > high[i]) high[i] = y;
+    }));
+  }
+  const posed = (R, k) => [0, 1, 2, 3, 4, 5, 6, 7, 8].some((i) => R[9 * k + i]);
+  for (let k = 0; k < t.length; k += 1) {
+    if (posed(R, k)) hold(placed(joints, p, R, k));
+    if (posed(RRef, k)) hold(placed(joints, pRef, RRef, k));
+  }
 
   function index(time) {
     let low = 0, high = t.length - 1;
@@ -31,16 +47,25 @@ function makeScene(canvas, given, unpack) {
     const ratio = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
     canvas.width = w * ratio;
     canvas.height = h * ratio;
-    const pen = canvas.getContext("2d"), scale = Math.min(0.46 * w, 0.62 * h) / size;
+    const pen = canvas.getContext("2d");
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, w, h);
     pen.lineCap = pen.lineJoin = "round";
     const cy = Math.cos(yaw), sy = Math.sin(yaw), ct = Math.cos(tilt), st = Math.sin(tilt);
-    const seen = (q) => {
+    const middle = low.map((y, i) => (y + high[i]) / 2);
+    const size = Math.hypot(...high.map((y, i) => y - middle[i])) || 1;
+    const flat = (q) => {
       const x = q[0] - middle[0], y = q[1] - middle[1], z = q[2] - middle[2];
       const depth = -sy * x + cy * y, far = 1 / (1 + 0.12 * (ct * depth - st * z) / size);
-      return [w / 2 + scale * far * (cy * x + sy * y), h / 2 - scale * far * (ct * z + st * depth)];
+      return [far * (cy * x + sy * y), -far * (ct * z + st * depth)];
     };
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => flat([0, 1, 2].map((i) => (k >> i & 1 ? high : low)[i])));
+    const least = [0, 1].map((i) => Math.min(...corners.map((c) => c[i])));
+    const most = [0, 1].map((i) => Math.max(...corners.map((c) => c[i])));
+    const room = [w - MARGIN.left - MARGIN.right, h - MARGIN.top - MARGIN.bottom];
+    const scale = Math.max(0, Math.min(...room.map((r, i) => r / (most[i] - least[i] || size))));
+    const at = [MARGIN.left + room[0] / 2, MARGIN.top + room[1] / 2].map((c, i) => c - scale * (least[i] + most[i]) / 2);
+    const seen = (q) => flat(q).map((y, i) => at[i] + scale * y);
     const line = (points, colour, width, closed, dash) => {
       pen.beginPath();
       points.map(seen).forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
@@ -52,7 +77,7 @@ function makeScene(canvas, given, unpack) {
     };
     const k = index(now), tops = placed(joints, p, R, k);
     line(baseOrder.map((i) => base[i]), "#6b7680", 3, true);
-    if ([0, 1, 2, 3, 4, 5, 6, 7, 8].some((i) => RRef[9 * k + i])) {
+    if (posed(RRef, k)) {
       const there = placed(joints, pRef, RRef, k);
       line(topOrder.map((i) => there[i]), "#8a94a0", 1.5, true, [5, 5]);
     }
@@ -63,13 +88,12 @@ function makeScene(canvas, given, unpack) {
     pen.fillStyle = "#1c2733";
     pen.font = "13px system-ui, sans-serif";
     base.forEach((a, i) => { const [x, y] = seen(a); pen.fillText(marks[i] ? i + " ✕" : String(i), x + 6, y + 12); });
-    const o = seen(middle), length = 0.25 * size;
     ["x", "y", "z"].forEach((name, i) => {
-      const end = [0, 1, 2].map((j) => middle[j] + (i === j ? length : 0)), e = seen(end);
-      const at = [34 + (e[0] - o[0]) * 0.6, h - 34 + (e[1] - o[1]) * 0.6];
-      pen.beginPath(); pen.moveTo(34, h - 34); pen.lineTo(at[0], at[1]);
+      const end = [0, 1, 2].map((j) => middle[j] + (i === j ? size : 0)), e = flat(end);
+      const tip = [34 + 26 * e[0] / size, h - 34 + 26 * e[1] / size];
+      pen.beginPath(); pen.moveTo(34, h - 34); pen.lineTo(tip[0], tip[1]);
       pen.lineWidth = 1.5; pen.strokeStyle = "#55626f"; pen.stroke();
-      pen.fillText(name, at[0] + 3, at[1]);
+      pen.fillText(name, tip[0] + 3, tip[1]);
     });
   }
 
@@ -84,6 +108,7 @@ function makeScene(canvas, given, unpack) {
     draw();
   }
 
+  new ResizeObserver(() => draw()).observe(canvas);
   canvas.addEventListener("pointermove", (e) => {
     if (e.buttons) turn(0.008 * e.movementX, 0.008 * e.movementY);
   });
@@ -96,6 +121,8 @@ function makeScene(canvas, given, unpack) {
   function place(frame) {
     p.set(frame.p); R.set(frame.R); pRef.set(frame.p_d); RRef.set(frame.R_d); load.set(frame.load);
     marks = frame.marks;
+    hold(placed(joints, p, R, 0));
+    if (posed(RRef, 0)) hold(placed(joints, pRef, RRef, 0));
     draw();
   }
   return { draw, place, show(time) { now = time; draw(); } };

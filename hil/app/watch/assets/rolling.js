@@ -5,7 +5,7 @@ function makeRolling(place, labels, levels) {
   const COLOURS = ["#1f5fae", "#d1600a", "#2e7d32", "#b3261e", "#6a3fa0", "#7a5230"];
   const DASHES = [[], [10, 4], [2, 3], [12, 3, 2, 3], [6, 6], [2, 8]];
   let columns = [[], ...labels.map(() => [])], limits = levels, changed = false;
-  const short = (y) => (Math.abs(y) >= 1e4 || (y && Math.abs(y) < 1e-3) ? y.toExponential(1) : String(Number(y.toPrecision(4))));
+  const short = (y) => (Math.abs(y) >= 1e6 || (y && Math.abs(y) < 1e-3) ? y.toExponential(1) : String(Number(y.toPrecision(4))));
   const lines = { hooks: { draw: (u) => {
     const pen = u.ctx, { left, top, width, height } = u.bbox;
     pen.save();

@@ -1,0 +1,146 @@
+"""The straight ways to the first pose and back to the path: judged before they are followed, and what is said."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from drivers.signals import Mode, Refusal
+from hil.app.compose import build_admission, build_cycle
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.loop.operating import Operating
+from hil.loop.run_end import Course
+from hil.loop.status import waits_for
+from hil.loop.way_back import APART_M, PER_TICK, Inspection
+from hil.signals import Operator, Order
+from hil.trajectory.move import GeodesicMove
+from tests.hil.test_operating import EYE, HERE, HOLD, PARK, START, made, no_jogging
+
+VIRTUAL = load("virtual")
+PLATFORM = build_platform(VIRTUAL.platform)
+P, R = pose_arrays(VIRTUAL.platform.home)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def lengths(p):
+    """Of the legs without a turn, by the geometry alone."""
+    return np.linalg.norm(p + PLATFORM.platform_joints - PLATFORM.base_joints, axis=1)
+
+
+def against(move, t, **limits):
+    c = VIRTUAL.model_copy(update={"limits": VIRTUAL.limits.model_copy(update=limits)})
+    return build_admission(c, PLATFORM).on_the_way(move.sample(t))
+
+
+def test_a_way_may_lead_to_the_soft_ends_and_no_farther():
+    high = VIRTUAL.platform.length_max_m - VIRTUAL.limits.stroke_margin_m
+    room = next(z for z in np.linspace(0.0, 2.0, 2001) if lengths(P + z * UP).max() > high)
+    inside, outside = (GeodesicMove(P, R, P + z * UP, R, 60.0) for z in (room - 2e-3, room + 1e-3))
+    assert against(inside, 60.0) == 0
+    assert against(outside, 60.0) == Refusal.STROKE
+
+
+def test_a_way_breaks_no_limit_on_force_rate_braking_and_condition():
+    move = GeodesicMove(P, R, P + 0.2 * UP, R, 2.0)
+    rate = np.abs((lengths(move.sample(1.001).p) - lengths(move.sample(0.999).p)) / 2e-3).max()
+    assert against(move, 1.0) == 0
+    assert against(move, 1.0, speed_m_s=1.01 * rate) == 0
+    assert against(move, 1.0, speed_m_s=0.99 * rate) == Refusal.SPEED
+    left = VIRTUAL.platform.length_max_m - VIRTUAL.limits.stroke_margin_m - lengths(move.sample(1.0).p).max()
+    assert against(move, 1.0, deceleration_m_s2=1.2 * rate**2 / (2.0 * left)) == 0
+    assert against(move, 1.0, deceleration_m_s2=0.8 * rate**2 / (2.0 * left)) == Refusal.SPEED
+    assert against(move, 1.0, force_N=100.0) == Refusal.FORCE
+    assert against(move, 1.0, condition=1.5) == Refusal.CONDITION
+
+
+def test_every_pose_of_a_way_is_judged_a_few_a_tick_and_none_far_from_the_next():
+    seen: list[float] = []
+
+    def good(sample):
+        seen.append(sample.p[0])
+        return 0
+
+    move = GeodesicMove(HERE, EYE, np.array([0.1, 0.0, 0.0]), EYE, 4.0)
+    inspection = Inspection(PLATFORM, good, "park", move)
+    ticks = 1
+    while not inspection.step():
+        ticks += 1
+    assert not inspection.refusal
+    np.testing.assert_allclose((seen[0], seen[-1]), (0.0, 0.1), atol=1e-12)
+    assert np.diff(seen).max() < 1.875 * APART_M * 1.01, "evenly in time, fastest in the middle"
+    assert ticks == -(-len(seen) // PER_TICK)
+
+
+def refusing(name, move):
+    return Inspection(PLATFORM, lambda s: int(Refusal.STROKE) if s.p[0] < 0.03 else 0, name, move)
+
+
+def parked(judged):
+    """On the path at 0.1 m along x, asked to park; what it is after a while."""
+    operating, motion = made()
+    operating = Operating(operating.settings, 1000.0, 0.5, no_jogging(1000.0), judged)
+    motion.start(GeodesicMove(np.array([0.1, 0.0, 0.0]), EYE, np.array([0.2, 0.0, 0.0]), EYE, 60.0), 0)
+    first, moves = motion.sample(0)._replace(p=HERE), []
+    for tick in range(1500):
+        operating.step([PARK] if tick == 10 else (), tick, Mode.TRACKING, motion)
+        if operating.parks and operating.go and motion.resting:
+            moves.append(operating.way("park", tick, motion, first))
+            if moves[-1] is not None:
+                break
+    return operating, motion, moves
+
+
+def test_a_way_that_cannot_be_followed_leaves_the_platform_on_hold_and_says_why():
+    operating, motion, moves = parked(refusing)
+    assert moves
+    assert all(move is None for move in moves)
+    assert (operating.go, operating.parks, motion.resting) == (False, False, True)
+    assert operating.trouble.startswith("park: not followed, since ")
+    assert operating.trouble.endswith("% along it a leg would be outside the soft ends of its stroke")
+    operating.step([Order(Operator.KEY), Order(Operator.SPEED, (0.5,))], 1501, Mode.TRACKING, motion)
+    assert operating.trouble, "neither leads elsewhere"
+    operating.step([START], 1502, Mode.TRACKING, motion)
+    assert operating.go
+    assert not operating.trouble
+
+
+def test_a_way_that_is_free_is_followed_from_the_start():
+    _, motion, moves = parked(lambda name, move: Inspection(PLATFORM, lambda _: 0, name, move))
+    assert all(move is None for move in moves[:-1])
+    np.testing.assert_array_equal(moves[-1].sample(0.0).p, motion.sample(1500).p)
+    np.testing.assert_allclose(moves[-1].sample(moves[-1].duration_s).p, HERE, atol=1e-15)
+
+
+def test_an_order_meanwhile_lets_the_way_be_judged_anew():
+    made_of = []
+
+    def judged(name, move):
+        made_of.append(move)
+        return Inspection(PLATFORM, lambda _: 0, name, move)
+
+    operating, motion = made()
+    operating = Operating(operating.settings, 1000.0, 0.5, no_jogging(1000.0), judged)
+    there = motion.sample(0)._replace(p=np.array([0.05, 0.0, 0.0]))
+    operating.way("park", 0, motion, there)
+    operating.way("park", 1, motion, there)
+    assert len(made_of) == 1
+    operating.step([HOLD], 2, Mode.TRACKING, motion)
+    operating.way("park", 2, motion, there)
+    assert len(made_of) == 2
+
+
+def test_operator_and_log_are_told_once_why_a_way_is_not_followed():
+    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
+    events: list[Any] = []
+    course = Course(cycle, armed=False, event=lambda *event: events.append(event))
+    cycle.mode = Mode.TRACKING
+    cycle.tick["t_ns"] = 5
+    cycle.operating.go, cycle.operating.trouble = False, "park: not followed, since it is so"
+    for _ in range(2):
+        course._tell()
+    assert events == [(5, "warning", "park: not followed, since it is so")]
+    assert waits_for(course) == "another order: park: not followed, since it is so"
+    stub: Any = SimpleNamespace(cycle=cycle)
+    cycle.operating.trouble = ""
+    assert waits_for(stub) == "start"

@@ -271,6 +271,10 @@ class MoteusProtocol(MotorProtocol):
         first, last = (settings, ()) if mode == POSITION else ((), settings)
         return memory, (*first, *commands, *last)
 
+    def power_up(self) -> MotorMemory:
+        """Return the memory of six drives that have heard nothing; unasked, they answer our query."""
+        return MotorMemory(asked=((self._host, _QUERIED),) * LEGS)
+
     def answer(
         self,
         memory: MotorMemory,

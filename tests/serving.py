@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -31,6 +32,7 @@ def serving(c: Configuration) -> Iterator[Nodes]:
 
     thread = threading.Thread(target=serve)
     thread.start()
+    time.sleep(1.5e-3 * c.drives.heartbeat_ms)  # within a heartbeat all have booted
     try:
         yield nodes
     finally:

@@ -54,15 +54,16 @@ def judge(
     return 0
 
 
-@kernel(
-    MATRIX, MATRIX, REAL, VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL
-)  # fmt: skip
+@kernel(MATRIX, MATRIX, REAL, VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR)
 def judge_moving(
     a: Array, b: Array, radius: float, constants: Array, code: int,
-    p: Array, R: Array, twist: Array, dtwist: Array,
-    low: float, high: float, condition: float, force: float, speed: float, deceleration: float,
+    p: Array, R: Array, twist: Array, dtwist: Array, limits: Array,
 ) -> int:  # fmt: skip
-    """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`."""
+    """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`.
+
+    limits (6,): lengths from and to, condition, force, rate of a leg, deceleration.
+    """
+    low, high, condition, force, speed, deceleration = limits
     q, J, dq = np.empty(6), np.empty((6, 6)), np.zeros(6)
     lengths_and_jacobian(a, b, p, R, q, J)
     for i in range(6):
@@ -112,12 +113,14 @@ class Admission:
             limits.condition,
             min(limits.force_N, drive_force_limit),
         )
-        self._moving = (
-            length_min + limits.stroke_margin_m,
-            length_max - limits.stroke_margin_m,
-            *self._limits[3:],
-            limits.speed_m_s,
-            limits.deceleration_m_s2,
+        self._moving = np.array(
+            [
+                length_min + limits.stroke_margin_m,
+                length_max - limits.stroke_margin_m,
+                *self._limits[3:],
+                limits.speed_m_s,
+                limits.deceleration_m_s2,
+            ]
         )
 
     def __call__(self, chi: Array) -> int:
@@ -131,4 +134,4 @@ class Admission:
         Soft ends of the stroke, condition, rates of the legs, the braking way before a soft end, and force.
         """
         R = np.ascontiguousarray(s.R)
-        return judge_moving(*self._robot, s.p, R, s.twist, s.dtwist, *self._moving)
+        return judge_moving(*self._robot, s.p, R, s.twist, s.dtwist, self._moving)

@@ -36,7 +36,7 @@ MAX_CHUNK = 1 << 24
 """Bytes of a chunk, packed or unpacked: nothing larger is taken from a log."""
 MAX_RECORD = 1 << 26
 """Bytes of any other record."""
-FREE_BYTES, MAX_RATIO = 1 << 22, 40
+FREE_BYTES, MAX_RATIO = 1 << 28, 40
 """A log may unpack to so many bytes, and so many more for each byte of its file: 2 to 6 are usual."""
 FREE_MESSAGES, LEAST_BYTES = 50_000, 8
 """So many messages may be in it, and one more for so many bytes of its file: 50 to 250 are usual."""

@@ -8,7 +8,7 @@ codes of the drives' own.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import NamedTuple
 
@@ -326,6 +326,9 @@ class StubProtocol:
     def report(self, memory: StubMemory, status: Status) -> tuple[StubMemory, tuple[Frame, ...]]:
         code = OWN_FAULTS + status.fault if status.fault else 0
         return memory, (self._frame(BEAT, status.leg, status.state, code),)
+
+    def restarted(self, memory: StubMemory, _legs: Sequence[int]) -> StubMemory:
+        return memory
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         zeros = np.zeros(LEGS)

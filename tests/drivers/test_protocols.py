@@ -100,6 +100,9 @@ class Wire:
     def flush_tx(self) -> None:
         """Nothing waits."""
 
+    def skew_ns(self) -> int:
+        return 0
+
     def send(self, frames: tuple[Frame, ...]) -> int:
         self.sent += frames
         return 0

@@ -15,14 +15,13 @@ from hypothesis import strategies as st
 from drivers.arrays import Array
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
-from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received, Sync
+from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.drive import DriveReset, DriveSilence
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.drives_end import answers
 from tests.drivers.protocol_contract import (
     FORCE,
     LENGTH,
@@ -149,9 +148,8 @@ class TroubleContract(ProtocolContract):
 
     def ids_of(self, protocol: DriveProtocol, leg: int) -> set[int]:
         """Return what `awaited` gives for the feedback of a leg."""
-        zeros, run = np.zeros(LEGS), np.full(LEGS, DriveState.RUN, np.int64)
-        frames = answers(protocol, Sync(0), LENGTH, zeros, zeros, run)
-        return {protocol.awaited(frame) for k, frame in frames if k == leg}
+        cyclic = protocol.cyclic_frames()
+        return {protocol.awaited(frame) for frame in cyclic if protocol.sender(frame) == leg}
 
     # edges
 

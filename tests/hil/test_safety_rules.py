@@ -237,6 +237,12 @@ def test_following_error_is_allowed_to_grow_with_the_commanded_speed(leg, sign):
 # -- timing
 
 
+def test_timing_of_buses_is_apart_above_the_limit_alone():
+    assert not timing.is_apart(0, 50_000)
+    assert not timing.is_apart(50_000, 50_000)
+    assert timing.is_apart(50_001, 50_000)
+
+
 def test_timing_is_late_above_a_fifth_of_the_period():
     assert not timing.is_late(0, 1_000_000)
     assert not timing.is_late(200_000, 1_000_000)

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.clock import MONOTONIC
 from drivers.protocol import DriveSetup, Received
-from drivers.signals import NEVER, DriveState, Fault, Mode, Reaction, Stop
+from drivers.signals import NEVER, BusState, DriveState, Fault, Mode, Reaction, Stop
 from drivers.tick_columns import FIRST
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
@@ -42,6 +42,7 @@ def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
         tick=record_of(**(HEARD | measured)),
         estop=False,
         homing=SimpleNamespace(refusal=""),
+        operating=SimpleNamespace(trouble=""),
         reset_tick=None,
         dialogue=None,
         durations=Durations(0.3, 0.1, 0.1),
@@ -289,6 +290,12 @@ class Wire:
         return self.tick, self.tick * self.period_ns, 0, 0
 
     # ... and of the bus
+    def skew_ns(self):
+        return 0
+
+    def flush_tx(self):
+        pass
+
     def send(self, frames):
         t_ns = self.tick * self.period_ns
         self.commands += [Received(t_ns, frame) for frame in frames]
@@ -309,7 +316,7 @@ class Wire:
         return [answer for answer in answers if answer.frame.id in wanted]
 
     def events(self):
-        return SimpleNamespace(errors=0, off=False, overflow=0)
+        return SimpleNamespace(errors=0, off=0, overflow=0, state=BusState.UNKNOWN)
 
 
 ALL_LOST = FramesLoss()

@@ -12,7 +12,7 @@ from drivers.can.arbitration import priority, transmit
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import PlantError
 from drivers.protocol import ALWAYS, Frame, Received
-from drivers.signals import Mode
+from drivers.signals import BusState, Mode
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
@@ -124,12 +124,14 @@ class Lockstep:
         t_ns = tick * self.period_ns
         opening = self.cycle.begin(tick)
         feedback, step_ns = self._exchange(t_ns, opening)
+        off = self.nodes.bus_off & (1 << self.buses) - 1
         inp = TickInput(
             tick,
             t_ns,
             frames=tuple(feedback),
             sync_skew_ns=self.skew_ns,
-            bus_off=self.nodes.bus_off & (1 << self.buses) - 1,
+            bus_off=off,
+            bus_state=BusState.OFF if off else BusState.UNKNOWN,
             operator=operator,
             setpoints=setpoints,
             orders=orders,

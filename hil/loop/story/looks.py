@@ -70,10 +70,10 @@ def bus(m: Moment) -> Iterator[Seen]:
     if off:
         names = [name for bus, name in enumerate(m.cycle.parts.buses) if off >> bus & 1]
         which = f"bus {' and bus '.join(names)}" if names else "the bus"
-        why = "dead: its interface is down or gone, or sends nothing"
+        why = "its interface is down or gone, or sends nothing"
         if m.tick["bus_state"] == BusState.OFF:
-            why = "off: its controller has counted too many errors"
-        yield Seen("off", sentence=f"{which} is {why}")
+            why = "its controller has counted too many errors"
+        yield Seen("off", sentence=f"{which} is off: {why}")
         return
     refused = int(m.cycle.parts.safety.memory["refused"])
     row = 1 << IN_A_ROW

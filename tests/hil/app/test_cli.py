@@ -103,7 +103,7 @@ def test_the_list_of_commands_imports_none_of_them():
         "print([m for m in sys.modules if m.startswith('hil.')])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.splitlines()[-1] == "['hil.cli']"
+    assert out.splitlines()[-1] == "['hil.cli.pipes', 'hil.cli']"
 
 
 def test_a_run_and_a_simulation_start_without_scipys_algebra():
@@ -126,7 +126,8 @@ def test_an_unknown_configuration_names_the_shipped_ones():
     result = hil("sim", "virtal")
     assert result.exit_code == 2
     assert result.stderr == (
-        "hil: virtal: no such file; shipped configurations are: bench, desktop, ideal, lab, socketcan, two_buses, vcan50, virtual\n"
+        "hil: virtal: no such file; shipped configurations are: bench, desktop, ideal, lab, lab-cia402, "
+        "socketcan, two_buses, vcan50, virtual, virtual-cia402\n"
     )
 
 

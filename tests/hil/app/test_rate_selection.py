@@ -15,7 +15,7 @@ def ordinary(monkeypatch):
     """Deny SCHED_FIFO on a machine whose worst wake-up is as told; return what is printed."""
     said = []
     monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: False)
-    monkeypatch.setattr(console, "print", lambda text, **_: said.append(text))
+    monkeypatch.setattr(console, "print", lambda text, **_: said.append(str(text)))
 
     def machine(rate_Hz, worst_s):
         monkeypatch.setattr(rate_selection, "holdable_rate", lambda *_: (rate_Hz, worst_s))

@@ -128,6 +128,7 @@ def test_a_turned_platform_is_drawn_where_its_turned_joints_are(pages, tmp_path)
     script = """((given) => {
         const lines = [], pen = new Proxy({}, { get: (_, name) => (...a) => {
             if (name === "moveTo" || name === "lineTo") lines.push(a); }, set: () => true });
+        window.ResizeObserver = class { observe() {} };
         makeScene({ clientWidth: 600, clientHeight: 400, getContext: () => pen, addEventListener: () => {} },
             given, (numbers) => numbers).draw();
         return lines; })"""

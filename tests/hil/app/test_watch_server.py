@@ -181,7 +181,11 @@ def test_a_run_of_another_version_is_said_to_be_one_and_ends_nothing(tmp_path):
     feed = Feed(path)
     changes: tuple[dict[str, Any], ...] = (
         {"columns": [c | {"name": "share"} if c["name"] == "lyapunov_share" else c for c in columns]},
-        {"columns": [c | {"shape": [5]} if c["name"] == "drive_fault" else c for c in columns]},
+        {
+            "columns": [
+                c | {"shape": [5], "elements": []} if c["name"] == "drive_fault" else c for c in columns
+            ]
+        },
         {"force_limit_N": None},
         {"length_min_m": [0.0] * 5},
     )

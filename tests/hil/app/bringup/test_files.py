@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import tempfile
 
 import numpy as np
 import pytest
@@ -156,9 +157,15 @@ def test_a_closed_terminal_is_no_consent():
         Terminal(lambda _: None, io.StringIO("")).consent("step", "does", "Ctrl-C")
 
 
-def test_the_hands_of_a_served_bench_are_asked_by_a_socket(tmp_path, monkeypatch):
-    (tmp_path / "run").mkdir(mode=0o700)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+@pytest.fixture
+def short_folder():
+    """The path of a socket has 108 bytes."""
+    with tempfile.TemporaryDirectory(prefix="hil-") as folder:
+        yield folder
+
+
+def test_the_hands_of_a_served_bench_are_asked_by_a_socket(short_folder, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", short_folder)
     c = load("virtual")
     beside = Terminal(lambda _: None, io.StringIO(""))
     address = BusAddress(c.bus.interface, c.bus.channel)

@@ -130,7 +130,8 @@ def test_estop_is_on_the_bus_within_two_ticks_of_its_line(
     log = Log.open(summary["log"])
     (heard,) = [tick for tick in log.ticks() if Operator.ESTOP in tick.operator]
     period_ns = 1e9 / summary["rate_Hz"]
-    assert 0 <= heard.row["t_ns"] - said_ns <= 2 * period_ns
+    # a tick takes what has come until its feedback is in: it may have begun before the word was said
+    assert -period_ns < heard.row["t_ns"] - said_ns <= 2 * period_ns
     protocol = build_protocol(load(str(file)))
     assert set(protocol.emergency_stop()) <= set(heard.sent), "in the very tick"
     rows = log.rows()

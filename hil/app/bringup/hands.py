@@ -45,8 +45,11 @@ def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
         stack.callback(platform.close)
         door = stack.enter_context(contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)))
         door.setblocking(False)
-        path.unlink(missing_ok=True)
-        door.bind(str(path))
+        try:
+            path.unlink(missing_ok=True)
+            door.bind(str(path))
+        except OSError as error:
+            raise RunError(f"{path}: the bench's hands cannot listen there: {error}") from None
         stack.callback(path.unlink, missing_ok=True)
         yield Bench(bench.nodes, bench.cables, lambda: _serve(door, hands))
 
@@ -65,8 +68,11 @@ def _serve(door: socket.socket, hands: BenchHands) -> None:
     """Do what has been asked for, and answer."""
     with contextlib.suppress(BlockingIOError):
         data, sender = door.recvfrom(_LONGEST)
-        act, leg, value = json.loads(data)
-        hands.ask(Request(act, int(leg), float(value)))
+        try:
+            act, leg, value = json.loads(data)
+            hands.ask(Request(act, int(leg), float(value)))
+        except (TypeError, ValueError, LookupError):
+            return  # no request of a bring-up
         with contextlib.suppress(OSError):
             door.sendto(json.dumps(hands.answer()).encode(), sender)
 

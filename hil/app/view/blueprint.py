@@ -19,7 +19,7 @@ def blueprint(columns: Sequence[Column], topic: str, *, scene: bool) -> Any:
     from rerun import blueprint as rrb  # noqa: PLC0415 - an extra
 
     named = [c.name for c in states(columns)]
-    views = [(rrb.Spatial3DView(origin=SCENE, name="Robot"), 4)] if scene else []
+    views: list[tuple[Any, int]] = [(rrb.Spatial3DView(origin=SCENE, name="Robot"), 4)] if scene else []
     first = [name for name in named if name in FIRST]
     if first:
         views.append((_states(rrb, topic, first, "State"), 2))
@@ -27,7 +27,7 @@ def blueprint(columns: Sequence[Column], topic: str, *, scene: bool) -> Any:
     tabs: dict[str, list[Plot]] = {}
     for plot in plots(columns):
         tabs.setdefault(plot.tab, []).append(plot)
-    pages = [
+    pages: list[Any] = [
         rrb.Vertical(*(_plot(rrb, plot, topic) for plot in members), name=tab)
         for tab, members in tabs.items()
     ]

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import socket
 import tempfile
 
 import numpy as np
@@ -14,7 +15,7 @@ from drivers.errors import ConfigurationError, RunError
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.command import files_of, run_bringup
 from hil.app.bringup.found import commented, found_text
-from hil.app.bringup.hands import RemoteHands, served_bench
+from hil.app.bringup.hands import RemoteHands, hands_socket, served_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.words import mistake_of, wiring_of
@@ -174,6 +175,10 @@ def test_the_hands_of_a_served_bench_are_asked_by_a_socket(short_folder, monkeyp
     with served_bench(c, ["end_stop leg=2 value=0.5"]) as bench:
         with contextlib.closing(RemoteHands(address, beside, lambda *_: True)) as hands:
             lengths = []
+            with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as stranger:
+                for nonsense in (b"nonsense", b"[1]", b'["measure", 9, 0]', b'["measure", {}, 0]'):
+                    stranger.sendto(nonsense, str(hands_socket(address.interface, address.channel)))
+                    bench.hands()
             for request in (Request("place", 2, 1.0), Request("measure", 2)):
                 hands.ask(request)
                 assert hands.answer() is None

@@ -155,6 +155,7 @@ def test_the_command_of_the_guest_ends_at_its_time_limit(tmp_path):
     assert done.exit_code == 124
 
 
+@pytest.mark.long
 def test_run_and_plant_work_together_over_vcan0_at_50_Hz_for_10_s(tmp_path):
     share = tmp_path / "share"
     share.mkdir()

@@ -74,9 +74,9 @@ def test_every_law_of_the_table_has_its_judge():
         ("  law: partial_linearisation\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.387 mm"),
         (SLIDING, False, "conditional", "stay below 2.85 mm"),
         (f"{SLIDING}  boundary_layer_m_s: 0\n", False, "conditional", "s reaches its layer"),
-        (
+        pytest.param(
             f"  law: robust_inverse_dynamics\n  wn_rad_s: 60\n  boundary_layer_m_s: 0.43\n{UNCERTAIN}",
-            False, "conditional", "stay below 2.58 mm",
+            False, "conditional", "stay below 2.58 mm", marks=pytest.mark.long,
         ),
     ],
 )  # fmt: skip

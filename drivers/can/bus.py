@@ -13,7 +13,7 @@ from typing import NamedTuple, Self
 from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import RESTART_MS
 from drivers.can.collect import collect
-from drivers.can.link_group import Link, LinkGroup
+from drivers.can.link_group import DEAD_AFTER_NS, Link, LinkGroup
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.participant import Participant
 from drivers.can.python_can import open_python_can
@@ -26,8 +26,6 @@ from drivers.signals import BusState
 
 EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
 """At most one of each on a channel of this machine."""
-DEAD_AFTER_NS = 50_000_000
-"""A bus that takes no frame at all for this long is dead; for less, it is busy."""
 
 
 class BusEvents(NamedTuple):

@@ -200,6 +200,7 @@ def check(
             f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
             f"(data phase {timing.data_bitrate / 1e6:g} Mbit/s), worst-case stuffing:\n{result.table()}\n"
             f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
-            "the bus): lower loop.rate_Hz, raise the bit rates, or use bus.layout: fd if the drives know it"
+            "the bus): lower loop.rate_Hz, raise the bit rates, spread the legs over several buses "
+            "(bus.channels), or use bus.layout: fd if the drives know it"
         )
     return result

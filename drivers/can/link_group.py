@@ -11,9 +11,12 @@ from typing import Protocol
 from drivers.can.collect import Source
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import MONOTONIC, Clock
+from drivers.errors import BusError
 from drivers.protocol import BUS, Frame, Received
 from drivers.signals import BusState
 
+DEAD_AFTER_NS = 50_000_000
+"""A bus that takes no frame at all for this long is dead; for less, it is busy."""
 _TIME = itemgetter(0)
 _FIRST_LOOK_NS = 200_000
 """Between two looks at a link that cannot be waited for together with others."""
@@ -68,7 +71,7 @@ class LinkGroup:
     """The links of several buses as one.
 
     Mutable state: the links; on which of them each identifier was last received; when each had taken what
-    the last `send` gave it; the worst state of each at the last look.
+    the last `send` gave it, and since when it takes none; the worst state of each at the last look.
     """
 
     def __init__(self, links: Sequence[Link]) -> None:
@@ -78,6 +81,7 @@ class LinkGroup:
         self.clock: Clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
         self._home: dict[int, int] = {}
         self._taken_ns = [0] * len(self._links)
+        self._refused_since = [0] * len(self._links)
         self._states = [BusState.UNKNOWN] * len(self._links)
 
     @property
@@ -91,7 +95,9 @@ class LinkGroup:
         return sum(1 << bus for bus in range(len(self._links)) if self._is_off(bus))
 
     def _is_off(self, bus: int) -> bool:
-        return self._links[bus].off or self._states[bus] is BusState.OFF
+        since = self._refused_since[bus]
+        dead = since != 0 and self.clock.now() - since >= DEAD_AFTER_NS
+        return dead or self._links[bus].off or self._states[bus] is BusState.OFF
 
     def worst_state(self) -> BusState:
         """Return the worst state of all controllers since the last call."""
@@ -127,8 +133,10 @@ class LinkGroup:
         taken = 0
         for bus, link in enumerate(self._links):
             if own[bus]:
-                taken += link.send(own[bus])
-                self._taken_ns[bus] = self.clock.now()
+                took = link.send(own[bus])
+                taken += took
+                self._taken_ns[bus] = now = self.clock.now()
+                self._refused_since[bus] = 0 if took else self._refused_since[bus] or now
         return taken
 
     def skew_ns(self) -> int:
@@ -183,8 +191,14 @@ class LinkGroup:
 
     def flush_tx(self) -> None:
         """Drop frames that wait to be sent. Raises BusError where an interface cannot."""
+        failed: BusError | None = None
         for link in self._links:
-            link.flush_tx()
+            try:
+                link.flush_tx()
+            except BusError as error:
+                failed = failed or error
+        if failed is not None:
+            raise failed
 
     def close(self) -> None:
         """Leave all buses."""

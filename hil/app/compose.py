@@ -263,7 +263,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
         more, seed = ((), 0) if faults is None else (faults.faults, faults.seed)
-        refuse_of_no_bus(more, c.bus)
+        refuse_of_no_bus([*c.plant.faults, *more], c.bus)
         plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)
         drives = (plant, build_protocol(c), c.plant.drives, c.drives, plan)
         sensors = build_sensors(c)

@@ -16,6 +16,8 @@ FORCE_SHARE = 0.02
 """Of the rated force: no step commands more."""
 TRAVEL_M = 1e-3
 """A leg that is driven with one brake open is stopped here."""
+OLD_TICKS = 3
+"""A reading of more ticks ago says nothing of a leg whose brake is open."""
 MOVED_M = 1e-4
 """A leg has moved; a driven one is let go there."""
 
@@ -173,6 +175,7 @@ class Context:
     def drive(self, drive: int, force: float = 0.0) -> None:
         """Command one tick of a drive whose brake is open, N. Raises StoppedError where it has lost power."""
         record = self.drives.step(DriveMode.RUN, drive, force)
+        self._heard(drive)
         state = DriveState(int(record["drive_state"][drive]))
         if state is not DriveState.RUN:
             why = (
@@ -191,8 +194,22 @@ class Context:
                 known[fact["drive"]] = (leg, fact["scale"])
         return known
 
+    def _heard(self, drive: int) -> None:
+        """Raise StoppedError where a drive's last reading is old."""
+        age = int(self.drives.record["age"][drive])
+        if age > OLD_TICKS:
+            text = f"it has not been heard for {age} ticks"
+            raise StoppedError(
+                Finding("lost_power", (drive,), text, "Look at the drive's supply and its bus.")
+            )
+
     def travelled(self, since: Array) -> dict[int, float]:
-        """Return how far each leg has moved since readings (6,), m by tape, > 0 longer."""
+        """Return how far each leg has moved since readings (6,), m by tape, > 0 longer.
+
+        Raises StoppedError where a drive that counts a leg is not heard.
+        """
+        for drive in self.reads():
+            self._heard(drive)
         now = self.lengths()
         return {
             leg: float((now[drive] - since[drive]) / scale) for drive, (leg, scale) in self.reads().items()

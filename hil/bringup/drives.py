@@ -51,10 +51,10 @@ class Drives:
         self.watchdog_s = watchdog_s
         self._sink = sink
         reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
-        self._legs_of: dict[int, frozenset[int]] = {}
-        """Identifier of a frame that starts a tick -> drives that it addresses, as far as was asked."""
-        self.locks = self._is_broadcast()
-        """One command goes to several drives."""
+        self._legs_of: dict[tuple[int, int], frozenset[int]] = {}
+        """Identifier and bus of a frame that starts a tick -> drives that it is for, as far as was asked."""
+        self.locks = protocol.command_delay_ticks == 0
+        """The command is not in the poll of a single drive: its frames are for all."""
         lock_s = LOCK_S if self.locks else watchdog_s
         self._setups = (
             DriveSetup(watchdog_s, reaction, line.rate_Hz),
@@ -138,21 +138,13 @@ class Drives:
         record["q"], record["dq"] = record["length"], record["rate"]
         return record
 
-    def _is_broadcast(self) -> bool:
-        memory = self.protocol.power_up()
-        for frame in self.protocol.cyclic_frames():
-            memory, messages = self.protocol.parse(memory, frame)
-            if any(isinstance(m, DeviceCommand) and len(m.legs) > 1 for m in messages):
-                return True
-        return False
-
     def _addressed(self, frame: Frame) -> frozenset[int]:
         """Return the drives that a frame commands or polls, by their own end of the codec."""
-        legs = self._legs_of.get(frame.id)
+        legs = self._legs_of.get((frame.id, frame.bus))
         if legs is None:
             _, messages = self.protocol.parse(self.protocol.power_up(), frame)
             legs = frozenset(leg for m in messages if isinstance(m, _ADDRESSED) for leg in m.legs)
-            self._legs_of[frame.id] = legs
+            self._legs_of[frame.id, frame.bus] = legs
         return legs
 
     # set-up

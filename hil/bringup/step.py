@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from drivers.signals import LEGS
 from hil.bringup.context import Context, Finding
 
 
@@ -23,3 +24,9 @@ class Step(NamedTuple):
     """Once passed it is not done again for the same hardware."""
     gate: bool = True
     """A finding ends the bring-up here; else the next steps still look for its cause."""
+    by_drive: bool = False
+    """It finds a fact of each drive."""
+
+    def measured(self, c: Context) -> bool:
+        """Tell whether all that the step is to find has been found."""
+        return not self.by_drive or len(c.facts.get(self.name, {})) == LEGS

@@ -16,7 +16,7 @@ from drivers.can.link_group import LinkGroup
 from drivers.can.no_controller import NoController
 from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
-from drivers.errors import ConfigurationError
+from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync, run_of
@@ -280,6 +280,34 @@ def test_one_bus_that_is_off_is_named_by_its_bit():
     group = LinkGroup(links)  # type: ignore[arg-type]
     assert (group.off_bits, group.every_bit) == (0b100, 0b111)
     assert Bus(group).events().off == 0b100
+
+
+def test_one_bus_that_takes_no_frame_for_50_ms_is_off_though_the_other_takes_all():
+    clock = Still()
+    links = [FakeLink(clock), FakeLink(clock)]
+    bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
+    links[0].send = lambda frames: 0  # type: ignore[method-assign]
+    pair = [Frame(1, b""), Frame(1, b"", BUS)]
+    assert bus.send(pair) == 1
+    assert bus.events().off == 0, "it may be busy"
+    clock.t_ns += 50_000_000
+    assert bus.send(pair) == 1
+    assert bus.events().off == 0b01
+    del links[0].send
+    assert bus.send(pair) == 0
+    assert bus.events().off == 0
+
+
+def test_a_bus_that_cannot_be_flushed_keeps_no_other_from_it():
+    links, flushed = [FakeLink(Still()), FakeLink(Still())], []
+
+    def refuse():
+        raise BusError("no right")
+
+    links[0].flush_tx, links[1].flush_tx = refuse, lambda: flushed.append(1)  # type: ignore[attr-defined]
+    with pytest.raises(BusError, match="no right"):
+        LinkGroup(links).flush_tx()  # type: ignore[arg-type]
+    assert flushed == [1]
 
 
 def test_two_localcan_channels_are_one_bus_on_one_clock():

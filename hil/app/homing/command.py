@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from drivers.errors import ConfigurationError
+from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.homing.file import homing_file, homing_path, read_homing, write_homing
+from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_moved, write_homing
 from hil.robot.kinematics import leg_lengths
 
 
@@ -33,7 +34,10 @@ def state_homing(
     elif lengths_m:
         given = list(lengths_m)
     elif legs:
-        given = list(read_homing(c, path).lengths_m)
+        file = read_homing(c, path)
+        if len(legs) < LEGS:
+            refuse_moved(c, path, file)
+        given = list(file.lengths_m)
     else:
         return {"success": True, "kind": "homing", "file": str(path)} | _shown(c, path)
     for leg, length in legs.items():

@@ -112,4 +112,5 @@ STEP = Step(
     find,
     judge,
     gate=False,
+    by_drive=True,
 )

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.signals import LEGS
 from hil.bringup.context import Context, Finding, Request
 from hil.bringup.step import Step
@@ -31,17 +32,20 @@ def find(c: Context) -> None:
         pairs = []
         with c.opened(drive):
             origin, force = c.lengths(), 0.0
+
+            def hold(force: float, drive: int = drive, origin: Array = origin) -> None:
+                c.drive(drive, force)
+                guard(c, drive, origin, origin)
+
             for level in LEVELS:
                 before, aim = force, level * c.machine.force_N
                 for n in range(1, c.drives.ticks(RAMP_S) + 1):
                     force = before + (aim - before) * n / c.drives.ticks(RAMP_S)
-                    c.drive(drive, force)
-                    guard(c, drive, origin, origin)
+                    hold(force)
                 for _ in range(c.drives.ticks(HOLD_S)):
-                    c.drive(drive, force)
-                    guard(c, drive, origin, origin)
+                    hold(force)
                 ask = Request("read_gauge", leg, 0.0, f"Read the gauge at leg {leg}, N, > 0 pushing")
-                read = c.ask(ask, partial(c.drive, drive, force))
+                read = c.ask(ask, partial(hold, force))
                 pairs.append([force, read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})
@@ -65,8 +69,15 @@ def judge(c: Context) -> list[Finding]:
     """Name forces of the wrong scale, and a wrong lead."""
     gain, found = gains(c), []
     read = c.reads()
+    for drive in range(LEGS):
+        if c.known("gauge", drive) is not None and drive not in gain:
+            text = "its forces are too close to its friction for the gauge to tell their scale"
+            mend = "Set torque constant, current scale or rated force of the drive; look at friction."
+            found.append(Finding("force_scale", (drive,), text, mend))
     for drive, g in gain.items():
         leg, scale = read[drive]
+        if scale < 0.0:
+            continue  # the drive takes its losses the wrong way round
         low, high = c.known("encoder", leg)["tape_m"]
         if abs(abs(g) - 1.0) <= WITHIN + c.machine.losses:
             continue
@@ -90,4 +101,5 @@ STEP = Step(
     find,
     judge,
     gate=False,
+    by_drive=True,
 )

@@ -10,6 +10,11 @@ from hil.bringup.step import Step
 FIT_M = 4e-3
 """Largest accepted difference of a length at a pose that is known by a jig."""
 
+MEND = (
+    "Mount it at its joints, or mend the geometry. Take the platform off the legs first: what is mended is "
+    "measured again, one brake open at a time, on legs that carry nothing."
+)
+
 
 def find(c: Context) -> None:
     """Have the platform hung at the known poses and read the legs, all drives off."""
@@ -35,9 +40,7 @@ def judge(c: Context) -> list[Finding]:
             text += ", and fits no pair of joints"
         else:
             text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
-        found.append(
-            Finding("mounted_elsewhere", (leg,), text, "Mount it at its joints, or mend the geometry.")
-        )
+        found.append(Finding("mounted_elsewhere", (leg,), text, MEND))
     return found
 
 

@@ -206,6 +206,8 @@ def test_after_a_run_that_was_killed_the_file_is_not_believed(tmp_path):
     keeper = Keeper(c, emulated=True)
     keeper.begin(cast("Cycle", None))  # the run dies before its cycle is asked
     assert "did not end at rest" in refusal(c)
+    with pytest.raises(ConfigurationError, match="did not end at rest"):
+        state_homing(c, emulated=True, legs_m={2: 0.35})
     state_homing(c, emulated=True, at_home=True)
     assert Keeper(c, emulated=True).last_pose is not None
 

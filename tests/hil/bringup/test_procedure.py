@@ -1,7 +1,11 @@
 """The procedure itself: one brake, little force, a short way; ended at any moment; resumed."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+import hil
 from drivers.signals import DriveState
 from hil.bringup.context import Finding, RefusedError
 from hil.bringup.procedure import STEPS, merged
@@ -30,6 +34,63 @@ def test_no_two_brakes_are_open_and_force_and_way_stay_small(good):
     assert rehearsal.watched.most_open == 1
     assert 0.0 < rehearsal.watched.most_force_N <= 0.02 * 30_000 * 1.001
     assert 1e-4 < rehearsal.watched.most_travel_m < 1e-3
+
+
+def test_no_two_brakes_are_open_where_each_leg_has_a_bus_of_its_own(tmp_path):
+    text = (Path(hil.__file__).parents[1] / "configs" / "two_buses.yaml").read_text()
+    first = text.index("  channels:")
+    last = text.index("\n\n", first)
+    channels = "".join(f"\n    - {{channel: bus{leg}, legs: [{leg}]}}" for leg in range(6))
+    (tmp_path / "six.yaml").write_text(text[:first] + "  channels:" + channels + text[last:])
+    rehearsal = Rehearsal(str(tmp_path / "six.yaml"), Wiring())
+    outcome = rehearsal.run(STEPS[:6])
+    assert outcome.findings == ()
+    assert rehearsal.watched.most_open == 1
+
+
+def test_a_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
+    rehearsal = Rehearsal("lab", Wiring())
+    hands, bench = rehearsal.hands, rehearsal.bench
+    ask, answer, late = hands.ask, hands.answer, []
+
+    def slips(request):
+        ask(request)
+        if (
+            request.act == "read_gauge"
+            and rehearsal.drives.record["tau"][2] > 0.9 * rehearsal.machine.force_N
+        ):
+            bench.clamp(None)
+            late.append(bench.length(2))
+
+    hands.ask = slips  # type: ignore[method-assign]
+    hands.answer = lambda: None if late else answer()  # type: ignore[method-assign]
+    outcome = rehearsal.run()
+    assert ("runaway", (2,)) in named(outcome)
+    assert abs(bench.length(2) - late[0]) < 0.02
+
+
+def test_a_drive_that_falls_silent_with_its_brake_open_is_named():
+    rehearsal = Rehearsal("virtual", Wiring())
+    step = rehearsal.drives.line.exchange
+
+    def deaf(opening):
+        heard = step(opening)
+        if np.abs(rehearsal.drives.record["tau"][2]) > 0.0:
+            lost = rehearsal.c.drives.node_ids[2]
+            kept = tuple(each for each in heard.frames if each.frame.id & 0x7F != lost)
+            heard = heard._replace(frames=kept)
+        return heard
+
+    rehearsal.drives.line.exchange = deaf  # type: ignore[method-assign]
+    outcome = rehearsal.run()
+    assert ("lost_power", (2,)) in named(outcome)
+
+
+def test_what_was_not_measured_has_not_passed():
+    rehearsal = Rehearsal("virtual", wired(Mistake("brake_stuck_open", 5)))
+    outcome = rehearsal.run()
+    assert ("brake_stuck_open", (5,)) in named(outcome)
+    assert not {"force", "gauge"} & set(outcome.passed)
 
 
 def test_the_watchdog_is_measured_beside_the_configured_one(good):

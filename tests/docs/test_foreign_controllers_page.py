@@ -111,6 +111,7 @@ def test_the_masters_move_the_drives_of_the_command_itself(tmp_path, monkeypatch
     plant = Process(tmp_path, "plant", str(file))
     try:
         plant.wait_for_child("hil.record")
+        time.sleep(1.0)  # the drives boot
         run_example(monkeypatch, example, *([str(EDS)] if family == "cia402" else []), CHANNEL)
         plant.interrupt()
         assert plant.wait() == 0, plant.errors

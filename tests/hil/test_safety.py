@@ -160,6 +160,12 @@ def test_guard_lets_pass_what_is_just_inside_the_limits(reason):
         assert Bench().tick(mode, **NEARLY[reason]).faults == Fault.NONE
 
 
+def test_guard_lets_buses_be_a_tenth_of_a_period_apart_or_as_configured():
+    for given_us, limit_ns in ((None, 100_000), (37.5, 37_500)):
+        limits = LIMITS.model_copy(update={"sync_skew_us": given_us})
+        assert guard.Safety(limits, 1.0, 9.0, 1000.0, 1e6).limits["sync_skew_ns"] == limit_ns
+
+
 def test_guard_two_reasons_are_two_faults():
     changes = {"hop": 2.0, "condition": 60.0, "bus_off": True, "tau": np.nan}
     verdict = Bench().tick(Mode.TRACKING, **changes)

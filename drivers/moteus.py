@@ -59,7 +59,6 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
-    Status,
     Sync,
 )
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
@@ -288,11 +287,6 @@ class MoteusProtocol(MotorProtocol):
         """Encode what the drives of `sync.legs` answer to what they were asked, to whom it was that asked."""
         said = self._states(sync, length, rate, force, state, fault)
         return memory, [(leg, self._reply(leg, *memory.asked[leg], held)) for leg, held in said]
-
-    @staticmethod
-    def report(memory: MotorMemory, _status: Status) -> tuple[MotorMemory, tuple[Frame, ...]]:
-        """Return nothing: a drive speaks when it is asked."""
-        return memory, ()
 
     def _reply(self, leg: int, host: int, wanted: Asked, said: dict[int, float]) -> Frame:
         identifier = self._nodes[leg] << 8 | host

@@ -7,10 +7,11 @@ integer of a width stands for "not known".
 
 import struct
 from bisect import bisect_left
+from collections.abc import Iterator
 from math import isfinite, nan
 
 NOP = 0x50
-WRITE, READ, REPLY = 0x00, 0x10, 0x20
+WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
 """Kinds of subframes."""
 MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
 TRAJECTORY_COMPLETE, HOME_STATE, VOLTAGE, TEMPERATURE, FAULT = 0x00B, 0x00C, 0x00D, 0x00E, 0x00F
@@ -60,31 +61,44 @@ def registers(data: bytes, kind: int) -> dict[int, float] | None:
     Registers without a scale come as they are. Errors (0x30, 0x31) end the frame. None if it is not whole.
     """
     found: dict[int, float] = {}
-    at = 0
     try:
-        while at < len(data):
-            head = data[at]
-            at += 1
-            if head == NOP:
-                continue
-            if head & 0xF0 == 0x30:
+        for found_kind, width, first, count, at in _groups(data):
+            if found_kind == ERRORS:
                 break
-            width, count = head >> 2 & 3, head & 3
-            if count == 0:
-                count, at = _varuint(data, at)
-                if count == 0:
-                    continue
-            first, at = _varuint(data, at)
-            if head & 0xF0 == READ:
+            if found_kind == READ:
                 continue
-            if head & 0xF0 != kind or at + count * _SIZES[width] > len(data):
+            if found_kind != kind or at + count * _SIZES[width] > len(data):
                 return None
             for k, raw in enumerate(struct.unpack_from(f"<{count}{_FORMS[width]}", data, at)):
                 found[first + k] = _value(first + k, width, raw)
-            at += count * _SIZES[width]
     except IndexError:
         return None
     return found
+
+
+def _groups(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
+    """Give kind, width, first register, count and place of the values of each group of registers.
+
+    Raises IndexError where a group is not whole.
+    """
+    at = 0
+    while at < len(data):
+        head = data[at]
+        at += 1
+        if head == NOP:
+            continue
+        kind, width, count = head & 0xF0, head >> 2 & 3, head & 3
+        if kind == ERRORS:
+            yield kind, width, 0, 0, at
+            return
+        if count == 0:
+            count, at = _varuint(data, at)
+            if count == 0:
+                continue
+        first, at = _varuint(data, at)
+        yield kind, width, first, count, at
+        if kind != READ:
+            at += count * _SIZES[width]
 
 
 def _scale(register: int, width: int) -> float | None:
@@ -104,23 +118,10 @@ def _value(register: int, width: int, raw: float) -> float:
 def asked(data: bytes) -> Asked:
     """Return what a frame asks for, in its order, up to where it is not whole."""
     found: list[tuple[int, int]] = []
-    at = 0
     try:
-        while at < len(data):
-            head = data[at]
-            at += 1
-            if head == NOP:
-                continue
-            width, count = head >> 2 & 3, head & 3
-            if count == 0:
-                count, at = _varuint(data, at)
-                if count == 0:
-                    continue
-            first, at = _varuint(data, at)
-            if head & 0xF0 == READ:
+        for kind, width, first, count, _ in _groups(data):
+            if kind == READ:
                 found += [(first + k, width) for k in range(min(count, _LENGTHS[-1]))]
-            else:
-                at += count * _SIZES[width]
     except IndexError:
         pass
     return tuple(found)

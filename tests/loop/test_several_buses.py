@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
@@ -26,6 +27,7 @@ from hil.app.report.timing import traffic
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
+from hil.cli import main
 from hil.loop.run_end import Course
 from hil.record.log import Log
 from plant_fmu.faults.bus import BusOff
@@ -275,3 +277,9 @@ def test_a_fault_of_a_bus_that_there_is_not_is_refused(text, message):
         changed(text, ("plant:\n", "plant:\n  faults: [{kind: bus_flood, bus: 2}]\n"))
     with pytest.raises(ConfigurationError, match="bus_off: no such bus"), bench(changed(text), BusOff(bus=5)):
         pass
+
+
+def test_a_fault_of_a_bus_that_there_is_not_is_refused_from_the_command_line_too():
+    done = CliRunner().invoke(main, ["sim", "two_buses", "--fault", "bus_off bus=3 at_s=0.5"])
+    assert done.exit_code == 2
+    assert "bus_off: no such bus, allowed: 0 to 1" in done.output

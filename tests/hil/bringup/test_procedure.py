@@ -63,7 +63,8 @@ def test_a_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
             late.append(bench.length(2))
 
     hands.ask = slips  # type: ignore[method-assign]
-    hands.answer = lambda: None if late else answer()  # type: ignore[method-assign]
+    waits = iter(range(2000))
+    hands.answer = lambda: None if late and next(waits, None) is not None else answer()  # type: ignore[method-assign]
     outcome = rehearsal.run()
     assert ("runaway", (2,)) in named(outcome)
     assert abs(bench.length(2) - late[0]) < 0.02

@@ -174,6 +174,39 @@ def test_every_control_works_by_the_keyboard(rows, tmp_path):
         assert browser.errors == []
 
 
+SLOW = """
+window.said = [];
+window.fetch = (to, {body}) => new Promise((answer) => {
+    said.push(JSON.parse(body).line);
+    window.done = () => answer({ok: true, json: async () => ({taken: true, why: ""})});
+});
+"""
+
+
+def test_nothing_waits_behind_an_emergency_stop_and_nothing_overtakes_it(rows, tmp_path):
+    def click(*words):
+        for word in words:
+            browser.value(f"document.querySelector('[data-line={word}], button#{word}').click()")
+
+    with Watch(operating(tmp_path)) as watch, LiveRun(rows), Browser(tmp_path / "b") as browser:
+        browser.go(watch.link)
+        until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
+        browser.value(SLOW)
+        click("reset", "arm", "start")
+        until(browser, "said.length === 1")
+        browser.value("window.reset = done")
+        click("estop", "hold")
+        assert browser.value("said.join()") == "reset,estop", "it waits for no answer"
+        browser.value("window.reset()")
+        until(
+            browser, "document.getElementById('answer').textContent.includes('the emergency stop came first')"
+        )
+        assert browser.value("said.join()") == "reset,estop", "what waited is dropped, what follows waits"
+        browser.value("done()")
+        until(browser, "said.length === 3")
+        assert browser.value("said.join()") == "reset,estop,hold"
+
+
 def press(browser, kind, key=" "):
     browser.call(
         "Input.dispatchKeyEvent", type=kind, key=key, code="Space", text=key if kind == "keyDown" else ""

@@ -5,13 +5,19 @@
   const at = (id) => document.getElementById(id);
   const held = new Set();
 
-  /* In their order, one at a time: no word overtakes another. An emergency stop waits for none. */
-  let before = Promise.resolve(), waiting = 0;
+  /* In their order, one at a time: no word overtakes another. An emergency stop waits for none: what waits is dropped. */
+  let before = Promise.resolve(), waiting = 0, stops = 0;
   async function say(line) {
-    if (line === "estop") return post(line);
+    if (line === "estop") {
+      stops += 1;
+      const answer = post(line);
+      before = Promise.all([before, answer]);
+      return answer;
+    }
     if (waiting >= MOST) return told(line, false, MOST + " commands still wait for their answers");
     waiting += 1;
-    const answer = before.then(() => post(line));
+    const since = stops;
+    const answer = before.then(() => since === stops ? post(line) : told(line, false, "the emergency stop came first"));
     before = answer;
     try { return await answer; } finally { waiting -= 1; }
   }

@@ -129,3 +129,15 @@ def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path):
     with pytest.raises(LogError, match="not an MCAP"):
         salvage(out, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
+
+
+def test_a_bit_that_turned_over_where_no_record_has_a_checksum_of_its_own_is_said(path, tmp_path):
+    metadata = mcap_summary(path).metadata_indexes[0]
+    data = bytearray(path.read_bytes())
+    data[metadata.offset + metadata.length - 1] ^= 1  # the end of its last value
+    bad = tmp_path / "bit.mcap"
+    bad.write_bytes(data)
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert report.ticks == COUNT
+    assert not report.complete
+    assert any("checksum of the data section" in remark for remark in report.remarks), report.remarks

@@ -80,6 +80,8 @@ class FmuPlant(Section):
     allow_execution_tool: bool = False
     """Take an FMU that needs the tool that made it at run time. That tool has to be on this machine; only in
     a child process."""
+    memory_GB: Annotated[float, Field(ge=0.25, le=1024)] = 4.0
+    """Most that its child process may have of its own, in 10^9 bytes."""
     step_us: Annotated[float, Field(gt=0)] = 1000.0
     """Communication steps are whole multiples of this."""
 

@@ -5,6 +5,7 @@ One rule for the daemon and the lockstep. It reads no clock: its time is the tic
 
 from dataclasses import dataclass, field, replace
 from math import inf
+from typing import Self
 
 from drivers.signals import NEVER, DriveState, Fault, Mode, Stop
 from hil.loop.cycle import Cycle
@@ -80,6 +81,14 @@ class Ending:
         told = "" if self.story is None else self.story.done_text
         done = "; ".join(filter(None, (told, self.done)))
         return f"{text}: {done}" if done else text
+
+    def blamed(self, plant: str) -> Self:
+        """Return the same ending where the plant's own trouble, if any, comes before what was seen of it."""
+        if not plant:
+            return self
+        reason = f"{plant}; the controller: {self.reason}" if self.reason else plant
+        story = None if self.story is None else replace(self.story, plant=plant)
+        return replace(self, reason=reason, story=story)
 
 
 class Course:

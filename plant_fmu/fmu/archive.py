@@ -36,27 +36,27 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 
 
 def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
-    """Return all members if every one of them may be extracted.
+    """Return all members if every one of them may be extracted, a doubled one once.
 
     Refused: absolute paths, drive letters, backslashes, ``..``, links and other special files, encrypted
-    members, two members with one name (also one name on a file system that ignores case), too many, too large
-    or too strongly packed ones. Raises PlantError naming the member.
+    members, two different ones with one name (also one name on a file system that ignores case), too many,
+    too large or too strongly packed ones. Raises PlantError naming the member.
     """
     members = archive.infolist()
     if len(members) > MAX_MEMBERS:
         raise PlantError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are allowed")
-    seen: set[str] = set()
+    seen: dict[str, zipfile.ZipInfo] = {}  # by name without case
     total = 0
     for member in members:
         # orig_filename is what stands in the file; filename ends at a zero byte, its separators replaced
         name = member.orig_filename
         place = PurePosixPath(name)
-        bad = None
+        key, bad = place.as_posix().casefold(), None
         if name != member.filename or "\\" in name or ":" in name or "\0" in name:
             bad = "its name has a backslash, a colon or a zero byte"
         elif place.is_absolute() or ".." in place.parts or not place.parts:
             bad = "its path leaves the archive"
-        elif place.as_posix().casefold() in seen:
+        elif not _same(member, seen.get(key, member)):
             bad = "its name occurs twice"
         elif (kind := stat.S_IFMT(member.external_attr >> 16)) not in {0, stat.S_IFREG, stat.S_IFDIR}:
             bad = "it is a link or a special file" if kind else None
@@ -66,11 +66,17 @@ def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInf
             bad = f"it unpacks to more than {MAX_RATIO} times its packed size"
         if bad:
             raise PlantError(f"{path}: member {name!r} refused: {bad}")
-        seen.add(place.as_posix().casefold())
-        total += member.file_size
+        if seen.setdefault(key, member) is member:
+            total += member.file_size
     if total > MAX_BYTES:
         raise PlantError(f"{path}: unpacks to {total} bytes; at most {MAX_BYTES} are allowed")
-    return members
+    return list(seen.values())
+
+
+def _same(member: zipfile.ZipInfo, other: zipfile.ZipInfo) -> bool:
+    """Tell whether two entries of a directory are the same file or folder."""
+    names = member.filename == other.filename or (member.is_dir() and other.is_dir())
+    return names and (member.CRC, member.file_size) == (other.CRC, other.file_size)
 
 
 def read_member(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:

@@ -33,9 +33,15 @@ DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OU
 """How an exchange ended."""
 MEASURED = 2 * LEGS
 """The first outputs: lengths and rates."""
-WARNING = 1
+_WARNING = 1
 """The worst status of both standards that still is a success."""
 _TERMINATED, _EARLY = 1, 2
+
+
+@helper
+def succeeded(status: int) -> bool:
+    """Tell whether a status of either standard is a success: no number that neither has."""
+    return 0 <= status <= _WARNING
 
 
 @helper
@@ -53,7 +59,7 @@ def put(call: Ints, inputs: Array, held: Ints) -> int:
     bits = inputs.view(np.int64)
     held[:] = ~bits
     status = _transfer(call, SET, INPUTS, inputs)
-    if status <= WARNING:
+    if succeeded(status):
         held[:] = bits
     return status
 
@@ -65,7 +71,7 @@ def fetch(call: Ints, outputs: Array) -> tuple[int, int]:
     Lengths and rates have to be finite.
     """
     status = _transfer(call, GET, OUTPUTS, outputs)
-    if status > WARNING:
+    if not succeeded(status):
         return OUTPUTS_REFUSED, status
     for y in outputs[:MEASURED]:
         if not np.isfinite(y):
@@ -118,10 +124,10 @@ def exchange(
             if not np.isfinite(u):
                 return NOT_FINITE, 0
         status = put(call, inputs, held)
-        if status > WARNING:
+        if not succeeded(status):
             return INPUTS_REFUSED, status
     status = do_step(call, t_s, dt_s)
-    if status > WARNING:
+    if not succeeded(status):
         return STEP_REFUSED, status
     if flags[_TERMINATED] or flags[_EARLY]:
         return INTERRUPTED, status

@@ -16,6 +16,8 @@ from drivers.errors import PlantError
 from plant_fmu.fmu.spec import FmuSpec, Parameter
 
 FLOATS = {"Real", "Float64"}
+MAX_REFERENCE = 2**32 - 1
+"""Value references are unsigned numbers of 32 bits in both standards."""
 _INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)} | {
     "Integer",
     "Enumeration",
@@ -90,6 +92,16 @@ class _Reader:
         hint = f"; close to it: {some}" if close else f"; it has {some} ..."
         raise PlantError(f"{self.path}: the FMU has no variable {name!r}{hint}")
 
+    def reference(self, variable: Any) -> int:
+        """Return the number by which the FMU knows a variable."""
+        stated = str(variable.valueReference)
+        if stated.isascii() and stated.isdigit() and int(stated) <= MAX_REFERENCE:
+            return int(stated)
+        raise PlantError(
+            f"{self.path}: variable {variable.name!r} has the valueReference {stated!r}; "
+            f"0 to {MAX_REFERENCE} are allowed"
+        )
+
     def size(self, variable: Any) -> int:
         return math.prod(variable.shape) if variable.shape else 1
 
@@ -156,7 +168,7 @@ class _Reader:
                 f"{self.path}: {key}: {list(names)} are {total} values; {count} are needed, "
                 "as scalars in leg order or as one array"
             )
-        references = tuple(int(v.valueReference) for v in found)
+        references = tuple(map(self.reference, found))
         if len(set(references)) != len(references):
             raise PlantError(f"{self.path}: {key}: one variable is mapped twice in {list(names)}")
         return Channel(references, count)
@@ -185,7 +197,7 @@ class _Reader:
             ) from None
         if kind == "Enumeration":
             kind = "Integer" if self.major < 3 else "Int64"
-        return Start(name, kind, tuple(int(v.valueReference) for v in found), cast)
+        return Start(name, kind, tuple(map(self.reference, found)), cast)
 
     def _cast(self, variable: Any, value: float | bool | str) -> float | int | bool | str:
         """Convert to the variable's type. Raises ValueError."""

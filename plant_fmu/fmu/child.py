@@ -7,6 +7,7 @@ process (crash, hang, exit, change of directory or rounding mode), ours sees a P
 import contextlib
 import mmap
 import os
+import resource
 import select
 import shutil
 import signal
@@ -15,6 +16,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -128,9 +130,21 @@ class ChildHost:
             how = (
                 f"died of {signal.Signals(-code).name}" if code < 0 else f"ended itself with exit code {code}"
             )
-            raise self._end(f"{self.spec.path}: the FMU's process {how} when it was to {what}")
+            raise self._end(f"{self.spec.path}: the FMU's process {how} when it was to {what}{self._full()}")
         if self._board.record["status"] != _OK:
-            raise PlantError(bytes(self._board.record["text"]).decode("utf-8", "replace"))
+            text = bytes(self._board.record["text"]).decode("utf-8", "replace")
+            raise PlantError(f"{text}{self._full()}")
+
+    def _full(self) -> str:
+        """Say so where the FMU's process has, or had, most of the memory that it may have."""
+        peak_kB = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+        with contextlib.suppress(OSError):  # it has ended
+            text = Path(f"/proc/{self._process.pid}/status").read_text()
+            peak_kB = next((int(line.split()[1]) for line in text.splitlines() if "VmData" in line), peak_kB)
+        used_GB, limit = peak_kB * 1024 / 1e9, self.spec.memory_GB
+        return (
+            f": it had {used_GB:.2g} GB, plant.model.memory_GB is {limit:g}" if used_GB > 0.8 * limit else ""
+        )
 
     def _ask(self, command: int, timeout_s: float, what: str) -> None:
         if self._ended is not None:
@@ -220,12 +234,22 @@ def _end_with_parent(life_fd: int, parent: int, folder: str) -> None:
     os._exit(1)
 
 
+def _bound_memory(most_GB: float) -> None:
+    """Let this process have no more memory of its own; a lower limit of the machine's stays."""
+    most = round(most_GB * 1e9)
+    _, allowed = resource.getrlimit(resource.RLIMIT_DATA)
+    if allowed != resource.RLIM_INFINITY:
+        most = min(most, allowed)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+
+
 def _attempt(board: _Board, work: Callable[[], Any]) -> Any:
     try:
         result = work()
-    except HilError as error:
+    except (HilError, MemoryError) as error:
         board.record["status"] = _REFUSED
-        board.record["text"] = str(error).encode()
+        text = "no memory is left for the FMU's process" if isinstance(error, MemoryError) else str(error)
+        board.record["text"] = text.encode()
         return None
     board.record["status"] = _OK
     return result
@@ -236,6 +260,7 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
     threading.Thread(target=_end_with_parent, args=(life_fd, parent, folder), daemon=True).start()
     board = _Board(mmap.mmap(memory_fd, 0))
     spec = FmuSpec.from_json(board.memory[_LAYOUT.itemsize :].decode())
+    _bound_memory(spec.memory_GB)
     host: FmuHost | None = _attempt(board, lambda: FmuHost(spec))
     os.write(reply_fd, b"!")
     if host is None:

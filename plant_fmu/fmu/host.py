@@ -12,6 +12,7 @@ from typing import Any
 
 import fmpy
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi2 import fmi2CallbackAllocateMemoryTYPE as _Allocate
 from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as _Free
@@ -36,10 +37,27 @@ _STEPPED = {fmu_call.OUTPUTS_REFUSED, fmu_call.OUTPUT_NOT_FINITE}
 _LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
+def _label(status: int) -> str:
+    return _LABELS.get(status, f"status {status}, which FMI does not have")
+
+
 def _address(fmu: Any, name: str) -> int:
     address = ct.cast(fmu._functions[name], ct.c_void_p).value  # noqa: SLF001 - fmpy's only table of them
     assert address is not None
     return address
+
+
+def _refuse_negative(fmu: Any) -> None:
+    """Let fmpy refuse a negative status, too, which it takes for a success."""
+    call, functions = fmu._call, fmu._functions  # noqa: SLF001 - where all its calls go through
+
+    def judged(name: str, *arguments: Any) -> Any:
+        result = call(name, *arguments)
+        if functions[name].restype is ct.c_int and result < 0:
+            raise FMICallException(name, result)
+        return result
+
+    fmu._call = judged  # noqa: SLF001
 
 
 class FmuHost:
@@ -99,6 +117,7 @@ class FmuHost:
         finally:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
         self._fmu = fmu
+        _refuse_negative(fmu)
         fmu.component = ct.c_void_p(fmu.component).value
 
     def _callbacks_2(self) -> Any:
@@ -153,8 +172,7 @@ class FmuHost:
         call[fmu_call.SLOTS :] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
 
     def _refused(self, status: int, what: str) -> PlantError:
-        label = _LABELS.get(status, str(status))
-        return PlantError(f"{self.spec.path}: the FMU refused to {what} ({label}){self._said()}")
+        return PlantError(f"{self.spec.path}: the FMU refused to {what} ({_label(status)}){self._said()}")
 
     def _initialise(self) -> None:
         fmu = self._fmu
@@ -173,7 +191,7 @@ class FmuHost:
             if (brake := self._call[fmu_call.SLOTS + 1]) >= 0:
                 self._inputs[brake : brake + LEGS] = 1.0
             status = fmu_call.put(self._call, self._inputs, self._held)
-            if status <= fmu_call.WARNING:
+            if fmu_call.succeeded(status):
                 fmu.exitInitializationMode()
         except PlantError:
             raise
@@ -181,7 +199,7 @@ class FmuHost:
             raise PlantError(
                 f"{self.spec.path}: the FMU cannot be initialised: {error}{self._said()}"
             ) from error
-        if status > fmu_call.WARNING:
+        if not fmu_call.succeeded(status):
             raise self._refused(status, "take its inputs")
         self._initialised = True
 

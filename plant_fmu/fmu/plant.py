@@ -32,4 +32,5 @@ def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
         step_s=settings.step_us / 1e6,
         assume_unit=dict(settings.assume_unit),
         allow_execution_tool=settings.allow_execution_tool,
+        memory_GB=settings.memory_GB,
     )

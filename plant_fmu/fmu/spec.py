@@ -28,6 +28,8 @@ class FmuSpec:
     """Variable, or one of force, length, rate, wrench -> its unit where the description states none."""
     allow_execution_tool: bool = False
     """Take an FMU that needs the tool that made it."""
+    memory_GB: float = 4.0
+    """Most that a child process may have of its own."""
 
     def to_json(self) -> str:
         """Return the text that `from_json` reads back; floats survive to the bit."""

@@ -361,3 +361,20 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
     assert all((a["mode"], a["faults"]) == (b["mode"], b["faults"]) for a, b in zip(rows, seen, strict=True))
     if seconds is not None:
         assert ran.ticks == round(seconds * rate)
+
+
+def test_what_the_plant_says_of_itself_comes_before_what_the_controller_saw_of_it():
+    now = cycle(Mode.FAULT, mode_tick=1, faults=Fault.STALE, counted_age=np.array([5] * 6))
+    ending = first_end(Course(now), 100)
+    assert ending is not None
+    assert ending.blamed("") is ending
+    blamed = ending.blamed("my.fmu: the FMU did not step within 5 s")
+    assert blamed.trouble.startswith(
+        "my.fmu: the FMU did not step within 5 s; the controller: latched fault STALE"
+    )
+    assert blamed.story is not None
+    assert blamed.story.lines()[0] == "plant: my.fmu: the FMU did not step within 5 s"
+    assert next(iter(blamed.story.next)).startswith("mend the plant")
+    parked = Ending(Mode.PARKED, Fault.NONE, "", 100, -1)
+    assert parked.success
+    assert not parked.blamed("the plant was killed").success

@@ -1,5 +1,6 @@
 """FMUs that misbehave, in a child process: each becomes a PlantError that says what happened."""
 
+import contextlib
 import os
 import re
 import signal
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +66,33 @@ def test_what_would_take_us_down_becomes_an_error(tmp_path, code, word):
     with pytest.raises(PlantError, match=word):  # and stays one
         host.step(FORCE, OPEN, OPEN, 1e-3)
     assert host._process.poll() is not None
+    host.close()
+
+
+@pytest.mark.parametrize("status", [-7, 9])
+def test_a_status_that_fmi_does_not_have_is_a_refusal(tmp_path, status):
+    path = altered(tmp_path, f"if (time > 0) return {status}; {STEP_LINE}")
+    with contextlib.closing(FmuHost(spec(path))) as host:
+        host.step(FORCE, OPEN, OPEN, 1e-3)
+        with pytest.raises(PlantError, match=f"refused to step.*status {status}, which FMI does not have"):
+            host.step(FORCE, OPEN, OPEN, 1e-3)
+
+
+def test_a_negative_status_of_the_first_calls_is_a_refusal(tmp_path):
+    line = "return instance_exit_initialisation(c);"
+    with pytest.raises(PlantError, match=r"cannot be initialised.*status -7 \(illegal return code\)"):
+        FmuHost(spec(altered(tmp_path, "(void)c; return -7;", line)))
+
+
+GREEDY = "for (int k = 0; k < 4096; k++) { char *p = malloc(1 << 20); if (!p) %s; memset(p, 1, 1 << 20); }"
+
+
+@pytest.mark.parametrize("then", ["return ERROR", "abort()"])
+def test_an_fmu_that_eats_memory_ends_at_its_limit(tmp_path, then):
+    path = altered(tmp_path, f"{GREEDY % then} {STEP_LINE}")
+    host = ChildHost(replace(spec(path), memory_GB=0.4))
+    with pytest.raises(PlantError, match=r": it had 0\.[34]\d* GB, plant\.model\.memory_GB is 0\.4"):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
     host.close()
 
 

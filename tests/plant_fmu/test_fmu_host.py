@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import stat
 import zipfile
 from pathlib import Path
@@ -195,6 +196,8 @@ def link(name):
         ([("C:evil", b"x")], "colon"),
         ([(link("resources/link"), b"/etc/passwd")], "link"),
         ([("resources/a", b"x"), ("resources/A", b"y")], "occurs twice"),
+        ([("resources/a", b"x"), ("resources/A", b"x")], "occurs twice"),
+        ([("resources/a", b""), ("resources/a/", b"")], "occurs twice"),
         ([("resources/bomb", b"\0" * 8_000_000)], "times its packed size"),
     ],
 )
@@ -206,6 +209,33 @@ def test_zip_tricks_are_refused_and_write_nothing(tmp_path, extra, word, monkeyp
         FmuHost(spec(bad))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "tmp"]
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_two_files_of_one_name_are_refused(tmp_path):
+    bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=[("resources/a", b"x"), ("resources/a", b"y")])
+    with pytest.raises(PlantError, match="occurs twice"):
+        FmuHost(spec(bad))
+
+
+def test_an_archive_that_lists_a_file_or_a_folder_twice_is_read(tmp_path):
+    doubled = [("resources/", b""), ("resources/", b""), ("resources/a", b"x"), ("resources/a", b"x")]
+    with pytest.warns(UserWarning, match="Duplicate name"):
+        path = rewritten(build("3.0"), tmp_path / "doubled.fmu", extra=doubled)
+    FmuHost(spec(path)).close()
+
+
+@pytest.mark.parametrize("reference", [-1, 2**32, 10**20])
+def test_a_value_reference_that_is_none_is_refused(tmp_path, reference):
+    def renumbered(name, data):
+        pattern = rb'(name="force\[1\]" valueReference=)"\d+"'
+        return re.sub(pattern, rb'\1"%d"' % reference, data) if name == XML else data
+
+    bad = rewritten(build("2.0"), tmp_path / "bad.fmu", renumbered)
+    with pytest.raises(
+        PlantError, match=rf"'force\[1\]' has the valueReference '{reference}'; 0 to 4294967295"
+    ):
+        FmuHost(spec(bad))
 
 
 def test_too_many_members_are_refused():

@@ -10,6 +10,7 @@ import pytest
 
 from drivers.signals import LEGS, DriveFault
 from hil.record.log import Log
+from tests.plant_fmu.test_fmu_child import STEP_LINE, altered
 from tests.realtime.rig import Process, configuration
 
 pytestmark = pytest.mark.realtime(patient=True)
@@ -37,3 +38,34 @@ def test_a_law_that_raises_switches_the_drives_off_and_closes_the_log(
     assert (rows["drive_fault"] == DriveFault.NONE).all()
     assert np.abs(rows["rate"]).max() > 0.3
     assert (rows["brake"][-1] == 1).all()
+
+
+HUNG = """  model:
+    type: fmu
+    path: {path}
+    force: [force]
+    length: [length]
+    rate: [rate]
+    brake: [brake]
+    step_us: 100
+    # """
+
+
+@pytest.mark.long
+def test_a_plant_that_hangs_is_the_headline(tmp_path: Path, start: Callable[..., Process]) -> None:
+    path = altered(tmp_path, f"if (time > 3.0) for (;;) usleep(1000); {STEP_LINE}")
+    stewart = "  model:\n    type: stewart  "
+    file = configuration(tmp_path, {"    internal_step_us: 100\n": "", stewart: HUNG.format(path=path)})
+    text = file.read_text()
+    for key in ("fmi_version", "isolation", "force_bandwidth_Hz", "viscous_friction", "coulomb_friction"):
+        text = "".join(line for line in text.splitlines(True) if not line.strip().startswith(key))
+    file.write_text(text)
+    run = start("run", str(file), "--plant")
+
+    code, summary = run.wait(), run.summary
+    assert code == 1
+    words = "the FMU did not step within 5 s; its process was stopped"
+    assert summary["trouble"].startswith(f"{path}: {words}; the controller: latched fault STALE")
+    assert summary["story"]["plant"] == f"{path}: {words}"
+    assert "mend the plant" in run.errors
+    assert words in Log.open(summary["log"]).events()[-1].text

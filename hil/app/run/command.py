@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -112,12 +113,15 @@ def run_daemon(
                 interrupted = clock is not None and clock.interrupted
             finally:
                 bus.clock.leave()
-        trouble = _trouble(ending, c, "" if plant is None else plant.trouble(), with_plant=with_plant)
+        if plant is not None:  # first: why it fell silent is the reason of what the controller saw
+            plant_summary = plant.finish()
+        ending = _explained(ending, c, with_plant=with_plant)
+        if plant_summary is not None:
+            ending = ending.blamed(plant_summary.get("trouble") or "")
+        trouble = ending.trouble
         if trouble:
             recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
         closed = recording.close(closing(ending, trouble))
-        if plant is not None:
-            plant_summary = plant.finish()
     result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
     result |= keeper.summary(cycle)
     if interrupted:
@@ -174,18 +178,13 @@ def _startable() -> Iterator[None]:
         raise RunError("stopped on request before the loop began: nothing has moved") from None
 
 
-def _trouble(ending: Ending, c: Configuration, plant: str, *, with_plant: bool) -> str:
-    """Say what went wrong and what to do about it; empty for a good ending."""
-    text = ending.trouble
-    if text == NO_DRIVES:
-        start = (
-            "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
-        )
-        text = (
-            f"no drive answered on {_where(c)} within {NO_DRIVES_S:g} s: check "
-            f"power, wiring, bit rate and drives.node_ids{start}"
-        )
-    return "; ".join(filter(None, (text, plant)))
+def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
+    """Say what to do where no drive answered."""
+    if ending.reason != NO_DRIVES:
+        return ending
+    start = "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
+    text = f"no drive answered on {_where(c)} within {NO_DRIVES_S:g} s: check power, wiring, bit rate and "
+    return replace(ending, reason=f"{text}drives.node_ids{start}")
 
 
 def _where(c: Configuration) -> str:

@@ -117,9 +117,8 @@ class Story:
 
     def lines(self) -> list[str]:
         """Return it in words, one thing a line."""
-        lines = [f"{each.place}: {text}" if text else each.place for each, text in _merged(self.findings)]
-        if self.plant:
-            lines.append(f"plant: {self.plant}")
+        lines = [f"plant: {self.plant}"] if self.plant else []
+        lines += [f"{each.place}: {text}" if text else each.place for each, text in _merged(self.findings)]
         lines.append(f"drives: {_grouped(self.drives)}")
         lines += [f"done: {step.text} ({step.time_s:.3f} s)" for step in self.done]
         lines.append(f"in the end: {_grouped(self.drives_at_end)}; {self.at_end}")
@@ -131,9 +130,9 @@ class Story:
         """What to do next: each advice with its page in the glossary."""
         modes = [step.mode for step in self.done if step.mode in Mode.__members__]
         advice = {HELD_NEXT: HELD_PAGE} if modes[-1:] == [Mode.HELD.name] else {}
-        advice |= {each.mend or "see the glossary": each.page for each in self.findings}
         if self.plant:
             advice["mend the plant: its own words stand above"] = PLANT_PAGE
+        advice |= {each.mend or "see the glossary": each.page for each in self.findings}
         return advice
 
 

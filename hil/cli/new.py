@@ -55,6 +55,7 @@ def command(
       hil new my.yaml
       hil new my.yaml --mass 5 --stroke 0.1
       hil new my.yaml --fmu my_robot.fmu
+      hil new my.yaml --drives cubemars --model AK80-9 --travel 0.126
 
     \b
     Exit code:
@@ -86,12 +87,18 @@ def _answers(
     """Return all answers: options, then prompts or defaults. Raises ConfigurationError."""
     from drivers.errors import ConfigurationError
 
-    missing = [q.option for q in questions if given[q.key] is None and q.default is None]
+    missing = [q.option for q in questions if given[q.key] is None and q.default is None and q.needed(given)]
     if missing and not ask:
         raise ConfigurationError(f"hil new --yes: no default for {', '.join(missing)}: give them as options")
     answers = dict(known)
     for question in questions:
         text = given[question.key]
+        if not question.needed(answers):
+            if text is not None:
+                raise ConfigurationError(
+                    f"{question.option}: nothing that drives of {answers['drives']} are asked; leave it out"
+                )
+            continue
         while True:
             default = None if question.default is None else question.default(answers)
             asked = text is None and ask

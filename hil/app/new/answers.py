@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import HilError
-from hil.app.new import derive
+from hil.app.new import derive, drives
 from hil.app.new.robot import HOLD_SHARE, WORST_CONDITION, condition_at_home, joints_apart_m, robot_at_home
 
 Answers = dict[str, Any]
@@ -32,6 +32,8 @@ class Question:
     choices: tuple[str, ...] = ()
     trouble: Trouble = lambda _: None
     """What cannot work with this answer and those before; asked at once."""
+    needed: Callable[[Answers], bool] = lambda _: True
+    """From the answers before: whether it is a question at all."""
 
     @property
     def option(self) -> str:
@@ -63,6 +65,8 @@ class Question:
             return text.lower()
         if self.key == "inertia_kg_m2":
             return _moments(text)
+        if self.key == "model":
+            return text
         value = _number(text, f" in {self.unit} without the unit")
         if not self.low <= value <= self.high:
             raise ValueError(f"allowed: {self.low:g} to {self.high:g} {self.unit}, given: {value:g}")
@@ -164,7 +168,14 @@ def _speed(a: Answers) -> str | None:
 
 
 def _rate(a: Answers) -> str | None:
-    return derive.rate_trouble(derive.bus_section(a, ""), a["rate_Hz"])
+    return derive.rate_trouble(a, a["rate_Hz"])
+
+
+def _layout(a: Answers) -> str | None:
+    own = drives.family(a).layout
+    if not drives.bought(a) or a["layout"] == own:
+        return None
+    return f"drives of {a['drives']} have {own} frames alone, given: {a['layout']}"
 
 
 QUESTIONS: tuple[Question, ...] = (
@@ -214,12 +225,24 @@ QUESTIONS: tuple[Question, ...] = (
         default=lambda _: "localcan", choices=("localcan", "socketcan"),
     ),
     Question(
+        "drives", "drives: legs is our own protocol, the others can be bought",
+        default=lambda _: drives.LEGS_PROTOCOL, choices=tuple(drives.FAMILIES),
+    ),
+    Question(
+        "model", "their model, whose ranges the frames have", default=lambda a: drives.models(a)[0],
+        trouble=drives.model_trouble, needed=drives.has_models,
+    ),
+    Question(
+        "travel_m", "leg length a turn that the drive reports: lead over gear, or 2 pi r of a pinion",
+        "m", 1e-5, 10.0, trouble=drives.travel_trouble, needed=drives.bought,
+    ),
+    Question(
         "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s",
-        default=lambda _: "fd", choices=("fd", "classic"),
+        default=lambda a: drives.family(a).layout, choices=("fd", "classic"), trouble=_layout,
     ),
     Question(
         "rate_Hz", "rate of the loop", "Hz", 10.0, 4000.0,
-        lambda a: float(derive.loop_rate_Hz(derive.bus_section(a, ""), slow=a.get(SLOW_PLANT, False))),
+        lambda a: derive.loop_rate_Hz(a, slow=a.get(SLOW_PLANT, False)),
         trouble=_rate,
     ),
 )  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
-from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,10 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
 from hil.app.new import derive
+from hil.app.new.drives import drives_section, family
 from hil.app.new.robot import LOWER_SHARE, platform_section, robot_at_home
 from hil.app.new.text import yaml_text
+from hil.config.reactions import ReactionSettings
 from plant_fmu.fmu.propose import Proposal, propose
 
 FMU_PARAMETERS: dict[str, Callable[[dict[str, Any], dict[str, Any]], float]] = {
@@ -71,20 +72,17 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
     w = derive.walked(a, reference, rate)
     approach = derive.lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
     limits = derive.limits_section(a, home, w, approach, rate)
+    silence = family(a).silence
+    reactions = {} if silence == ReactionSettings().silence else {"reactions": {"silence": silence}}
     return {
         "name": name,
         "description": f"{a['mass_kg']:g} kg, {a['mounting']}, six legs of {a['stroke_m']:g} m stroke.",
         "platform": platform_section(a),
         "bus": bus,
-        "drives": {
-            "protocol": "legs",
-            "node_ids": [1, 2, 3, 4, 5, 6],
-            "watchdog_ms": max(10.0, float(ceil(5e3 / rate))),
-            "force_limit_N": a["drive_force_N"],
-        },
+        "drives": drives_section(a, rate),
         "loop": {"rate_Hz": rate},
         "controller": derive.controller_section(a, derive.wn_rad_s(rate)),
-        "monitor": {"length_noise_m": 2.0 * a["encoder_resolution_m"]},
+        "monitor": derive.monitor_section(a),
         "engage": {
             "force_ramp_s": 0.5,
             "brake_release_s": derive.raised(2e-3 * a["brake_ms"]),
@@ -93,6 +91,7 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
         },
         "reference": reference,
         "limits": limits,
+        **reactions,
         "recording": {"folder": "runs"},
         "plant": derive.plant_section(a, home),
     }
@@ -143,6 +142,7 @@ def _parameters(proposal: Proposal, a: dict[str, Any], platform: dict[str, Any])
     return {"parameters": known} if known else {}
 
 
+_RATES = ", ".join(f"{rate:g}" for rate in derive.RATES_Hz)
 _COMMENTS = {
     "platform.base_joints_m": "three pairs on a circle",
     "platform.platform_joints_m": "three pairs between them; leg 0 ends at 300 deg + half angle",
@@ -151,11 +151,21 @@ _COMMENTS = {
     "platform.rod": "ESTIMATE: the rest, likewise",
     "platform.home.position_m": "all legs at mid-stroke",
     "platform.length_max_m": "retracted length + stroke",
-    "loop.rate_Hz": "by default the highest of 1000, 500, 250, 200, 100 that the bus carries",
+    "loop.rate_Hz": f"by default the highest of {_RATES} that the bus carries",
+    "drives.options.torque_N_m": "what the rated force takes without losses; no more is ever asked for",
+    "drives.options.timeout_mode": "servo.timeout_mode 12 of the drives: nothing here reads it back",
+    "drives.options.rated_torque_Nm": "0x6076: what the rated force takes without losses; give the drives'",
+    "drives.options.velocity": "0x606C in a PDO; `difference` leaves room for 400 Hz",
+    "drives.options.model": "its ranges: position, velocity, torque",
+    "drives.transmission": "and, as they are: sign, gear_ratio, efficiency, back_driving_efficiency",
+    "drives.transmission.lead_m": "leg length a turn of what the drive reports",
+    "drives.transmission.counts_per_turn": "0x608F: one count is the encoder's resolution",
+    "drives.transmission.offset_m": "where the drive reads zero: mid-stroke",
     "drives.watchdog_ms": "five periods, at least 10",
     "controller.wn_rad_s": f"delay costs {derive.PHASE_deg:g} deg at the crossover, 2.06 wn",
     "controller": "gains that hold in every pose; `hil compare` on this file shows the other laws",
-    "monitor.length_noise_m": "two counts",
+    "monitor.length_noise_m": "two steps of a reading",
+    "monitor.rate_noise_m_s": "a step and a half of the velocity that the drives send",
     "engage.brake_release_s": "twice what the brakes take",
     "engage.brake_close_s": "until the fastest leg rests on its brake, and a fifth of it more",
     "engage.approach_speed_m_s": "a tenth of the drives' speed, a quarter of the stroke a second",
@@ -167,6 +177,7 @@ _COMMENTS = {
     "limits.deceleration_m_s2": "half of what is left of the force, on what the legs feel",
     "limits.stroke_margin_m": "2 % of the stroke",
     "limits.following_error_m": "2 % of the stroke",
+    "reactions.silence": "what these drives do by themselves",
     "limits.standstill_m": "1 % of the stroke, at most 0.5 mm",
     "plant.model.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",
     "plant.drives.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",

@@ -13,14 +13,16 @@ from pydantic import TypeAdapter
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError
 from hil.app.configuration.bus_budget import bus_budget
+from hil.app.new.drives import counts_itself, drives_section, steps
 from hil.app.new.robot import AtHome, platform_section, robot_at_home
 from hil.app.reachability import Walk, span_s, walk, window_swing
+from hil.config.monitor import MonitorSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reference import SinusoidReference
 from hil.safety.guard import WINDOW_S
 from hil.trajectory.build import build_trajectory
 
-RATES_Hz = (1000, 500, 250, 200, 100)
+RATES_Hz = (1000.0, 500.0, 400.0, 312.5, 250.0, 200.0, 100.0)
 """Rates that are tried, the first that fits the bus is taken."""
 SLOW_Hz = 250
 """For an FMU that needs its tool, mostly an interpreter: half a millisecond a step leaves 1 kHz no room."""
@@ -59,16 +61,17 @@ def bus_section(a: dict[str, Any], channel: str) -> dict[str, Any]:
     return bus | ({"data_bitrate_bit_s": 5_000_000} if a["layout"] == "fd" else {})
 
 
-def loop_rate_Hz(bus: dict[str, Any], *, slow: bool) -> int:
+def loop_rate_Hz(a: dict[str, Any], *, slow: bool) -> float:
     """Return the highest of `RATES_Hz` whose frames fit the bus; for a slow plant at most `SLOW_Hz`."""
     tried = [rate for rate in RATES_Hz if rate <= SLOW_Hz or not slow]
-    return next((rate for rate in tried if rate_trouble(bus, rate) is None), tried[-1])
+    return next((rate for rate in tried if rate_trouble(a, rate) is None), tried[-1])
 
 
-def rate_trouble(bus: dict[str, Any], rate_Hz: float) -> str | None:
-    """Return why the bus does not carry the frames at a rate; None where it does."""
+def rate_trouble(a: dict[str, Any], rate_Hz: float) -> str | None:
+    """Return why the bus does not carry the drives' frames at a rate; None where it does."""
+    bus, drives = BusSettings(**bus_section(a, "")), DriveSettings(**drives_section(a, rate_Hz))
     try:
-        bus_budget(BusSettings(**bus), DriveSettings(watchdog_ms=5e3 / rate_Hz), SensorSettings(), rate_Hz)
+        bus_budget(bus, drives, SensorSettings(), rate_Hz)
     except ConfigurationError as error:
         return str(error)
     return None
@@ -137,6 +140,14 @@ def walked(a: dict[str, Any], reference: dict[str, Any], rate_Hz: float) -> Walk
     return walk(home.platform, home.model, path, span_s(path), 1.0 / rate_Hz)
 
 
+def monitor_section(a: dict[str, Any]) -> dict[str, Any]:
+    """Return section `monitor`: a reading that is cut is off by its step, and one may be off by more."""
+    length, rate = steps(a)
+    least = raised(1.5 * rate) if rate else 0.0
+    coarse = {"rate_noise_m_s": least} if least > MonitorSettings().rate_noise_m_s else {}
+    return {"length_noise_m": rounded(2.0 * length)} | coarse
+
+
 def limits_section(
     a: dict[str, Any], home: AtHome, w: Walk, approach_m_s: float, rate_Hz: float
 ) -> dict[str, Any]:
@@ -155,7 +166,7 @@ def limits_section(
         "stroke_margin_m": rounded(0.02 * a["stroke_m"]),
         "following_error_m": rounded(0.02 * a["stroke_m"]),
         "following_error_s": 0.02,
-        "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * a["encoder_resolution_m"])),
+        "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a)[0])),
     }
 
 
@@ -188,7 +199,7 @@ def plant_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
             **step_us(a["rate_Hz"], "internal_step_us", 100.0),
         },
         "drives": {
-            "encoder_resolution_m": a["encoder_resolution_m"],
+            "encoder_resolution_m": 0.0 if counts_itself(a) else a["encoder_resolution_m"],
             "damping_N_s_m": rounded(2.0 * home.leg_mass_kg * w_hold),
             "hold_stiffness_N_m": rounded(home.leg_mass_kg * w_hold**2),
             "brake_open_ms": a["brake_ms"],

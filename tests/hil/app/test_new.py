@@ -12,6 +12,8 @@ from click.testing import CliRunner
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
 from hil.app.configuration.schema import named_schema, schema_path
+from hil.app.new.derive import monitor_section
+from hil.app.new.drives import drives_section
 from hil.app.sim.command import simulate
 from hil.cli import main
 from tests.broad import broad
@@ -156,6 +158,71 @@ def test_what_cannot_work_is_said_of_the_answer_and_nothing_is_written(change, t
     assert not list(tmp_path.iterdir())
 
 
+DRIVES = {
+    "moteus": "--drives moteus --travel 0.01",
+    "cia402": "--drives cia402 --travel 0.01",
+    "odrive": "--drives odrive --travel 0.02",
+    "cubemars": "--drives cubemars --model AK10-9 --travel 0.06",
+    "damiao": "--drives damiao --model DM8009 --travel 0.1",
+    "mini_cheetah": "--drives mini_cheetah --travel 0.1",
+    "robstride": "--drives robstride --travel 0.1",
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", DRIVES)
+def test_a_new_robot_with_drives_that_can_be_bought_runs_at_the_highest_rate_of_their_page(name, tmp_path):
+    """The rates of the table of docs/guides/drives.md, down to one that is tried."""
+    rate_Hz = {"cia402": 312.5, "odrive": 312.5, "robstride": 312.5}.get(name, 400.0)
+    path = tmp_path / f"{name}.yaml"
+    done = new(path, f"{ROBOTS['table']} {DRIVES[name]}")
+    assert done.exit_code == 0, done.output
+    summary = simulate(load(path), log=tmp_path / "run.mcap", duration_s=3.0)
+    assert summary["success"], summary
+    assert summary["rate_Hz"] == rate_Hz
+    assert summary["tracking"]["peak_leg_error_mm"] < 0.5
+    assert summary["replay"]["agrees"]
+
+
+def test_what_new_writes_of_drives_follows_from_force_stroke_and_travel():
+    """By hand: 800 N at 10 mm a turn are 1.273 N m; legs of 0.5 to 0.7 m; 1 um is 10000 counts of 10 mm."""
+    asked = {
+        "drive_force_N": 800.0, "length_min_m": 0.5, "stroke_m": 0.2, "encoder_resolution_m": 1e-6,
+        "travel_m": 0.01, "drives": "cia402",
+    }  # fmt: skip
+    written = drives_section(asked, 312.5)
+    assert written["options"]["rated_torque_Nm"] == pytest.approx(1.273, rel=0.01)
+    assert written["options"]["rated_torque_Nm"] > 1.273
+    assert written["transmission"] == {"lead_m": 0.01, "counts_per_turn": 10000, "offset_m": 0.6}
+    assert written["watchdog_ms"] == 16.0
+    assert monitor_section(asked) == {"length_noise_m": 2e-6}
+    damiao = monitor_section(asked | {"travel_m": 0.1, "drives": "damiao", "model": "DM8009"})
+    rad_m = 0.1 / 6.2831853
+    assert damiao["length_noise_m"] == pytest.approx(2 * 25 / 65535 * rad_m, rel=1e-2)  # 16 bits, 12.5 rad
+    assert damiao["rate_noise_m_s"] == pytest.approx(1.5 * 90 / 4095 * rad_m, rel=0.05)  # 12 bits, 45 rad/s
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--drives moteus", "no default for --travel"),
+        ("--drives legs --travel 0.01", "--travel: nothing that drives of legs are asked"),
+        ("--drives moteus --travel 0.01 --model AK80-9", "--model: nothing that drives of moteus are asked"),
+        ("--drives damiao --model AK80-9 --travel 0.1", "--model: allowed with damiao: DM4310"),
+        # +-12.5 rad are 3.98 turns, 0.2 m of stroke over them 0.0503 m; 54 N m over 800 N are 0.424 m
+        ("--drives damiao --model DM8009 --travel 0.01", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
+        ("--drives damiao --model DM3507 --travel 0.06", "--model: DM3507 is too weak at any lead"),
+        ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames alone"),
+        ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),
+    ],
+)  # fmt: skip
+def test_what_drives_cannot_do_is_said_of_the_answer(words, told, tmp_path):
+    done = new(tmp_path / "r.yaml", f"{ROBOTS['table']} {words}")
+    assert done.exit_code == 2
+    assert told in done.output
+    assert not list(tmp_path.iterdir())
+
+
 def test_yes_names_every_answer_that_has_no_default(tmp_path):
     done = new(tmp_path / "r.yaml", "--mass 3")
     assert done.exit_code == 2
@@ -167,7 +234,9 @@ def test_yes_names_every_answer_that_has_no_default(tmp_path):
 
 def test_a_dialogue_asks_again_at_the_question_that_cannot_work(tmp_path):
     path = tmp_path / "r.yaml"
-    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan FD 1000"
+    typed = (
+        "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1000"
+    )
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
     assert done.exit_code == 0, done.output
     assert done.output.count("cannot work") == 2

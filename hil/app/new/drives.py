@@ -1,0 +1,158 @@
+"""The drives of `hil new`: our own protocol, or a family that can be bought. One row each.
+
+What a robot's owner knows of such a drive is the leg length a turn of the shaft whose position it reports;
+all else follows from that, the drive's force and the family's own fields.
+"""
+
+from __future__ import annotations
+
+from math import ceil, pi
+from typing import Any, NamedTuple
+
+from drivers.mit.fields import TURN, Ranges
+from drivers.mit.variants import VARIANTS
+
+Answers = dict[str, Any]
+LEGS_PROTOCOL = "legs"
+ROOM = 0.99
+"""Share of a field's range that is used: its ends are no readings, and its top torques are not sent."""
+
+
+class Family(NamedTuple):
+    """What its configuration differs in."""
+
+    protocol: str
+    layout: str
+    """Frame layout that it has; that of `legs` is free, and this its default."""
+    silence: str = "brake"
+    """What its drives do that hear nothing."""
+    velocity_bits: int = 0
+    """Bits of a velocity that is sent over a range; 0: it is sent as it is."""
+
+
+FAMILIES: dict[str, Family] = {
+    LEGS_PROTOCOL: Family("legs", "fd"),
+    "cia402": Family("cia402", "classic"),
+    "moteus": Family("moteus", "fd", silence="damp"),
+    "odrive": Family("odrive", "classic"),
+    "cubemars": Family("mit", "classic", velocity_bits=12),
+    "damiao": Family("mit", "classic", velocity_bits=12),
+    "mini_cheetah": Family("mit", "classic", velocity_bits=12),
+    "robstride": Family("mit", "classic", velocity_bits=16),
+}
+"""Answer -> its row; of MIT framing the variants."""
+
+
+def family(a: Answers) -> Family:
+    """Return the family of the answers; before it has been asked, `legs`."""
+    return FAMILIES[a.get("drives") or LEGS_PROTOCOL]
+
+
+def bought(a: Answers) -> bool:
+    """Say whether the drives speak of a motor."""
+    return family(a).protocol != LEGS_PROTOCOL
+
+
+def models(a: Answers) -> tuple[str, ...]:
+    """Return the models whose ranges are known; none where the family has no ranges."""
+    variant = VARIANTS.get(a.get("drives") or "")
+    return () if variant is None else tuple(variant.models)
+
+
+def has_models(a: Answers) -> bool:
+    """Say whether the ranges depend on the model."""
+    return len(models(a)) > 1
+
+
+def _ranges(a: Answers) -> Ranges:
+    return VARIANTS[a["drives"]].models[_model(a)]
+
+
+def _model(a: Answers) -> str:
+    return str(a["model"]) if has_models(a) else models(a)[0]
+
+
+def model_trouble(a: Answers) -> str | None:
+    """Return why a model is none, or too weak for the robot at any lead; None where it is neither."""
+    if _model(a) not in models(a):
+        return f"allowed with {a['drives']}: {', '.join(models(a))}, given: {_model(a)}"
+    least, most = _travels_m(a)
+    if least <= most:
+        return None
+    r = _ranges(a)
+    return (
+        f"{_model(a)} is too weak at any lead: it reports {2 * r.position / TURN:.3g} turns, so "
+        f"{a['stroke_m']:g} m of stroke need at least {least:.4g} m a turn, and its {r.torque:g} N m are "
+        f"{a['drive_force_N']:g} N up to {most:.4g} m a turn; state a smaller --drive-force or --stroke, "
+        "or take another model"
+    )
+
+
+def travel_trouble(a: Answers) -> str | None:
+    """Return why the leg length a turn does not suit the model's fields; None where it does."""
+    if not models(a):
+        return None
+    least, most = _travels_m(a)
+    if least <= a["travel_m"] <= most:
+        return None
+    r = _ranges(a)
+    return model_trouble(a) or (
+        f"allowed with {_model(a)}: {least:.4g} to {most:.4g} m a turn, given: {a['travel_m']:g}. Its "
+        f"position of +-{r.position:g} rad has to carry {a['stroke_m']:g} m of stroke, its torque of "
+        f"{r.torque:g} N m {a['drive_force_N']:g} N"
+    )
+
+
+def _travels_m(a: Answers) -> tuple[float, float]:
+    """Return the least and the largest leg length a turn, m, that the ranges carry."""
+    r = _ranges(a)
+    return a["stroke_m"] * TURN / (2.0 * ROOM * r.position), ROOM * TURN * r.torque / a["drive_force_N"]
+
+
+def drives_section(a: Answers, rate_Hz: float) -> dict[str, Any]:
+    """Return section `drives`."""
+    own = family(a)
+    section: dict[str, Any] = {"protocol": own.protocol}
+    if bought(a):
+        section |= {"options": options} if (options := _options(a)) else {}
+    section["node_ids"] = [1, 2, 3, 4, 5, 6]
+    if bought(a):
+        counts = {"counts_per_turn": _counts(a)} if own.protocol == "cia402" else {}
+        middle = a["length_min_m"] + a["stroke_m"] / 2
+        section["transmission"] = {"lead_m": a["travel_m"], **counts, "offset_m": middle}
+    section["watchdog_ms"] = max(10.0, float(ceil(5e3 / rate_Hz)))
+    section["force_limit_N"] = a["drive_force_N"]
+    return section
+
+
+def _options(a: Answers) -> dict[str, Any]:
+    torque = float(f"{1.005 * a['drive_force_N'] * a['travel_m'] / TURN:.3g}")  # rounding leaves it enough
+    match family(a).protocol:
+        case "cia402":
+            return {"rated_torque_Nm": torque, "velocity": "pdo"}
+        case "moteus":
+            return {"timeout_mode": "zero_velocity", "torque_N_m": torque}
+        case "mit":
+            return {"variant": a["drives"], "model": _model(a)}
+    return {}
+
+
+def _counts(a: Answers) -> int:
+    """Return the counts a turn that the encoder's resolution is."""
+    travel, resolution = float(a["travel_m"]), float(a["encoder_resolution_m"])
+    return max(1, round(travel / resolution))
+
+
+def counts_itself(a: Answers) -> bool:
+    """Say whether the frames carry a length in steps of the family's own."""
+    return family(a).protocol in ("cia402", "mit")
+
+
+def steps(a: Answers) -> tuple[float, float]:
+    """Return the steps of a reading at the leg: of its length, m, and of its rate, m/s; 0: of the encoder."""
+    if not models(a):
+        return a["encoder_resolution_m"], 0.0
+    r, m_per_rad = _ranges(a), a["travel_m"] / (2.0 * pi)
+    length = 2.0 * r.position / (2**16 - 1) * m_per_rad
+    rate = 2.0 * r.velocity / (2 ** family(a).velocity_bits - 1) * m_per_rad
+    return max(length, a["encoder_resolution_m"]), rate

@@ -1,7 +1,7 @@
 """A CANopen master for CiA 402 drives, in the package canopen: brings one up, moves it by torque, parks it.
 
 Start `hil plant FILE`, then
-`python docs/examples/canopen_master.py drivers/cia402/emulated_drive.eds CHANNEL`.
+`python docs/examples/canopen_master.py drivers/cia402/emulated_drive.eds CHANNEL [INTERFACE]`.
 """
 
 import sys
@@ -12,11 +12,12 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 EDS, CHANNEL = sys.argv[1:3]
+INTERFACE = (*sys.argv[3:], "localcan")[0]
 NODE, MASTER, PERIOD_S, WATCHDOG_MS = 5, 127, 0.01, 200
 COUNTS, SCREW_M, RATED_NM = 131072, 0.02, 9.5  # of the drive: 0x608F, its screw, 0x6076
 M_PER_COUNT, N_PER_PERMILLE = SCREW_M / COUNTS, 2 * 3.14159265 * 1e-3 * RATED_NM / SCREW_M
 
-network = canopen.Network(bus=can.Bus(CHANNEL, "localcan", ignore_config=True))
+network = canopen.Network(bus=can.Bus(CHANNEL, INTERFACE, ignore_config=True))
 network.connect()
 drive = network.add_node(BaseNode402(NODE, canopen.import_od(EDS, NODE)))
 drive.nmt.send_command(0x80)  # Pre-operational: SDO and mapping

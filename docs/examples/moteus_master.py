@@ -1,6 +1,6 @@
 """A controller for six moteus drives, in the package moteus over python-can: lifts all legs, then stops them.
 
-Start `hil plant FILE`, then `python docs/examples/moteus_master.py CHANNEL`.
+Start `hil plant FILE`, then `python docs/examples/moteus_master.py CHANNEL [INTERFACE]`.
 """
 
 import asyncio
@@ -11,6 +11,7 @@ import time
 import moteus
 
 CHANNEL = sys.argv[1]
+INTERFACE = (*sys.argv[2:], "localcan")[0]
 SCREW_M, TIMEOUT_S = 0.02, 0.2
 N_PER_NM = 2 * math.pi / SCREW_M
 R = moteus.Register
@@ -18,7 +19,7 @@ R = moteus.Register
 
 async def main() -> None:
     """Move the legs by 20 mm."""
-    bus = moteus.PythonCan(interface="localcan", channel=CHANNEL, fd=True, ignore_config=True)
+    bus = moteus.PythonCan(interface=INTERFACE, channel=CHANNEL, fd=True, ignore_config=True)
     drives = [moteus.Controller(id=node, transport=bus) for node in range(1, 7)]
     heard = await bus.cycle([drive.make_stop(query=True) for drive in drives])  # clears faults
     start = {reply.id: SCREW_M * reply.values[R.POSITION] for reply in heard}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import statistics
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 
 from drivers.signals import BusState, DriveMode, Mode
 from hil.record.log import Log
-from tests.vcan import uml
+from tests.vcan import foreign, uml
 from tests.vcan.cases import CASES
 from tests.vcan.daemon import configuration
 from tests.vcan.listen import read_log
@@ -145,6 +146,26 @@ def test_a_minute_with_one_per_cent_loss_is_no_fault_and_no_loss_is_uncounted(tm
     assert 0 <= missing <= 12
     aged = int(np.count_nonzero(log.rows()["age"] > 0))
     assert aged >= sum(lost[each] for each in feedback) + 6 * unsaid[0x80]
+
+
+@pytest.mark.long
+def test_masters_in_the_packages_canopen_and_moteus_move_the_drives_of_hil_plant_on_vcan0(tmp_path):
+    share = tmp_path / "share"
+    share.mkdir()
+    for family in foreign.MASTERS:
+        compile_outside_the_guest(str(foreign.configuration(share, family)), share / f"warm-{family}.mcap")
+    done = beside_vcan("foreign", share, limit_s=200.0)
+    assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    for family, legs in (("cia402", [4]), ("moteus", [0, 1, 2, 3, 4, 5])):
+        summary = json.loads((share / f"{family}.json").read_text())
+        assert summary["rejected_frames"] == 0
+        assert all((summary["final_states"][leg] == "OFF") == (leg in legs) for leg in range(6))
+        length = Log.open(share / f"{family}.mcap").rows()["length"]
+        way = length[-1] - length[0]
+        said = [float(word) for word in re.findall(r"-?[0-9.]+", (share / f"{family}.out").read_text())]
+        np.testing.assert_allclose(1e3 * way[legs], said, rtol=0, atol=1.0)
+        assert (way[legs] > 0.014).all()
+        assert np.abs(np.delete(way, legs)).max(initial=0.0) < 1e-6
 
 
 def test_the_command_of_the_guest_ends_at_its_time_limit(tmp_path):

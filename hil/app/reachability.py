@@ -19,6 +19,8 @@ from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
 SAMPLES = 20_000
 """Most samples of a walk; a longer path is walked in longer steps."""
+OTHER_UNIT = 50.0
+"""Legs that would be so many times as long as the longest: no path of this robot, whatever was meant."""
 
 
 class Walk(NamedTuple):
@@ -129,7 +131,13 @@ def drive_forces(
 
 
 def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, period: float) -> list[Violation]:
-    """Return the first violation of each limit, in order of time."""
+    """Return the first violation of each limit, in order of time.
+
+    Of a path in another unit that alone: no other limit has a meaning there.
+    """
+    times = float(w.q.max()) / platform.length_max_m
+    if times > OTHER_UNIT:
+        return [_other_unit(w, platform.length_max_m)]
     low = platform.length_min_m + limits.stroke_margin_m
     high = platform.length_max_m - limits.stroke_margin_m
     room = np.where(w.dq < 0, w.q - low, high - w.q)
@@ -158,6 +166,14 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
         text = f"force changes by more than limits.force_window_N {limits.force_window_N:g} within 250 ms, by"
         found.append(_first(jumps, swing > limits.force_window_N, swing, text, "N"))
     return sorted(v for v in found if v is not None)
+
+
+def _other_unit(w: Walk, length_max_m: float) -> Violation:
+    """Return where the legs would first be that long, and the likely reason."""
+    k, leg = map(int, np.argwhere(w.q > OTHER_UNIT * length_max_m)[0])
+    text = "positions far out of the robot's size: in mm, where m are meant? Divide x_m, y_m and z_m by 1000"
+    long = f"leg {leg} would be {w.q[k, leg]:.4g} m long, allowed: platform.length_max_m {length_max_m:g}"
+    return Violation(float(w.t[k]), f"{text}. {long}", text)
 
 
 def _singularity(w: Walk, limit: float) -> Violation | None:

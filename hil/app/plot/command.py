@@ -32,9 +32,32 @@ def plot(
     Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
     """
     names = tuple(columns) or DEFAULT
-    path = _path(logs[0], out, force=force)
+    try:
+        path = _path(logs[0], out, force=force)
+    except LogError as taken:
+        try:
+            _read(logs, names, start_s, end_s)
+        except LogError as lacking:
+            raise LogError(f"{lacking}; and {taken}") from None
+        raise
+    panels, remarks = _read(logs, names, start_s, end_s)
+    draw(names, panels, path, ", ".join(printable(each.name) for each in logs))
+    return {
+        "success": True,
+        "kind": "plot",
+        "logs": [str(each) for each in logs],
+        "columns": list(names),
+        "remark": "; ".join(remarks) or None,
+        "picture": str(path),
+    }
+
+
+def _read(
+    logs: Sequence[Path], names: Sequence[str], start_s: float | None, end_s: float | None
+) -> tuple[list[list[Curve]], list[str]]:
+    """Return the curves of each panel, and what is to be said of damaged logs."""
     panels: list[list[Curve]] = [[] for _ in names]
-    shown, remarks = _names(logs), []
+    shown, remarks = _names(logs), list[str]()
     for n, log_path in enumerate(logs):
         with readable(log_path, named_columns(names) | {"t_ns"}) as (log, rows, remark):
             if not len(rows):
@@ -52,15 +75,7 @@ def plot(
                     Curve(f"{shown[n]}: {s.label}" if len(logs) > 1 else s.label, n, t[kept], s)
                     for s in signals(log.columns, rows[kept], name)
                 ]
-    draw(names, panels, path, ", ".join(printable(each.name) for each in logs))
-    return {
-        "success": True,
-        "kind": "plot",
-        "logs": [str(each) for each in logs],
-        "columns": list(names),
-        "remark": "; ".join(remarks) or None,
-        "picture": str(path),
-    }
+    return panels, remarks
 
 
 def _names(logs: Sequence[Path]) -> list[str]:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
+from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.reachability import window_swing
 from tests.broad import broad
@@ -207,6 +208,19 @@ def test_a_path_that_leaves_the_stroke_between_reachable_points_is_refused():
         inspect(c)
     # q = sqrt(1.24^2 + z^2) with 1.5925 at z = 1: 1.78 m at z = 1.2772, so it happens while z rises to 1.5.
     assert any("length outside the soft ends 0.77 to 1.78 m: 1.78" in p for p in caught.value.problems)
+
+
+def test_a_csv_path_in_mm_is_said_to_be_one_and_nothing_else_is_said(tmp_path):
+    rows = [f"{t},0,0,{1000 + 10 * t},0,0,0" for t in (0, 1, 2)]
+    (tmp_path / "path.csv").write_text("\n".join(["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows]))
+    sampled = {"reference": {"type": "sampled", "path": "path.csv"}}
+    c = loads(with_changes(load("ideal").text, sampled), "mine.yaml", tmp_path)
+    with pytest.raises(ConfigurationError, match="in mm, where m are meant") as caught:
+        inspect(c)
+    (problem,) = caught.value.problems
+    # legs of 1.5925 m at z = 1 stand 1.2394 m beside their base: at z = 1000 they are 1000 m long
+    assert "leg 0 would be 1000 m long" in problem
+    assert "Divide x_m, y_m and z_m by 1000" in problem
 
 
 @pytest.mark.parametrize("variant", ["constant", "constant_MG", "printed"])

@@ -140,3 +140,13 @@ def test_a_name_with_dollar_signs_is_a_name_and_no_formula(logs, tmp_path):
     odd.write_bytes(logs[0].read_bytes())
     plot([odd, logs[1]], ("q",), out=tmp_path / "x.svg")
     assert any("a$\\frac{$b" in text for text in texts(tmp_path / "x.svg"))
+
+
+def test_an_unknown_column_is_said_before_a_picture_that_exists_and_both_are(logs, tmp_path):
+    picture = tmp_path / "there.png"
+    picture.write_bytes(b"mine")
+    with pytest.raises(LogError, match=r"^column 'nosuch': there is none.*; and .*there.png: exists"):
+        plot([logs[0]], ["nosuch"], out=picture)
+    with pytest.raises(LogError, match=r"^--out .*there.png: exists"):
+        plot([logs[0]], ["q"], out=picture)
+    assert picture.read_bytes() == b"mine"

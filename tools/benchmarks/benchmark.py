@@ -14,6 +14,9 @@ from hil.record.log import Log, Tick
 from tools.benchmarks.patience import make_patient
 
 CONFIGURATION = "virtual"
+TWO_BUSES = "two_buses"
+SPARE_S = 60.0
+"""Of a path after the run that is measured on it."""
 CHANNEL = "hil-benchmark"
 """A bus of our own: a run on the default channel is not disturbed."""
 
@@ -50,11 +53,28 @@ class Benchmark:
     @cached_property
     def endless(self) -> Configuration:
         """The same, patient, on a bus of our own and a path without end; a file: the plant reads it, too."""
-        values: dict[str, Any] = dict(parse(self.configuration.text).value or {})
+        values = self._patient(self.configuration)
         values["bus"]["channel"] = CHANNEL
         values["reference"]["periods"] = None
-        make_patient(values, self.configuration.loop.rate_Hz)
-        file = self.folder / "benchmark.yaml"
+        return self._filed("benchmark", values)
+
+    @cached_property
+    def two_buses(self) -> Configuration:
+        """The shipped configuration of two buses, likewise; its path is longer than the run."""
+        values = self._patient(load(TWO_BUSES))
+        for k, each in enumerate(values["bus"]["channels"]):
+            each["channel"] = f"{CHANNEL}{k}"
+        values["reference"]["duration_s"] = self.seconds + SPARE_S
+        return self._filed(TWO_BUSES, values)
+
+    @staticmethod
+    def _patient(c: Configuration) -> dict[str, Any]:
+        values: dict[str, Any] = dict(parse(c.text).value or {})
+        make_patient(values, c.loop.rate_Hz)
+        return values
+
+    def _filed(self, name: str, values: dict[str, Any]) -> Configuration:
+        file = self.folder / f"{name}.yaml"
         file.write_text(json.dumps(values, indent=1))
         return load(file)
 

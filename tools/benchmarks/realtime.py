@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from drivers.errors import RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, record
-from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import RELAXED_WATCHDOG_S, patience
 from hil.loop.clock import Deadlines, RealTime, fifo_allowed, holdable_rate, real_time
@@ -30,7 +31,7 @@ from hil.loop.run_end import Course, Ending
 from hil.record import LogSummary
 from hil.record.figures import figures as run_figures
 from hil.record.log import Log
-from tools.benchmarks.benchmark import Benchmark
+from tools.benchmarks.benchmark import TWO_BUSES, Benchmark
 from tools.benchmarks.cyclictest import cyclictest
 from tools.benchmarks.figures import EARLY, Figure, Mark, spread
 from tools.benchmarks.patience import patience_figures
@@ -38,6 +39,7 @@ from tools.benchmarks.process import cpu_s
 from tools.benchmarks.stages import compute_figure
 
 CYCLICTEST_S = 10.0
+TWO_BUSES_S = 20.0
 _now = time.monotonic_ns
 
 
@@ -89,8 +91,8 @@ class Measured(NamedTuple):
     """Processor time of the recorder over the run's, %."""
 
 
-def measure(c: Configuration, benchmark: Benchmark) -> Measured:
-    """Run the daemon's loop for `benchmark.seconds` with its plant.
+def measure(c: Configuration, benchmark: Benchmark, seconds: float) -> Measured:
+    """Run the daemon's loop for so long with its plant.
 
     Raises HilError as `hil run` does, KeyboardInterrupt once it has parked after one.
     """
@@ -104,8 +106,8 @@ def measure(c: Configuration, benchmark: Benchmark) -> Measured:
         bus = stack.enter_context(StampedBus.open(c.bus, role="controller"))
         assert isinstance(bus, StampedBus)
         stack.enter_context(panel.attached())
-        plant = stack.enter_context(SupervisedPlant(c, benchmark.folder / "run-plant.mcap"))
-        recording = stack.enter_context(record(c, cycle, benchmark.folder / "run.mcap", "run"))
+        plant = stack.enter_context(SupervisedPlant(c, benchmark.folder / f"{c.name}-plant.mcap"))
+        recording = stack.enter_context(record(c, cycle, benchmark.folder / f"{c.name}-run.mcap", "run"))
         recorder = recording._process.pid  # noqa: SLF001 - its start is not part of the figure
         bus.flush_tx()
         bus.drain_now()
@@ -114,7 +116,7 @@ def measure(c: Configuration, benchmark: Benchmark) -> Measured:
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0)
             window_ns = round(c.loop.window_s(rate) * 1e9)
             shell = Shell(bus, deadlines, recording, panel, window_ns)
-            ending = run(Course(cycle, benchmark.seconds), shell)
+            ending = run(Course(cycle, seconds), shell)
             wall = time.monotonic() - begun
         closed = recording.close({"ending": ending.mode.name, "reason": ending.reason})
         plant.finish()
@@ -128,9 +130,22 @@ def realtime(benchmark: Benchmark) -> list[Figure]:
 
     Raises HilError as `hil run` does, RunError also for a run that never powered the drives.
     """
-    c = benchmark.endless
-    benchmark.say(f"the loop in real time for {benchmark.seconds:g} s")
-    m = measure(c, benchmark)
+    return _figures(benchmark.endless, benchmark.configuration, benchmark, benchmark.seconds)
+
+
+def two_buses(benchmark: Benchmark) -> list[Figure]:
+    """Run the loop at 2 kHz on two buses, as far as this machine allows: figures without marks.
+
+    Raises HilError as `realtime` does.
+    """
+    seconds = min(TWO_BUSES_S, benchmark.seconds)
+    found = _figures(benchmark.two_buses, load(TWO_BUSES), benchmark, seconds)
+    return [replace(each, mark=None) for each in found]
+
+
+def _figures(c: Configuration, shipped: Configuration, benchmark: Benchmark, seconds: float) -> list[Figure]:
+    benchmark.say(f"the loop in real time at {c.loop.rate_Hz:g} Hz for {seconds:g} s")
+    m = measure(c, benchmark, seconds)
     early = "" if m.ending.success else m.ending.reason or m.ending.mode.name
     rows = Log.open(m.closed.path).rows()
     summary = run_figures(rows)
@@ -143,25 +158,27 @@ def realtime(benchmark: Benchmark) -> list[Figure]:
     slow = "" if m.granted.fifo else "no SCHED_FIFO"
     answered = spread(feedback, largest=True)
     slack_us = c.loop.window_s(m.rate_Hz) * 1e6 - answered["median"]
+    skew = [Figure("SYNC, bus to bus", spread(rows["sync_skew_ns"], largest=True), "us")]
     return [
         *([Figure(EARLY, note=early)] if early else []),
         Figure("rate", {"": m.rate_Hz}, "Hz", note="; ".join(filter(None, (f"{len(rows)} ticks", slow)))),
         Figure("wake-up lateness", summary["wake_up_us"], "us"),
-        _beside(c, benchmark, slack_us),
+        _beside(c, seconds, slack_us),
         Figure("SYNC to six feedbacks", answered, "us", note="or window over"),
         Figure("SYNC to command sent", spread(command, largest=True), "us"),
+        *(skew if c.bus.channels else []),
         Figure("stale ticks", {"": 100.0 * stale / powered}, "%", Mark(0.5), f"{stale} of {powered}"),
         Figure("skipped ticks", {"": 100.0 * skipped / due}, "%", Mark(0.1), f"{skipped} of {due}"),
-        *patience_figures(rows, c, benchmark.configuration),
+        *patience_figures(rows, c, shipped),
         Figure("dropped ticks", {"": float(m.closed.dropped + m.closed.lost)}, "", Mark(0.0)),
         Figure("recorder's share of a core", {"": m.recorder_share}, "%", Mark(15.0)),
         compute_figure(rows["compute_ns"][np.isin(rows["mode"], (Mode.APPROACH, Mode.TRACKING))]),
     ]
 
 
-def _beside(c: Configuration, benchmark: Benchmark, slack_us: float) -> Figure:
+def _beside(c: Configuration, longest_s: float, slack_us: float) -> Figure:
     name = "  cyclictest beside it"
-    seconds = min(CYCLICTEST_S, benchmark.seconds)
+    seconds = min(CYCLICTEST_S, longest_s)
     found = cyclictest(c.loop.priority, round(1e6 / c.loop.rate_Hz), seconds)
     if isinstance(found, str):
         return Figure(name, note=found)

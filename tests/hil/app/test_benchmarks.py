@@ -362,6 +362,29 @@ def test_the_loop_in_real_time_cannot_be_faster_than_the_bus(benchmark):
     assert figures["tick compute"].values["median"] > 0.0
 
 
+def test_two_buses_are_measured_at_their_shipped_rate_on_channels_of_their_own(benchmark):
+    c, shipped = benchmark.two_buses, load("two_buses")
+    assert c.loop.rate_Hz == shipped.loop.rate_Hz == 2000
+    assert c.bus.legs == shipped.bus.legs
+    own, usual = ({each.channel for each in of.bus.buses} for of in (c, shipped))
+    assert len(own) == 2
+    assert not own & (usual | {CHANNEL})
+    assert c.limits.stale_fault_ticks == 400, "a stall of 0.2 s ends no run"
+
+
+@pytest.mark.long
+@pytest.mark.realtime(patient=True)
+def test_two_buses_in_real_time_cannot_be_faster_than_their_frames_and_have_no_marks(benchmark):
+    figures = {f.name: f for f in realtime.two_buses(benchmark)}
+    # docs/guides/buses.md: SYNC 75.0 us and three feedbacks 193.8 us on each
+    feedback = figures["SYNC to six feedbacks"].values["median"]
+    assert 268.8 <= feedback < figures["SYNC to command sent"].values["median"]
+    assert figures["rate"].values[""] <= 2000.0
+    assert 0.0 < figures["SYNC, bus to bus"].values["median"] < 1000.0
+    assert {"stale ticks", "skipped ticks", "wake-up lateness"} <= set(figures)
+    assert all(f.mark is None for f in figures.values())
+
+
 def test_every_law_of_the_table_is_timed_and_has_a_mark(benchmark):
     figures = {f.name: f for f in laws(benchmark)}
     assert set(LAWS) <= set(figures)

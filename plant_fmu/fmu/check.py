@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import fmpy
@@ -251,6 +252,18 @@ def _library(description: Any, major: int, members: Sequence[str], spec: FmuSpec
     )
 
 
+def read_description(path: Path) -> Any:
+    """Return what fmpy reads of the description of an FMU. Raises PlantError where it cannot.
+
+    fmpy leaves an archive that it opens itself open where the description is malformed.
+    """
+    try:
+        with path.open("rb") as archive:
+            return read_model_description(archive, validate=False)
+    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
+        raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+
+
 def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interface:
     """Check modelDescription.xml against `spec`.
 
@@ -263,10 +276,7 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     version = found[1].decode("ascii", "replace") if found else None
     if version is not None and version != "2.0" and not version.startswith("3.0"):
         raise PlantError(f"{path}: FMI {version}; 2.0 and 3.0 can be hosted")
-    try:
-        description = read_model_description(str(path), validate=False)
-    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
-        raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+    description = read_description(path)
     reader = _Reader(description, spec)
     library = _library(description, reader.major, members, spec)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}

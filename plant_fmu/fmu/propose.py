@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fmpy.model_description import read_model_description
-
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import checked_members, open_archive
-from plant_fmu.fmu.check import FLOATS, stated_unit
+from plant_fmu.fmu.check import FLOATS, read_description, stated_unit
 
 _ROLES = {
     "brake": ("input", None, ("brake", "lock", "clamp", "hold")),
@@ -57,10 +55,7 @@ def propose(path: Path) -> Proposal:
     """Read an FMU's description and propose a map. Raises PlantError: no FMU, no co-simulation."""
     with open_archive(path) as archive:
         checked_members(archive, path)
-    try:
-        description = read_model_description(str(path), validate=False)
-    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
-        raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+    description = read_description(path)
     if description.coSimulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
     variables = [v for v in description.modelVariables if v.type in FLOATS]

@@ -191,3 +191,15 @@ def test_a_plant_that_does_not_answer_is_neither():
             return super().step(force, np.ones(6), wrench, dt_s)
 
     assert probe(Stuck(BenchPlant(type="bench")), 1.0, 1e-3).uncoupled is None
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_fmu_with_a_malformed_description_is_refused_and_closed(version, tmp_path):
+    path = tmp_path / "malformed.fmu"
+    with zipfile.ZipFile(build(version)) as source, zipfile.ZipFile(path, "w") as out:
+        out.writestr("modelDescription.xml", source.read("modelDescription.xml")[:200])
+    with pytest.raises(PlantError, match="cannot be read") as caught:
+        propose(path)
+    assert caught.value.__cause__ is not None, "its frames live on, and what they hold"
+    opened = [fd for fd in Path("/proc/self/fd").iterdir() if fd.exists() and fd.samefile(path)]
+    assert opened == []

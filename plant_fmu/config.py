@@ -40,7 +40,8 @@ class StewartPlant(Section):
     brake_force_N: Annotated[float, Field(ge=0)] = 20_000.0
     """Largest force of each engaged brake; below the static load the legs slip."""
     internal_step_us: Annotated[float, Field(gt=0)] = 100.0
-    """Fixed step of the integrator inside the FMU."""
+    """Fixed step of the integrator inside the FMU. Default: the longest whole part of the loop's period up to
+    100 us."""
 
 
 class BenchPlant(Section):
@@ -53,6 +54,7 @@ class BenchPlant(Section):
     stiffness_N_m3: Annotated[float, Field(ge=0)] = 20_000.0
     rest_length_m: Annotated[float, Field(gt=0)] = 1.6
     internal_step_us: Annotated[float, Field(gt=0)] = 100.0
+    """As that of `stewart`."""
 
 
 class FmuPlant(Section):
@@ -83,7 +85,8 @@ class FmuPlant(Section):
     memory_GB: Annotated[float, Field(ge=0.25, le=1024)] = 4.0
     """Most that its child process may have of its own, in 10^9 bytes."""
     step_us: Annotated[float, Field(gt=0)] = 1000.0
-    """Communication steps are whole multiples of this."""
+    """Communication steps are whole multiples of this. Default: the longest whole part of the loop's period
+    up to 1000 us."""
 
     @model_validator(mode="after")
     def _assumed_of_what_is_mapped(self) -> Self:

@@ -19,6 +19,7 @@ from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.fault_rules import cannot_serve
+from hil.app.configuration.plant_step import fitted
 from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
@@ -158,6 +159,9 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
         for field, info in Configuration.model_fields.items():
             sections |= _section(field, info, document, found)
         found += _unknown_sections(document)
+        plant, loop = sections.get("plant"), sections.get("loop")
+        if plant is not None and loop is not None:
+            sections["plant"] = fitted(plant, loop)
         for rule in RULES:
             names = needs(rule)
             if all(name in sections for name in names):

@@ -21,6 +21,7 @@ from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable
 from hil.app.configuration.drive_rules import homing, own_reaction, reported_stroke
 from hil.app.configuration.fault_rules import faulty_buses, platform_loads
+from hil.app.configuration.plant_step import step_key
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path
 from hil.config.estimation import EstimationSettings
@@ -317,7 +318,7 @@ def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> I
     """Refuse a period that is no whole number of the plant's steps."""
     if plant is None:
         return
-    key = "step_us" if isinstance(plant.model, FmuPlant) else "internal_step_us"
+    key = step_key(plant)
     step_us: float = getattr(plant.model, key)
     steps = 1e6 / loop.rate_Hz / step_us
     if steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps:

@@ -384,3 +384,21 @@ def test_no_key_of_today_is_called_a_former_one():
     for path in FORMER_KEYS:
         *parents, name = path.split(".")
         assert name not in at(tuple(parents), parse(VIRTUAL).value, json_schema()).get("properties", {}), path
+
+
+def step_us(text):
+    """Return the plant's step of a configuration."""
+    return loads(text).model_dump()["plant"]["model"]["internal_step_us"]
+
+
+@pytest.mark.parametrize("rate_Hz", [800, 700, 999])
+def test_a_step_of_the_plant_that_is_not_stated_follows_the_rate(rate_Hz):
+    text = edited(("    internal_step_us: 100\n", ""), ("rate_Hz: 1000", f"rate_Hz: {rate_Hz}"))
+    steps = 1e6 / rate_Hz / step_us(text)
+    assert steps == pytest.approx(round(steps), rel=1e-12)
+    assert 10.0 <= steps < 1e4 / rate_Hz + 1.0
+
+
+def test_a_step_of_the_plant_that_divides_the_period_stays_as_it_is():
+    text = edited(("    internal_step_us: 100\n", ""))
+    assert step_us(text) == 100.0

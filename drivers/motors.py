@@ -22,6 +22,7 @@ from drivers.protocol import (
     Received,
     frames_of,
 )
+from drivers.resolution import Resolution
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record
 
@@ -119,6 +120,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     reports_power = True
     """Whether a drive says that it is enabled; else it is taken to be what it is asked for."""
     shares_identifiers = True
+    answers_name_sync = False
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     feedback_ids = frozenset(range(LEGS))
     """Legs: answers of several drives may share an identifier, or change it."""
@@ -147,6 +149,10 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         """N m, the largest that a command carries."""
 
     # controller's end
+
+    def resolution(self, _rate_Hz: float) -> Resolution:
+        """Return that of singles."""
+        return Resolution.of_singles()
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return None: positions are turns without an end."""
@@ -199,9 +205,10 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     ) -> MotorDialogue:
         """Fill the measurement of a tick; see `DriveProtocol.decode`.
 
-        Feedback from before the poll answers an older one: it is ignored, and counted in `rejected` once its
-        drive is set up. A second answer that says something else makes its node `doubled`, unless the drive
-        owes the one of the tick before: then the first one may be that, and the second counts.
+        Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set
+        up, and measures at its age where the drive owed it, so that a stall makes no leg stale. A second
+        answer that says something else makes its node `doubled`, unless the drive owes the one of the tick
+        before: then the first one may be that, and the second counts.
         """
         for name in _KEPT:
             tick[name] = last[name]
@@ -210,6 +217,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         tick["blind"] = 0
         rejected, doubled, foreign = 0, 0, 0
         answers: dict[int, Heard] = {}
+        late: dict[int, Heard] = {}
         faults = tick["drive_fault"]
         power, said = list(dialogue.power), list(dialogue.said)
         asked = int(_RUN if dialogue.mode == DriveMode.RUN else _OFF)
@@ -226,6 +234,8 @@ class MotorProtocol(MotorRoutes, MotorDrives):
                 dialogue = self._confirm(dialogue, leg, *heard.answer)
             elif heard.feedback and t_ns < since_ns:
                 rejected += dialogue.done[leg] > len(dialogue.exchanges[leg])
+                if last["age"][leg] > 0 and before >= 0:
+                    late[leg] = heard
             elif heard.feedback and leg in answers and last["age"][leg] == 0:
                 doubled |= (answers[leg] != heard) << leg
             else:
@@ -235,9 +245,12 @@ class MotorProtocol(MotorRoutes, MotorDrives):
                     said[leg] = number
                 if heard.feedback:
                     answers[leg] = heard
-        if answers or tuple(power) != dialogue.power:
+        if answers or late or tuple(power) != dialogue.power:
             dialogue = dialogue._replace(power=tuple(power), said=tuple(said))
-            dialogue = self._measure(dialogue, answers, tick)
+            dialogue = self._measure(dialogue, late | answers, tick)
+            for leg in late.keys() - answers.keys():
+                if tick["age"][leg] == 0:
+                    tick["age"][leg] = number - before
         tick["counted_age"], tick["rejected"], tick["doubled"] = tick["age"], rejected, doubled
         tick["foreign"] = foreign
         return self._restarted(dialogue, tick)

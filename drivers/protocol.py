@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from drivers.arrays import Array, Ints
+from drivers.resolution import Resolution
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record
 
@@ -212,6 +213,13 @@ class DriveProtocol(Protocol):
     @property
     def force_on_brakes(self) -> bool:
         """Whether a drive in READY gives force on its closed brake; else force and open brake go together."""
+
+    @property
+    def answers_name_sync(self) -> bool:
+        """Whether a feedback says which SYNC or poll it answers; else the tick in which it comes tells."""
+
+    def resolution(self, rate_Hz: float) -> Resolution:
+        """Return how far readings and commands are off by the steps of the frames, at a rate of the loop."""
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""

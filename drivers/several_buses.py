@@ -28,6 +28,7 @@ from drivers.protocol import (
     frames_of,
     run_of,
 )
+from drivers.resolution import Resolution
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record
 
@@ -98,6 +99,15 @@ class SeveralBuses:
     def dangers(self) -> tuple[str, ...]:
         """As the family's."""
         return self.family.dangers
+
+    @property
+    def answers_name_sync(self) -> bool:
+        """As the family's."""
+        return self.family.answers_name_sync
+
+    def resolution(self, rate_Hz: float) -> Resolution:
+        """As the family's."""
+        return self.family.resolution(rate_Hz)
 
     @property
     def force_on_brakes(self) -> bool:

@@ -45,7 +45,6 @@ FAMILIES: dict[str, Changes] = {
     "mit, cubemars AK80-9": {"drives": {"options": {"variant": "cubemars", "model": "AK80-9"}}},
     "mit, mini_cheetah": {
         "drives": {"options": {"variant": "mini_cheetah", "model": None}},
-        "monitor": {"length_noise_m": 2e-5},  # without friction the legs stray too far for a watch on 10 um
     },
     "mit, robstride rs-02": {
         "drives": {"options": {"variant": "robstride", "model": "rs-02"}},

@@ -30,6 +30,7 @@ from drivers.protocol import (
     Status,
     Sync,
 )
+from drivers.resolution import Resolution
 from drivers.signals import LEGS, Command, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
@@ -67,6 +68,7 @@ class Cia402Protocol(Routes):
     command_delay_ticks = 0
     set_up_frames = 3
     shares_identifiers = False
+    answers_name_sync = False
     stop_latches = True
     force_on_brakes = False
     reactions = tuple(FAULT_REACTIONS)
@@ -111,6 +113,16 @@ class Cia402Protocol(Routes):
         self._devices = Devices(
             self.node_ids, transmission, self._settings.rated_torque_mNm, N_per_permille, velocity
         )
+
+    def resolution(self, rate_Hz: float) -> Resolution:
+        """Return a count of length, and of rate what TPDO2 or the difference of lengths leaves.
+
+        Counts are rounded or truncated, so their differences are off by half a count each. Of the last three
+        lengths `difference` takes 1.5, 2 and 0.5 times: two counts a period.
+        """
+        count = self.transmission.m_per_turn / self.transmission.counts
+        rate = count if self.velocity else 2.0 * rate_Hz * count
+        return Resolution.of(count, rate, 0.5 * self.transmission.N_per_Nm * self._permille_Nm)
 
     def reported_lengths(self) -> tuple[Array, Array]:
         """Return the ends of 0x6064 as leg lengths."""

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.protocol import ALL_LEGS, Frame
+from drivers.resolution import Resolution
 from drivers.signals import LEGS, Reaction
 
 MAX_NODE = 127
@@ -36,11 +37,24 @@ class Traits:
     dangers = ()
     reactions = tuple(Reaction)
     shares_identifiers = False
+    answers_name_sync = True
+    _exact: bool
+    """Whether the fields are doubles."""
+    _feedback_range: Array
+    """Begins with the steps of length, m, and rate, m/s."""
+    _command_range: Array
+    """Begins with the step of a force, N."""
 
     @staticmethod
     def restarted(memory: int, _legs: Sequence[int]) -> int:
         """Return the memory as it is: a drive's state tells."""
         return memory
+
+    def resolution(self, _rate_Hz: float) -> Resolution:
+        """Return a step of length and rate, half a step of the force, which is rounded here."""
+        if self._exact:
+            return Resolution.of(0.0, 0.0, 0.0)
+        return Resolution.of(self._feedback_range[0], self._feedback_range[1], 0.5 * self._command_range[0])
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return None: the field is wider than any leg."""

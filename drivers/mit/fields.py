@@ -7,6 +7,12 @@ CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range is no code: it i
 from math import pi
 from typing import NamedTuple
 
+import numpy as np
+
+from drivers.resolution import Resolution
+from drivers.signals import LEGS
+from drivers.transmission import Transmission
+
 TURN = 2.0 * pi
 """rad."""
 TOP_COMMAND = 0xFFB
@@ -26,6 +32,19 @@ class Ranges(NamedTuple):
     """N m s/rad."""
     torque: float
     """N m."""
+
+
+def resolution(r: Ranges, bits: int, transmission: Transmission) -> Resolution:
+    """Return a step of position, of velocity and torque on so many bits, at the leg: all are truncated."""
+    position, velocity, torque = (
+        2.0 * end / ((1 << n) - 1) for end, n in ((r.position, 16), (r.velocity, bits), (r.torque, bits))
+    )
+    t = transmission
+    return Resolution.of(
+        t.rate(np.full(LEGS, position / TURN)),
+        t.rate(np.full(LEGS, velocity / TURN)),
+        t.N_per_Nm * torque,
+    )
 
 
 def code(value: float, low: float, high: float, bits: int) -> int:

@@ -19,6 +19,7 @@ from drivers.mit.fields import (
     Ranges,
     device_motion,
     pack_command,
+    resolution,
     unpack_command,
     unpack_motion,
 )
@@ -46,6 +47,7 @@ from drivers.protocol import (
     Rejected,
     Sync,
 )
+from drivers.resolution import Resolution
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
@@ -109,6 +111,10 @@ class MitProtocol(MotorProtocol):
     def fault_text(self, code: int) -> str:
         """Return what a code of the column `drive_fault` means."""
         return self.variant.faults.get(code - OWN_CODE, "")
+
+    def resolution(self, _rate_Hz: float) -> Resolution:
+        """Return a step of each field."""
+        return resolution(self.ranges, 12, self.transmission)
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the leg lengths at the ends of the position's range."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError
-from drivers.mit.fields import TURN, Ranges, code, value
+from drivers.mit.fields import TURN, Ranges, code, resolution, value
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
 from drivers.motor_drives import MotorMemory, put
 from drivers.motor_settings import unwatched
@@ -37,6 +37,7 @@ from drivers.protocol import (
     Rejected,
     Sync,
 )
+from drivers.resolution import Resolution
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
@@ -92,6 +93,10 @@ class RobStrideProtocol(MotorProtocol):
     def _to(self, kind: int, leg: int, data: bytes = _ZEROS, middle: int | None = None) -> Frame:
         middle = self._host if middle is None else middle
         return Frame(kind << 24 | middle << 8 | self._nodes[leg], data, EXTENDED)
+
+    def resolution(self, _rate_Hz: float) -> Resolution:
+        """Return a step of each field."""
+        return resolution(self.ranges, 16, self.transmission)
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the leg lengths at the ends of the position's range."""

@@ -22,7 +22,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.fault_rules import refuse_of_no_bus
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
-from hil.app.encoder_limits import encoder_limits
+from hil.app.encoder_limits import encoder_limits, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
 from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
@@ -172,7 +172,10 @@ def _watch(c: Configuration, platform: Platform, home: tuple[Array, Array], rate
     ticks = ceil(delay.transport_s * c.loop.rate_Hz - 1e-9)
     payload = unknown_payload(c)
     allowed = payload.allowed_of_the_pose if c.controller.axes == "pose" else payload.allowed
-    return build_watch(allowed(c.monitor), c.controller, platform, home, 1.0 / rate_Hz, ticks, delay.lag_s)
+    noise = read_noise(c, rate_Hz)
+    seen = {"length_noise_m": noise.length_m, "rate_noise_m_s": noise.rate_m_s}
+    monitor = allowed(c.monitor).model_copy(update=seen)
+    return build_watch(monitor, c.controller, platform, home, 1.0 / rate_Hz, ticks, delay.lag_s)
 
 
 def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> ExternalWrench:

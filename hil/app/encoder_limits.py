@@ -1,10 +1,14 @@
 """From a configuration to the limits of the rules on encoders."""
 
 from math import ceil, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
+from drivers import build_protocol
+from drivers.arrays import Array
 from drivers.signals import LEGS
+from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
@@ -13,15 +17,13 @@ from hil.safety.stillness import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 
 LENGTH_STEP_M = 1e-7
-"""Step of a length in a feedback."""
+"""Least step of a length that counts."""
 AWAY = 2.0
 """Mobility at home times this bounds it elsewhere, the error of the model included."""
 ASSUMED_FRICTION = 0.05
 """Share of the largest force of a leg that friction may take where nobody states it."""
 PUSH = {False: 0.038, True: 0.25}
 """Share of the stated disturbance that a leg is pushed by, by whether it sticks: nobody feels a slow rise."""
-LOOSENS = 2.0
-"""Times its friction from one end of what it can balance to beyond the other."""
 LAGS = 3.0
 """Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
 
@@ -29,24 +31,30 @@ LAGS = 3.0
 def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     """Return what the rules on encoders compare with at a rate of the loop.
 
-    Where the pose is fused with a tracker, the filter decides: no encoder is watched here.
+    A push takes a leg that bears F N from one end of what friction and losses balance, (F - friction) eta_b,
+    to beyond the other, (F + friction + what accelerates it) / eta_d. Where the pose is fused with a tracker,
+    the filter decides: no encoder is watched here.
     """
     payload, period_s = unknown_payload(c), 1.0 / rate_Hz
+    friction, protocol = friction_N(c), build_protocol(c.bus, c.drives)
     monitor, A = payload.allowed(c.monitor), np.abs(payload.mobility).max(axis=0)
     heaviest = payload.mobility.min(axis=0)
     decided = c.estimation.pose == "fused" and c.sensors.tracker is not None
     delay = loop_delay(c)
-    noise_m = length_noise_m(c)
-    sticks = friction_N(c) > 0.0
+    noise = read_noise(c, rate_Hz)
+    noise_m = noise.length_m
+    driving, back_driving = efficiencies(c)
+    sticks = friction > 0.0 or bool((driving * back_driving < 1.0).any())
     push = PUSH[sticks] * monitor.disturbance_m_s2
-    push_N = LOOSENS * friction_N(c) + push / np.diag(heaviest)
+    up_N = (payload.holding_N + friction + push / np.diag(heaviest)) / driving
+    push_N = up_N - (payload.holding_N - friction) * back_driving
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
     ticks, turns = ceil((late_s + seen_s) / period_s), ceil(2.0 * float(push_N.max()) / c.limits.force_step_N)
     return EncoderLimits(
         watched_legs=0 if decided else (1 << LEGS) - 1,
         length_noise_m=noise_m,
-        rate_noise_m_s=monitor.rate_noise_m_s,
+        rate_noise_m_s=noise.rate_m_s,
         rate_skew_s=1e-6 * monitor.rate_skew_us,
         rate_error=1e-2 * monitor.rate_error_percent,
         disturbance_m_s2=monitor.disturbance_m_s2,
@@ -57,13 +65,36 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         sticks=int(sticks),
         open_ticks=ceil(c.engage.brake_release_s / period_s),
         period_s=period_s,
+        unnamed=int(not protocol.answers_name_sync),
     )
 
 
-def length_noise_m(c: Configuration) -> float:
-    """Return what one length may be off: as stated, and no less than the steps in which it comes."""
-    step = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
-    return max(c.monitor.length_noise_m, step + LENGTH_STEP_M)
+class Noise(NamedTuple):
+    """Largest deviation of what is read of a leg."""
+
+    length_m: float
+    rate_m_s: float
+
+
+def steps(c: Configuration, rate_Hz: float) -> Noise:
+    """Return what the steps leave of a reading, of an emulated encoder and of the drives' frames."""
+    encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
+    read = build_protocol(c.bus, c.drives).resolution(rate_Hz)
+    return Noise(encoder_m + max(float(read.length.max()), LENGTH_STEP_M), float(read.rate.max()))
+
+
+def read_noise(c: Configuration, rate_Hz: float) -> Noise:
+    """Return what a reading may be off: as section monitor states, and no less than the steps leave."""
+    least = steps(c, rate_Hz)
+    return Noise(max(c.monitor.length_noise_m, least.length_m), max(c.monitor.rate_noise_m_s, least.rate_m_s))
+
+
+def efficiencies(c: Configuration) -> tuple[Array, Array]:
+    """Return what is left of a force (6,) where the motor drives the leg, and where the leg drives it."""
+    if c.drives.transmission is None:
+        return np.ones(LEGS), np.ones(LEGS)
+    gear = Transmission.of(c.drives.transmission)
+    return gear.driving, gear.back_driving
 
 
 def friction_N(c: Configuration) -> float:

@@ -5,7 +5,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from hil.app.configuration.configuration import Configuration
-from hil.app.encoder_limits import LENGTH_STEP_M, friction_N
+from hil.app.encoder_limits import friction_N, read_noise, steps
 from hil.estimation.fusion_noise import LegErrors
 
 NOISE = sqrt(12.0)
@@ -21,7 +21,7 @@ def leg_errors(c: Configuration) -> LegErrors:
     if length_std_m is None:
         length_std_m = _length_std_m(c)
     if rate_std_m_s is None:
-        rate_std_m_s = monitor.rate_noise_m_s / NOISE
+        rate_std_m_s = read_noise(c, c.loop.rate_Hz).rate_m_s / NOISE
     if force_std_N is None:
         force_std_N = max(0.0, friction_N(c) - float(np.min(s.model.coulomb_friction_N)))
     return LegErrors(
@@ -37,5 +37,6 @@ def leg_errors(c: Configuration) -> LegErrors:
 def _length_std_m(c: Configuration) -> float:
     """Return the standard deviation of a length from the steps in which it comes."""
     if c.plant is None:
-        return max(c.monitor.length_noise_m, LENGTH_STEP_M) / NOISE
-    return hypot(c.plant.drives.encoder_resolution_m, LENGTH_STEP_M) / NOISE
+        return read_noise(c, c.loop.rate_Hz).length_m / NOISE
+    encoder_m = c.plant.drives.encoder_resolution_m
+    return hypot(encoder_m, steps(c, c.loop.rate_Hz).length_m - encoder_m) / NOISE

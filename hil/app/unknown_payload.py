@@ -25,6 +25,8 @@ class UnknownPayload(NamedTuple):
     """m/s^2, of one coordinate of the platform's position."""
     rotation: float
     """rad/s^2, of one of its rotations."""
+    holding_N: Array
+    """(6,) N, largest force that a leg bears at home."""
 
     def allowed(self, monitor: MonitorSettings) -> MonitorSettings:
         """Return the stated disturbances of legs, with what the payload does to them added."""
@@ -45,8 +47,9 @@ def unknown_payload(c: Configuration) -> UnknownPayload:
     platforms = [build_platform(corner.settings) for corner in corners(c.platform)]
     models = [Model(platform, leg_spin=c.platform.leg_spin) for platform in platforms]
     J, G = jacobian(models[0].platform, *home), models[0].gravity(*home)
-    mobility, twists = [], [np.zeros(6)]
+    mobility, twists, held = [], [np.zeros(6)], []
     for model in models:
+        held.append(np.abs(solve(np.ascontiguousarray(J.T), model.gravity(*home))))
         M = model.mass_matrix(*home)
         moved = [solve(M, leg) for leg in J]
         mobility.append([[float((row * twist).sum()) for twist in moved] for row in J])
@@ -55,5 +58,9 @@ def unknown_payload(c: Configuration) -> UnknownPayload:
     accelerations = np.abs(twists)
     legs = max(float(abs((leg * twist).sum())) for leg in J for twist in twists)
     return UnknownPayload(
-        np.array(mobility), legs, float(accelerations[:, :3].max()), float(accelerations[:, 3:].max())
+        np.array(mobility),
+        legs,
+        float(accelerations[:, :3].max()),
+        float(accelerations[:, 3:].max()),
+        np.max(held, axis=0),
     )

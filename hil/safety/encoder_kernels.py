@@ -21,6 +21,8 @@ LONGEST_GAP = 8
 """Ticks without a leg after which its last reading says nothing of the next."""
 UNSHARED = 0.3
 """Share of a period by which a latch may be late although a leg contradicts it: frames in the way."""
+STRAYS = 1.0
+"""The same while an answer may be that to the SYNC or poll of the tick before."""
 LEAST_m_s = 1e-9
 """A rate that leaps by less does not."""
 RATE_MOVES = 3.0
@@ -77,11 +79,30 @@ def acting(tick: Any, limits: Any, memory: Any) -> int:
 
 
 @helper
+def unsure(tick: Any, limits: Any, memory: Any) -> bool:
+    """Tell whether an answer may be that to the SYNC or poll of the tick before.
+
+    Where no feedback names it, so it is from a tick on in which a leg was missed, until what was under way
+    then has been heard: each drive was late by itself.
+    """
+    return bool(limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick <= LONGEST_GAP)
+
+
+@helper
+def note_missed(tick: Any, memory: Any) -> None:
+    """Remember the last tick in which a leg was not heard."""
+    for i in range(6):
+        if tick.age[i] != 0:
+            memory.missed_tick = tick.tick + 1
+
+
+@helper
 def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> float:
     """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
 
     Returns how much later than the clock says the latch was, over the legs heard the last time any was.
     """
+    stray_s = STRAYS * limits.period_s if unsure(tick, limits, memory) else 0.0
     for i in range(6):
         x[_GAP, i] = x[_SAY, i] = np.nan
         lost = memory.heard[i] == 0 or tick.tick + 1 - memory.heard[i] > LONGEST_GAP
@@ -94,7 +115,7 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
         x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
         x[_GAP, i] = gap_of(tick.length[i], tick.rate[i], memory.length_was[i], memory.rate_was[i], T)
         x[_RATE, i] = 0.5 * (tick.rate[i] + memory.rate_was[i])
-        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T)
+        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T + stray_s)
         if memory.heard[i] == memory.heard_tick:
             x[_SAY, i] = x[_GAP, i]
     delay, shared = shared_delay(x[_SAY], x[_RATE], x[_BOUND])
@@ -103,30 +124,33 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
             late = memory.delay_s + delay - memory.latched_delay_s[i]
             x[_DT, i] += late
             x[_GAP, i] -= late * x[_RATE, i]
-    allow_delay(limits, shared, x)
+    allow_delay(limits, shared, stray_s, x)
     return delay
 
 
 @helper
-def allow_delay(limits: Any, shared: bool, x: Array) -> None:
+def allow_delay(limits: Any, shared: bool, stray_s: float, x: Array) -> None:
     """Fill what a delay that is not shared may make of each gap, and add it to the bounds.
 
     Where no leg contradicts it, it may be a whole period: a leg that is heard in its tick was latched in it.
+    stray_s: by so much each leg may be off by itself, whatever others say.
     """
     for i in range(6):
         period = limits.period_s * abs(x[_RATE, i])
-        x[_LATE, i] = UNSHARED * period
+        x[_LATE, i] = max(UNSHARED * limits.period_s, stray_s) * abs(x[_RATE, i])
         beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
         if beyond and explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
             x[_LATE, i] = period
     for i in range(6):
-        if not shared or isnan(x[_SAY, i]):
+        if not shared or stray_s > 0.0 or isnan(x[_SAY, i]):
             x[_BOUND, i] += x[_LATE, i]
 
 
 @helper
-def fill_leaps(tick: Any, memory: Any, x: Array) -> None:
+def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     """Fill how far each rate leaps, and as a share of what forces explain; 0 where that is not known."""
+    if unsure(tick, limits, memory):
+        return
     for i in range(6):
         if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0:
             leap = leap_of(tick.rate[i], memory.rate_was[i], memory.acceleration[i], x[_DT, i])
@@ -205,7 +229,7 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 
 
 @helper
-def remember_readings(tick: Any, memory: Any, latched_ns: int, delay: float, x: Array) -> None:
+def remember_readings(tick: Any, limits: Any, memory: Any, latched_ns: int, delay: float, x: Array) -> None:
     """Keep what the next tick is compared with."""
     memory.delay_s += delay
     for i in range(6):
@@ -213,7 +237,7 @@ def remember_readings(tick: Any, memory: Any, latched_ns: int, delay: float, x: 
             continue
         if not isnan(x[_GAP, i]):
             memory.acceleration[i] = (tick.rate[i] - memory.rate_was[i]) / x[_DT, i]
-            memory.spacing_s[i] = x[_DT, i]
+            memory.spacing_s[i] = 0.0 if unsure(tick, limits, memory) else x[_DT, i]
         else:
             memory.gaps[i] = memory.travel[i] = memory.excused[i] = 0.0
             memory.acceleration[i] = memory.spacing_s[i] = 0.0
@@ -236,12 +260,13 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
     settled = memory.open_for > limits.open_ticks
     x = np.zeros((12, 6))
     latched_ns = tick.t_ns + tick.lateness_ns
+    note_missed(tick, memory)
     swings(history, memory.newest, acting(tick, limits, memory), x[_SWING])
     delay = compare(tick, limits, memory, latched_ns, x)
     if tick.mode < _IDLE:
         forget_doubt(memory)
     elif memory.doubted == 0 and tick.mode != _FAULT:
-        fill_leaps(tick, memory, x)
+        fill_leaps(tick, limits, memory, x)
         judge_lengths(tick, limits, memory, x)
         if settled:
             judge_rates(tick, limits, memory, x)
@@ -249,7 +274,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
     if not settled or memory.doubted != 0:
         memory.stood[:] = 0
         memory.push[:] = 0
-    remember_readings(tick, memory, latched_ns, delay, x)
+    remember_readings(tick, limits, memory, latched_ns, delay, x)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
     return _ENCODER if memory.doubted != 0 else 0

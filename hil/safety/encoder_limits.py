@@ -34,6 +34,8 @@ class EncoderLimits(NamedTuple):
     open_ticks: int
     """The brakes get so many ticks to open."""
     period_s: float
+    unnamed: int = 0
+    """1: no feedback says which SYNC or poll it answers, see `hil.safety.encoder_kernels.unsure`."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 0, 0.0)
@@ -52,6 +54,7 @@ ENCODER_LIMITS = [
     ("sticks", "<i8"),
     ("open_ticks", "<i8"),
     ("period_s", "<f8"),
+    ("unnamed", "<i8"),
 ]
 """Fields of a record of `EncoderLimits`."""
 ENCODER_MEMORY = [
@@ -62,6 +65,7 @@ ENCODER_MEMORY = [
     ("open_for", "<i8"),  # ticks in a row with all drives in RUN
     ("delay_s", "<f8"),  # how much later than the clock says the encoders were latched, summed up
     ("heard_tick", "<i8"),  # the last one in which a leg was heard
+    ("missed_tick", "<i8"),  # tick + 1 in which a leg was last missed; 0: not yet
     ("heard", "<i8", (LEGS,)),  # tick + 1 in which each leg was last heard; 0: not yet
     ("latched_ns", "<i8", (LEGS,)),
     ("latched_delay_s", "<f8", (LEGS,)),

@@ -187,6 +187,8 @@ class ProtocolContract:
     RESOLUTION: tuple[float, float, float | None, float]
     """Of length m, rate m/s, force N in the feedback (None: it carries none) and force in the command. Twice
     the step where a codec truncates."""
+    READS_RATES = True
+    """It does not make them of lengths, which stand still here."""
     SETS_WATCHDOG = True
     """The dialogue, or each command, sets the drive's own watchdog."""
     TELLS_BOOT = True
@@ -320,6 +322,17 @@ class ProtocolContract:
         if resolution[2] is not None:
             total = (resolution[2] + resolution[3]) / 2 * (1 + 1e-6)
             np.testing.assert_allclose(m["drive_force"], FORCE, rtol=0, atol=total)
+
+    def test_readings_and_commands_are_off_by_no_more_than_the_stated_resolution(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        stated, m, rounding = protocol.resolution(1e9 / PERIOD_NS), ends.measurement, 1.0 + 1e-6
+        assert (np.abs(m["length"] - LENGTH) <= stated.length * rounding + 1e-12).all()
+        if self.READS_RATES:
+            assert (np.abs(m["rate"] - RATE) <= stated.rate * rounding + 1e-6).all()
+        assert (np.abs(ends.nodes.snapshot().command - FORCE) <= stated.force * rounding + 1e-3).all()
+        assert (stated.length <= self.RESOLUTION[0] + 1e-6).all()
+        assert (stated.force <= self.RESOLUTION[3] * rounding).all()
 
     def test_every_frame_of_the_feedback_is_fresh_in_its_tick_alone(self, protocol):
         ends = Ends(protocol)

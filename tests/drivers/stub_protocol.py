@@ -36,6 +36,7 @@ from drivers.protocol import (
     Sync,
     frames_of,
 )
+from drivers.resolution import SINGLE, Resolution
 from drivers.signals import (
     INVALID,
     LEGS,
@@ -107,6 +108,7 @@ class StubProtocol:
     dangers = ()
     reactions = tuple(Reaction)
     shares_identifiers = False
+    answers_name_sync = False
 
     def __init__(self, node_ids: list[int]) -> None:
         for leg, node in enumerate(node_ids):
@@ -159,6 +161,9 @@ class StubProtocol:
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         read = self._read(received.frame)
         return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
+
+    def resolution(self, _rate_Hz: float) -> Resolution:
+        return Resolution.of(_STEP_m, _STEP_m, SINGLE)
 
     def reported_lengths(self) -> None:
         return None

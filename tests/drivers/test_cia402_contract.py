@@ -28,6 +28,7 @@ class TestCia402WithVelocity(TroubleContract):
 
 class TestCia402WithoutVelocity(ProtocolContract):
     RESOLUTION = (STEP_m, 1.5, PERMILLE_N, PERMILLE_N)
+    READS_RATES = False
     """The legs of the contract stand still and say that they move: only a PDO tells that."""
 
     @pytest.fixture

@@ -15,7 +15,15 @@ from drivers import PROTOCOLS
 from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.mit.fields import Ranges, device_motion, pack_command, unpack_command, unpack_motion
+from drivers.mit.fields import (
+    TURN,
+    Ranges,
+    device_motion,
+    pack_command,
+    resolution,
+    unpack_command,
+    unpack_motion,
+)
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.mit.variants import VARIANTS
@@ -383,6 +391,40 @@ def test_another_controller_a_second_answer_and_a_stale_one_are_told_apart(make,
     assert (m["doubled"], m["foreign"]) == (0, Foreign.COMMAND)
     m = measured(answer._replace(t_ns=begun - 1))
     assert (m["rejected"], m["age"][2] > 0) == (1, True)
+
+
+@pytest.mark.parametrize(("make", "_fault"), run_protocols())
+def test_an_answer_that_comes_with_the_next_poll_measures_at_its_age_where_its_drive_owes_it(make, _fault):
+    ends = Ends(make())
+    ends.until_set_up()
+    ends.step()
+    begun = ends.tick * PERIOD_NS
+    late = next(each for each in ends.received if ends.protocol.awaited(each.frame) == 2)
+    late = late._replace(t_ns=begun - 1)
+    missed = at_tick(ends.tick + 1)
+    dialogue = ends.protocol.decode(ends.dialogue, b"", ends.measurement, missed, begun)
+    missed["length"][2] = 7.0
+    m = at_tick(ends.tick + 2)
+    ends.protocol.decode(dialogue, run_of([late]), missed, m, begun)
+    assert m["age"].tolist() == [2, 2, 1, 2, 2, 2]
+    assert m["length"][2] == pytest.approx(float(ends.measurement["length"][2]))
+    assert m["rejected"] == 1, "a drive that is always late is not relied upon"
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_field_of_a_reply_or_command_is_off_by_more_than_the_resolution_and_some_by_most_of_it(seed):
+    chance = np.random.default_rng(seed)
+    stated = resolution(WIDE, 12, GEAR)
+    off = []
+    for _ in range(30):
+        p, v, t = chance.uniform(-0.99, 0.99, 3) * (WIDE.position, WIDE.velocity, WIDE.torque)
+        _, p1, v1, _ = unpack_motion(device_motion(p, v, t, WIDE, clamps=True), WIDE)
+        t1 = unpack_command(pack_command(0.0, 0.0, 0.0, 0.0, t, WIDE), WIDE)[4]
+        off.append(((p - p1) * LEAD_m / TURN, (v - v1) * LEAD_m / TURN, (t - t1) * NEWTONS))
+    largest = np.abs(off).max(axis=0)
+    steps = np.array([each[0] for each in stated])
+    assert (largest <= steps * (1.0 + 1e-9)).all()
+    assert (largest > 0.6 * steps).all()
 
 
 @pytest.mark.parametrize("variant", ["mini_cheetah", "cubemars", "damiao"])

@@ -294,3 +294,39 @@ def test_encoders_a_leg_is_being_pushed_until_nothing_is_left_of_it(leg):
     assert not pushing(SimpleNamespace(push=six(0), pushed_N=six(0.0)))
     assert pushing(SimpleNamespace(push=six(-1, leg), pushed_N=six(0.0)))
     assert pushing(SimpleNamespace(push=six(0), pushed_N=six(0.5, leg)))
+
+
+# -- answers that do not say what they answer
+
+
+def after_a_miss(ticks, ways, unnamed=1):
+    """Return the record of a tick in which leg 5 reads as it was so many periods off; all legs were missed."""
+    bench = Bench(unnamed=unnamed)
+    bench.ticks(60, rate=RATES)
+    bench.tick(unseen=range(6))
+    if ticks:
+        bench.ticks(ticks)
+    return bench.tick(jump=six(ways * RATES[5] * T, 5))
+
+
+@BOTH_SIGNS
+@pytest.mark.parametrize("ticks", [0, 6])
+def test_encoders_after_a_miss_a_leg_may_answer_the_poll_before(ticks, sign):
+    assert calm(after_a_miss(ticks, 0.95 * sign))
+    found = after_a_miss(ticks, 1.2 * sign)
+    assert (found["doubt"], found["legs_doubted"]) == (Doubt.JUMP, 1 << 5)
+
+
+@pytest.mark.parametrize(("ticks", "unnamed"), [(8, 1), (0, 0)])
+def test_encoders_else_a_leg_may_not(ticks, unnamed):
+    found = after_a_miss(ticks, 0.95, unnamed)
+    assert (found["doubt"], found["legs_doubted"]) == (Doubt.JUMP, 1 << 5)
+
+
+@pytest.mark.parametrize("unnamed", [0, 1])
+def test_encoders_no_rate_is_judged_by_a_spacing_that_nobody_knows(unnamed):
+    bench = Bench(unnamed=unnamed, open_ticks=0, length_noise_m=1.0)
+    bench.ticks(60, rate=RATES)
+    bench.tick(unseen=[0])
+    found = bench.tick(rate=RATES + six(3.0, 2))
+    assert found["doubt"] == (Doubt.NONE if unnamed else Doubt.LEAP)

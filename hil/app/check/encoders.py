@@ -4,7 +4,7 @@ import numpy as np
 
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
-from hil.app.encoder_limits import encoder_limits, friction_N
+from hil.app.encoder_limits import encoder_limits, friction_N, steps
 from hil.safety.encoder_kernels import UNSHARED
 from hil.safety.increments import WINDOW_S, gap_bound, slip_bound
 from hil.safety.leaps import acceleration_range, leap_bound
@@ -49,6 +49,7 @@ def report_encoders(report: Report, c: Configuration) -> None:
         f"a tick late {NOT_OBSERVABLE}; leaves {1e3 * late_m:.2f} mm at limits.speed_m_s",
         f"frozen      at true rest: {NOT_OBSERVABLE}; leaves nothing until a leg strays",
     ]
+    lines = [*_steps(c), *lines]
     if not limits.watched_legs:
         lines = ["the filter of the fused pose decides, with the tracker: see encoder_slip_m"]
     report.sections["encoders, at rest"] = lines
@@ -64,3 +65,19 @@ def report_encoders(report: Report, c: Configuration) -> None:
         "scale_of_rate_alone": share,
         "not_observable": {"late_m": late_m, "frozen_m": strayed_m},
     }
+
+
+def _steps(c: Configuration) -> list[str]:
+    """Say where the steps of drives and encoders are coarser than what is stated of their noise."""
+    least, monitor = steps(c, c.loop.rate_Hz), c.monitor
+    found = []
+    for what, key, stated, step, scale, unit in (
+        ("lengths", "length_noise_m", monitor.length_noise_m, least.length_m, 1e6, "um"),
+        ("rates", "rate_noise_m_s", monitor.rate_noise_m_s, least.rate_m_s, 1e3, "mm/s"),
+    ):
+        if step > stated:
+            found.append(
+                f"steps       of {what}: {scale * step:.3g} {unit} count, monitor.{key} states "
+                f"{scale * stated:.3g} {unit}"
+            )
+    return found

@@ -5,7 +5,7 @@ from math import ceil, sqrt
 import numpy as np
 
 from hil.app.configuration.configuration import Configuration
-from hil.app.encoder_limits import AWAY, LOOSENS, friction_N
+from hil.app.encoder_limits import AWAY, efficiencies, friction_N
 from hil.app.reachability import Walk, window_swing
 from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.guard import WINDOW_S
@@ -43,10 +43,12 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     beyond = least - limits.push_N
     leg = int(np.argmin(beyond))
     friction = friction_N(c)
-    most = friction + float(beyond[leg]) / LOOSENS
+    driving, back_driving = efficiencies(c)
+    most = friction + float(beyond[leg] / (1.0 / driving[leg] + back_driving[leg]))
+    losses = " and losses" if (driving * back_driving < 1.0).any() else ""
     key = what.split()[0]
     return (
-        f"a leg that stands still is pushed by {limits.push_N[leg]:.0f} N, {LOOSENS:g} x friction and what "
+        f"a leg that stands still is pushed by {limits.push_N[leg]:.0f} N, 2 x friction{losses} and what "
         f"monitor.disturbance_m_s2 asks for; that is too much for {what}, allowed: "
         f"{f'at most {most:.1f} N' if most >= 0.0 else 'no such push'}, given: {friction:g} N"
         f"{'' if c.monitor.friction_N is not None else ' (assumed)'}; state the friction as measured, "

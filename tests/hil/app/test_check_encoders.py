@@ -10,7 +10,8 @@ from drivers.arrays import Array
 from drivers.signals import Doubt, DriveState, Mode
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
-from hil.app.encoder_limits import encoder_limits, friction_N, length_noise_m
+from hil.app.encoder_limits import encoder_limits, friction_N, read_noise
+from hil.app.unknown_payload import unknown_payload
 from hil.safety import Safety
 from tests.hil.encoder_bench import WIDE, six
 from tests.records import record_of
@@ -110,11 +111,37 @@ def test_a_scale_of_the_rate_alone_is_found_beyond_the_printed_share(share, foun
 def test_the_noise_is_no_less_than_the_step_of_an_emulated_encoder():
     """2 um are assumed; virtual counts in 1 um, and a feedback in 0.1 um."""
     c = load("virtual")
-    assert length_noise_m(c) == 2e-6
+    assert read_noise(c, 1000.0).length_m == 2e-6
     assert c.plant is not None
     drives = c.plant.drives.model_copy(update={"encoder_resolution_m": 1e-5})
     coarse = c.model_copy(update={"plant": c.plant.model_copy(update={"drives": drives})})
-    assert length_noise_m(coarse) == pytest.approx(1.01e-5)
+    assert read_noise(coarse, 1000.0).length_m == pytest.approx(1.01e-5)
+
+
+@pytest.mark.parametrize(("times", "length_um", "rate_mm_s"), [(1.0, 10.0, 0.4), (10.0, 76.3, 2.93)])
+def test_the_noise_is_no_less_than_a_step_of_the_drives(times, length_um, rate_mm_s):
+    """Of desktop, 25 rad / 65535 and 60 rad/s / 4095 behind 20 mm; by far coarser drives they decide."""
+    c = load("desktop")
+    assert c.drives.transmission is not None
+    gear = c.drives.transmission.model_copy(update={"pulley_radius_m": times * 0.02})
+    drives = c.drives.model_copy(update={"transmission": gear, "force_limit_N": 300.0 / times})
+    coarse = c.model_copy(update={"drives": drives})
+    limits = encoder_limits(coarse, 400.0)
+    assert 1e6 * limits.length_noise_m == pytest.approx(length_um, rel=2e-3)
+    assert 1e3 * limits.rate_noise_m_s == pytest.approx(rate_mm_s, rel=2e-3)
+
+
+def test_a_push_overcomes_what_the_transmission_loses():
+    """F = 24 N of a leg at home; with eta_d 0.9 and eta_b 0.85: (F + 3 + m a) / 0.9 - (F - 3) 0.85."""
+    c = load("desktop")
+    assert c.drives.transmission is not None
+    free = c.drives.transmission.model_copy(update={"efficiency": 1.0, "back_driving_efficiency": 1.0})
+    lossless = c.model_copy(update={"drives": c.drives.model_copy(update={"transmission": free})})
+    m_a = encoder_limits(lossless, 400.0).push_N - 6.0
+    F = unknown_payload(c).holding_N
+    assert np.ptp(F) < 1e-3 * F[0]
+    expected = (F + 3.0 + m_a) / 0.9 - (F - 3.0) * 0.85
+    np.testing.assert_allclose(encoder_limits(c, 400.0).push_N, expected, rtol=1e-12)
 
 
 def test_friction_is_what_is_stated_or_known_or_a_share_of_the_rated_force():

@@ -19,6 +19,7 @@ from drivers.protocol import (
     ALWAYS,
     DriveSetup,
     Frame,
+    PowerTold,
     Received,
     frames_of,
 )
@@ -121,6 +122,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     """Whether a drive says that it is enabled; else it is taken to be what it is asked for."""
     shares_identifiers = True
     answers_name_sync = False
+    has_watchdog = True
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     feedback_ids = frozenset(range(LEGS))
     """Legs: answers of several drives may share an identifier, or change it."""
@@ -154,9 +156,18 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         """Return that of singles."""
         return Resolution.of_singles()
 
+    @property
+    def power_told(self) -> PowerTold:
+        """Its feedback, where that says so."""
+        return "feedback" if self.reports_power else "never"
+
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return None: positions are turns without an end."""
         return None
+
+    def carried(self, force: Array) -> Array:
+        """Return the forces as they are: the field is fine enough."""
+        return force
 
     @property
     def dangers(self) -> tuple[str, ...]:

@@ -99,6 +99,7 @@ class ODriveProtocol(MotorProtocol):
     reset_ticks = 3
     stop_latches = True
     shares_identifiers = False
+    power_told = "heartbeat"
 
     def __init__(
         self, nodes: Sequence[int], watchdog_s: float, transmission: Transmission, heartbeat_s: float = 0.1

@@ -5,7 +5,7 @@ A new drive family is one file that implements `DriveProtocol` and one row in `d
 
 import struct
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from drivers.arrays import Array, Ints
 from drivers.resolution import Resolution
@@ -154,6 +154,8 @@ class Status(NamedTuple):
     """What holds in the drive; None before it has been set up."""
 
 
+PowerTold = Literal["feedback", "heartbeat", "never"]
+
 Dialogue = Any
 """What the controller's end remembers between ticks: an immutable value, the protocol's own."""
 Memory = Any
@@ -221,8 +223,19 @@ class DriveProtocol(Protocol):
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return how far readings and commands are off by the steps of the frames, at a rate of the loop."""
 
+    @property
+    def has_watchdog(self) -> bool:
+        """Whether `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
+
+    @property
+    def power_told(self) -> PowerTold:
+        """What tells that a drive is no longer enabled."""
+
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
+
+    def carried(self, force: Array) -> Array:
+        """Return what the fields of a command carry of forces (6,) N at rest: they have steps."""
 
     # controller's end
     def start(self, setup: DriveSetup) -> Dialogue:

@@ -22,6 +22,7 @@ from drivers.protocol import (
     EmergencyStop,
     Frame,
     Memory,
+    PowerTold,
     Received,
     Status,
     Sync,
@@ -115,6 +116,16 @@ class SeveralBuses:
         return self.family.force_on_brakes
 
     @property
+    def has_watchdog(self) -> bool:
+        """As the family's."""
+        return self.family.has_watchdog
+
+    @property
+    def power_told(self) -> PowerTold:
+        """As the family's."""
+        return self.family.power_told
+
+    @property
     def stop_latches(self) -> bool:
         """As the family's."""
         return self.family.stop_latches
@@ -122,6 +133,10 @@ class SeveralBuses:
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """As the family's."""
         return self.family.reported_lengths()
+
+    def carried(self, force: Array) -> Array:
+        """As the family's."""
+        return self.family.carried(force)
 
     def fault_text(self, code: int) -> str:
         """As the family's."""

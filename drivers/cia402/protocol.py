@@ -26,6 +26,7 @@ from drivers.protocol import (
     DeviceMessage,
     DriveSetup,
     Frame,
+    PowerTold,
     Received,
     Status,
     Sync,
@@ -71,6 +72,8 @@ class Cia402Protocol(Routes):
     answers_name_sync = False
     stop_latches = True
     force_on_brakes = False
+    has_watchdog = True
+    power_told: PowerTold = "feedback"
     reactions = tuple(FAULT_REACTIONS)
     reset_ticks = 6
 
@@ -129,6 +132,11 @@ class Cia402Protocol(Routes):
         edges = np.full(LEGS, -float(1 << 31)), np.full(LEGS, float((1 << 31) - 1))
         ends = [self.transmission.length_of_counts(edge) for edge in edges]
         return np.minimum(*ends), np.maximum(*ends)
+
+    def carried(self, force: Array) -> Array:
+        """Return what whole thousandths of the rated torque leave of forces (6,) N at rest."""
+        permille = self._permille(force, (0.0,) * LEGS)
+        return np.array([n / scale for n, scale in zip(permille, self._permille_per_N, strict=True)])
 
     # controller's end
 

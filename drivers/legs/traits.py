@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from drivers.protocol import ALL_LEGS, Frame
+from drivers.protocol import ALL_LEGS, Frame, PowerTold
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Reaction
 
@@ -30,6 +30,8 @@ class Traits:
 
     stop_latches = True
     force_on_brakes = True
+    has_watchdog = True
+    power_told: PowerTold = "feedback"
     _configured: Mapping[int, int]
     """Identifier of a CONFIG -> leg."""
     senders: Mapping[int, int]
@@ -59,6 +61,11 @@ class Traits:
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return None: the field is wider than any leg."""
         return None
+
+    @staticmethod
+    def carried(force: Array) -> Array:
+        """Return the forces as they are: the field is fine enough."""
+        return force
 
     def awaited(self, frame: Frame) -> int:
         """Return the identifier."""

@@ -77,7 +77,7 @@ class MitProtocol(MotorProtocol):
         self.name, self.variant, self.ranges = variant, VARIANTS[variant], ranges
         self.damiao = variant == "damiao"
         self.set_up_frames = 1 if self.damiao else 0
-        self.reports_power = self.damiao
+        self.reports_power = self.has_watchdog = self.damiao
         self._codes = DRIVE_FAULT_CODES.get(variant, {})
         most = 15 if self.damiao else 127
         for leg, node in enumerate(nodes):
@@ -119,6 +119,14 @@ class MitProtocol(MotorProtocol):
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the leg lengths at the ends of the position's range."""
         return self.transmission.lengths_within(self.ranges.position / TURN)
+
+    def carried(self, force: Array) -> Array:
+        """Return what the codes of 12 bits, which are truncated, leave of leg forces (6,) N at rest."""
+        rest = np.zeros(LEGS)
+        torques = self.transmission.torque(force, rest).tolist()
+        codes = (pack_command(0.0, 0.0, 0.0, 0.0, torque, self.ranges) for torque in torques)
+        decoded = np.array([unpack_command(each, self.ranges)[4] for each in codes])
+        return self.transmission.force(decoded, rest)
 
     # controller's end
 

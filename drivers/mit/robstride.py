@@ -57,6 +57,7 @@ class RobStrideProtocol(MotorProtocol):
     """The tables of six drives."""
 
     set_up_frames = 2
+    has_watchdog = False
 
     def __init__(self, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission) -> None:
         """Take the ranges, six motor numbers and the host's. Raises ConfigurationError for others."""

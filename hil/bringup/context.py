@@ -22,7 +22,19 @@ MOVED_M = 1e-4
 """A leg has moved; a driven one is let go there."""
 
 Act = Literal[
-    "move", "place", "measure", "push", "read_push", "let_go", "clamp", "free", "read_gauge", "hang", "mount"
+    "move",
+    "place",
+    "measure",
+    "push",
+    "read_push",
+    "let_go",
+    "clamp",
+    "free",
+    "read_gauge",
+    "hang",
+    "take_down",
+    "accept",
+    "mount",
 ]
 
 
@@ -35,6 +47,24 @@ class Request(NamedTuple):
     """`move`: by so many m. `place`: share of the stroke. `hang`: which of the known poses."""
     text: str = ""
     """As he reads it."""
+    word: str = ""
+    """What he types for it to count as done; empty: Enter."""
+    within: tuple[float, float] | None = None
+    """Readings outside are asked for again: another unit, or a slip. None: any number may be."""
+
+
+class Gap(NamedTuple):
+    """What a step cannot prove with these drives."""
+
+    text: str
+    """What is not proven, and why."""
+    instead: str
+    """What the operator has to see to, since nothing here does."""
+
+    @property
+    def line(self) -> str:
+        """As it is read."""
+        return f"not provable with these drives: {self.text}. {self.instead}"
 
 
 class Finding(NamedTuple):
@@ -90,6 +120,10 @@ class Machine:
     """Of all frames of this protocol."""
     losses: float = 0.0
     """Share of a force that may be lost between motor and leg."""
+    heartbeat_s: float = 0.1
+    """Period of each drive's heartbeat."""
+    forgotten_m: Array | None = None
+    """(6,) m, of which a drive forgets whole multiples at power-off; None: it forgets nothing."""
     tape_m: float = 2e-4
     """Standard deviation of a length that the operator measures."""
 
@@ -97,6 +131,13 @@ class Machine:
     def stroke(self) -> float:
         """Configured stroke, m."""
         return self.length_max - self.length_min
+
+    def turns_m(self, drive: int, off_m: float) -> float:
+        """Return what of a reading that is so far off, m, a drive may have forgotten: whole turns."""
+        if self.forgotten_m is None:
+            return 0.0
+        step = float(self.forgotten_m[drive])
+        return step * round(off_m / step)
 
     @property
     def force_N(self) -> float:
@@ -137,8 +178,29 @@ class Context:
         self.save()
 
     def lengths(self) -> Array:
-        """Return what the drives read now, (6,) m."""
+        """Return what the drives read now, (6,) m. Raises StoppedError where one is not heard."""
+        silent = [leg for leg in range(LEGS) if int(self.drives.record["age"][leg]) > OLD_TICKS]
+        if silent:
+            text = f"not heard for {int(self.drives.record['age'][silent[0]])} ticks, so what it reads is old"
+            mend = "Look at bus cable, supply and encoder, and give the command again."
+            raise StoppedError(Finding("not_heard", tuple(silent), text, mend))
         return np.array(self.drives.record["length"])
+
+    def hung(self) -> None:
+        """Keep that the platform is on its legs: no brake of a single leg opens before it is off."""
+        self.keep("platform", "hung", fact=True)
+
+    def take_down(self) -> None:
+        """Have the platform taken off the legs if it was hung, in this or an earlier run."""
+        if self.facts.get("platform", {}).get("hung"):
+            text = (
+                "The platform was hung on these legs, and one brake is to open alone. Take the platform off "
+                "and lay the legs on their trestles"
+            )
+            self.ask(Request("take_down", text=text, word="down"))
+            self.facts.pop("platform")
+            self.facts.pop("mounted", None)
+            self.save()
 
     def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
         """Ask the operator, calling `keep` every tick until he answers; by default all drives are off."""
@@ -147,8 +209,14 @@ class Context:
         while True:
             idle()
             answer = self.operator.answer()
-            if answer is not None:
+            if answer is None:
+                continue
+            low, high = request.within or (answer, answer)
+            if low <= answer <= high:
                 return answer
+            text = f"    {answer:g} cannot be: {low:g} to {high:g} are allowed, in m and N, not mm or kN"
+            self.operator.tell(text)
+            self.operator.ask(request)
 
     def rest(self, seconds: float) -> None:
         """Let time pass with all drives off."""
@@ -161,6 +229,7 @@ class Context:
 
         Raises StoppedError where the five others are not locked out, or the drive cannot be powered.
         """
+        self.take_down()
         try:
             why = self.drives.power(leg)
             if why:
@@ -178,12 +247,17 @@ class Context:
         self._heard(drive)
         state = DriveState(int(record["drive_state"][drive]))
         if state is not DriveState.RUN:
-            why = (
-                DriveFault(int(record["drive_fault"][drive])).name if record["drive_fault"][drive] < 6 else ""
-            )
-            text = f"the drive has gone from RUN to {state.name} {why}".rstrip()
+            why = self.fault_of(drive)
+            text = f"the drive has gone from RUN to {state.name}{': ' * bool(why)}{why}"
             mend = "Look at the drive's fault; WATCHDOG: this machine stalled, or the bus did. Try again."
             raise StoppedError(Finding("lost_power", (drive,), text, mend))
+
+    def fault_of(self, drive: int) -> str:
+        """Return what a drive says of its fault; empty: nothing."""
+        code = int(self.drives.record["drive_fault"][drive])
+        if code in set(DriveFault):
+            return DriveFault(code).name if code else ""
+        return self.drives.protocol.fault_text(code) or f"code {code:#x} of its maker"
 
     def reads(self) -> dict[int, tuple[int, float]]:
         """Return for each drive whose encoder is known the leg that it counts, and m of reading a m."""

@@ -1,8 +1,8 @@
 """The six drives during a bring-up: at most one brake open, the five others shut, by any protocol.
 
-Where frames address single drives, the five others are commanded off. Where one command goes to all, the
-five others are locked out before: set up with a watchdog of LOCK_S, they latch its fault as soon as they are
-powered, on shut brakes, and a latched drive obeys no command but RESET. Nothing opens before they have.
+Where each drive has frames of its own, the five others are commanded off. Where one command goes to several,
+the five others are locked out before: set up with a watchdog of LOCK_S, they latch its fault as soon as they
+are powered, on shut brakes, and a latched drive obeys no command but RESET. Nothing opens before they have.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,26 +11,17 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.protocol import (
-    DeviceCommand,
-    DriveProtocol,
-    DriveSetup,
-    Frame,
-    Received,
-    Sync,
-    run_of,
-)
+from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from hil.bringup.line import Line
 
 LOCK_S = 1e-6
 """Watchdog of a drive that is to stay out: `legs` has no shorter one."""
-SETUP_S = 1.0
+SETUP_S = 3.0
 """For how long the drives' confirmation of their set-up is waited for."""
 READY_S = 0.1
 """For how long a drive is waited for that changes its state."""
-_ADDRESSED = (DeviceCommand, Sync)
 SAFE_TICKS = 10
 """Commands to switch off at every end: the bus may lose some."""
 Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
@@ -51,10 +42,8 @@ class Drives:
         self.watchdog_s = watchdog_s
         self._sink = sink
         reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
-        self._legs_of: dict[tuple[int, int], frozenset[int]] = {}
-        """Identifier and bus of a frame that starts a tick -> drives that it is for, as far as was asked."""
-        self.locks = protocol.command_delay_ticks == 0
-        """The command is not in the poll of a single drive: its frames are for all."""
+        self.locks = shares_commands(protocol, protocol.start(DriveSetup(watchdog_s, reaction, line.rate_Hz)))
+        """One command goes to several drives."""
         lock_s = LOCK_S if self.locks else watchdog_s
         self._setups = (
             DriveSetup(watchdog_s, reaction, line.rate_Hz),
@@ -90,17 +79,22 @@ class Drives:
         there is no force. silent: no command goes out. set_up: send what the drives have not confirmed.
         """
         self.tick = tick = self.tick + 1
-        polls = self.protocol.command_delay_ticks > 0
-        opening = () if silent and polls else self._chosen(self.protocol.begin, leg)
+        opening: tuple[Frame, ...] = ()
+        if not silent or self.protocol.command_delay_ticks == 0:
+            starts = self.protocol.begin(self._live, tick), self.protocol.begin(self._rest, tick)
+            opening = self._chosen(*starts, leg)
         heard = self.line.exchange(opening)
         self.heard = heard.frames
         run = run_of(heard.frames)
         live, rest = new_record(), new_record()
         for record in (live, rest):
             record["tick"], record["t_ns"] = tick, heard.since_ns
-        before = self._records
+        before, alike = self._records, leg is None and not self.locks
         self._live = self.protocol.decode(self._live, run, before[0], live, heard.since_ns)
-        self._rest = self.protocol.decode(self._rest, run, before[1], rest, heard.since_ns)
+        if alike:
+            self._rest, rest = self._live, live
+        else:
+            self._rest = self.protocol.decode(self._rest, run, before[1], rest, heard.since_ns)
         self._records = live, rest
         self.record = self._seen(live, rest, leg)
         tau = np.zeros(LEGS)
@@ -108,25 +102,28 @@ class Drives:
             tau[leg] = force
         self.record["tau"], self.record["command_mode"] = tau, mode
         self._live, frames = self.protocol.command(self._live, Command(mode, tau), tick)
-        if not self.locks:
-            shut = Command(mode if leg is None else DriveMode.OFF, np.zeros(LEGS))
-            self._rest, _ = self.protocol.command(self._rest, shut, tick)
+        if not self.locks and leg is not None:
+            shut = Command(DriveMode.OFF, np.zeros(LEGS))
+            self._rest, others = self.protocol.command(self._rest, shut, tick)
+            frames = self._chosen(frames, others, leg)
         sent: tuple[Frame, ...] = () if silent else frames
         if set_up:
             sent += self._set_up_frames()
+        if alike:
+            self._rest = self._live
         self.line.send(sent)
         self._sink(self.record, heard.frames, (*opening, *sent))
         return self.record
 
-    def _chosen(self, make: Callable[[Any, int], tuple[Frame, ...]], leg: int | None) -> tuple[Frame, ...]:
-        """Return the frames of a tick's beginning: of drive `leg` those that may power it, of others not."""
-        frames = make(self._live, self.tick)
+    def _chosen(
+        self, frames: tuple[Frame, ...], others: tuple[Frame, ...], leg: int | None
+    ) -> tuple[Frame, ...]:
+        """Return of drive `leg` the frames that may power it, of the other drives `others`, which do not."""
         if self.locks or leg is None:
             return frames
-        others = make(self._rest, self.tick)
+        addressed = self.protocol.addressed
         return tuple(
-            mine if leg in self._addressed(mine) else other
-            for mine, other in zip(frames, others, strict=True)
+            mine if leg in addressed(mine) else other for mine, other in zip(frames, others, strict=True)
         )
 
     def _seen(self, live: Record, rest: Record, leg: int | None) -> Record:
@@ -137,15 +134,6 @@ class Drives:
                 record[name][others] = rest[name][others]
         record["q"], record["dq"] = record["length"], record["rate"]
         return record
-
-    def _addressed(self, frame: Frame) -> frozenset[int]:
-        """Return the drives that a frame commands or polls, by their own end of the codec."""
-        legs = self._legs_of.get((frame.id, frame.bus))
-        if legs is None:
-            _, messages = self.protocol.parse(self.protocol.power_up(), frame)
-            legs = frozenset(leg for m in messages if isinstance(m, _ADDRESSED) for leg in m.legs)
-            self._legs_of[frame.id, frame.bus] = legs
-        return legs
 
     # set-up
 
@@ -190,7 +178,9 @@ class Drives:
 
         Returns why that cannot be, empty: it is. A drive that cannot be powered without its brake is off.
         """
-        lacks = self.prepare(leg)
+        lacks = self.lacks()
+        if self.locks or self._faulted() or any(lacks):
+            lacks = self.prepare(leg)
         if any(lacks):
             which = ", ".join(f"leg {k}: {text}" for k, text in enumerate(lacks) if text)
             return f"not set up: {which}"
@@ -212,6 +202,16 @@ class Drives:
         """Take force and power from all drives, for at least SAFE_TICKS."""
         for _ in range(max(SAFE_TICKS, self.ticks(seconds))):
             self.step(DriveMode.OFF)
+
+
+def shares_commands(protocol: DriveProtocol, dialogue: Dialogue) -> bool:
+    """Tell whether one frame powers several drives: some of those for several differ by the command."""
+
+    def shared(mode: DriveMode) -> list[Frame]:
+        after, sent = protocol.command(dialogue, Command(mode, np.zeros(LEGS)), 0)
+        return [each for each in (*protocol.begin(after, 0), *sent) if len(protocol.addressed(each)) > 1]
+
+    return shared(DriveMode.OFF) != shared(DriveMode.RUN)
 
 
 def _only(record: Record, legs: Array | Any) -> Record:

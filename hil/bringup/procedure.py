@@ -5,7 +5,7 @@ Nothing later begins while a gate has findings. Facts that are known are not ask
 
 from typing import NamedTuple
 
-from hil.bringup.context import Context, Finding, RefusedError, StoppedError
+from hil.bringup.context import Context, Finding, Gap, RefusedError, Request, StoppedError
 from hil.bringup.step import Step
 from hil.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
 
@@ -22,7 +22,7 @@ STEPS: tuple[Step, ...] = (
 """In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
 
 
-ENDS = frozenset({"runaway", "not_powered", "lost_power"})
+ENDS = frozenset({"runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps"})
 """Findings after which nothing more is tried."""
 
 
@@ -32,6 +32,8 @@ class Outcome(NamedTuple):
     passed: tuple[str, ...]
     """Steps without a finding."""
     findings: tuple[Finding, ...]
+    gaps: tuple[tuple[str, Gap], ...] = ()
+    """Steps that cannot prove all with these drives, and what; the operator has taken that over."""
     stopped: str = ""
     """Step at which it ended early; empty: all steps were done."""
 
@@ -58,35 +60,52 @@ def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
 def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
     passed: list[str] = []
     findings: list[Finding] = []
+    gaps: list[tuple[str, Gap]] = []
+
+    def outcome(stopped: str = "") -> Outcome:
+        return Outcome(tuple(passed), tuple(merged(findings)), tuple(gaps), stopped)
+
     for step in steps:
         if findings and step.gate:
-            return _outcome(passed, findings, step.name)
-        c.operator.tell(f"{step.name}: {step.title}")
-        known = step.kept and step.name in c.facts.get("passed", {})
-        if not known and not c.operator.consent(step.title, step.will, step.stop):
-            raise RefusedError(f"ended before step {step.name}; what was found is kept")
-        try:
-            if not known:
-                step.find(c)
-            found = step.judge(c)
-        except StoppedError as stop:
-            found = [stop.finding]
+            return outcome(step.name)
+        known, found = _proceed(c, step)
         for finding in found:
             c.operator.tell(f"  {finding.line}")
         findings += found
-        if found and (step.gate or found[0].name in ENDS):
-            return _outcome(passed, findings, step.name)
-        if not found and not step.measured(c):
+        if found and (step.gate or not ENDS.isdisjoint(each.name for each in found)):
+            return outcome(step.name)
+        gap = None if found else step.gap(c)
+        if gap is not None:
+            _accept(c, step, gap)
+            gaps.append((step.name, gap))
+        elif not found and not step.measured(c):
             c.operator.tell("  not measured: see the findings above")
         elif not found:
             passed.append(step.name)
             c.keep("passed", step.name, fact=True)
             c.operator.tell("  passed before" if known else "  passed")
-    return _outcome(passed, findings, "")
+    return outcome()
 
 
-def _outcome(passed: list[str], findings: list[Finding], stopped: str) -> Outcome:
-    return Outcome(tuple(passed), tuple(merged(findings)), stopped)
+def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
+    """Do a step if it has not passed before; return whether it has, and its findings."""
+    c.operator.tell(f"{step.name}: {step.title}")
+    known = step.kept and step.name in c.facts.get("passed", {})
+    if not known and not c.operator.consent(step.title, step.will, step.stop):
+        raise RefusedError(f"ended before step {step.name}; what was found is kept")
+    try:
+        if not known:
+            step.find(c)
+        return known, step.judge(c)
+    except StoppedError as stop:
+        return known, [stop.finding]
+
+
+def _accept(c: Context, step: Step, gap: Gap) -> None:
+    """Have the operator take over what a step cannot prove: at every start, since he may be another."""
+    c.operator.tell(f"  {gap.line}")
+    text = f"{step.name} is not proven: take it over by typing `accept`"
+    c.ask(Request("accept", text=text, word="accept"))
 
 
 def merged(findings: list[Finding]) -> list[Finding]:

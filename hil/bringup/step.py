@@ -4,7 +4,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from drivers.signals import LEGS
-from hil.bringup.context import Context, Finding
+from hil.bringup.context import Context, Finding, Gap
+
+
+def no_gap(_c: Context) -> Gap | None:
+    """Return None: all of the step is proven."""
+    return None
 
 
 class Step(NamedTuple):
@@ -26,6 +31,8 @@ class Step(NamedTuple):
     """A finding ends the bring-up here; else the next steps still look for its cause."""
     by_drive: bool = False
     """It finds a fact of each drive."""
+    gap: Callable[[Context], Gap | None] = no_gap
+    """What it cannot prove with these drives, by the facts; it has not passed then."""
 
     def measured(self, c: Context) -> bool:
         """Tell whether all that the step is to find has been found."""

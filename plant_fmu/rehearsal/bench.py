@@ -13,6 +13,7 @@ from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant
 from plant_fmu.rehearsal.legs import LegBench, TrestleLegs
 from plant_fmu.rehearsal.wired_drives import WiredDrives
@@ -46,7 +47,10 @@ class Stand(NamedTuple):
 
 
 class RehearsalBench:
-    """Six drives before legs on trestles. Mutable state: the nodes, the legs, and the chance of readings."""
+    """Six drives before legs on trestles. Mutable state: the nodes, the legs, the chance of readings.
+
+    And whether the platform hangs on the legs.
+    """
 
     def __init__(
         self,
@@ -56,8 +60,11 @@ class RehearsalBench:
         stand: Stand,
         wiring: Wiring,
         seed: int = 1,
+        faults: FaultPlan | None = None,
     ) -> None:
         self.stand, self.wiring = stand, wiring
+        self.hung = False
+        """The platform hangs on the legs."""
         self._rated_N = settings.force_limit_N
         stroke = stand.length_max - stand.length_min
         friction = max(stand.friction_N, USUAL_FRICTION * self._rated_N) + self._rated_N * np.array(
@@ -77,7 +84,7 @@ class RehearsalBench:
         )
         self.drives_end = drives_end(protocol, wiring, settings)
         self.cables = self.behind_cables(self._legs)
-        self.nodes = Nodes(self.cables, self.drives_end, emulation, settings)
+        self.nodes = Nodes(self.cables, self.drives_end, emulation, settings, faults)
         self._chance = np.random.default_rng(seed)
 
     def behind_cables(self, plant: Plant) -> WiredPlant:
@@ -129,10 +136,15 @@ class RehearsalBench:
 
     def hang(self, p: Array, R: Array) -> None:
         """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3)."""
+        self.hung = True
         s = self.stand
         for leg in range(LEGS):
             base = s.base_joints[self.wiring.base_joint[leg]]
             self._legs.place(leg, float(np.linalg.norm(p + R @ s.platform_joints[leg] - base)))
+
+    def take_down(self) -> None:
+        """Take the platform off the legs, which lie on trestles again."""
+        self.hung = False
 
 
 def drives_end(protocol: DriveProtocol, wiring: Wiring, settings: DriveSettings) -> DriveProtocol:

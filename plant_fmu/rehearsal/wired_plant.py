@@ -11,7 +11,8 @@ from plant_fmu.rehearsal.wiring import Wiring
 class WiredPlant:
     """Plant: forces and brakes of drives go to the legs that they are wired to, and encoders read theirs.
 
-    Mutable state: the plant behind the cables, and what frozen encoders read, from `reset` on.
+    Mutable state: the plant behind the cables, from `reset` on what frozen encoders read, and where
+    those with play are.
     """
 
     def __init__(self, plant: Plant, wiring: Wiring, origin: Array) -> None:
@@ -20,6 +21,7 @@ class WiredPlant:
         self._wiring = wiring
         self._origin = origin
         self._frozen: Array | None = None
+        self._followed = np.full(LEGS, np.inf)
         self.internal_step_s = plant.internal_step_s
 
     def exchange(self, plant: Plant) -> None:
@@ -29,7 +31,7 @@ class WiredPlant:
 
     def reset(self) -> tuple[Array, Array]:
         """Reset the plant; lengths (6,) m and rates (6,) m/s as the encoders read them."""
-        self._frozen = None
+        self._frozen, self._followed = None, np.full(LEGS, np.inf)
         read = self._read(*self._plant.reset())
         self._frozen = read[0].copy()
         return read
@@ -41,7 +43,7 @@ class WiredPlant:
         for drive in range(LEGS):
             if w.present[drive] and not w.other_protocol[drive]:
                 at_leg[w.motor[drive]] += w.force_gain[drive] * force[drive]
-                held[w.brake[drive]] = brake[drive]
+                held[w.brake[drive]] = min(held[w.brake[drive]], brake[drive])
         for leg, stuck in enumerate(w.stuck):
             if stuck is not None:
                 held[leg] = stuck
@@ -52,7 +54,11 @@ class WiredPlant:
         w = self._wiring
         legs = list(w.encoder)
         scale = np.array(w.scale)
-        reads = self._origin[legs] + scale * (length[legs] - self._origin[legs]) + np.array(w.offset_m)
+        self._followed = np.clip(self._followed, length[legs] - np.array(w.play_m), length[legs])
+        place = self._followed - self._origin[legs]
+        beyond = place > 0.0
+        place = np.where(np.array(w.stops) & beyond, 0.0, place) + np.where(beyond, w.jump_m, 0.0)
+        reads = self._origin[legs] + scale * place + np.array(w.offset_m)
         rates = scale * rate[legs]
         if self._frozen is not None:
             stands = np.array(w.frozen)

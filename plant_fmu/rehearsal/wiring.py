@@ -36,6 +36,12 @@ class Wiring:
     """Of each leg: where its brake stays, 1 shut, 0 open; None for one that works."""
     brake_share: tuple[float, ...] = ONES
     """Of each leg: share of its force that the brake has."""
+    jump_m: tuple[float, ...] = ZEROS
+    """The reading is so much more beyond the middle of the stroke."""
+    stops: tuple[bool, ...] = (False,) * LEGS
+    """The reading stays that of the middle beyond it."""
+    play_m: tuple[float, ...] = ZEROS
+    """The leg moves so far before the encoder follows it."""
     friction: tuple[float, ...] = ZEROS
     """Of each leg: friction beyond the usual, as a share of the rated force."""
     present: tuple[bool, ...] = (True,) * LEGS
@@ -87,6 +93,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "motor_crossed": (("motor",), 2, None, "motor cables of two drives exchanged"),
     "encoder_crossed": (("encoder",), 2, None, "encoder cables of two drives exchanged"),
     "brake_crossed": (("brake",), 2, None, "brake cables of two drives exchanged"),
+    "brake_of_another": (("brake",), 1, None, "the drive's brake cable goes to another leg's brake, too"),
     "mounted_elsewhere": (("base_joint",), 2, None, "two legs mounted at each other's base joint"),
     "encoder_counts_another": (("encoder",), 1, None, "an encoder counts another leg, beside that leg's own"),
     "same_id": (("answers_as",), 1, None, "a drive has the node number of another one"),
@@ -97,6 +104,9 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "wrong_lead": (("scale", "force_gain"), 1, 1.25, "another lead or gear than the drive believes"),
     "drive_reversed": (("scale", "force_gain"), 1, -1.0, "motor and encoder mounted the other way round"),
     "encoder_frozen": (("frozen",), 1, 1.0, "the encoder stands still"),
+    "encoder_jumps": (("jump_m",), 1, 6e-3, "the encoder reads so much more beyond mid-stroke, m"),
+    "encoder_stops": (("stops",), 1, 1.0, "the encoder stands still beyond mid-stroke"),
+    "backlash": (("play_m",), 1, 5e-3, "play between leg and encoder, m"),
     "offset": (("offset_m",), 1, 4e-3, "homed at another length, m"),
     "brake_stuck_shut": (("stuck",), 1, 1.0, "the brake does not open"),
     "brake_stuck_open": (("stuck",), 1, 0.0, "the brake does not shut"),
@@ -120,6 +130,11 @@ def wired(*mistakes: Mistake) -> Wiring:
     return wiring
 
 
+def legs_of(name: str) -> int:
+    """Return how many legs a mistake has to name: `leg`, `other`, `third`."""
+    return 2 if name in _ONTO_ANOTHER else MISTAKES[name][1]
+
+
 def stroke_short(share: float) -> Wiring:
     """Return a wiring whose legs are all shorter than configured by a share of the stroke."""
     return Wiring(shorter=(share,) * LEGS)
@@ -129,9 +144,7 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
     if mistake.name not in MISTAKES:
         raise ValueError(f"mistake {mistake.name!r}: unknown, allowed: {', '.join(MISTAKES)}")
     fields, count, usual, _ = MISTAKES[mistake.name]
-    legs = (mistake.leg, mistake.other, mistake.third)[: max(count, 1)]
-    if mistake.name in ("encoder_counts_another", "same_id"):
-        legs = (mistake.leg, mistake.other)
+    legs = (mistake.leg, mistake.other, mistake.third)[: legs_of(mistake.name)]
     if any(not 0 <= leg < LEGS for leg in legs) or len(set(legs)) != len(legs):
         raise ValueError(f"mistake {mistake.name}: different legs 0 to 5 are allowed, given: {list(legs)}")
     value = usual if mistake.value is None else mistake.value
@@ -150,4 +163,6 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
     return Wiring(**{**vars(wiring), **changes})
 
 
+_ONTO_ANOTHER = frozenset({"encoder_counts_another", "same_id", "brake_of_another"})
+"""One leg's is that of another, which keeps its own."""
 _FACTORS = frozenset({"scale", "force_gain", "watchdog"})

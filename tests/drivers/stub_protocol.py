@@ -30,6 +30,7 @@ from drivers.protocol import (
     DriveSetup,
     EmergencyStop,
     Frame,
+    PowerTold,
     Received,
     Rejected,
     Status,
@@ -105,6 +106,8 @@ class StubProtocol:
     reset_ticks = 2
     stop_latches = True
     force_on_brakes = True
+    has_watchdog = True
+    power_told: PowerTold = "feedback"
     dangers = ()
     reactions = tuple(Reaction)
     shares_identifiers = False

@@ -11,12 +11,15 @@ from hil.bringup.steps.gauge import gains
 def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
     """Return the lines: a line a step with its verdict, below it the figures of each leg."""
     lines = []
-    done = set(outcome.passed)
+    done, gaps = set(outcome.passed), dict(outcome.gaps)
     for step in STEPS:
         figures = _figures(c, step.name)
         mark = "x" if step.name in done else "!" if figures and outcome.findings else " "
+        mark = "-" if step.name in gaps else mark
         lines.append(f"[{mark}] {step.name}: {step.title}")
         lines += [f"      {line}" for line in figures]
+        if step.name in gaps:
+            lines.append(f"      {gaps[step.name].line}; taken over by the operator")
     lines += [f"    ! {finding.line}" for finding in outcome.findings]
     lines += list(together)
     return lines

@@ -15,6 +15,7 @@ from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.found import FIRST_M, found_text
 from hil.app.bringup.hands import RemoteHands, asked, hands_socket
+from hil.app.bringup.homing import mark_moved, state_lengths
 from hil.app.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.app.bringup.rehearsal import BenchHands, BenchLine, build_bench
 from hil.app.bringup.store import Store, identity
@@ -85,9 +86,7 @@ def run_bringup(
         if yes and not asked(hands_socket(c.bus.interface, c.bus.channel)):
             raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
     files = files_of(configuration, c, state, rehearsal=rehearsal)
-    if again:
-        files.state.unlink(missing_ok=True)
-    store = Store(files.state, identity(c, words))
+    store = Store(files.state, identity(c, words), again=again)
     if store.changed:
         say(f"other hardware than in {files.state} ({store.changed}): everything is measured again")
     elif store.facts:
@@ -95,6 +94,8 @@ def run_bringup(
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
     with _log(c, path, lockstep=rehearsal) as recording:
         said = _Said(say, recording)
+        if not rehearsal:
+            mark_moved(c, said)
         bench = build_bench(c, wiring_of(words)) if rehearsal else None
         outcome, context, reason = _proceed(c, bench, store, said, yes=yes)
         text = found_text(c, context, outcome.findings)
@@ -102,7 +103,10 @@ def run_bringup(
         success = False
         if outcome.success and not reason:
             write_whole(files.found, text)
-            success, together = _release(loads(text, str(files.found), c.folder), bench, said, yes=yes)
+            found = loads(text, str(files.found), c.folder)
+            if not rehearsal:
+                state_lengths(found, context, said)
+            success, together = _release(found, bench, said, yes=yes)
         elif outcome.findings:
             with contextlib.suppress(ConfigurationError):
                 loads(text, str(files.found), c.folder)
@@ -124,6 +128,7 @@ def _summary(
         "trouble": reason or None,
         "configuration": c.source,
         "passed": list(outcome.passed),
+        "not_provable": [f"{step}: {gap.line}" for step, gap in outcome.gaps],
         "findings": [finding.line for finding in outcome.findings],
         "checklist": str(files.checklist),
         **({"found": str(files.found)} if files.found.exists() else {}),
@@ -182,10 +187,10 @@ def _proceed(
             if outcome.success and bench is None:
                 context.ask(Request("mount", text=_MOUNT))
         except RefusedError as refusal:
-            return Outcome((), (), "ended"), context, str(refusal)
+            return Outcome((), (), stopped="ended"), context, str(refusal)
         except KeyboardInterrupt:
             why = "ended by Ctrl-C: forces zero, brakes shut; what was found is kept"
-            return Outcome((), (), "ended"), context, why
+            return Outcome((), (), stopped="ended"), context, why
         return outcome, context, ""
 
 

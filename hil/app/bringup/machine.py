@@ -8,6 +8,7 @@ from drivers.arrays import Array
 from drivers.errors import ProtocolError
 from drivers.protocol import DriveProtocol, Status
 from drivers.signals import LEGS, DriveState
+from drivers.transmission import forgotten_length
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.bringup.context import Machine
@@ -59,7 +60,16 @@ def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
         joint_distances=np.array(joints),
         known_identifiers=known_identifiers(protocol),
         losses=_losses(c),
+        forgotten_m=_forgotten(c),
+        heartbeat_s=1e-3 * c.drives.heartbeat_ms,
     )
+
+
+def _forgotten(c: Configuration) -> Array | None:
+    homing, transmission = c.drives.homing, c.drives.transmission
+    if homing is None or transmission is None:
+        return None
+    return forgotten_length(transmission, homing.forgotten_turns)
 
 
 def _losses(c: Configuration) -> float:

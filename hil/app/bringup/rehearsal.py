@@ -15,6 +15,7 @@ from hil.bringup.context import Request
 from hil.bringup.line import Heard
 from plant_fmu.config import PlantSettings, StewartPlant
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.rehearsal.bench import RehearsalBench, Stand
 from plant_fmu.rehearsal.wiring import Wiring
@@ -34,8 +35,10 @@ def emulated(c: Configuration) -> PlantSettings:
     return c.plant if isinstance(c.plant.model, StewartPlant) else c.plant.model_copy(update={"model": model})
 
 
-def build_bench(c: Configuration, wiring: Wiring, seed: int = 1) -> RehearsalBench:
-    """Return the bench of a configuration's machine on trestles, wired like that."""
+def build_bench(
+    c: Configuration, wiring: Wiring, seed: int = 1, faults: FaultPlan | None = None
+) -> RehearsalBench:
+    """Return the bench of a configuration's machine on trestles, wired like that, with faults to come."""
     platform, plant = build_platform(c.platform), emulated(c)
     model = plant.model
     assert isinstance(model, StewartPlant)
@@ -48,7 +51,7 @@ def build_bench(c: Configuration, wiring: Wiring, seed: int = 1) -> RehearsalBen
         base_joints=platform.base_joints,
         platform_joints=platform.platform_joints,
     )
-    return RehearsalBench(build_protocol(c), plant.drives, c.drives, stand, wiring, seed)
+    return RehearsalBench(build_protocol(c), plant.drives, c.drives, stand, wiring, seed, faults)
 
 
 class BenchLine:
@@ -135,6 +138,8 @@ class BenchHands:
                 self._answer = bench.read_gauge()
             case "hang":
                 bench.hang(*self._poses[round(request.value)])
+            case "take_down":
+                bench.take_down()
             case "mount":
                 bench.cables.exchange(self._mounted())
         if request.text:

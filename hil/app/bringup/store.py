@@ -2,45 +2,56 @@
 
 import json
 from collections.abc import Iterable
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import RunError
+from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.files import write_whole
 from hil.bringup.context import Finding
 
-VERSION = 1
+VERSION = 2
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 """Findings after which the bus is scanned again."""
+_STANDS = ("platform",)
+"""Facts that hold whatever was exchanged: the platform hangs on the legs until somebody takes it down."""
 _BY_LEG = ("ids", "encoder", "held", "opens", "force", "gauge", "watchdog")
 
 
 class Store:
     """The state file. Mutable state: the facts, which are written at each change."""
 
-    def __init__(self, path: Path, identity: dict[str, Any]) -> None:
-        """Read what is known of the same hardware. Raises RunError for a file that is no state."""
+    def __init__(self, path: Path, identity: dict[str, Any], *, again: bool = False) -> None:
+        """Read what is known of the same hardware; again: only whether the platform hangs on the legs.
+
+        Raises RunError for a file that is no state: it stays as it is.
+        """
         self.path, self._identity = path, identity
         self.facts: dict[str, dict[str, Any]] = {}
         self.changed = ""
         """What of the hardware is another than in the file; empty: nothing, or there is no file."""
         if path.exists():
-            self._read()
+            self._read(again=again)
 
-    def _read(self) -> None:
+    def _read(self, *, again: bool) -> None:
         try:
             there = json.loads(self.path.read_text(encoding="utf-8"))
-            version, identity, facts = there["version"], there["identity"], there["facts"]
-        except (ValueError, KeyError, TypeError, OSError) as error:
+            version, identity, facts = there["version"], dict(there["identity"]), there["facts"]
+            if version == VERSION:
+                refuse_malformed(facts)
+        except (ValueError, KeyError, TypeError, OSError, RecursionError) as error:
             raise RunError(
-                f"{self.path}: no state of a bring-up ({error}); remove it, or name another with --state"
+                f"{self.path}: no state of a bring-up ({type(error).__name__}: {error}). It stays as it "
+                "is: name another with --state, or remove it, and take the platform off the legs before"
             ) from None
         if version != VERSION:
             raise RunError(f"{self.path}: version {version}, allowed: {VERSION}; remove it to begin anew")
         other = [key for key, value in self._identity.items() if identity.get(key) != value]
-        if other:
-            self.changed = ", ".join(other)
+        if again or other:
+            self.changed = "" if again else ", ".join(other)
+            self.facts = {key: facts[key] for key in _STANDS if key in facts}
         else:
             self.facts = facts
 
@@ -60,6 +71,69 @@ class Store:
             self.facts.pop("mounted", None)
             self.facts.pop("passed", None)
         self.save()
+
+
+def refuse_malformed(facts: Any) -> None:
+    """Raise ValueError or TypeError for facts that no step has written: another shape or type."""
+    if not isinstance(facts, dict):
+        raise TypeError("facts are no table")
+    for step, table in facts.items():
+        keys = _FORMS.get(step)
+        if keys is None or not isinstance(table, dict):
+            raise ValueError(f"facts of {step!r}")
+        for name, fact in table.items():
+            known = _NAMES.get(step, _LEG_NAMES)
+            if (known and name not in known) or not _fits(fact, keys.get(name, keys.get(""))):
+                raise ValueError(f"fact {name!r} of {step!r}")
+
+
+def _fits(value: Any, form: Any) -> bool:
+    """Tell whether a value has a form: a type or several, a list of so many, a table of keys."""
+    if isinstance(form, dict):
+        return isinstance(value, dict) and all(key in value and _fits(value[key], form[key]) for key in form)
+    if isinstance(form, list):
+        many = (len(value) == form[1] if form[1] else True) if isinstance(value, list) else False
+        return many and all(_fits(each, form[0]) for each in value)
+    if isinstance(value, bool) and bool not in form:
+        return False
+    return isinstance(value, form) and (not isinstance(value, float) or isfinite(value))
+
+
+_LEG_NAMES = frozenset(map(str, range(LEGS)))
+_NAMES: dict[str, frozenset[str]] = {
+    "scan": _LEG_NAMES | {"bus"},
+    "mounted": frozenset(("0", "1")),
+    "passed": frozenset(),
+    "platform": frozenset(("hung",)),
+}
+"""Names of the facts of a step, where they are not the legs; empty: any."""
+_NUMBER, _MAYBE, _FLAG, _TEXT, _LEGS = (int, float), (int, float, type(None)), (bool,), (str,), [(int,), 0]
+_WAY = {"force_N": _MAYBE, "leg": (int, type(None)), "way": (int,)}
+_FORMS: dict[str, dict[str, Any]] = {
+    "scan": {
+        "": {"answers": _NUMBER, "twice": _FLAG, "state": _TEXT, "lacks": _TEXT, "fault": _TEXT},
+        "bus": {"foreign": (int,), "refused": (int,), "strange": [(int,), 0]},
+    },
+    "watchdog": {"": {"powered": _FLAG, "until_s": _MAYBE, "since_s": _MAYBE}},
+    "ids": {"": {"drives": _LEGS, "changes_m": [_NUMBER, LEGS]}},
+    "encoder": {
+        "": {
+            "drive": (int, type(None)),
+            "tape_m": [_NUMBER, 2],
+            "scale": _NUMBER,
+            "offset_m": _NUMBER,
+            "bent_m": _NUMBER,
+        }
+    },
+    "held": {"": {"moved": _FLAG}},
+    "opens": {"": {"legs": _LEGS, "hand_N": _MAYBE}},
+    "force": {"": {"plus": _WAY, "minus": _WAY}},
+    "gauge": {"": {"pairs_N": [[_NUMBER, 2], 0]}},
+    "mounted": {"": {"q_m": [_NUMBER, LEGS]}},
+    "passed": {"": _FLAG},
+    "platform": {"": _FLAG},
+}
+"""What each step keeps, by the name of the fact; empty: all others."""
 
 
 def identity(c: Configuration, wiring: Iterable[str]) -> dict[str, Any]:

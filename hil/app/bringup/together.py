@@ -1,10 +1,14 @@
 """The last step of a rehearsal: all six legs under the ordinary controller, at reduced limits."""
 
+from hil.app.bringup.machine import known_poses
 from hil.app.bringup.rehearsal import emulated, mounted
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform
+from hil.app.homing.last_pose import last_pose_of
 from hil.app.sim.build import build_lockstep
 from hil.loop.run_end import Ending
+from hil.robot.kinematics import leg_lengths
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.rehearsal.bench import RehearsalBench
 
@@ -15,7 +19,10 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     Its brake tests carry the platform's weight on all six brakes before they open and after they have shut.
     Raises PlantError.
     """
-    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+    pose = last_pose_of(c, None)
+    if pose is not None:
+        pose = pose._replace(length=leg_lengths(build_platform(c.platform), *known_poses(c)[0]))
+    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms, last_pose=pose)
     plant = mounted(c, bench.wiring)
     try:
         nodes = Nodes(bench.behind_cables(plant), bench.drives_end, emulated(c).drives, c.drives)

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from math import isfinite
 
 from drivers.errors import ConfigurationError
-from plant_fmu.rehearsal.wiring import MISTAKES, Mistake, Wiring, wired
+from plant_fmu.rehearsal.wiring import MISTAKES, Mistake, Wiring, legs_of, wired
 
 _KEYS = ("leg", "other", "third", "value")
 
 
 def mistake_of(words: str) -> Mistake:
     """Return a mistake. Raises ConfigurationError for words that are none."""
-    name, *rest = words.split()
+    name, *rest = words.split() or [""]
     given: dict[str, float] = {}
     for word in rest:
         key, equals, text = word.partition("=")
@@ -25,6 +25,14 @@ def mistake_of(words: str) -> Mistake:
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
     legs = {key: int(given[key]) for key in _KEYS[:3] if key in given}
+    needed = _KEYS[: legs_of(name)]
+    lacks = [key for key in needed if key not in given]
+    more = [key for key in legs if key not in needed]
+    if lacks or more or any(given[key] != leg for key, leg in legs.items()):
+        wrong = f"without {', '.join(lacks)}" if lacks else f"given: {' '.join(rest)}"
+        raise ConfigurationError(
+            f"--mistake {words!r}: {wrong}, allowed: {name} with {', '.join(needed)}, legs 0 to 5"
+        )
     return Mistake(name, **{"leg": 0, **legs}, value=given.get("value"))
 
 

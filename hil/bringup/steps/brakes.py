@@ -52,7 +52,7 @@ def gives_way(c: Context, leg: int, keep: Callable[[], object], state: str) -> t
     force = 0.0
     if moved:
         text = f"Read the force at which leg {leg} gave way, N"
-        force = c.ask(Request("read_push", leg, 0.0, text), keep)
+        force = c.ask(Request("read_push", leg, 0.0, text, within=(0.0, c.machine.rated_N)), keep)
     c.ask(Request("let_go", leg, 0.0, f"Let go of leg {leg}"), keep)
     return moved, force
 

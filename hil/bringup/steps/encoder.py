@@ -1,6 +1,7 @@
-"""Sign, scale and zero of each encoder, by tape at both ends of the stroke, and the stroke itself."""
+"""Sign, scale and zero of each encoder, by tape at both ends of the stroke and between, and the stroke."""
 
 from math import sqrt
+from typing import Any
 
 from drivers.signals import LEGS
 from hil.bringup.context import Context, Finding, Request
@@ -11,6 +12,8 @@ ENDS_M = 2e-3
 """A leg that ends so far before its configured length does not reach it."""
 ZERO_M = 1.5e-3
 """Largest accepted difference of reading and tape."""
+FAR = 4.0
+"""A leg that is measured so many times longer than configured, or shorter, was measured in another unit."""
 SIGMAS = 4.0
 """Differences of so many standard deviations of the tape are real."""
 
@@ -22,22 +25,24 @@ def find(c: Context) -> None:
         if c.known("encoder", leg) is not None:
             continue
         tape, reads = [], []
-        for share, word in ((0.0, "shortest"), (1.0, "longest")):
+        within = c.machine.length_min / FAR, c.machine.length_max * FAR
+        for share, word in ((0.0, "shortest"), (1.0, "longest"), (0.5, "middle")):
             where = f"its {word}, {1e3 * (c.machine.length_min + share * c.machine.stroke):.0f} mm"
             c.ask(Request("place", leg, share, f"Move leg {leg} by hand to {where}, or as far as it goes"))
             text = f"Measure leg {leg}, joint centre to joint centre, m"
-            tape.append(c.ask(Request("measure", leg, 0.0, text)))
+            tape.append(c.ask(Request("measure", leg, 0.0, text, within=within)))
             c.rest(0.02)
             reads.append(c.lengths().tolist())
-        c.ask(Request("place", leg, 0.5, f"Move leg {leg} to the middle of its stroke"))
-        c.rest(0.02)
         drive, spread = drives.get(leg), tape[1] - tape[0]
-        scale = offset = 0.0
+        scale = offset = bent = 0.0
         if drive is not None and abs(spread) > 0.05 * c.machine.stroke:
             scale = (reads[1][drive] - reads[0][drive]) / spread
             middle = 0.5 * (tape[0] + tape[1])
             offset = 0.5 * (reads[0][drive] + reads[1][drive]) - middle
-        c.keep("encoder", leg, {"drive": drive, "tape_m": tape, "scale": scale, "offset_m": offset})
+            bent = reads[2][drive] - (middle + offset + scale * (tape[2] - middle))
+            offset -= c.machine.turns_m(drive, offset)
+        fact = {"drive": drive, "tape_m": tape[:2], "scale": scale, "offset_m": offset}
+        c.keep("encoder", leg, fact | {"bent_m": bent})
 
 
 def tolerance(c: Context, spread: float) -> float:
@@ -57,15 +62,20 @@ def judge(c: Context) -> list[Finding]:
         drive, spread = fact["drive"], high - low
         if drive is None or spread < 0.05 * m.stroke:
             continue
-        found += _encoder(c, drive, fact["scale"], fact["offset_m"], spread)
+        found += _encoder(c, drive, fact, spread)
     return found + _stroke(c, short)
 
 
-def _encoder(c: Context, drive: int, scale: float, offset: float, spread: float) -> list[Finding]:
+def _encoder(c: Context, drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:
+    scale, offset, bent = fact["scale"], fact["offset_m"], fact["bent_m"]
     found, within = [], tolerance(c, spread)
     if abs(scale) < 0.05:
         text = "its encoder stands still while its leg moves"
         return [Finding("encoder_frozen", (drive,), text, "Look at encoder, coupling and cable.")]
+    if abs(bent) > max(1.0, abs(scale)) * max(ZERO_M, SIGMAS * sqrt(1.5) * c.machine.tape_m):
+        text = f"at mid-stroke it reads {1e3 * bent:+.2f} mm off the straight line between its ends"
+        mend = "Look at coupling, belt, play and signal: it jumps, stops half way, or slips."
+        return [Finding("encoder_jumps", (drive,), text, mend)]
     if scale < 0.0:
         text = f"its reading falls as the leg grows: {scale:.3f} m a m by tape"
         found.append(Finding("encoder_sign", (drive,), text, "Turn the sign of the encoder in the drive."))

@@ -44,11 +44,20 @@ def find(c: Context) -> None:
                     hold(force)
                 for _ in range(c.drives.ticks(HOLD_S)):
                     hold(force)
-                ask = Request("read_gauge", leg, 0.0, f"Read the gauge at leg {leg}, N, > 0 pushing")
+                within = -c.machine.rated_N, c.machine.rated_N
+                text = f"Read the gauge at leg {leg}, N, > 0 pushing"
+                ask = Request("read_gauge", leg, 0.0, text, within=within)
                 read = c.ask(ask, partial(hold, force))
-                pairs.append([force, read])
+                pairs.append([_carried(c, drive, force), read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})
+
+
+def _carried(c: Context, drive: int, force: float) -> float:
+    """Return what the frames carry of a force, N: a coarse field would pass for a wrong scale."""
+    forces = np.zeros(LEGS)
+    forces[drive] = force
+    return float(c.drives.protocol.carried(forces)[drive])
 
 
 def gains(c: Context) -> dict[int, float]:

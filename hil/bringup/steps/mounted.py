@@ -4,11 +4,14 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.bringup.context import Context, Finding, Request
+from hil.bringup.context import Context, Finding, Gap, Request
 from hil.bringup.step import Step
 
 FIT_M = 4e-3
 """Largest accepted difference of a length at a pose that is known by a jig."""
+
+SAME_M = 1e-3
+"""Differences at the poses that differ by less are one."""
 
 MEND = (
     "Mount it at its joints, or mend the geometry. Take the platform off the legs first: what is mended is "
@@ -21,6 +24,7 @@ def find(c: Context) -> None:
     for pose in range(len(c.machine.pose_lengths)):
         if c.facts.get("mounted", {}).get(str(pose)) is None:
             text = f"Mount the legs, levers on the brakes, and hang the platform at known pose {pose}"
+            c.hung()
             c.ask(Request("hang", -1, float(pose), text))
             c.rest(0.02)
             c.keep("mounted", pose, {"q_m": c.lengths().tolist()})
@@ -31,10 +35,17 @@ def judge(c: Context) -> list[Finding]:
     m, found = c.machine, []
     q = np.array([c.facts["mounted"][str(k)]["q_m"] for k in range(len(m.pose_lengths))])
     for leg in range(LEGS):
+        q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
+    for leg in range(LEGS):
         off = q[:, leg] - m.pose_lengths[:, leg]
         if np.abs(off).max() <= FIT_M:
             continue
         fits = _joints(m.joint_distances, q[:, leg])
+        if fits is None and np.ptp(off) < SAME_M:
+            text = f"at the known poses it reads {1e3 * off.mean():+.1f} mm off, the same at each"
+            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {MEND}"
+            found.append(Finding("slipped", (leg,), text, mend))
+            continue
         text = f"at the known poses it is {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm off"
         if fits is None:
             text += ", and fits no pair of joints"
@@ -51,6 +62,18 @@ def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
     return (int(base), int(platform)) if worst[base, platform] <= FIT_M else None
 
 
+def gap(c: Context) -> Gap | None:
+    """Say where drives that forget their turns read alike at other joints."""
+    step = c.machine.forgotten_m
+    if step is None or float(step.min()) > 4.0 * FIT_M:
+        return None
+    return Gap(
+        f"they forget multiples of {1e3 * float(step.min()):.3g} mm, so a leg that is mounted elsewhere, or "
+        "has slipped, may read the length that it should have",
+        "Compare the length of each leg at both poses by tape",
+    )
+
+
 STEP = Step(
     "mounted",
     "the platform on its legs",
@@ -58,4 +81,5 @@ STEP = Step(
     "Ctrl-C; no drive is powered",
     find,
     judge,
+    gap=gap,
 )

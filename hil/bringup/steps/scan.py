@@ -1,5 +1,7 @@
 """Who answers on the bus, and whether six drives take their set-up."""
 
+from typing import NamedTuple
+
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.bringup.context import Context, Finding
 from hil.bringup.step import Step
@@ -11,29 +13,51 @@ CANOPEN_HEARTBEAT = 0x700
 
 def find(c: Context) -> None:
     """Poll all drives, commanded off, and set them up: at every start, since drives forget."""
+    found = _listened(c)
+    lacks = ("",) * LEGS
+    if not found.doubled and not found.foreign:
+        lacks = c.drives.prepare(None)
+        if min(found.heard) == 0:
+            found = _listened(c)  # some families do not answer before they are set up
+    bus = {"foreign": found.foreign, "refused": found.refused, "strange": sorted(found.strange)}
+    c.keep("scan", "bus", bus)
+    for leg in range(LEGS):
+        state = DriveState(int(c.drives.record["drive_state"][leg])).name
+        fact = {
+            "answers": found.heard[leg] / c.drives.ticks(LISTEN_S),
+            "twice": bool(found.doubled >> leg & 1),
+            "state": state,
+            "lacks": lacks[leg] if found.heard[leg] else "",
+            "fault": c.fault_of(leg) if found.heard[leg] and state == DriveState.FAULT.name else "",
+        }
+        c.keep("scan", leg, fact)
+
+
+class _Listened(NamedTuple):
+    """What some ticks have brought."""
+
+    heard: list[int]
+    """Ticks in which each drive has answered."""
+    doubled: int
+    foreign: int
+    refused: int
+    strange: set[int]
+    """Identifiers of frames that are nobody's."""
+
+
+def _listened(c: Context) -> _Listened:
+    """Poll the drives, commanded off."""
     heard, doubled, foreign, refused = [0] * LEGS, 0, 0, 0
     strange: set[int] = set()
-    ticks = c.drives.ticks(LISTEN_S)
-    for _ in range(ticks):
+    for _ in range(c.drives.ticks(LISTEN_S)):
         record = c.drives.step()
         for leg in range(LEGS):
-            heard[leg] += record["age"][leg] == 0
+            heard[leg] += int(record["age"][leg] == 0)
         doubled |= int(record["doubled"])
         foreign |= int(record["foreign"])
         refused += int(record["rejected"])
         strange |= {each.frame.id for each in c.drives.heard} - c.machine.known_identifiers
-    heard = [int(n) for n in heard]
-    lacks = c.drives.prepare(None) if min(heard) > 0 and not doubled else ("",) * LEGS
-    c.keep("scan", "bus", {"foreign": foreign, "refused": refused, "strange": sorted(strange)})
-    for leg in range(LEGS):
-        state = DriveState(int(c.drives.record["drive_state"][leg])).name
-        fact = {
-            "answers": heard[leg] / ticks,
-            "twice": bool(doubled >> leg & 1),
-            "state": state,
-            "lacks": lacks[leg],
-        }
-        c.keep("scan", leg, fact)
+    return _Listened(heard, doubled, foreign, refused, strange)
 
 
 def judge(c: Context) -> list[Finding]:
@@ -53,10 +77,17 @@ def judge(c: Context) -> list[Finding]:
         if silent:
             text += f"; no drive answers as node {', '.join(str(m.node_ids[k]) for k in silent)}"
         found.append(Finding("same_id", legs, text, "Give one of the two its own node number."))
+    if len(silent) == LEGS and not bus["strange"] and not bus["refused"]:
+        text = f"nobody answers, neither node {', '.join(map(str, m.node_ids))} nor another"
+        mend = "Look at bit rate, layout, cable, termination and the drives' supply."
+        return [*found, Finding("absent", tuple(silent), text, mend)]
     for leg in silent if not double else []:
         found.append(_silent(c, leg, bus))
     for leg in range(LEGS):
-        if facts[leg]["lacks"]:
+        if facts[leg]["fault"]:
+            text = f"node {m.node_ids[leg]} stays in FAULT after a RESET: {facts[leg]['fault']}"
+            found.append(Finding("drive_fault", (leg,), text, "Look at the drive with its maker's tool."))
+        elif facts[leg]["lacks"]:
             text = f"node {m.node_ids[leg]} does not take its set-up: {facts[leg]['lacks']}"
             mend = "Compare version, rated force and options of drive and configuration."
             found.append(Finding("set_up", (leg,), text, mend))

@@ -16,6 +16,7 @@ from hil.bringup.procedure import STEPS, Outcome, bring_up
 from hil.bringup.step import Step
 from plant_fmu.rehearsal.bench import RehearsalBench
 from plant_fmu.rehearsal.wiring import Wiring
+from tests.hil.bringup.families import FAMILIES, family
 
 configuration = cache(load)
 
@@ -65,7 +66,7 @@ class Rehearsal:
     """One bring-up against one wiring."""
 
     def __init__(self, name: str, wiring: Wiring, *, seed: int = 1, stop_at: int = -1, facts=None) -> None:
-        self.c = c = configuration(name)
+        self.c = c = family(name) if name in FAMILIES else configuration(name)
         self.bench = bench = build_bench(c, wiring, seed)
         self.watched = Watched()
         step = bench.cables.step

@@ -165,9 +165,14 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         """Return None: positions are turns without an end."""
         return None
 
-    def carried(self, force: Array) -> Array:
-        """Return the forces as they are: the field is fine enough."""
-        return force
+    def carried(self, dialogue: MotorDialogue, force: Array) -> Array:
+        """Return what the torques give legs at rest that are sent at the rates last read: no losses."""
+        torque = self.transmission.torque(force, np.array(dialogue.rate))
+        return self.transmission.force(self.coded(torque), np.zeros(LEGS))
+
+    def coded(self, torque: Array) -> Array:
+        """Return what the field carries of torques (6,) N m: as they are, where it is fine enough."""
+        return torque
 
     @property
     def dangers(self) -> tuple[str, ...]:

@@ -234,8 +234,8 @@ class DriveProtocol(Protocol):
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
 
-    def carried(self, force: Array) -> Array:
-        """Return what the fields of a command carry of forces (6,) N at rest: they have steps."""
+    def carried(self, dialogue: Dialogue, force: Array) -> Array:
+        """Return what a command of forces (6,) N gives legs at rest: its fields have steps."""
 
     # controller's end
     def start(self, setup: DriveSetup) -> Dialogue:

@@ -134,9 +134,9 @@ class SeveralBuses:
         """As the family's."""
         return self.family.reported_lengths()
 
-    def carried(self, force: Array) -> Array:
+    def carried(self, dialogue: Dialogue, force: Array) -> Array:
         """As the family's."""
-        return self.family.carried(force)
+        return self.family.carried(dialogue, force)
 
     def fault_text(self, code: int) -> str:
         """As the family's."""

@@ -133,9 +133,9 @@ class Cia402Protocol(Routes):
         ends = [self.transmission.length_of_counts(edge) for edge in edges]
         return np.minimum(*ends), np.maximum(*ends)
 
-    def carried(self, force: Array) -> Array:
-        """Return what whole thousandths of the rated torque leave of forces (6,) N at rest."""
-        permille = self._permille(force, (0.0,) * LEGS)
+    def carried(self, dialogue: Cia402Dialogue, force: Array) -> Array:
+        """Return what whole thousandths of the rated torque give legs at rest of forces (6,) N."""
+        permille = self._permille(force, dialogue.rate)
         return np.array([n / scale for n, scale in zip(permille, self._permille_per_N, strict=True)])
 
     # controller's end

@@ -1,6 +1,7 @@
 """What our own protocol answers to the questions that other families make the contract ask."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
@@ -63,7 +64,7 @@ class Traits:
         return None
 
     @staticmethod
-    def carried(force: Array) -> Array:
+    def carried(_dialogue: Any, force: Array) -> Array:
         """Return the forces as they are: the field is fine enough."""
         return force
 

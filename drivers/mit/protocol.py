@@ -120,13 +120,10 @@ class MitProtocol(MotorProtocol):
         """Return the leg lengths at the ends of the position's range."""
         return self.transmission.lengths_within(self.ranges.position / TURN)
 
-    def carried(self, force: Array) -> Array:
-        """Return what the codes of 12 bits, which are truncated, leave of leg forces (6,) N at rest."""
-        rest = np.zeros(LEGS)
-        torques = self.transmission.torque(force, rest).tolist()
-        codes = (pack_command(0.0, 0.0, 0.0, 0.0, torque, self.ranges) for torque in torques)
-        decoded = np.array([unpack_command(each, self.ranges)[4] for each in codes])
-        return self.transmission.force(decoded, rest)
+    def coded(self, torque: Array) -> Array:
+        """Return what the codes of 12 bits, which are truncated, leave of torques (6,) N m."""
+        frames = (pack_command(0.0, 0.0, 0.0, 0.0, each, self.ranges) for each in torque.tolist())
+        return np.array([unpack_command(frame, self.ranges)[4] for frame in frames])
 
     # controller's end
 

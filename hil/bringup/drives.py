@@ -198,6 +198,12 @@ class Drives:
     def _locked(self, state: int) -> bool:
         return state == DriveState.FAULT if self.locks else state != DriveState.RUN
 
+    def carried(self, leg: int, force: float) -> float:
+        """Return what a command of force N to drive `leg` gives a leg at rest: a coarse field takes of it."""
+        forces = np.zeros(LEGS)
+        forces[leg] = force
+        return float(self.protocol.carried(self._live, forces)[leg])
+
     def off(self, seconds: float = 0.0) -> None:
         """Take force and power from all drives, for at least SAFE_TICKS."""
         for _ in range(max(SAFE_TICKS, self.ticks(seconds))):

@@ -8,6 +8,7 @@ from drivers.arrays import Array
 from drivers.signals import LEGS
 from hil.bringup.context import Context, Finding, Request
 from hil.bringup.step import Step
+from hil.bringup.steps.brakes import friction
 from hil.bringup.steps.encoder import tolerance
 from hil.bringup.steps.force import breakaway, guard
 
@@ -18,8 +19,8 @@ BEYOND = 1.15
 """Levels beyond so many times the breakaway force count."""
 WITHIN = 0.06
 """Accepted error of a force scale, beside the losses of a transmission."""
-SAME = 0.04
-"""Scales of encoder and force that differ by less have one cause: lead or gear."""
+SAME = 0.08
+"""Scales of encoder and force that are both wrong and differ by less have one cause: lead or gear."""
 
 
 def find(c: Context) -> None:
@@ -48,16 +49,9 @@ def find(c: Context) -> None:
                 text = f"Read the gauge at leg {leg}, N, > 0 pushing"
                 ask = Request("read_gauge", leg, 0.0, text, within=within)
                 read = c.ask(ask, partial(hold, force))
-                pairs.append([_carried(c, drive, force), read])
+                pairs.append([c.drives.carried(drive, force), read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})
-
-
-def _carried(c: Context, drive: int, force: float) -> float:
-    """Return what the frames carry of a force, N: a coarse field would pass for a wrong scale."""
-    forces = np.zeros(LEGS)
-    forces[drive] = force
-    return float(c.drives.protocol.carried(forces)[drive])
 
 
 def gains(c: Context) -> dict[int, float]:
@@ -78,8 +72,9 @@ def judge(c: Context) -> list[Finding]:
     """Name forces of the wrong scale, and a wrong lead."""
     gain, found = gains(c), []
     read = c.reads()
+    stiff = {leg for finding in friction(c) for leg in finding.legs}
     for drive in range(LEGS):
-        if c.known("gauge", drive) is not None and drive not in gain:
+        if c.known("gauge", drive) is not None and drive not in gain and drive not in stiff:
             text = "its forces are too close to its friction for the gauge to tell their scale"
             mend = "Set torque constant, current scale or rated force of the drive; look at friction."
             found.append(Finding("force_scale", (drive,), text, mend))

@@ -16,6 +16,8 @@ WAIT, WAIT_S = 6.0, 0.4
 """Silence ends after so many times the configured watchdog, and not before this."""
 EARLY, LATE = 0.5, 1.5
 """A watchdog that takes less or more than so many times the configured one is wrong."""
+SEEN_EARLY = 0.7
+"""One that is watched is seen a period late, and takes less than EARLY if it is seen before this share."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
@@ -141,7 +143,7 @@ def judge(c: Context) -> list[Finding]:
         elif until > LATE * wait + 3.0 * period:
             text = f"it reacts {1e3 * until:g} ms after the last command, set were {1e3 * wait:g} ms"
             found.append(Finding("watchdog_long", (leg,), text, "Set the drive's watchdog, or its unit."))
-        elif until < EARLY * wait or (asked and not fact["since_s"]):
+        elif until < SEEN_EARLY * wait or (asked and not fact["since_s"]):
             text = f"it reacts within {1e3 * until:g} ms of silence, set were {1e3 * wait:g} ms"
             found.append(Finding("watchdog_short", (leg,), text, "Set the drive's watchdog, or its unit."))
     return found

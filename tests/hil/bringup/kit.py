@@ -29,12 +29,15 @@ class Watched:
     most_force_N: float = 0.0
     most_travel_m: float = 0.0
     """Of a leg in one opening of a brake, while no hand was on it."""
+    opened_while_hung: int = 0
+    """Steps of the plant with a brake open while the platform hung on the legs."""
     _origin: Array = field(default_factory=lambda: np.zeros(6))
     _open: bool = False
 
     def look(self, bench: RehearsalBench, force: Array, brake: Array) -> None:
         free, legs = int((brake == 0.0).sum()), np.array([bench.length(leg) for leg in range(6)])
         self.most_open = max(self.most_open, free)
+        self.opened_while_hung += bool(free) and bench.hung
         if free:
             self.most_force_N = max(self.most_force_N, float(np.abs(force).max()))
             if not self._open or bench._legs._hand.any():
@@ -65,9 +68,11 @@ class Hands(BenchHands):
 class Rehearsal:
     """One bring-up against one wiring."""
 
-    def __init__(self, name: str, wiring: Wiring, *, seed: int = 1, stop_at: int = -1, facts=None) -> None:
+    def __init__(
+        self, name: str, wiring: Wiring, *, seed: int = 1, stop_at: int = -1, facts=None, faults=None
+    ) -> None:
         self.c = c = family(name) if name in FAMILIES else configuration(name)
-        self.bench = bench = build_bench(c, wiring, seed)
+        self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
         step = bench.cables.step
 

@@ -1,0 +1,189 @@
+"""Mistakes that no table lists: two at once, faults in mid-step, cables off, answers that are none.
+
+Each is named, or ends the bring-up with a sentence; none releases the platform.
+"""
+
+from dataclasses import replace
+
+import pytest
+
+from hil.bringup.context import StoppedError
+from hil.bringup.procedure import STEPS
+from plant_fmu.faults.drive import DriveReset, DriveSilence
+from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
+from plant_fmu.faults.plan import FaultPlan
+from plant_fmu.rehearsal.wiring import OWN, Mistake, Wiring, turned, wired
+from tests.hil.bringup.kit import Rehearsal, named
+
+BY_HAND = STEPS[:4]
+PAIRS = {
+    "swapped_and_its_encoder_reversed": (
+        wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_sign", 4)),
+        {("ids", (1, 4)), ("encoder_sign", (4,))},
+    ),
+    "scale_on_one_and_home_on_another": (
+        wired(Mistake("encoder_scale", 1, value=2.0), Mistake("offset", 3)),
+        {("encoder_scale", (1,)), ("offset", (3,))},
+    ),
+    "force_and_brake": (
+        wired(Mistake("force_sign", 5), Mistake("brake_stuck_shut", 0)),
+        {("force_sign", (5,)), ("brake_stuck_shut", (0,))},
+    ),
+    "encoders_and_brakes_of_the_same_two": (
+        replace(Wiring(), encoder=turned(OWN, 2, 3), brake=turned(OWN, 2, 3)),
+        {("ids", (2, 3))},
+    ),
+    "motors_and_encoders_of_the_same_two": (
+        replace(Wiring(), encoder=turned(OWN, 0, 5), motor=turned(OWN, 0, 5)),
+        {("encoder_crossed", (0, 5))},
+    ),
+    "two_pairs_of_drives": (
+        wired(Mistake("ids_swapped", 0, 1), Mistake("ids_swapped", 2, 3)),
+        {("ids", (0, 1, 2, 3))},
+    ),
+    "gear_4_for_5": (wired(Mistake("wrong_lead", 2, value=0.8)), {("wrong_lead", (2,))}),
+    "gear_5_for_4": (wired(Mistake("wrong_lead", 2, value=1.25)), {("wrong_lead", (2,))}),
+    "brake_on_another_output": (wired(Mistake("brake_of_another", 1, 4)), {("brake_crossed", (1,))}),
+    "torque_limit_of_one": (
+        wired(Mistake("force_scale", 3, value=0.6)),
+        {("force_scale", (3,))},
+    ),
+    "encoder_jumps": (wired(Mistake("encoder_jumps", 5)), {("encoder_jumps", (5,))}),
+    "encoder_stops_half_way": (wired(Mistake("encoder_stops", 0)), {("encoder_jumps", (0,))}),
+    "play": (wired(Mistake("backlash", 4)), {("encoder_jumps", (4,))}),
+    "nobody_answers": (replace(Wiring(), present=(False,) * 6), {("absent", (0, 1, 2, 3, 4, 5))}),
+    "two_absent": (
+        wired(Mistake("absent", 1), Mistake("absent", 4)),
+        {("absent", (1,)), ("absent", (4,))},
+    ),
+    "a_number_twice_and_an_encoder": (
+        wired(Mistake("same_id", 5, 2), Mistake("encoder_sign", 0)),
+        {("same_id", (2, 5))},
+    ),
+}
+QUICK = {"encoder_jumps", "play", "nobody_answers"}
+
+
+@pytest.mark.parametrize(
+    "case", [case if case in QUICK else pytest.param(case, marks=pytest.mark.long) for case in PAIRS]
+)
+def test_what_nobody_listed_is_named(case):
+    wiring, expected = PAIRS[case]
+    rehearsal = Rehearsal("virtual", wiring)
+    outcome = rehearsal.run(BY_HAND if case in QUICK else STEPS)
+    assert named(outcome) == expected
+    assert not outcome.success
+    assert rehearsal.watched.most_open <= 1
+
+
+def struck(name, fault, steps=STEPS):
+    """Return a rehearsal during which a fault of the plant's end strikes, and its outcome."""
+    rehearsal = Rehearsal(name, Wiring(), faults=FaultPlan([fault]))
+    return rehearsal, rehearsal.run(steps)
+
+
+def until(step, share, name="virtual"):
+    """Return the time at which a good machine is in the middle of a step, s."""
+    rehearsal = Rehearsal(name, Wiring())
+    ticks = {}
+    for each in STEPS:
+        ticks[each.name] = rehearsal.drives.tick
+        rehearsal.run((each,))
+        if each.name == step:
+            break
+    begin, end = ticks[step], rehearsal.drives.tick
+    return (begin + share * (end - begin)) / rehearsal.drives.line.rate_Hz
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("step", ["ids", "encoder", "brakes", "force", "gauge", "mounted"])
+@pytest.mark.parametrize("name", ["virtual", "damiao", "cia402_pdo", "odrive", "moteus_stopped"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        lambda t: EncoderJump(kind="encoder_jump", leg=3, at_s=t, by_m=0.02),
+        lambda t: EncoderFreeze(kind="encoder_freeze", leg=3, at_s=t),
+        lambda t: DriveSilence(kind="drive_silence", leg=3, at_s=t),
+        lambda t: DriveReset(kind="drive_reset", leg=3, at_s=t),
+    ],
+    ids=["jump", "freeze", "silence", "reset"],
+)
+def test_a_fault_in_mid_step_never_releases_the_platform_unless_its_step_has_passed_it(step, name, fault):
+    t = until(step, 0.3, name)
+    rehearsal, outcome = struck(name, fault(t))
+    assert rehearsal.watched.most_open <= 1
+    if not outcome.success:
+        assert outcome.findings
+        assert all(finding.line for finding in outcome.findings)
+
+
+def test_a_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
+    rehearsal = Rehearsal("virtual", Wiring())
+    exchange = rehearsal.drives.line.exchange
+
+    def unplugged(opening):
+        heard = exchange(opening)
+        gone = any(request.act == "measure" and request.leg == 2 for request in rehearsal.hands.requests)
+        return heard._replace(frames=()) if gone else heard
+
+    rehearsal.drives.line.exchange = unplugged  # type: ignore[method-assign]
+    outcome = rehearsal.run(STEPS)
+    assert named(outcome) == {("not_heard", (0, 1, 2, 3, 4, 5))}
+    assert outcome.stopped == "encoder"
+    assert rehearsal.watched.most_open == 0
+
+
+def test_no_reading_is_taken_of_a_drive_that_is_not_heard():
+    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal.drives.step()
+    rehearsal.drives.record["age"][4] = 50
+    with pytest.raises(StoppedError, match="not_heard: leg 4"):
+        rehearsal.context.lengths()
+
+
+def test_a_tape_that_is_read_in_millimetres_is_asked_again():
+    rehearsal = Rehearsal("virtual", Wiring())
+    answer = rehearsal.hands.answer
+    typed: list[float] = []
+    said: list[str] = []
+
+    def in_millimetres():
+        value = answer()
+        if rehearsal.hands.requests[-1].act == "measure" and len(typed) < 1 and value is not None:
+            typed.append(value)
+            return 1e3 * value
+        return value
+
+    rehearsal.hands.answer = in_millimetres  # type: ignore[method-assign]
+    rehearsal.hands.tell = said.append  # type: ignore[method-assign,assignment]
+    outcome = rehearsal.run(BY_HAND)
+    assert outcome.findings == ()
+    assert sum(request.act == "measure" for request in rehearsal.hands.requests) == 19
+    assert any("cannot be" in text and "not mm" in text for text in said)
+
+
+def test_no_brake_opens_while_the_platform_hangs_on_the_legs():
+    """It was hung in an earlier run; a leg is to be measured again. It comes off on a typed word."""
+    rehearsal = Rehearsal("virtual", Wiring(), facts={"platform": {"hung": True}})
+    rehearsal.bench.hung = True
+    outcome = rehearsal.run(STEPS[:5])
+    assert outcome.success
+    acts = [(request.act, request.word) for request in rehearsal.hands.requests]
+    assert acts.count(("take_down", "down")) == 1
+    assert rehearsal.watched.most_open == 1
+    assert rehearsal.watched.opened_while_hung == 0
+
+
+@pytest.mark.long
+def test_after_legs_were_mended_that_were_mounted_elsewhere_the_platform_comes_off():
+    rehearsal = Rehearsal("virtual", wired(Mistake("mounted_elsewhere", 1, 2)))
+    assert {name for name, _ in named(rehearsal.run())} == {"mounted_elsewhere"}
+    facts = rehearsal.context.facts
+    for step in ("opens", "force", "gauge"):
+        facts[step].pop("1")
+    facts.pop("passed")
+    mended = Rehearsal("virtual", Wiring(), facts=facts)
+    mended.bench.hung = True
+    assert mended.run().success
+    assert [request.act for request in mended.hands.requests].count("take_down") == 1
+    assert mended.watched.opened_while_hung == 0

@@ -103,6 +103,12 @@ class RobStrideProtocol(MotorProtocol):
         """Return the leg lengths at the ends of the position's range."""
         return self.transmission.lengths_within(self.ranges.position / TURN)
 
+    def coded(self, torque: Array) -> Array:
+        """Return what the codes of 16 bits, which are truncated, leave of torques (6,) N m."""
+        end = self.ranges.torque
+        codes = (code(each, -end, end, 16) for each in torque.tolist())
+        return np.array([value(each, -end, end, 16) for each in codes])
+
     # controller's end
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:

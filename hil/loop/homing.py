@@ -169,4 +169,4 @@ class Homing:
 
 def unwrapped_turns(homing: Homing, pose: LastPose) -> Sequence[float]:
     """Return how many turns of each motor are added to what its drive reports."""
-    return [round(float(turns), 6) for turns in np.divide(homing.added, pose.m_per_turn)]
+    return [round(float(turns), 6) + 0.0 for turns in np.divide(homing.added, pose.m_per_turn)]  # -0 is 0

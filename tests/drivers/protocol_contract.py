@@ -227,6 +227,14 @@ class ProtocolContract:
         assert there.brake.tolist() == [1.0] * LEGS
         assert bool(there.force.any()) == protocol.force_on_brakes
 
+    def test_what_a_command_carries_at_rest_is_what_the_drives_take(self, protocol):
+        ends = Ends(protocol)
+        ends.running()
+        for _ in range(4):
+            ends.step(Command(DriveMode.RUN, FORCE))
+        taken = ends.nodes.snapshot().command
+        assert protocol.carried(ends.dialogue, FORCE) == pytest.approx(taken, rel=1e-6, abs=2.0)
+
     def test_no_tick_has_more_frames_of_set_up_than_stated(self, protocol):
         ends = Ends(protocol)
         counts = [len(ends.step()) for _ in range(PATIENCE)]

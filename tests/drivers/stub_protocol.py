@@ -125,6 +125,11 @@ class StubProtocol:
         self._meaning = {identifier: key for key, identifier in self._id.items()}
         self.feedback_ids = frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS))
 
+    @staticmethod
+    def carried(_dialogue: StubDialogue, force: Array) -> Array:
+        """Return the forces: singles carry them."""
+        return force
+
     def _frame(self, kind: int, leg: int, *values: float) -> Frame:
         return Frame(self._id[kind, leg], _FIELDS[kind].pack(*values), EXTENDED)
 

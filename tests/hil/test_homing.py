@@ -58,6 +58,12 @@ def test_whole_turns_are_added_to_the_length_that_is_read():
     assert unwrapped_turns(legs.homing, legs.pose) == (TURNS * SIGN).tolist()
 
 
+def test_a_motor_to_which_no_turn_is_added_says_0_whatever_its_sign():
+    legs = Leg()
+    legs.hear(PARKED)
+    assert [f"{turns:g}" for turns in unwrapped_turns(legs.homing, legs.pose)] == ["0"] * 6
+
+
 def test_the_turn_stays_while_the_leg_moves_on_past_many_turns():
     legs = Leg()
     legs.hear(forgotten(PARKED))

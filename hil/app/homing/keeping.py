@@ -64,7 +64,7 @@ class Keeper:
         """Return what a run's summary says of it; nothing where no drive forgets."""
         if self.last_pose is None:
             return {}
-        added = [turns + 0.0 for turns in unwrapped_turns(cycle.homing, self.last_pose)]  # -0 is 0
+        added = unwrapped_turns(cycle.homing, self.last_pose)
         kept = {} if self._path is None else {"file": str(self._path)}
         return {"homing": {"turns_added": ", ".join(f"{turns:g}" for turns in added), **kept}}
 

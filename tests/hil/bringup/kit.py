@@ -65,13 +65,27 @@ class Hands(BenchHands):
         super().ask(request)
 
 
+def _configured(given: str | Configuration) -> Configuration:
+    """Return a configuration, that of a family, or a shipped one."""
+    if isinstance(given, Configuration):
+        return given
+    return family(given) if given in FAMILIES else configuration(given)
+
+
 class Rehearsal:
     """One bring-up against one wiring."""
 
     def __init__(
-        self, name: str, wiring: Wiring, *, seed: int = 1, stop_at: int = -1, facts=None, faults=None
+        self,
+        name: str | Configuration,
+        wiring: Wiring,
+        *,
+        seed: int = 1,
+        stop_at: int = -1,
+        facts=None,
+        faults=None,
     ) -> None:
-        self.c = c = family(name) if name in FAMILIES else configuration(name)
+        self.c = c = _configured(name)
         self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
         step = bench.cables.step

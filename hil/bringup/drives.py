@@ -22,6 +22,7 @@ SETUP_S = 3.0
 """For how long the drives' confirmation of their set-up is waited for."""
 READY_S = 0.1
 """For how long a drive is waited for that changes its state."""
+_PROBES = 200
 SAFE_TICKS = 10
 """Commands to switch off at every end: the bus may lose some."""
 Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
@@ -203,6 +204,11 @@ class Drives:
         forces = np.zeros(LEGS)
         forces[leg] = force
         return float(self.protocol.carried(self._live, forces)[leg])
+
+    def force_step(self, leg: int, force: float) -> float:
+        """Return the step of the commands between half a force N and all of it, N; 0: too fine to matter."""
+        carried = {self.carried(leg, force * (0.5 + 0.5 * k / _PROBES)) for k in range(_PROBES)}
+        return 0.5 * force / len(carried) if len(carried) < _PROBES else 0.0
 
     def off(self, seconds: float = 0.0) -> None:
         """Take force and power from all drives, for at least SAFE_TICKS."""

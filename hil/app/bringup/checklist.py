@@ -67,7 +67,7 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             return "; ".join(parts)
         case "gauge":
             g = gains(c).get(leg)
-            return "" if g is None else f"{g:.4f} N a commanded N"
+            return "" if g is None else f"{g.value:.4f} +- {g.error:.2f} N a commanded N"
     return ""
 
 

@@ -135,7 +135,7 @@ def _strokes(context: Context) -> list[str]:
     force = gains(context)
     if force:
         lines.append(
-            "forces, N a commanded N by gauge: " + ", ".join(f"{force[d]:.3f}" for d in sorted(force))
+            "forces, N a commanded N by gauge: " + ", ".join(f"{force[d].value:.3f}" for d in sorted(force))
         )
     hands = [context.known("opens", leg) for leg in range(LEGS)]
     known = [f"{fact['hand_N']:.3g}" for fact in hands if fact is not None and fact["hand_N"] is not None]

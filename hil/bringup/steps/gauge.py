@@ -1,6 +1,7 @@
 """Scale of each force, by a force gauge, and what follows from all that was measured leg by leg."""
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,8 +55,16 @@ def find(c: Context) -> None:
         c.keep("gauge", drive, {"pairs_N": pairs})
 
 
-def gains(c: Context) -> dict[int, float]:
-    """Return N at the leg a commanded N, by drive, where enough levels were beyond its friction."""
+class Gain(NamedTuple):
+    """N at the leg a commanded N."""
+
+    value: float
+    error: float
+    """What the steps of a coarse command make of it: a leg overshoots by one, and friction keeps it."""
+
+
+def gains(c: Context) -> dict[int, Gain]:
+    """Return the gain of each drive, where enough levels were beyond its friction."""
     found = {}
     for drive in range(LEGS):
         fact, force = c.known("gauge", drive), c.known("force", drive)
@@ -64,7 +73,9 @@ def gains(c: Context) -> dict[int, float]:
         least = BEYOND * (breakaway(force) or 0.0)
         pairs = np.array([pair for pair in fact["pairs_N"] if pair[0] > least])
         if len(pairs) >= 2:
-            found[drive] = float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0])
+            span = float(np.ptp(pairs[:, 0]))
+            step = c.drives.force_step(drive, c.machine.force_N)
+            found[drive] = Gain(float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0]), step / span)
     return found
 
 
@@ -78,15 +89,15 @@ def judge(c: Context) -> list[Finding]:
             text = "its forces are too close to its friction for the gauge to tell their scale"
             mend = "Set torque constant, current scale or rated force of the drive; look at friction."
             found.append(Finding("force_scale", (drive,), text, mend))
-    for drive, g in gain.items():
+    for drive, (g, error) in gain.items():
         leg, scale = read[drive]
         if scale < 0.0:
             continue  # the drive takes its losses the wrong way round
         low, high = c.known("encoder", leg)["tape_m"]
-        if abs(abs(g) - 1.0) <= WITHIN + c.machine.losses:
+        if abs(abs(g) - 1.0) <= WITHIN + c.machine.losses + error:
             continue
         off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
-        if off and abs(abs(g) - abs(scale)) < (SAME + c.machine.losses) * abs(scale):
+        if off and abs(abs(g) - abs(scale)) < (SAME + c.machine.losses + error) * abs(scale):
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
             mend = f"Multiply lead, or divide gear ratio, in the drive by 1/{abs(scale):.4f}."
             found.append(Finding("wrong_lead", (drive,), text, mend))

@@ -51,6 +51,8 @@ OTHERWISE: dict[tuple[str, str], set[tuple[str, tuple[int, ...]]] | None] = {
     # shorter than the time between two commands, or heartbeats, of the bring-up: it trips at once
     ("cia402_pdo", "fast_watchdog"): {("not_powered", (1,))},
     ("odrive", "fast_watchdog"): {("not_powered", (1,))},
+    # its steps of force leave the forces of the leg open
+    ("cubemars", "lead_10_for_8"): {("encoder_scale", (1,))},
     # what is not our own CANopen is not heard at all
     ("cia402_difference", "wrong_protocol"): {("absent", (1,))},
     ("cia402_pdo", "wrong_protocol"): {("absent", (1,))},

@@ -15,6 +15,7 @@
     │   └── SynthesisError      a design that no controller fulfils
     ├── PlantError              plant, FMU, FMU hosting
     ├── LogError                log file: not MCAP, truncated, of another version
+    │   └── RecorderEndedError  the recorder has ended before its simulation (hil.record.recording)
     ├── RunError                the run itself: no drives, latched fault, another daemon
     ├── RefusedError            no consent to a step of a bring-up, or its end (hil.bringup.context)
     └── StoppedError            a measured value ended a step for safety (hil.bringup.context)

@@ -2,11 +2,11 @@
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import LogError
+from drivers.whole_file import whole_file
 from hil.app.terminal import one_line
 from hil.record.mcap_file import MAGIC
 
@@ -23,19 +23,10 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
 
     Raises LogError where `path` exists meanwhile and `overwrite` is not set, OSError.
     """
-    target = path.resolve()
-    with tempfile.NamedTemporaryFile(dir=target.parent, suffix=target.suffix, delete=False) as file:
-        temporary = Path(file.name)
-    try:
+    with whole_file(path) as temporary:
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        if not overwrite and target.exists():
+        if not overwrite and path.resolve().exists():
             raise LogError(f"{path}: exists and is not overwritten; name another file, or add --force")
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b"") -> Path:

@@ -139,6 +139,8 @@ def run_plant(
             summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped + closed.lost}
             if not closed.complete:
                 summary["recorder"] = closed.error or "too slow"
+            if closed.gave_up:
+                summary |= {"success": False, "trouble": trouble or closed.error}
     return summary
 
 

@@ -1,10 +1,14 @@
 """Jobs in processes of their own."""
 
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from multiprocessing.forkserver import ensure_running
+from multiprocessing.resource_tracker import ensure_running as ensure_tracker
 from typing import TypeVar
 
 Job = TypeVar("Job")
@@ -40,13 +44,16 @@ def _in_processes(
     lost = []
     with _pool(count, function) as pool:
         try:
-            waiting = {pool.submit(function, job): job for job in work}
+            with _undisturbed():
+                waiting = {pool.submit(function, job): job for job in work}
             for future in as_completed(waiting):
                 try:
                     yield future.result()
                 except BrokenProcessPool:
                     lost.append(waiting[future])
         except BaseException:
+            for process in active_children():  # they would finish their jobs first, for nobody
+                process.kill()
             pool.shutdown(cancel_futures=True)
             raise
     for job in lost:
@@ -61,4 +68,20 @@ def _pool(count: int, function: Callable[[Job], Outcome]) -> ProcessPoolExecutor
     """Return processes forked from a fresh interpreter: forked from this one they would hold its locks."""
     context = get_context("forkserver")
     context.set_forkserver_preload([function.__module__])
+    with _undisturbed():
+        ensure_running()
     return ProcessPoolExecutor(count, mp_context=context)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Let Ctrl-C wait while processes are started: one that is half started could not be ended.
+
+    They inherit that. A terminal sends Ctrl-C to all, and it is for this process alone, which ends them.
+    """
+    ensure_tracker()  # started later it would let Ctrl-C through
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

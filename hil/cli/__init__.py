@@ -1,4 +1,11 @@
 """The command line: a table over hil.app, one file and one row a command."""
+# ruff: noqa: E402
+
+import signal
+
+_handler = signal.getsignal(signal.SIGINT)
+if _handler is signal.default_int_handler:  # Ctrl-C during these imports ends the process without a word
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import os
 from importlib import import_module
@@ -6,7 +13,11 @@ from typing import Any
 
 import click
 
+from hil.cli.interrupts import OF_THIS_PROCESS, one_line_of_interrupt
 from hil.cli.pipes import quiet_pipe
+
+if _handler is signal.default_int_handler:
+    signal.signal(signal.SIGINT, _handler)
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -60,13 +71,21 @@ class _Table(click.Group):
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
         """Read the words; print the help where they ask for it."""
-        with quiet_pipe():
+        with quiet_pipe(), one_line_of_interrupt():
             return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Call the command."""
-        with quiet_pipe():
-            return super().invoke(ctx)
+        with quiet_pipe(), one_line_of_interrupt():
+            try:
+                return super().invoke(ctx)
+            finally:
+                OF_THIS_PROCESS.settle()
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Be the work of this process."""
+        with OF_THIS_PROCESS.attached():
+            return super().__call__(*args, **kwargs)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         del ctx
@@ -103,6 +122,7 @@ def main() -> None:
       0  success
       1  it ran, and something was wrong; the summary says what
       2  refused before anything moved; the message says why and what is allowed
+      130  interrupted by Ctrl-C before there was a result; one line says what there is
       141  nobody reads its output any more, as after `| head -1`
     """
 

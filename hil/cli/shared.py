@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.shell_completion import CompletionItem
 
+from hil.cli.interrupts import OF_THIS_PROCESS
 from hil.cli.pipes import reader_gone
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ def finish(
     title: str, summary: dict[str, Any], json_file: Path | None, shown: dict[str, Any] | None = None
 ) -> None:
     """Print a summary (`shown`, where that says it better), write its JSON twin, exit 0 only on success."""
+    OF_THIS_PROCESS.settle()
     from hil.app.output import show
     from hil.app.terminal import visible
 
@@ -88,6 +90,7 @@ def finish(
 
 def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
     """As `finish`, for a few plain figures, without the imports that lay out tables: an operator waits."""
+    OF_THIS_PROCESS.settle()
     from hil.app.terminal import visible
 
     if summary.get("trouble"):
@@ -106,6 +109,7 @@ def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) 
 
 def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> None:
     """Print a report, write its JSON twin, exit 0 only on success."""
+    OF_THIS_PROCESS.settle()
     from hil.app.output import show_lines, write_json
 
     show_lines(lines)

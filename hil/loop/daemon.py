@@ -26,6 +26,10 @@ from hil.signals import Operator, TickInput
 
 _READY = "all six drives are ready: {} lets the platform move, Ctrl-C ends the run"
 CONSENT, WORD = _READY.format("Enter"), _READY.format("`hil ctl CONFIG arm`")
+_UNRECORDED = {
+    False: "the run goes on without a log (recording.on_recorder_loss: continue)",
+    True: "the platform stops along the path and parks (recording.on_recorder_loss: stop)",
+}
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
 """Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
@@ -113,6 +117,7 @@ def _run(course: Course, shell: Shell) -> Ending:
     console = Console(course, panel, shell.channel, shell.consent)
     sends_failed = compute_ns = 0
     said, ask = "", WORD if shell.consent is None else CONSENT
+    recorded = True
     clock, stood_ns = bus.clock, bus.clock.stretched()
     panel.running()
     while True:
@@ -125,6 +130,9 @@ def _run(course: Course, shell: Shell) -> Ending:
         skew_ns = bus.skew_ns()
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
+        if recorded and not recording.alive:
+            recorded = False
+            shell.say(f"{recording.trouble}: {_UNRECORDED[cycle.parts.safety.stops_unrecorded]}")
         heard = console.take()
         operator = course.commands(tick, heard.operator)
         if Operator.RESET in operator:
@@ -142,7 +150,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             bus_off=errors.off,
             bus_overflow=errors.overflow,
             bus_state=errors.state,
-            recorder_alive=recording.alive,
+            recorder_alive=recorded,
             recorder_dropped=recording.dropped,
             operator=operator,
             compute_ns=compute_ns,

@@ -1,6 +1,7 @@
 """The operator's signals: Ctrl-C, and a terminal that goes."""
 
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
@@ -41,10 +42,10 @@ class OperatorPanel:
         return commands
 
     def interrupt(self, signum: int, frame: FrameType | None) -> None:
-        """Handle a signal: before the loop there is nothing to stop but the start."""
+        """Handle a signal: before the loop there is nothing to stop but the start, and that once."""
         del signum, frame
         self.interrupts += 1
-        if not self._running:
+        if not self._running and not isinstance(sys.exc_info()[1], KeyboardInterrupt):
             raise KeyboardInterrupt
 
     def attached(self) -> AbstractContextManager[None]:

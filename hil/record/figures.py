@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from drivers.arrays import Array, Rows
 from drivers.signals import BusState, Fault, Mode, Warn
 from drivers.tick_columns import COLUMNS
+from drivers.whole_file import whole_file
 from hil.record.metrics import rotation_errors
 from hil.record.value_names import name_of
 from hil.signals import explain
@@ -171,5 +172,6 @@ def picture(rows: Rows, path: Path, title: str) -> Path:
     for axes in (path_axes, error_axes, force_axes, wake_axes):
         axes.grid(alpha=0.3)
     figure.suptitle(title)
-    figure.savefig(path, dpi=100)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=100)
     return path

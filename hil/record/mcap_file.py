@@ -8,8 +8,10 @@ by `mcap.records`.
 import os
 import struct
 import zlib
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import zstandard
@@ -47,6 +49,19 @@ _SUMMARY_ORDER = (
 )
 
 
+_MOST_TAKEN_BACK = 256
+
+
+class _Place(NamedTuple):
+    """A place in the file to which it can be taken back."""
+
+    position: int
+    crc: int
+    summarised: dict[Opcode, int]
+    counts: dict[int, int]
+    times: tuple[int, int]
+
+
 def record_bytes(record: McapRecord) -> bytes:
     """Return one record as it stands in the file."""
     builder = RecordBuilder()
@@ -70,7 +85,12 @@ class McapFile:
         self._counts: dict[int, int] = {}
         self._start, self._stop = 2**64 - 1, 0
         self._compressor = zstandard.ZstdCompressor(level=1)
-        self._write(MAGIC + record_bytes(Header("", library)))
+        self._chunks: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
+        try:
+            self._write(MAGIC + record_bytes(Header("", library)))
+        except OSError:
+            self.discard()
+            raise
 
     def add_schema(self, schema: Schema) -> None:
         """Write a schema."""
@@ -122,6 +142,7 @@ class McapFile:
 
     def add_compressed(self, chunk: Chunk, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Write a chunk as it is, with the message index that the arrays give."""
+        self._chunks.append(self._place())
         record = record_bytes(chunk)
         index_start = self.position + len(record)
         parts = [record]
@@ -166,6 +187,10 @@ class McapFile:
         """Messages written so far."""
         return sum(self._counts.values())
 
+    def messages_of(self, channel: int) -> int:
+        """Return the messages of a channel written so far."""
+        return self._counts.get(channel, 0)
+
     def finish(self) -> None:
         """Write summary and footer, put all onto the disk and close."""
         self._write(record_bytes(DataEnd(self._crc)))
@@ -190,11 +215,50 @@ class McapFile:
         os.fsync(self._fd)
         self.close()
 
+    def finish_within(self, name: str, metadata: Callable[[], Mapping[str, str]]) -> None:
+        """Finish where the disk is full: the last chunks, one at least, make room for the end.
+
+        `metadata` of the end is asked anew as chunks go. Without a chunk nothing is done. Raises OSError
+        where their room is not enough.
+        """
+        while self._chunks:
+            self._take_back(self._chunks.pop())
+            try:
+                self.add_metadata(name, metadata())
+                self.finish()
+            except OSError:
+                if not self._chunks:
+                    raise
+            else:
+                return
+
+    def _place(self) -> _Place:
+        return _Place(
+            self.position,
+            self._crc,
+            {kind: len(records) for kind, records in self._summary.items()},
+            dict(self._counts),
+            (self._start, self._stop),
+        )
+
+    def _take_back(self, place: _Place) -> None:
+        os.ftruncate(self._fd, place.position)
+        os.lseek(self._fd, place.position, os.SEEK_SET)
+        self.position, self._crc, self._counts = place.position, place.crc, dict(place.counts)
+        self._start, self._stop = place.times
+        for kind, records in self._summary.items():
+            del records[place.summarised.get(kind, 0) :]
+
     def close(self) -> None:
         """Close the file as it is."""
         if self._fd >= 0:
             os.close(self._fd)
         self._fd = -1
+
+    def discard(self) -> None:
+        """Close the file and remove it."""
+        self.close()
+        self.path.unlink()
 
     def _statistics(self) -> Statistics:
         counts = {kind: len(records) for kind, records in self._summary.items()}

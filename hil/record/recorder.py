@@ -9,6 +9,7 @@ then the summary), answers go to standard output, one JSON object per line.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -27,7 +28,7 @@ from mcap.records import Channel, Schema
 
 from drivers.arrays import Ints
 from drivers.errors import LogError
-from hil.record.encode import Encoder, Messages
+from hil.record.encode import TICK, Encoder, Messages
 from hil.record.environment import product_version
 from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
@@ -36,7 +37,7 @@ from hil.record.publish import Publisher
 from hil.record.recording import Scene
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import Table, columns_of
-from hil.record.schema import ENVIRONMENT, IDENTITY, LIBRARY, SUMMARY
+from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, PRODUCER_DIED, SUMMARY
 from hil.record.websocket import LiveSocket
 
 FLUSH_S = 0.1
@@ -46,6 +47,8 @@ _POLL_S = 0.02
 _LOCKSTEP_POLL_S = 0.004
 _SYNC_S = 1.0
 _MOST_TICKS = 2048
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""No space on the disk, none of this user's share, or of what a process may write (`ulimit -f`)."""
 _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "text/plain", ".csv": "text/csv"}
 
 
@@ -88,13 +91,16 @@ class Recorder:
         # fixed batches make the whole data section, not only its messages, the same for the same run
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
-        self.ticks = 0
         self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
         self.socket = LiveSocket.listening(setup["websocket"], self._encoder.channels)
         self._publisher = _publisher(ring, setup["mirror"])
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
-        self._open(setup, attachments)
+        try:
+            self._open(setup, attachments)
+        except OSError:
+            self.file.discard()  # no tick is in it
+            raise
 
     def _open(self, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]) -> None:
         self.file.add_metadata(IDENTITY, setup["identity"])
@@ -129,16 +135,8 @@ class Recorder:
 
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
         """Write the summary, close the file; `summary` is None when the producer died."""
-        counts: dict[str, object] = {
-            "closed": "clean" if summary is not None else "producer died",
-            "ticks": self.ticks,
-            "messages": self.file.messages,
-            "dropped": self._ring.counters[DROPPED],
-        }
-        if self._live is not None:
-            self._live.end()
-        if self._publisher is not None:
-            self._publisher.close()
+        self._stop_showing()
+        counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
         if self._lateness is not None:
             counts["wake_up_us"] = json.dumps(self._lateness.table())
         times = os.times()
@@ -147,6 +145,37 @@ class Recorder:
         )
         self.file.finish()
         return {**counts, "size_bytes": self.file.position, "recorder_cpu_s": times.user + times.system}
+
+    def close_full(self, error: OSError) -> dict[str, object]:
+        """Close the file where it cannot grow any more, with what fits; return what the producer is told."""
+        self._stop_showing()
+        self.file.finish_within(
+            SUMMARY, lambda: {name: str(value) for name, value in self._counts(DISK_FULL).items()}
+        )
+        times = os.times()
+        return {
+            **self._counts(DISK_FULL),
+            "error": f"{DISK_FULL}: {error.strerror}; the log is closed and holds the first "
+            f"{self.file.messages_of(TICK)} ticks, {self.file.position} bytes: {self.file.path}",
+            "size_bytes": self.file.position,
+            "recorder_cpu_s": times.user + times.system,
+        }
+
+    def _counts(self, closed: str) -> dict[str, object]:
+        return {
+            "closed": closed,
+            "ticks": self.file.messages_of(TICK),
+            "messages": self.file.messages,
+            "dropped": self._ring.counters[DROPPED],
+        }
+
+    def _stop_showing(self) -> None:
+        if self._live is not None:
+            self._live.end()
+            self._live = None
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher = None
 
     def _drain(self, limit: int) -> bool:
         """Write up to `limit` ticks; return whether there was anything."""
@@ -161,7 +190,6 @@ class Recorder:
             self._live.show(batch.rows)
         if self._publisher is not None:
             self._publisher.drained(batch)
-        self.ticks += len(batch.rows)
         self._ring.release(batch)
         if self.socket is not None:
             self.socket.publish(messages)
@@ -249,6 +277,17 @@ def answer(message: Mapping[str, object]) -> None:
         os.write(sys.stdout.fileno(), json.dumps(message).encode() + b"\n")
 
 
+def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
+    """Record until the producer closes or dies, or the disk is full; return what became of the log."""
+    try:
+        recorder.run(control)
+        return recorder.close(control.summary)
+    except OSError as error:
+        if error.errno not in _FULL or not recorder.file.messages:
+            raise
+        return recorder.close_full(error)
+
+
 def main(arguments: list[str]) -> int:
     """Run the recorder; return the exit code."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
@@ -266,8 +305,7 @@ def main(arguments: list[str]) -> int:
         file = recorder.file
         control = _Control(control_fd, producer)
         answer({"ready": True})
-        recorder.run(control)
-        answer(recorder.close(control.summary))
+        answer(_recorded(recorder, control))
         if recorder.socket is not None and not recorder.socket.close():
             os._exit(0)  # the log is closed; a client that does not read would hold the process
     except LogError as error:
@@ -282,6 +320,9 @@ def main(arguments: list[str]) -> int:
         return 1
     except OSError as error:
         written = f" after {file.position} bytes" if file else ""
-        answer({"error": f"the log cannot be written{written}: {error.strerror}: {setup['path']}"})
+        why = f"{DISK_FULL}: {error.strerror}" if error.errno in _FULL else error.strerror
+        if file is not None and not file.messages:
+            file.discard()
+        answer({"error": f"the log cannot be written{written}: {why}: {setup['path']}"})
         return 1
     return 0

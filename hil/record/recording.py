@@ -53,6 +53,10 @@ VIEW_EVERY = 33
 """Ticks between two messages of `/scene` and `/tf`."""
 
 
+class RecorderEndedError(LogError):
+    """The recorder has ended while a simulation goes on: its disk is full, or it was killed."""
+
+
 class Scene(NamedTuple):
     """What the 3D view of the log shows."""
 
@@ -84,7 +88,7 @@ class LogSummary(NamedTuple):
     dropped: int
     """Ticks that found the ring full."""
     lost: int
-    """Ticks that were in the ring when the recorder died."""
+    """Ticks that went into the ring and not into the log."""
     size_bytes: int
     recorder_cpu_s: float
     """Processor time of the recorder, its start included."""
@@ -92,10 +96,15 @@ class LogSummary(NamedTuple):
     """The log was closed and holds every tick."""
     error: str
     """Why not, or empty."""
+    gave_up: bool
+    """The recorder itself could not write any more: the disk is full, or fails."""
 
 
 class Recording:
-    """A log being written by a recorder process. State: counters of the ring's write side."""
+    """A log being written by a recorder process.
+
+    State: counters of the ring's write side, the recorder's last words.
+    """
 
     def __init__(self, ring: Ring, process: subprocess.Popen[bytes], path: Path, *, lockstep: bool) -> None:
         self.path = path
@@ -109,6 +118,7 @@ class Recording:
         self.dropped = 0
         """Ticks that found the ring full."""
         self._summary: LogSummary | None = None
+        self._reply: Mapping[str, Any] | None = None
 
     @classmethod
     def start(
@@ -165,13 +175,24 @@ class Recording:
                 "mode": "lockstep" if lockstep else "realtime",
             },
         }
-        ring = Ring.create(table.dtype, ring_ticks)
+        try:
+            ring = Ring.create(table.dtype, ring_ticks)
+        except OSError as error:
+            raise LogError(
+                f"{file}: no shared memory for its recorder: {error.strerror}; lower recording.ring_ticks or "
+                "raise what this process may have (ulimit -f, -n, -v)"
+            ) from None
         return cls(ring, _start(ring, setup, [data for _, data in files]), file, lockstep=lockstep)
 
     @property
     def alive(self) -> bool:
         """Whether the recorder process is still there."""
         return self._process.poll() is None
+
+    @property
+    def trouble(self) -> str:
+        """Why the recorder has ended before it was asked to; empty while it lives."""
+        return "" if self.alive or self._summary is not None else self._error(self._last_words(0.0))
 
     def tick(
         self,
@@ -186,8 +207,8 @@ class Recording:
 
         A 0-d array as `row` is fastest.
 
-        Raises LogError for a frame of more than 64 bytes, and in lockstep where the recorder has died or one
-        tick has more frames than the ring.
+        Raises LogError for a frame of more than 64 bytes, and in lockstep where one tick has more frames than
+        the ring, RecorderEndedError where the recorder has ended.
         """
         count = len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)
         if not self._has_room(count):
@@ -249,18 +270,18 @@ class Recording:
         if self._summary is None:
             with contextlib.suppress(OSError):
                 write_all(self._process, json.dumps(_texts(summary or {})).encode() + b"\n")
-            reply = answer(self._process, timeout_s)
+            reply = self._last_words(timeout_s)
             finish(self._process)
             self._ring.close_fd()
             self._summary = self._summarise(reply)
         return self._summary
 
     def _summarise(self, reply: Mapping[str, Any]) -> LogSummary:
-        lost = self.ticks - self._counters[READ]
-        error = reply.get("error", "" if "ticks" in reply else "the recorder died")
+        ticks = reply.get("ticks", self._counters[READ])
+        lost, error = self.ticks - ticks, self._error(reply)
         return LogSummary(
             path=self.path,
-            ticks=reply.get("ticks", self._counters[READ]),
+            ticks=ticks,
             messages=reply.get("messages", 0),
             dropped=self.dropped,
             lost=lost,
@@ -268,7 +289,18 @@ class Recording:
             recorder_cpu_s=reply.get("recorder_cpu_s", 0.0),
             complete=not error and not self.dropped and not lost,
             error=error,
+            gave_up="error" in reply,
         )
+
+    def _last_words(self, timeout_s: float) -> Mapping[str, Any]:
+        """Return what the recorder says at its end, read once."""
+        if self._reply is None:
+            self._reply = answer(self._process, timeout_s)
+        return self._reply
+
+    def _error(self, reply: Mapping[str, Any]) -> str:
+        died = "the recorder died; recover the log with `hil replay --salvage`"
+        return str(reply.get("error", "" if "ticks" in reply else died))
 
     def _has_room(self, count: int) -> bool:
         """Return whether one row and `count` items fit; in lockstep wait until they do."""
@@ -280,7 +312,7 @@ class Recording:
             if not self._lockstep:
                 return False
             if not self.alive:
-                raise LogError(f"{self.path}: the recorder process died; recover the log with --salvage")
+                raise RecorderEndedError(f"{self.path}: {self.trouble}")
             if count > ring.item_capacity:
                 raise LogError(f"one tick with {count} frames: the ring holds {ring.item_capacity}")
             time.sleep(0.0002)
@@ -301,6 +333,9 @@ def _start(ring: Ring, setup: Mapping[str, Any], files: Sequence[bytes]) -> subp
         reply = answer(process, _START_S)
     except OSError:
         reply = answer(process, 1.0)
+    except BaseException:  # an interrupt: it closes its file and leaves
+        finish(process)
+        raise
     if "ready" not in reply:
         process.kill()
         finish(process)

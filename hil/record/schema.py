@@ -12,6 +12,8 @@ IDENTITY, ENVIRONMENT, SUMMARY, SALVAGE = "hil", "environment", "summary", "salv
 """Names of the metadata records."""
 RUN = "run"
 """Key in IDENTITY: what both logs of one simulation carry, and no other's does."""
+CLEAN, PRODUCER_DIED, DISK_FULL = "clean", "producer died", "disk_full"
+"""How a log was closed: key `closed` in SUMMARY."""
 CONFIGURATION = "config.yaml"
 """Name of the attachment that holds the configuration."""
 

@@ -92,6 +92,11 @@ class Safety:
         self._highs = np.zeros_like(self._lows)
         self.reset()
 
+    @property
+    def stops_unrecorded(self) -> bool:
+        """Whether a lost recorder ends the run."""
+        return bool(self.limits["stop_on_recorder_loss"])
+
     def reset(self) -> None:
         """Back to the state before the first tick: no force, no late tick, no failure."""
         for array in (self._memory, self._history, self._lows, self._highs, self._watch_memory):

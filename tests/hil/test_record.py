@@ -278,7 +278,7 @@ def test_without_its_recorder_a_real_time_run_goes_on_and_counts(tmp_path):
 def test_without_its_recorder_a_lockstep_run_fails(tmp_path):
     recording = Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True, ring_ticks=256)
     os.kill(recording._process.pid, signal.SIGKILL)
-    with pytest.raises(LogError, match="recorder process died"):
+    with pytest.raises(LogError, match="the recorder died"):
         record(recording, random_ticks(400))
     assert not recording.close().complete
 

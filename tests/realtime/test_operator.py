@@ -88,5 +88,5 @@ def test_ctrl_c_before_the_loop_ends_the_start_with_one_message(tmp_path: Path, 
 
     run.interrupt()
 
-    assert run.wait() == 2
-    assert run.messages == ["hil: stopped on request before the loop began: nothing has moved"]
+    assert run.wait() == 130
+    assert run.messages == ["hil: interrupted before the loop began: nothing has moved"]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.whole_file import whole_file
 from hil.app.compare.measure import Outcome
 
 LABELLED = 8
@@ -54,7 +55,8 @@ def draw(
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)))
     figure.suptitle(title)
-    figure.savefig(file, dpi=100)
+    with whole_file(file) as temporary:
+        figure.savefig(temporary, dpi=100)
     return file
 
 

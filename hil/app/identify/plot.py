@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.whole_file import whole_file
 from hil.config.axis_model import AxisModel, AxisSpace
 from hil.identify.axis_fit import COHERENT
 from hil.identify.nominal import axis_response
@@ -55,5 +56,6 @@ def draw(model: AxisModel, path: Path, title: str) -> Path:
     for axes in (magnitude, phase, coherence, bound):
         axes.grid(alpha=0.3, which="both")
     figure.suptitle(title)
-    figure.savefig(path, dpi=100)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=100)
     return path

@@ -19,6 +19,7 @@ from hil.app.configuration.bus_budget import bus_names, loads
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
+from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, console, log_path, told, warn
 from hil.app.replay import replay_log
@@ -122,21 +123,36 @@ def run_daemon(
         if trouble:
             recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
         closed = recording.close(closing(ending, trouble))
-    result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
-    result |= keeper.summary(cycle)
+    with leaving(lambda: _what_there_is(ending, trouble, closed)):
+        result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
+        result |= keeper.summary(cycle)
+        if draw and result.get("tracking", {}).get("ticks"):
+            _draw(result, c, closed.path)
     if interrupted:
         warn("hil: a foreign participant has sent on this channel: bench time did not stand still any more")
     if removed:
         result["removed_logs"] = removed
-    if "recorder" in result:
+    if "recorder" in result and not closed.gave_up:
         warn(f"hil: {result['recorder']}")
     if plant_summary is not None:
         result["plant"] = plant_summary
         result["success"] = result["success"] and plant_summary["success"]
-    if draw and result.get("tracking", {}).get("ticks"):
-        title = f"{c.name}: {result['tracking']['ticks']} ticks at {rate:g} Hz"
-        result["picture"] = str(picture(Log.open(closed.path).rows(), closed.path.with_suffix(".png"), title))
     return result
+
+
+def _what_there_is(ending: Ending, trouble: str, closed: LogSummary) -> str:
+    """Say of a run that is over how it ended, for an operator who does not wait for its summary."""
+    ended = f"after the run, which ended in {ending.mode.name}" + (f": {trouble}" if trouble else "")
+    return f"{ended}; its log, not replayed: {closed.path}"
+
+
+def _draw(result: dict[str, Any], c: Configuration, log: Path) -> None:
+    """Draw the picture of a run beside its log."""
+    title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
+    try:
+        result["picture"] = str(picture(Log.open(log).rows(), log.with_suffix(".png"), title))
+    except OSError as error:
+        result["picture"] = f"none: {error.strerror}"
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:
@@ -171,11 +187,9 @@ def _say(text: str) -> None:
 
 @contextlib.contextmanager
 def _startable() -> Iterator[None]:
-    """Turn a signal that comes before the loop into one message."""
-    try:
+    """Say of a signal that comes before the loop that nothing has moved."""
+    with leaving(lambda: "before the loop began: nothing has moved"):
         yield
-    except KeyboardInterrupt:
-        raise RunError("stopped on request before the loop began: nothing has moved") from None
 
 
 def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
@@ -221,6 +235,9 @@ def _summary(
     dropped = closed.dropped + closed.lost
     if not closed.complete:
         result["recorder"] = f"{closed.error or 'too slow'}: {dropped} ticks are not in the log"
+    if closed.gave_up:
+        result["success"] = False
+        result["trouble"] = "; ".join(filter(None, (trouble, result["recorder"])))
     if not closed.ticks:
         return result | {"dropped_ticks": dropped}
     try:

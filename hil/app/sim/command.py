@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from drivers.protocol import Frame
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
@@ -16,6 +16,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
 from hil.app.homing.keeping import Keeper
+from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, log_path, told
 from hil.app.plant import plant_row
@@ -30,9 +31,11 @@ from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures
 from hil.record.log import Log
+from hil.record.recording import RecorderEndedError
 from hil.record.schema import RUN
 from hil.signals import SetPoint, TickInput, TickOutput
 from hil.trajectory.sampled import read_poses
+from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 
 
@@ -175,19 +178,17 @@ def simulate(
             keeper.begin(cycle)
             stack.callback(keeper.close)
             begun = time.perf_counter()
-            ending = _run(lockstep, recording, truth, duration_s, script, operator)
+            ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
             wall = time.perf_counter() - begun
-            if ending.trouble:
-                recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)
             recorder = recording.close(closing(ending, ending.trouble))
+            lost = recorder.error or ("" if truth is None else truth.close().error)
     finally:
         physics.close()
-    rows = Log.open(path).rows()
-    injected, unmet = nodes.begun, nodes.waiting
+    trouble = "; ".join(filter(None, (ending.trouble, lost)))
     result: dict[str, Any] = {
-        "success": ending.success,
+        "success": ending.success and not lost,
         "kind": "sim",
-        "trouble": ending.trouble or None,
+        "trouble": trouble or None,
         "story": told(ending),
         "configuration": c.source,
         "log": str(path),
@@ -197,20 +198,68 @@ def simulate(
         **law_figures(c.controller, cycle.parts.law),
         **bus_load,
         "wall_s": wall,
-        "real_time_factor": (len(rows) - 1) / rate / wall,
-        **figures(rows),
-        **keeper.summary(cycle),
-        "recorder_cpu_s": recorder.recorder_cpu_s,
     }
-    late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
-    for key, which in (("injected", injected), ("mode_not_reached", unmet), ("time_not_reached", late)):
-        if which:
-            result[key] = [show_fault(fault) for fault in which]
-    if script is not None and script.left:
-        result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
-    if commands:
-        result["commands"] = {"given": len(commands) - operator.left, "not_reached": operator.left}
-    if check_replay:
-        _, result["replay"] = replay_log(path)
-        result["success"] = result["success"] and result["replay"]["agrees"]
+    with leaving(lambda: f"after the run, which {_ended(ending)}; its log is whole: {path}"):
+        result |= _figures(path, rate, wall) | keeper.summary(cycle)
+        result["recorder_cpu_s"] = recorder.recorder_cpu_s
+        result |= _injected(c, nodes) | _commands(commands, operator)
+        if script is not None and script.left:
+            result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
+        if check_replay and not lost:
+            _, result["replay"] = replay_log(path)
+            result["success"] = result["success"] and result["replay"]["agrees"]
     return result
+
+
+def _injected(c: Configuration, nodes: Nodes) -> dict[str, Any]:
+    """Return which faults have struck, and which could not."""
+    assert c.plant is not None
+    injected, unmet = nodes.begun, nodes.waiting
+    late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
+    found = {"injected": injected, "mode_not_reached": unmet, "time_not_reached": late}
+    return {key: [show_fault(fault) for fault in which] for key, which in found.items() if which}
+
+
+def _commands(commands: Sequence[TimedCommand], operator: CommandScript) -> dict[str, Any]:
+    """Return how much of what the operator was to say was said."""
+    if not commands:
+        return {}
+    return {"commands": {"given": len(commands) - operator.left, "not_reached": operator.left}}
+
+
+def _run_to_end(
+    lockstep: Lockstep,
+    logs: tuple[Recording, Recording | None, Path],
+    duration_s: float | None,
+    setpoints: Script | None,
+    script: CommandScript,
+) -> Ending:
+    """Run until the run ends, or until its recorder does; interrupted, close the log before it is told."""
+    recording, truth, path = logs
+    cycle = lockstep.cycle
+    try:
+        ending = _run(lockstep, recording, truth, duration_s, setpoints, script)
+        if ending.trouble:
+            recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)
+    except RecorderEndedError:
+        return Ending(cycle.mode, cycle.faults, "", lockstep.tick)
+    except KeyboardInterrupt:
+        recording.close({"ending": cycle.mode.name, "reason": "interrupted", "faults": int(cycle.faults)})
+        t_s = 1e-9 * lockstep.tick * lockstep.period_ns
+        raise KeyboardInterrupt(f"at {t_s:.3f} s of simulated time; the log until then: {path}") from None
+    return ending
+
+
+def _ended(ending: Ending) -> str:
+    return f"ended in {ending.mode.name}" + (f": {ending.trouble}" if ending.trouble else "")
+
+
+def _figures(path: Path, rate_Hz: float, wall_s: float) -> dict[str, Any]:
+    """Return what is measured of a log; nothing of one that the recorder could not close."""
+    try:
+        rows = Log.open(path).rows()
+    except LogError:
+        return {}
+    if not len(rows):
+        return {}
+    return {"real_time_factor": (len(rows) - 1) / rate_Hz / wall_s, **figures(rows)}

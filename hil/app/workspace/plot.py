@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.whole_file import whole_file
 from hil.workspace.explore import Workspace
 from hil.workspace.limits import KINDS
 from hil.workspace.position import CrossSection
@@ -42,7 +43,8 @@ def draw(w: Workspace, path: Path, title: str) -> Path:
     legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     legend.get_frame().set_facecolor("lightgrey")
     figure.suptitle(title)
-    figure.savefig(path, dpi=100)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=100)
     return path
 
 

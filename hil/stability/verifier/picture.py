@@ -12,6 +12,7 @@ import sympy as sp
 
 from drivers.arrays import Array
 from drivers.errors import ModelError
+from drivers.whole_file import whole_file
 from hil.stability.verifier.cancellation import lie_derivative
 from hil.stability.verifier.door import read
 from hil.stability.verifier.report import Report
@@ -75,7 +76,8 @@ def draw(
         figure.suptitle(f"{e.status.value}; certificate: {report.certificate.status.value}")
     plane.set(xlabel=str(states[0]), ylabel=str(states[1]), xlim=sides[0], ylim=sides[1])
     plane.set_title("level sets of V, trajectories; red: dV/dt > 0", fontsize=9)
-    figure.savefig(path, dpi=100)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=100)
     return path
 
 

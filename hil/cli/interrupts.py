@@ -1,0 +1,107 @@
+"""Ctrl-C, whenever it comes: what was begun is closed, one line says so, exit code 130."""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+import click
+
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code: what a shell shows of a tool that SIGINT has ended."""
+_ENOUGH = 3
+"""Presses after which nothing is closed any more."""
+_AGAIN_S = 0.02
+
+
+class Interrupts:
+    """What Ctrl-C does to a command.
+
+    The first press raises KeyboardInterrupt. While that is on its way, files are closed and processes ended;
+    a further press does not disturb it, and neither does one after the result is there. The third one in
+    vain ends the process at once. A press that struck where Python drops exceptions is repeated.
+    Mutable state: how many presses were in vain, whether one was not, whether the result is there.
+    """
+
+    def __init__(self) -> None:
+        self._in_vain = 0
+        self._settled = False
+        self.raised = False
+        """Whether KeyboardInterrupt was raised: libraries make other exceptions of it."""
+
+    def settle(self) -> None:
+        """Let a press change nothing from now on: the result is there."""
+        self._settled = True
+
+    def pressed(self, signum: int, frame: FrameType | None) -> None:
+        """Handle SIGINT, and the timer that repeats it."""
+        del signum, frame
+        if not self._settled and not comes_of_interrupt(sys.exc_info()[1]):
+            self.raised = True
+            raise KeyboardInterrupt
+        self._in_vain += 1
+        if self._in_vain >= _ENOUGH:
+            os._exit(INTERRUPTED)
+
+    def dropped(self, what: Any) -> None:
+        """Take the place of `sys.unraisablehook`."""
+        if isinstance(what.exc_value, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        else:
+            sys.__unraisablehook__(what)
+
+    @contextmanager
+    def attached(self) -> Iterator[None]:
+        """Route SIGINT here for a whole process; at its end nothing disturbs how Python leaves."""
+        self._in_vain, self._settled, self.raised = 0, False, False
+        if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            yield  # it is ignored, as in the background of a shell script
+            return
+        for number in (signal.SIGINT, signal.SIGALRM):
+            signal.signal(number, self.pressed)
+        sys.unraisablehook = self.dropped
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+OF_THIS_PROCESS = Interrupts()
+
+
+def comes_of_interrupt(error: BaseException | None) -> bool:
+    """Tell whether an exception is a KeyboardInterrupt, or was raised while one was handled."""
+    seen = set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return False
+
+
+@contextmanager
+def one_line_of_interrupt() -> Iterator[None]:
+    """Turn a KeyboardInterrupt, and what an import makes of it, into one line and exit code INTERRUPTED.
+
+    The text of the exception says what there is: a log, as far as it goes.
+    """
+    try:
+        yield
+    except (SystemExit, click.exceptions.Exit, click.ClickException):
+        raise
+    except BaseException as error:
+        if not (comes_of_interrupt(error) or OF_THIS_PROCESS.raised):
+            raise
+        OF_THIS_PROCESS.settle()
+        _leave(str(error) if isinstance(error, KeyboardInterrupt) else "")
+
+
+def _leave(there: str) -> None:
+    from hil.app.terminal import visible
+
+    click.echo(visible(f"hil: interrupted{there and ' '}{there}"), err=True)
+    sys.exit(INTERRUPTED)

@@ -1,0 +1,148 @@
+"""Ctrl-C in this process: one line, exit code 130, closed logs; no press disturbs what closes them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+
+import pytest
+
+from hil.app.configuration.configuration import load
+from hil.app.sim import command
+from hil.cli import check, main
+from hil.cli.interrupts import INTERRUPTED, Interrupts, comes_of_interrupt
+from hil.loop.panel import OperatorPanel
+from hil.record.log import Log
+
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.fixture
+def process(monkeypatch, capsys):
+    """Be the process of a command: return its exit code and what it says on standard error."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGALRM)}
+
+    def run(*words):
+        monkeypatch.setattr("sys.argv", ["hil", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, capsys.readouterr().err
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def interrupted_in(monkeypatch, work):
+    """Let `hil check` do that instead."""
+    monkeypatch.setattr(check, "load", lambda *_: work())
+
+
+def test_an_interrupt_is_one_line_and_130(process, monkeypatch):
+    interrupted_in(monkeypatch, press)
+    assert process("check") == (INTERRUPTED, "hil: interrupted\n") == (130, "hil: interrupted\n")
+
+
+def test_a_second_press_does_not_disturb_what_closes_the_files(process, monkeypatch):
+    closed = []
+
+    def work():
+        try:
+            press()
+        finally:
+            press()
+            closed.append(True)
+
+    interrupted_in(monkeypatch, work)
+    assert process("check") == (130, "hil: interrupted\n")
+    assert closed
+
+
+def test_what_a_library_makes_of_an_interrupt_is_one_line_too(process, monkeypatch):
+    def work():
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        raise TypeError("error building the serializer: KeyboardInterrupt")
+
+    interrupted_in(monkeypatch, work)
+    assert process("check") == (130, "hil: interrupted\n")
+
+
+def test_a_press_that_python_drops_is_repeated(process, monkeypatch):
+    class Dropping:
+        def __del__(self):
+            press()
+            raise KeyboardInterrupt
+
+    def work():
+        Dropping()
+        signal.sigtimedwait([], 5.0)
+        raise AssertionError("the press was lost")
+
+    interrupted_in(monkeypatch, work)
+    assert process("check") == (130, "hil: interrupted\n")
+
+
+def test_a_press_after_the_result_changes_nothing(monkeypatch):
+    interrupts = Interrupts()
+    interrupts.settle()
+    interrupts.pressed(signal.SIGINT, None)
+    ends = []
+    monkeypatch.setattr("os._exit", ends.append)
+    interrupts.pressed(signal.SIGINT, None)
+    assert not ends
+    interrupts.pressed(signal.SIGINT, None)
+    assert ends == [130], "the third one in vain ends a process that hangs"
+
+
+def test_only_what_comes_of_an_interrupt_is_taken_for_one():
+    cause = ImportError("numpy")
+    cause.__cause__ = KeyboardInterrupt()
+    assert comes_of_interrupt(cause)
+    assert not comes_of_interrupt(ImportError("numpy"))
+    assert not comes_of_interrupt(None)
+
+
+def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeypatch, tmp_path):
+    path = tmp_path / "a.mcap"
+    row, ticks = command.Recording.tick, []
+
+    def tick(self, *given):
+        row(self, *given)
+        ticks.append(True)
+        if len(ticks) == 150:
+            press()
+
+    monkeypatch.setattr(command.Recording, "tick", tick)
+    code, said = process("sim", "--duration", "0.3", "--log", path)
+    assert code == 130
+    assert said == f"hil: interrupted at 0.149 s of simulated time; the log until then: {path}\n"
+    log = Log.open(path)
+    assert len(log.rows()) == 150
+    assert log.metadata["summary"]["reason"] == "interrupted"
+
+
+def test_an_interrupt_of_the_replay_after_a_simulation_says_how_it_ended(monkeypatch, tmp_path):
+    monkeypatch.setattr(command, "replay_log", lambda _: press())
+    with pytest.raises(
+        KeyboardInterrupt, match=r"after the run, which ended in PARKED; its log is whole: .*a\.mcap"
+    ):
+        command.simulate(load("virtual"), log=tmp_path / "a.mcap", duration_s=0.1)
+    assert not Log.open(tmp_path / "a.mcap").cut
+
+
+def test_before_the_loop_a_second_press_does_not_disturb_the_end_of_the_start():
+    panel = OperatorPanel()
+
+    def begin():
+        try:
+            press()
+        finally:
+            press()
+
+    with panel.attached(), pytest.raises(KeyboardInterrupt):
+        begin()
+    assert panel.interrupts == 2

@@ -29,7 +29,7 @@ from hil.app.plant_columns import PLANT
 from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
 from hil.loop.panel import signals_to
-from hil.record import Recording
+from hil.record import Recording, scheduling
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.snapshot import Snapshot
 from plant_fmu.plant import Plant
@@ -122,6 +122,7 @@ def run_plant(
         stop = _Stop()
         stack.enter_context(signals_to(stop.signalled))
         with real_time(max(1, c.loop.priority - 10), None) as granted:
+            scheduled = scheduling()
             ready()
             try:
                 with _failures_logged(recording, bus.clock):
@@ -135,7 +136,7 @@ def run_plant(
                 bus.clock.leave()
         summary = _summary(last, trouble, stop.reason, granted)
         if recording is not None:
-            closed = recording.close({k: v for k, v in summary.items() if k != "success"})
+            closed = recording.close({k: v for k, v in summary.items() if k != "success"} | scheduled)
             summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped + closed.lost}
             if not closed.complete:
                 summary["recorder"] = closed.error or "too slow"

@@ -1,6 +1,6 @@
 """Recording a run: `Recording` in the loop's process, a ring in shared memory, a recorder process."""
 
-from hil.record.environment import environment
+from hil.record.environment import environment, scheduling
 from hil.record.recording import Live, LogSummary, Recording, Scene
 
-__all__ = ["Live", "LogSummary", "Recording", "Scene", "environment"]
+__all__ = ["Live", "LogSummary", "Recording", "Scene", "environment", "scheduling"]

@@ -30,7 +30,7 @@ def product_version() -> str:
 
 
 def environment() -> dict[str, str]:
-    """Return versions, git state, kernel, CPU, scheduler and clock of this process."""
+    """Return versions, git state, kernel, CPU and clock of this process."""
     found = {
         "version": product_version(),
         "python": f"{platform.python_implementation()} {platform.python_version()}",
@@ -40,12 +40,16 @@ def environment() -> dict[str, str]:
         "machine": platform.machine(),
         "cpu": _cpu(),
         "cpus": str(os.cpu_count() or ""),
-        "scheduler": _scheduler(),
-        "affinity": _affinity(),
         "clock": _clock(),
         "byte_order": sys.byteorder,
     }
     found |= {f"package.{name}": _version(name) for name in PACKAGES}
+    return {key: value for key, value in found.items() if value}
+
+
+def scheduling() -> dict[str, str]:
+    """Return scheduler and processors of this process: those of a loop only while it runs."""
+    found = {"scheduler": _scheduler(), "affinity": _affinity()}
     return {key: value for key, value in found.items() if value}
 
 

@@ -20,7 +20,7 @@ from drivers.clock import MONOTONIC, Clock
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, set_up, spawn, write_all
-from hil.record.environment import environment
+from hil.record.environment import environment, scheduling
 from hil.record.layout import MAX_DATA
 from hil.record.ring import (
     DROPPED,
@@ -165,7 +165,7 @@ class Recording:
             "websocket": live.websocket,
             "mirror": _mirror(mirror, table),
             "attachments": [[name, len(data)] for name, data in files],
-            "environment": environment(),
+            "environment": environment() | (scheduling() if lockstep else {}),
             "identity": {
                 **_texts(metadata or {}),
                 "topic": table.topic,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -40,6 +41,9 @@ def test_ctrl_c_stops_along_the_path_parks_and_is_a_success(
     if FIFO:
         assert summary["rate_Hz"] == 500
         assert "SCHED_FIFO" in summary["real_time"]["granted"]
+        end = Log.open(summary["log"]).metadata["summary"]
+        assert end["scheduler"].startswith("fifo ")
+        assert json.loads(end["granted"]) == summary["real_time"]["granted"]
         assert run.messages == []
 
     rows = Log.open(summary["log"]).rows()

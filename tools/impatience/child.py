@@ -47,6 +47,8 @@ def perform(
     environment: variables to set, or with None to take away; options: as for `subprocess.Popen`.
     """
     mark = uuid.uuid4().hex
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background; children inherit it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     path = os.pathsep.join(filter(None, (_ROOT, os.environ.get("PYTHONPATH"))))
     changed = {**os.environ, "PYTHONPATH": path, MARK: mark, **(environment or {})}
     kept = {name: value for name, value in changed.items() if value is not None}

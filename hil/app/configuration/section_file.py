@@ -6,7 +6,7 @@ Every problem is reported at once, each as `file:line:column: path: what, allowe
 import json
 import os
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
@@ -32,6 +32,7 @@ def read_section(path: Path, kind: type[Kind]) -> tuple[Kind, Document]:
         raise ConfigurationError(f"{path}: no such file") from None
     found = list(document.problems)
     if document.value is not None:
+        _refuse_another_kind(path, document.value, kind)
         try:
             section = kind.model_validate_json(json.dumps(document.value), strict=True)
         except ValidationError as error:
@@ -39,6 +40,19 @@ def read_section(path: Path, kind: type[Kind]) -> tuple[Kind, Document]:
     if found:
         raise ConfigurationError(*lines(found, str(path)))
     return section, document
+
+
+def _refuse_another_kind(path: Path, value: dict[str, Any], kind: type[Section]) -> None:
+    """Refuse, in one line, a file whose keys are another's: its own problems say nothing about it."""
+    name, known = _name(kind), kind.model_fields.keys()
+    given = value.get("kind")
+    strange = [key for key in value if key not in known]
+    if given == name or (given is None and 2 * len(strange) <= len(value)):
+        return
+    what = f"of kind {given!r:.60}"
+    if given is None:
+        what = f"another kind of file, with the keys {', '.join(map(str, strange[:3]))} ..."
+    raise ConfigurationError(f"{path}: is {what}; allowed: a file with `kind: {name}`")
 
 
 def write_section(path: Path, section: Section, remark: str) -> None:

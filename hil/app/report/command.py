@@ -29,7 +29,7 @@ from hil.app.report.story import Told, told
 from hil.app.report.timing import counts, spreads, stood_still, traffic
 from hil.record.figures import figures
 from hil.record.log import Event, Log
-from hil.record.schema import ENVIRONMENT, IDENTITY
+from hil.record.schema import ENVIRONMENT, IDENTITY, SUMMARY
 
 
 def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[str, Any]:
@@ -132,7 +132,7 @@ def _page(
     body += [sections.what_went_wrong(story)] if story.headline else []
     body.append(sections.limits([] if c is None else margins(rows, c, rate_Hz), t, why_not))
     body += [_pose()] if moving is not None else []
-    machine = log.metadata.get(ENVIRONMENT, {})
+    machine = log.metadata.get(ENVIRONMENT, {}) | _scheduled(log)
     stood = figure_rows(stood_still(rows))
     certificate = sections.timing(
         spreads(rows, bus.answered_ns), counts(rows, powered), stood, machine, lockstep=log.lockstep
@@ -141,6 +141,12 @@ def _page(
     body += [certificate, sections.figures(figure_rows(figures(rows)))]
     data = {"charts": drawn(shown, t), "scene": moving, "end": float(t[-1])}
     return page(f"{name}: {story.headline or 'report'}", body, data)
+
+
+def _scheduled(log: Log) -> dict[str, str]:
+    """Return what the loop of a run in real time was granted, as its log says at its end."""
+    end = log.metadata.get(SUMMARY, {})
+    return {key: end[key] for key in ("scheduler", "affinity") if key in end}
 
 
 def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> str:

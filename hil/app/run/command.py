@@ -35,7 +35,7 @@ from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import NO_DRIVES, NO_DRIVES_S, Course, Ending
 from hil.operate.channel import OperatorChannel
 from hil.operate.client import OperatorClient
-from hil.record import LogSummary
+from hil.record import LogSummary, scheduling
 from hil.record.figures import figures, picture
 from hil.record.log import Log
 
@@ -100,6 +100,7 @@ def run_daemon(
         if bus.facts:
             recording.event(bus.clock.now(), "info", bus.facts)
         with real_time(c.loop.priority, c.loop.cpu) as granted:
+            scheduled = scheduling() | {"granted": granted.granted, "missing": granted.missing}
             window_ns = round(c.loop.window_s(rate) * 1e9)
             if clock is not None:
                 begin(clock, c, cycle, window_ns)
@@ -122,7 +123,7 @@ def run_daemon(
         trouble = ending.trouble
         if trouble:
             recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
-        closed = recording.close(closing(ending, trouble))
+        closed = recording.close(closing(ending, trouble) | scheduled)
     with leaving(lambda: _what_there_is(ending, trouble, closed)):
         result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
         result |= keeper.summary(cycle)

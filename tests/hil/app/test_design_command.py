@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from drivers.errors import ConfigurationError
 from hil.app.configuration.controller_file import read_controller
+from hil.app.design.command import load_design
 from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -131,3 +133,30 @@ def test_other_files_are_not_overwritten_and_unknown_designs_are_named(tmp_path)
     assert other.read_text() == "a: 1\n"
     assert "shipped designs are: constant_hinf, hinf" in design("nothing").output
     assert "there is no folder" in design("hinf", "-o", tmp_path / "no" / "c.yaml").output
+
+
+@pytest.mark.parametrize("given", ["bench.yaml", "virtual.yaml"])
+def test_a_configuration_in_the_place_of_a_design_is_refused_in_one_line(given):
+    file = Path(__file__).parents[3] / "configs" / given
+    with pytest.raises(ConfigurationError) as refused:
+        load_design(str(file))
+    assert len(refused.value.problems) == 1
+    assert str(refused.value).startswith(
+        f"{file}: is another kind of file, with the keys name, platform, bus"
+    )
+    assert "`kind: design`" in str(refused.value)
+
+
+def test_a_file_of_another_kind_is_refused_by_its_kind(tmp_path):
+    file = tmp_path / "axes.yaml"
+    file.write_text("kind: axes\nrate_Hz: 1000\n")
+    with pytest.raises(ConfigurationError, match="is of kind 'axes'; allowed: a file with `kind: design`"):
+        load_design(str(file))
+
+
+def test_a_design_that_only_lacks_its_kind_is_told_so(tmp_path):
+    file = tmp_path / "mine.yaml"
+    text = load_design("hinf")[1].read_text()
+    file.write_text("".join(line for line in text.splitlines(True) if not line.startswith("kind:")))
+    with pytest.raises(ConfigurationError, match=r"kind: missing, allowed: design"):
+        load_design(str(file))

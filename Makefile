@@ -6,10 +6,11 @@ BIN := .venv/bin
 UV ?= uv
 PYTEST_FLAGS ?=
 FUZZ_FLAGS ?=
+MUTANTS_FLAGS ?=
 # where it is set, each of some hundred processes of the tests compiles the project anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long fuzz lint bench docs format lock clean venv fmu kernels viewers
+.PHONY: help run test long fuzz mutants lint bench docs format lock clean venv fmu kernels viewers
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is"
@@ -28,6 +29,9 @@ long: fmu viewers  ## slow checks that `make test` leaves out: what an extension
 
 fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes; FUZZ_FLAGS="--seed 5000" goes on there
 	@exec $(BIN)/python -m tools.fuzz $(FUZZ_FLAGS)
+
+mutants: fmu  ## plausible mistakes, a seeded sample an area, and which test notices each; MUTANTS_FLAGS="--area cycle --seed 2"
+	@exec $(BIN)/python -m tools.mutants $(MUTANTS_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy
 	@$(BIN)/lint-imports --no-logo

@@ -32,7 +32,7 @@ class Difference:
 
     def __str__(self) -> str:
         a, b = np.ravel(self.recorded), np.ravel(self.replayed)
-        if a.dtype.kind not in "if":
+        if a.dtype.kind not in "if" or a.shape != b.shape:  # sent frames, of which a log may have none
             return f"tick {self.tick}: {self.column}: recorded {self.recorded}, replayed {self.replayed}"
         n = int(np.flatnonzero(a.view(np.int64) != b.view(np.int64))[0])
         place = self.column if len(a) == 1 else f"{self.column}[{n}]"

@@ -31,7 +31,7 @@ COMPILE_S = 240.0
 @click.option("--area", "areas", type=click.Choice(list(AREAS)), multiple=True, help="Only this one; repeat.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the sample.")
 @click.option("--sample", type=int, default=50, show_default=True, help="Mutants of each area.")
-@click.option("--budget", type=float, default=40.0, show_default=True, help="Seconds of tests for a mutant.")
+@click.option("--budget", type=float, default=60.0, show_default=True, help="Seconds of tests for a mutant.")
 @click.option("--jobs", type=int, default=2, show_default=True, help="Copies of the tree, side by side.")
 @click.option("--again", is_flag=True, help="Run survivors again: there are new tests.")
 @click.option("--fresh", is_flag=True, help="Run all again, and record anew what each test runs.")

@@ -128,9 +128,11 @@ AREAS = {
     "replay": Area(
         ("hil/loop/replay.py", "hil/app/replay.py", "hil/app/recorded_files.py", "hil/cli/replay.py"),
         (
+            "tests/replay/test_comparison.py",
             "tests/replay/test_replay.py",
             "tests/replay/test_tampered_log.py",
             "tests/replay/test_versions.py",
+            "tests/hil/app/test_bad_input.py",
             "tests/hil/app/test_controller_file.py",
         ),
     ),

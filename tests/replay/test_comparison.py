@@ -1,0 +1,134 @@
+"""What a replay says of a log that differs: how far, with which story, in how long a time."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+
+import pytest
+from click.testing import CliRunner
+
+from drivers.signals import Mode
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load
+from hil.app.replay import summary
+from hil.app.sim.command import simulate
+from hil.cli import main
+from hil.loop.replay import Comparison, replay
+from hil.record.log import Log
+from tests.hil.rewrite import mcap_summary, rewrite_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("replay") / "run.mcap"
+    simulate(load("virtual"), log=path, duration_s=0.1, check_replay=False)
+    return path
+
+
+@pytest.fixture(scope="module")
+def entries(log):
+    return list(Log.open(log).ticks())
+
+
+class Edited:
+    """Recorded ticks of which some columns of one are others."""
+
+    def __init__(self, entries, at, **columns):
+        row = entries[at].row.copy()
+        for name, value in columns.items():
+            row[name] = value
+        self.entries = [*entries[:at], entries[at]._replace(row=row), *entries[at + 1 :]]
+
+    def ticks(self):
+        return iter(self.entries)
+
+
+def compared(entries, at, **columns):
+    c = load("virtual")
+    cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
+    return replay(Edited(entries, at, **columns), cycle)
+
+
+def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(entries):
+    lengths = entries[50].row["q"].copy()
+    assert (abs(lengths) < 2.0).all()
+    for far in (1e6, -1e6):
+        lengths[3] = far
+        assert compared(entries, 50, q=lengths).largest == pytest.approx(1.0, rel=1e-4)
+    lengths[3] = entries[50].row["q"][3] + 0.5
+    allowed = 0.5 / max(1.0, lengths[3])
+    assert compared(entries, 50, q=lengths).largest == pytest.approx(allowed, rel=1e-9)
+
+
+def test_the_largest_of_all_differences_is_kept_and_an_integer_has_no_small_one(entries):
+    assert compared(entries, 50).largest == 0.0
+    assert compared(entries, 50, q=entries[50].row["q"] * 2, mode=99).largest == math.inf
+
+
+def test_a_replay_has_the_story_of_the_faults_that_its_cycle_latched(entries):
+    assert compared(entries, 50).story is None
+    begun = next(k for k, entry in enumerate(entries) if entry.row["mode"] == Mode.LOADING)
+    verdict = compared(entries, begun + 5, bus_off=1)
+    assert verdict.story is not None
+    assert [finding.fault for finding in verdict.story.findings] == ["BUS"]
+
+
+def test_the_summary_gives_the_speed_and_where_how_many_ticks_are_missing():
+    fields = summary(Comparison(ticks=6000, gaps=[(700, 3)]), 2.0, 6.0)
+    assert fields["times_real_time"] == 3.0
+    assert fields["gaps"] == ["3 ticks missing from tick 700"]
+    assert summary(Comparison(), 0.0, 6.0)["times_real_time"] == 0.0
+
+
+def test_a_tick_whose_sent_frames_are_gone_is_a_difference_that_can_be_printed(entries):
+    edited = [*entries]
+    edited[50] = edited[50]._replace(sent=())
+    c = load("virtual")
+    verdict = replay(Edited(edited, 60), build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3))
+    (difference,) = verdict.first
+    assert str(difference).startswith("tick 50: sent frames: recorded (), replayed (Frame(")
+
+
+def without_frame(sequence):
+    return lambda topic, data, number: None if (topic, number) == ("/can", sequence) else data
+
+
+def test_the_command_shows_the_largest_difference_where_there_is_one_alone(log, tmp_path):
+    exact = CliRunner().invoke(main, ["replay", str(log)])
+    assert exact.exit_code == 0, exact.output
+    assert "largest" not in exact.stdout
+    changed = tmp_path / "changed.mcap"
+    rewrite_log(log, changed, without_frame(40))
+    result = CliRunner().invoke(main, ["replay", str(changed), "--json", str(tmp_path / "verdict.json")])
+    assert result.exit_code == 1, result.output
+    assert re.search(r"largest[ _]relative[ _]difference", result.stdout)
+    assert json.loads((tmp_path / "verdict.json").read_text())["success"] is False
+
+
+def test_a_salvaged_log_says_what_was_lost_before_it_is_replayed(log, tmp_path):
+    data = bytearray(log.read_bytes())
+    chunks = mcap_summary(log).chunk_indexes
+    data[chunks[-1].chunk_start_offset + chunks[-1].chunk_length // 2] ^= 0x40
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    command = ["replay", str(tmp_path / "damaged.mcap"), "--salvage", str(tmp_path / "whole.mcap")]
+    result = CliRunner().invoke(main, command)
+    first, remark, *_ = result.stderr.splitlines()
+    assert first.startswith("salvaged ")
+    assert remark.startswith("  ")
+    assert "damaged" in remark
+
+
+def test_progress_is_drawn_over_itself_on_a_terminal_and_not_at_all_elsewhere(log, monkeypatch):
+    assert "\r" not in CliRunner().invoke(main, ["replay", str(log)]).stderr
+
+    def replay_log(path, progress):
+        progress(1000)
+        progress(2000)
+        return Comparison(ticks=2000), {**summary(Comparison(ticks=2000), 1.0, 2.0), "agrees": True}
+
+    monkeypatch.setattr("hil.app.replay.replay_log", replay_log)
+    monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True)
+    said = CliRunner().invoke(main, ["replay", str(log)], color=True).stderr
+    assert said.startswith("\r1000 ticks\r2000 ticks\r\x1b[K")

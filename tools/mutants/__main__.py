@@ -62,15 +62,19 @@ def recordings(area: Area, trees: queue.Queue[Tree], *, fresh: bool) -> list[Con
     folder = BUILD / "contexts"
     folder.mkdir(parents=True, exist_ok=True)
     paths = {f: folder / f"{Path(f).stem}-{_digest(ROOT / f)}.jsonl" for f in area.test_files()}
-    tree = trees.get()
-    for file, path in paths.items():
-        if fresh or not path.exists():
-            begun = time.monotonic()
-            unfinished = path.with_suffix(".tmp")
+
+    def record(file: str) -> None:
+        begun, tree = time.monotonic(), trees.get()
+        unfinished = paths[file].with_suffix(".tmp")
+        try:
             tree.record([file], unfinished)
-            unfinished.rename(path)
-            print(f"recorded {file} in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
-    trees.put(tree)
+        finally:
+            trees.put(tree)
+        unfinished.rename(paths[file])
+        print(f"recorded {file} in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+
+    with ThreadPoolExecutor(trees.qsize()) as pool:
+        list(pool.map(record, [file for file, path in paths.items() if fresh or not path.exists()]))
     return contexts(paths.values())
 
 

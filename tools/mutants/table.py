@@ -7,6 +7,9 @@ import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+_SHOWN = 70
+"""Characters of a change that the summary shows; the table has all."""
+
 
 @dataclass(frozen=True)
 class Result:
@@ -73,7 +76,10 @@ def summary(area: str, results: list[Result], equivalent: int) -> str:
         share += f", {100 * hits / len(counted):.0f} % (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
     aside = f"; {len(results) - len(counted)} did not load, {equivalent} equivalent"
     lines = [
-        f"  {r.file}:{r.line} {r.where}: {r.before!r} -> {r.after!r} ({r.operator}; {r.tests} tests)"
-        for r in left
+        f"  {r.file}:{r.line} {r.where}: {_short(r.before)} -> {_short(r.after)} ({r.operator})" for r in left
     ]
     return "\n".join([f"{area}: {share}{aside}", *lines])
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= _SHOWN else f"{text[: _SHOWN - 4]} ...")

@@ -74,6 +74,8 @@ AREAS = {
         (
             "tests/hil/test_modes.py",
             "tests/hil/test_operating*.py",
+            "tests/hil/test_status.py",
+            "tests/hil/test_jogging.py",
             "tests/hil/test_admission.py",
             "tests/hil/test_console.py",
             "tests/hil/test_cycle.py",

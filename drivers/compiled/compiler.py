@@ -15,6 +15,7 @@ from numba.np import linalg
 
 from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
 from drivers.compiled.cache import Locator
+from drivers.compiled.lean_library import lean_libraries
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -77,7 +78,8 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
         elsewhere = settings["CACHE_LOCATOR_CLASSES"]
         settings["CACHE_LOCATOR_CLASSES"] = f"{Locator.__module__}.{Locator.__name__}"
         try:
-            compiled: Any = numba.njit(arguments, nogil=unlocked, **_OPTIONS)(function)
+            with lean_libraries():
+                compiled: Any = numba.njit(arguments, nogil=unlocked, **_OPTIONS)(function)
         finally:
             settings["CACHE_LOCATOR_CLASSES"] = elsewhere
         return cast("F", compiled)

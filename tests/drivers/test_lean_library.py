@@ -1,0 +1,88 @@
+"""Kernels out of the cache: loaded without LLVM's bitcode, and whole all the same for who calls them."""
+
+import importlib.util
+from typing import Any
+
+import numba
+import pytest
+from llvmlite import binding
+from numba.core.registry import cpu_target
+
+from drivers.compiled import cache
+from drivers.compiled.compiler import REAL, kernel
+from drivers.compiled.lean_library import LeanLibrary
+
+SOURCE = """
+from drivers.compiled.compiler import REAL, kernel
+
+@kernel(REAL)
+def twice(x):
+    return 2.0 * x
+
+@kernel(REAL)
+def fourfold(x):
+    return twice(twice(x))
+"""
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory):
+    """Import SOURCE, compiled the first time, out of the cache from then on."""
+    folder = tmp_path_factory.mktemp("kernels")
+    (folder / "source.py").write_text(SOURCE)
+
+    def again():
+        spec: Any = importlib.util.spec_from_file_location("kernels_of_this_test", folder / "source.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cache, "CACHE_FOLDER", folder)
+        assert again().twice(3.0) == 6.0
+        yield again
+
+
+def hits(function):
+    return sum(function.stats.cache_hits.values())
+
+
+def test_a_loaded_kernel_parses_no_bitcode_and_computes(imported, monkeypatch):
+    monkeypatch.setattr(binding, "parse_bitcode", None)
+    module = imported()
+    assert (hits(module.twice), hits(module.fourfold)) == (1, 1)
+    assert (module.twice(3.0), module.fourfold(3.0)) == (6.0, 12.0)
+
+
+def test_a_kernel_compiled_later_calls_a_loaded_one(imported):
+    twice = imported().twice
+    assert hits(twice) == 1
+
+    @kernel(REAL)
+    def one_more(x):
+        return twice(x) + 1.0
+
+    assert one_more(3.0) == 7.0
+
+
+def test_a_loaded_kernel_names_all_that_it_defines(imported, monkeypatch):
+    engine = cpu_target.target_context.codegen()._engine
+    monkeypatch.setattr(engine, "_defined_symbols", set())  # as in a process that has compiled nothing
+    module = imported()
+    (loaded,) = module.fourfold.overloads.values()
+    assert hits(module.fourfold) == 1
+    assert engine.is_symbol_defined(loaded.fndesc.llvm_func_name)
+    assert engine.is_symbol_defined(loaded.fndesc.llvm_cpython_wrapper_name)
+
+
+def test_what_others_compile_stays_as_numba_has_it(imported):
+    imported()
+
+    @numba.njit("float64(float64)")
+    def foreign(x):
+        return x - 1.0
+
+    compiled: Any = foreign
+    (only,) = compiled.overloads.values()
+    assert not isinstance(only.library, LeanLibrary)
+    assert foreign(1.0) == 0.0

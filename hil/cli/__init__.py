@@ -7,6 +7,7 @@ _handler = signal.getsignal(signal.SIGINT)
 if _handler is signal.default_int_handler:  # Ctrl-C during these imports ends the process without a word
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
+import gc
 import os
 from importlib import import_module
 from typing import Any
@@ -21,6 +22,9 @@ if _handler is signal.default_int_handler:
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# What a command imports and reads is there for good: the collector's usual rhythm would look through it some
+# hundred times, a tenth of each start and of what works on arrays alone.
+gc.set_threshold(100_000, 20, 20)
 
 
 COMMANDS = {

@@ -147,8 +147,14 @@ CLOSED = [
 ]
 
 
-@pytest.mark.parametrize("legs", [(3,), tuple(LEGS)], ids=["one", "all"])
-@pytest.mark.parametrize(("mode", "share"), CLOSED, ids=[f"{m.name} {s}" for m, s in CLOSED])
+@pytest.mark.parametrize(
+    ("mode", "share", "legs"),
+    [
+        *((mode, share, (3,)) for mode, share in CLOSED),
+        *broad([(*each, tuple(LEGS)) for each in CLOSED], quick=1),
+    ],
+    ids=[f"{m.name} {s} {which}" for which in ("one", "all") for m, s in CLOSED],
+)
 def test_a_brake_that_opens_by_itself_under_load_is_caught(good, mode, share, legs, capsys):
     since = begins(good, mode, share)
     ran = run(load("virtual"), *[BrakeStuckOpen(leg=leg, at_s=since) for leg in legs])

@@ -26,6 +26,7 @@ from plant_fmu.faults.encoder import EncoderJump, EncoderLost
 from plant_fmu.faults.frames import FramesLoss
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.faults.plant import PlantCrash, PlantNaN
+from tests.broad import broad
 from tests.drivers.legs_frames import command_frames
 from tests.loop.test_attacks import Attacked
 from tests.loop.test_held import Ran, begins, configuration, run
@@ -61,7 +62,7 @@ def test_a_leg_whose_wires_are_swapped_is_named_with_its_distance_from_the_refer
     assert "the drives were told to switch off: all six in OFF" in ran.ending.trouble
 
 
-@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("leg", broad((4, 1, 0, 2, 3, 5), quick=2))
 def test_a_silent_drive_is_named_with_the_ticks_since_it_was_heard(leg):
     ran = run(load("virtual"), DriveSilence(leg=leg, at_s=1.4))
     (finding,) = story_of(ran).findings

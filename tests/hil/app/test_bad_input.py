@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from hil.app.configuration.configuration import load
 from hil.cli import main
 from plant_fmu.stewart.build import build
+from tests.broad import broad
 
 VIRTUAL = load("virtual").text
 FIRST_TIME = "compiling the mathematics, once (about 45 s) ...\n"
@@ -377,15 +378,15 @@ def test_no_damage_ends_in_a_traceback(log, tmp_path, percent):
 
 PROGRAM = [
     (["sim", "nowhere.yaml"], "nowhere.yaml: no such file"),
+    (["sim", "--json", "nowhere/a.json"], "there is no folder nowhere"),
+    (["simulate"], "No such command"),
     (["run", "ideal"], "`ideal`"),
     (["replay", "no.mcap"], "no.mcap: no such file"),
-    (["sim", "--json", "nowhere/a.json"], "there is no folder nowhere"),
     (["sim", "--duration", "-1"], "-1"),
-    (["simulate"], "No such command"),
 ]
 
 
-@pytest.mark.parametrize(("words", "message"), PROGRAM, ids=[" ".join(w) for w, _ in PROGRAM])
+@pytest.mark.parametrize(("words", "message"), broad(PROGRAM, quick=3), ids=[" ".join(w) for w, _ in PROGRAM])
 def test_the_installed_program_refuses_the_same_way(tmp_path, words, message):
     done = subprocess.run(
         [sys.executable, "-m", "hil.cli", *words], cwd=tmp_path, capture_output=True, text=True, check=False

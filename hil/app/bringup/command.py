@@ -187,11 +187,12 @@ def _proceed(
             if outcome.success and bench is None:
                 context.ask(Request("mount", text=_MOUNT))
         except RefusedError as refusal:
-            return Outcome((), (), stopped="ended"), context, str(refusal)
+            why = str(refusal)
         except KeyboardInterrupt:
             why = "ended by Ctrl-C: forces zero, brakes shut; what was found is kept"
-            return Outcome((), (), stopped="ended"), context, why
-        return outcome, context, ""
+        else:
+            return outcome, context, ""
+        return Outcome(tuple(store.facts.get("passed", {})), (), stopped="ended"), context, why
 
 
 def _release(

@@ -59,7 +59,10 @@ def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, fl
     if abs(away[leg]) > TRAVEL_M:
         c.drives.off()
         text = f"leg {leg} went {1e3 * away[leg]:+.2f} mm under drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
-        raise StoppedError(Finding("runaway", (drive,), text, "Look at force scale, brake and load of it."))
+        mend, own = "Look at force scale, brake and load of it.", c.reads()[drive][0]
+        if leg != own:
+            mend = f"Look at the encoder of leg {leg}, whose brake was shut, and at what drive {drive} moves."
+        raise StoppedError(Finding("runaway", (drive,) if leg == own else (drive, leg), text, mend))
     moves = c.travelled(before)
     most = max(moves, key=lambda k: abs(moves[k]))
     return most, moves[most]

@@ -3,13 +3,16 @@
 Each is named, or ends the bring-up with a sentence; none releases the platform.
 """
 
+import json
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
+from hil.app.bringup.store import refuse_malformed
 from hil.bringup.context import StoppedError
 from hil.bringup.procedure import STEPS
-from plant_fmu.faults.drive import DriveReset, DriveSilence
+from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.rehearsal.wiring import OWN, Mistake, Wiring, turned, wired
@@ -31,7 +34,7 @@ PAIRS = {
     ),
     "encoders_and_brakes_of_the_same_two": (
         replace(Wiring(), encoder=turned(OWN, 2, 3), brake=turned(OWN, 2, 3)),
-        {("ids", (2, 3))},
+        {("ids", (2, 3)), ("motor_crossed", (2, 3))},  # the same as exchanged drives with crossed motors
     ),
     "motors_and_encoders_of_the_same_two": (
         replace(Wiring(), encoder=turned(OWN, 0, 5), motor=turned(OWN, 0, 5)),
@@ -76,45 +79,46 @@ def test_what_nobody_listed_is_named(case):
     assert rehearsal.watched.most_open <= 1
 
 
-def struck(name, fault, steps=STEPS):
-    """Return a rehearsal during which a fault of the plant's end strikes, and its outcome."""
-    rehearsal = Rehearsal(name, Wiring(), faults=FaultPlan([fault]))
-    return rehearsal, rehearsal.run(steps)
-
-
-def until(step, share, name="virtual"):
-    """Return the time at which a good machine is in the middle of a step, s."""
+@cache
+def begins(name):
+    """Return when a good machine begins each step, s, and when it has ended the last one."""
     rehearsal = Rehearsal(name, Wiring())
-    ticks = {}
-    for each in STEPS:
-        ticks[each.name] = rehearsal.drives.tick
-        rehearsal.run((each,))
-        if each.name == step:
-            break
-    begin, end = ticks[step], rehearsal.drives.tick
-    return (begin + share * (end - begin)) / rehearsal.drives.line.rate_Hz
+    ticks: list[int] = []
+
+    def consent(*_: str) -> bool:
+        ticks.append(rehearsal.drives.tick)
+        return True
+
+    rehearsal.hands.consent = consent  # type: ignore[method-assign]
+    rehearsal.run()
+    ends = [*ticks, ticks[-1] + 20]
+    return [tick / rehearsal.drives.line.rate_Hz for tick in ends]
+
+
+def until(step, share, name):
+    """Return when a good machine is at a share of a step, s."""
+    number = [each.name for each in STEPS].index(step)
+    first, last = begins(name)[number : number + 2]
+    return first + share * (last - first)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("step", ["ids", "encoder", "brakes", "force", "gauge", "mounted"])
-@pytest.mark.parametrize("name", ["virtual", "damiao", "cia402_pdo", "odrive", "moteus_stopped"])
+@pytest.mark.parametrize("step", ["ids", "brakes", "gauge", "mounted"])
+@pytest.mark.parametrize("name", ["virtual", "damiao", "odrive"])
 @pytest.mark.parametrize(
     "fault",
     [
         lambda t: EncoderJump(kind="encoder_jump", leg=3, at_s=t, by_m=0.02),
         lambda t: EncoderFreeze(kind="encoder_freeze", leg=3, at_s=t),
         lambda t: DriveSilence(kind="drive_silence", leg=3, at_s=t),
-        lambda t: DriveReset(kind="drive_reset", leg=3, at_s=t),
     ],
-    ids=["jump", "freeze", "silence", "reset"],
+    ids=["jump", "freeze", "silence"],
 )
-def test_a_fault_in_mid_step_never_releases_the_platform_unless_its_step_has_passed_it(step, name, fault):
-    t = until(step, 0.3, name)
-    rehearsal, outcome = struck(name, fault(t))
+def test_a_fault_of_one_leg_in_mid_step_is_named_at_that_leg(step, name, fault):
+    rehearsal = Rehearsal(name, Wiring(), faults=FaultPlan([fault(until(step, 0.3, name))]))
+    outcome = rehearsal.run()
+    assert any(3 in legs for _, legs in named(outcome)), outcome.findings
     assert rehearsal.watched.most_open <= 1
-    if not outcome.success:
-        assert outcome.findings
-        assert all(finding.line for finding in outcome.findings)
 
 
 def test_a_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
@@ -187,3 +191,23 @@ def test_after_legs_were_mended_that_were_mounted_elsewhere_the_platform_comes_o
     assert mended.run().success
     assert [request.act for request in mended.hands.requests].count("take_down") == 1
     assert mended.watched.opened_while_hung == 0
+
+
+@pytest.mark.long
+def test_killed_after_any_fact_it_goes_on_from_there_and_ends_well():
+    """SIGKILL leaves what was saved last: the facts of some moments, each read back as JSON."""
+    rehearsal = Rehearsal("virtual", Wiring())
+    moments: list[str] = []
+    rehearsal.context.save = lambda: moments.append(json.dumps(rehearsal.context.facts))
+    assert rehearsal.run().success
+    asked = len(rehearsal.hands.requests)
+    for moment in moments[1::6]:
+        facts = json.loads(moment)
+        refuse_malformed(facts)
+        resumed = Rehearsal("virtual", Wiring(), facts=facts)
+        resumed.bench.hung = "platform" in facts
+        outcome = resumed.run()
+        assert outcome.success, outcome.findings
+        assert resumed.watched.most_open <= 1
+        assert resumed.watched.opened_while_hung == 0
+        assert len(resumed.hands.requests) <= asked

@@ -165,7 +165,7 @@ def gap(c: Context) -> Gap | None:
     return Gap(
         f"they have no watchdog that is set from here, and {shown}",
         "When the program dies a drive keeps its last torque. See that something independent of program and "
-        "bus cuts the drives' power and shuts the brakes, try it now with a brake open, and keep it in reach",
+        "bus cuts the drives' power and shuts the brakes, try it now, and keep it in reach",
     )
 
 

@@ -194,13 +194,16 @@ def check(
     Raises ConfigurationError when the frames take more than `max_load_percent` of the period, BusError for
     a frame that cannot be on the bus.
     """
+    frames = list(frames)
     result = budget(frames, timing, rate_Hz, max_load_percent)
     if not result.fits:
+        classic = not any(frame.flags & FD for frame in frames)
+        layout = ", or use bus.layout: fd if the drives know it" if classic else ""
         raise ConfigurationError(
             f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
             f"(data phase {timing.data_bitrate / 1e6:g} Mbit/s), worst-case stuffing:\n{result.table()}\n"
             f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
-            "the bus): lower loop.rate_Hz, raise the bit rates, spread the legs over several buses "
-            "(bus.channels), or use bus.layout: fd if the drives know it"
+            "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
+            f"(bus.channels){layout}"
         )
     return result

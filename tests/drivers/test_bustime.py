@@ -160,6 +160,13 @@ def test_overload_is_refused_with_the_arithmetic():
     assert check([Frame(1, bytes(8))] * 12, CLASSIC_1M, 432, 70).fits
 
 
+@pytest.mark.parametrize(("flags", "offered"), [(0, True), (FD | BRS, False)])
+def test_the_layout_fd_is_offered_to_who_has_it_not(flags, offered):
+    with pytest.raises(ConfigurationError, match=r"bus\.channels") as caught:
+        check([Frame(1, bytes(8), flags)] * 40, BitTiming(1_000_000, 5_000_000), 1000)
+    assert ("bus.layout: fd" in str(caught.value)) == offered
+
+
 @st.composite
 def headers(draw):
     extended = draw(st.booleans())

@@ -14,6 +14,8 @@ from drivers.mit.variants import VARIANTS
 
 Answers = dict[str, Any]
 LEGS_PROTOCOL = "legs"
+LONGEST_TURN = 10.0
+"""Times the stroke: a pinion that large is none, the number was in mm."""
 ROOM = 0.99
 """Share of a field's range that is used: its ends are no readings, and its top torques are not sent."""
 
@@ -89,7 +91,12 @@ def model_trouble(a: Answers) -> str | None:
 
 
 def travel_trouble(a: Answers) -> str | None:
-    """Return why the leg length a turn does not suit the model's fields; None where it does."""
+    """Return why the leg length a turn suits neither stroke nor the model's fields; None where it does."""
+    if a["travel_m"] > LONGEST_TURN * a["stroke_m"]:
+        return (
+            f"allowed: up to {LONGEST_TURN * a['stroke_m']:g} m a turn, {LONGEST_TURN:g} times the stroke of "
+            f"{a['stroke_m']:g} m, given: {a['travel_m']:g}; it is in m, so a lead of 10 mm is 0.01"
+        )
     if not models(a):
         return None
     least, most = _travels_m(a)

@@ -212,6 +212,7 @@ def test_what_new_writes_of_drives_follows_from_force_stroke_and_travel():
         # +-12.5 rad are 3.98 turns, 0.2 m of stroke over them 0.0503 m; 54 N m over 800 N are 0.424 m
         ("--drives damiao --model DM8009 --travel 0.01", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
         ("--drives damiao --model DM3507 --travel 0.06", "--model: DM3507 is too weak at any lead"),
+        ("--drives moteus --travel 10", "--travel: allowed: up to 2 m a turn"),
         ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames alone"),
         ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),
     ],

@@ -162,7 +162,7 @@ DRIVES = {
     "moteus": "--drives moteus --travel 0.01",
     "cia402": "--drives cia402 --travel 0.01",
     "odrive": "--drives odrive --travel 0.02",
-    "cubemars": "--drives cubemars --model AK10-9 --travel 0.06",
+    "cubemars": "--drives cubemars --model AK80-9 --travel 0.06",
     "damiao": "--drives damiao --model DM8009 --travel 0.1",
     "mini_cheetah": "--drives mini_cheetah --travel 0.1",
     "robstride": "--drives robstride --travel 0.1",

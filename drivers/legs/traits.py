@@ -54,10 +54,11 @@ class Traits:
         return memory
 
     def resolution(self, _rate_Hz: float) -> Resolution:
-        """Return a step of length and rate, half a step of the force, which is rounded here."""
+        """Return half a step of each: they are rounded."""
         if self._exact:
             return Resolution.of(0.0, 0.0, 0.0)
-        return Resolution.of(self._feedback_range[0], self._feedback_range[1], 0.5 * self._command_range[0])
+        length, rate = 0.5 * self._feedback_range[:2]
+        return Resolution.of(length, rate, 0.5 * self._command_range[0])
 
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return None: the field is wider than any leg."""

@@ -40,8 +40,8 @@ class Sampled(NamedTuple):
     decay_rate: float
     """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
     loop: LinearSystem
-    """To e, de and u from a disturbing acceleration, held over each period, and from what e is measured wrong
-    by at each sample."""
+    """To e, de and u from a disturbing acceleration, held over each period, and from what e and de are
+    measured wrong by at each sample."""
 
     @property
     def stable(self) -> bool:
@@ -84,10 +84,13 @@ class Sampled(NamedTuple):
             x = self.loop.A @ x
         return np.array(found)
 
-    def measured_gains(self, slope: float = 0.0) -> Array:
-        """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by."""
-        rows = np.vstack([np.eye(3), [slope, 1.0, 0.0]])
-        to, total, x = rows @ self.loop.C, np.abs(rows @ self.loop.D[:, 1]), self.loop.B[:, 1]
+    def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
+        """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by.
+
+        rate: from what de is measured wrong by.
+        """
+        rows, k = np.vstack([np.eye(3), [slope, 1.0, 0.0]]), 1 + rate
+        to, total, x = rows @ self.loop.C, np.abs(rows @ self.loop.D[:, k]), self.loop.B[:, k]
         for _ in range(self.steps):
             total = total + np.abs(to @ x)
             x = self.loop.A @ x
@@ -138,11 +141,11 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
-    """Return the loop from d and n to e, de and u: y = [e + n, de], e = -position."""
+    """Return the loop from d, n and m to e, de and u: y = [e + n, de + m], e = -position."""
     A, B, C, _, T = plant
-    # Inputs d, n, u; outputs e, de, u, and y for the controller.
-    inputs = np.column_stack([B[:, 1], np.zeros(len(A)), B[:, 0]])
+    # Inputs d, n, m, u; outputs e, de, u, and y for the controller.
+    inputs = np.column_stack([B[:, 1], np.zeros((len(A), 2)), B[:, 0]])
     outputs = np.vstack([-C, np.zeros((1, len(A))), -C])
-    through = np.zeros((5, 3))
-    through[2, 2] = through[3, 1] = 1.0
+    through = np.zeros((5, 4))
+    through[2, 3] = through[3, 1] = through[4, 2] = 1.0
     return LinearSystem(A, inputs, outputs, through, T).closed_with(controller)

@@ -60,15 +60,21 @@ class Layered(NamedTuple):
 
     def inside(self, judged: Judged) -> float:
         """Return the largest |s| of a leg, or |y| of all, as measured, of the linear loop, m/s."""
-        slope, step = self.slope, self.subject.step_m
+        slope, drives = self.slope, self.subject.drives
+        step, rate_step = float(drives.length.max()), float(drives.rate.max())
         largest = 0.0
         for loops, bound in judged.bounds:
-            peaks, measured = (
+            peaks, by_length, by_rate = (
                 np.array(of_each(loops, figures))[:, 3]
-                for figures in (lambda loop: loop.peak_gains(slope), lambda loop: loop.measured_gains(slope))
+                for figures in (
+                    lambda loop: loop.peak_gains(slope),
+                    lambda loop: loop.measured_gains(slope),
+                    lambda loop: loop.measured_gains(slope, rate=True),
+                )
             )
+            read = (by_length + slope) * step + (by_rate + 1.0) * rate_step
             late_s = bound.late_rate + slope * bound.late
-            largest = max(largest, float(np.max(peaks * bound.d + late_s + (measured + slope) * step)))
+            largest = max(largest, float(np.max(peaks * bound.d + late_s + read)))
         return largest if self.name == "s" else sqrt(6.0) * largest
 
     def beyond(self, alpha: float) -> tuple[Ultimate, float] | None:

@@ -13,6 +13,9 @@ from hil.stability.reaching import Reaching
 from hil.stability.sampled import Sampled
 from hil.stability.ultimate import Ultimate, in_words
 
+NEGLIGIBLE = 0.01
+"""Share of a disturbance that is not worth a line."""
+
 
 def describe(loop: Sampled) -> tuple[list[str], dict[str, Any]]:
     """Return the sampled loop as lines and figures."""
@@ -88,6 +91,7 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
         "ultimate_bound": bound.error.tolist(),
         "ultimate_rate_bound": bound.rate.tolist(),
         "pushed": bound.pushed.tolist(),
+        "drives": bound.drives.tolist(),
         "late": bound.late.tolist(),
         "condition_max": bound.condition,
     }
@@ -106,6 +110,12 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
         if axes == "pose":
             size = f"{bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2"
         lines.append(f"disturbance    {size}: with the rest |e| <= {worst(bound, axes)}{judged.carried}")
+    if bound.drives.max() > NEGLIGIBLE * bound.d.max():
+        unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
+        lines.append(
+            f"drives         {bound.drives.max():.3g} {unit} of the disturbance are the steps of the forces "
+            "sent, and what a transmission may lose where a leg turns round"
+        )
     if bound.pushed.max() > 1e-6:
         unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
         lines.append(

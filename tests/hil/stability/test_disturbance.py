@@ -15,6 +15,7 @@ from hil.stability.lateness import Late
 from hil.stability.ultimate import Extra, _bound
 from hil.trajectory.path import PoseSample
 
+NOT_LOST = np.zeros((6, 6))
 STILL = np.zeros(6)
 HOME = PoseSample(np.array([0.0, 0.0, 1.0]), np.eye(3), STILL, STILL)
 
@@ -56,7 +57,7 @@ def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
     _, h = impulse(([40.0, 400.0], [1.0, 40.0, 400.0]), T=t)
     g = float(np.trapezoid(np.abs(h), t))
     gains = np.array([np.ones(6), np.ones(6), np.full(6, g)])
-    none = Extra(STILL, STILL, 0.0, STILL, STILL)
+    none = Extra(STILL, STILL, 0.0, STILL, STILL, STILL, STILL, NOT_LOST)
 
     def bound(spread):
         survey = Survey(np.ones(6), 1.0, np.full((6, 6), spread), np.zeros((6, 6)), np.zeros((6, 6)), 1.0)
@@ -76,7 +77,9 @@ def test_forces_of_a_moment_ago_miss_by_what_place_and_rate_changed_since():
     u, r = 0.7, 0.2
     late = Late(np.full(6, 0.01), np.full(6, r), np.full(6, u), T)
     gains = np.outer([g_e, g_de, g_u], np.ones(6))
-    found = _bound(survey, gains, late, Extra(STILL, STILL, alpha, np.full(6, 1e-3), STILL))
+    found = _bound(
+        survey, gains, late, Extra(STILL, STILL, alpha, np.full(6, 1e-3), STILL, STILL, STILL, NOT_LOST)
+    )
     assert not isinstance(found, str)
     known = 1.0 + T * (S_e * r + S_v * u) + alpha * u
     d = known / (1.0 - T * (S_e * g_de + S_v * (g_u + 1.0)) - alpha * g_u)

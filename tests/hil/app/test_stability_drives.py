@@ -1,0 +1,81 @@
+"""What steps and losses of drives cost in the bound of a loop: it has to hold of the loop that runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import configs
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import loads
+from hil.app.sim.command import simulate
+from hil.app.stability.command import judge
+from hil.app.stability.imperfect_drives import Drives
+from tools.drive_families import FAMILIES, NO_FRICTION, NO_LOSS, merged
+
+SHIPPED = (Path(str(configs.__file__)).parent / "desktop.yaml").read_text(encoding="utf-8")
+SMOOTH = {"plant": {"model": NO_FRICTION}}
+LOSSLESS = merged(SMOOTH, {"drives": {"transmission": NO_LOSS}})
+COARSE = {
+    "drives": {
+        "options": {
+            "variant": "mini_cheetah", "model": None, "position_rad": 125.0, "velocity_rad_s": 300.0,
+        }
+    }
+}  # fmt: skip
+SLIGHT = merged(SMOOTH, {"drives": {"transmission": {"efficiency": 0.98, "back_driving_efficiency": 0.98}}})
+
+
+def desktop(*changes):
+    """Return the shipped configuration with changes."""
+    return loads(with_changes(SHIPPED, merged(*changes)), "changed.yaml")
+
+
+def bound_mm(c):
+    """Return the printed bound of the legs."""
+    found = judge(c)
+    assert found.status == "conditional", found.claim
+    return 1e3 * max(found.figures["ultimate_bound"])
+
+
+def test_steps_and_losses_are_those_of_the_family():
+    """25 rad / 65535, 60 rad/s / 4095 and 20 N m / 4095 behind 20 mm; 0.9 and 0.85."""
+    drives = Drives.of(desktop({}))
+    np.testing.assert_allclose(drives.length, 25.0 / 65535 * 0.02, rtol=1e-12)
+    np.testing.assert_allclose(drives.rate, 60.0 / 4095 * 0.02, rtol=1e-12)
+    np.testing.assert_allclose(drives.force, 20.0 / 4095 / 0.02 / 0.85, rtol=1e-12)
+    np.testing.assert_allclose(drives.loss, 1.0 / (0.9 * 0.85) - 1.0, rtol=1e-12)
+    assert drives.most_N == 120.0
+
+
+def test_the_bound_grows_with_the_steps_and_with_the_losses():
+    fine, lossy, coarse = (bound_mm(desktop(each)) for each in (LOSSLESS, SLIGHT, merged(LOSSLESS, COARSE)))
+    assert 0.0525 < fine < 0.3, "52.5 um are met in 20 s"
+    assert lossy > 2.0 * fine
+    assert coarse > 2.0 * fine
+
+
+def test_losses_that_the_theory_does_not_bear_have_no_bound():
+    found = judge(desktop(SMOOTH))
+    assert found.status == "not proven"
+    assert "no bound" in found.claim
+    assert "what a transmission loses where a leg turns round" in found.claim
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *(merged(each, SMOOTH if name.startswith("legs") else LOSSLESS) for name, each in FAMILIES.items()),
+        SLIGHT,
+        {"drives": {"transmission": NO_LOSS}},
+        merged(LOSSLESS, COARSE),
+    ],
+)
+def test_no_run_exceeds_the_printed_bound(changes, tmp_path):
+    c = desktop(changes)
+    summary = simulate(c, log=tmp_path / "run.mcap")
+    assert summary["success"], summary["trouble"]
+    assert summary["tracking"]["peak_leg_error_mm"] < bound_mm(c)

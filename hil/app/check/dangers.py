@@ -6,6 +6,7 @@ import numpy as np
 
 from drivers.motors import MotorProtocol
 from drivers.signals import Fault
+from drivers.transmission import Transmission
 from hil.app.check.brakes import brake_dangers
 from hil.app.check.silence import Silence
 from hil.app.compose import build_protocol
@@ -21,6 +22,12 @@ UNSTATED = 3.0
 """A rated force that nobody stated and that is this many times above the limit is a mistake."""
 JUMP_SHARE = 0.1
 """A jump of a larger share of the stroke has to be seen."""
+FEWEST_TURNS = 0.1
+"""Of a motor, in which it carries a leg over its whole stroke."""
+FASTEST_1_s = 500.0
+"""Turns a second of a motor."""
+STRONGEST_N_m = 1000.0
+"""Torque of a motor."""
 QUINTIC_PEAK = 1.875
 """Peak over mean speed of the approach."""
 
@@ -63,6 +70,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
             "motor has turned; one that does not reads a length that is wrong by whole turns, and nothing "
             "compares it with where the legs were parked"
         )
+    yield from _implausible(c)
     yield from _loose(c, w)
     yield from _blind(c)
     yield from brake_dangers(c, w)
@@ -71,6 +79,32 @@ def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
         yield (
             f"drives.force_limit_N is not stated, and {rated:.0f} N are assumed as the drives' rated force, "
             f"{rated / asked:.0f} times limits.force_N {asked:g}: state that of your drives"
+        )
+
+
+def _implausible(c: Configuration) -> Iterator[str]:
+    """Yield what makes of the stated transmission a motor that there is hardly any of."""
+    if c.drives.transmission is None:
+        return
+    gear, s = Transmission.of(c.drives.transmission), c.platform
+    stroke = float(((s.length_max_m - s.length_min_m) / np.abs(gear.m_per_turn)).min())
+    speed = float((c.limits.speed_m_s / np.abs(gear.m_per_turn)).max())
+    torque = float((c.limits.force_N / np.abs(gear.N_per_Nm)).max())
+    key = "drives.transmission: lead_m, pulley_radius_m or gear_ratio"
+    if stroke < FEWEST_TURNS:
+        yield (
+            f"{key}: the whole stroke is {stroke:.3g} turns of the motor, fewer than {FEWEST_TURNS:g}: state "
+            "the leg length of a turn in m"
+        )
+    if speed > FASTEST_1_s:
+        yield (
+            f"{key}: limits.speed_m_s {c.limits.speed_m_s:g} is {60.0 * speed:.3g} rpm of the motor, more "
+            f"than {60.0 * FASTEST_1_s:g}: state the leg length of a turn in m"
+        )
+    if torque > STRONGEST_N_m:
+        yield (
+            f"{key}: limits.force_N {c.limits.force_N:g} needs {torque:.3g} N m of the motor, more than "
+            f"{STRONGEST_N_m:g}: state the leg length of a turn in m"
         )
 
 

@@ -1,9 +1,12 @@
 """`hil homing`: show where the legs of a robot are believed to stand, and say where they do."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError
+from drivers.can.runtime_folder import RoleLock
+from drivers.errors import ConfigurationError, RunError
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
@@ -23,12 +26,12 @@ def state_homing(
 
     emulated: the file of the emulated drives. at_home: the lengths of platform.home. legs_m: single legs, by
     their number; those that are not named stay as the file has them.
-    Raises ConfigurationError: no file or no legs to speak of, a length outside the stroke.
+    Raises ConfigurationError: no file or no legs to speak of, a length outside the stroke, a run in progress.
     """
     path = homing_path(c, emulated=emulated)
     if path is None:
         raise ConfigurationError(f"{c.source}: plant.homing_file: missing, and --emulated means that file")
-    legs = dict(legs_m or {})
+    legs, by_hand = dict(legs_m or {}), list(range(LEGS))
     if at_home:
         given = leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home)).tolist()
     elif lengths_m:
@@ -38,6 +41,8 @@ def state_homing(
         if len(legs) < LEGS:
             refuse_moved(c, path, file)
         given = list(file.lengths_m)
+        before = [] if file.state == "parked" else file.stated_legs
+        by_hand = by_hand if before is None else sorted({*before, *legs})
     else:
         return {"success": True, "kind": "homing", "file": str(path)} | _shown(c, path)
     for leg, length in legs.items():
@@ -49,8 +54,27 @@ def state_homing(
             f"{'; '.join(wrong)}: outside the stroke, allowed: {low:g} to {high:g} m, joint centre to joint "
             "centre"
         )
-    write_homing(c, path, homing_file(c, "stated", given, None))
+    with _no_run(c, path):
+        write_homing(c, path, homing_file(c, "stated", given, None, by_hand))
     return {"success": True, "kind": "homing", "file": str(path)} | _shown(c, path)
+
+
+@contextmanager
+def _no_run(c: Configuration, path: Path) -> Iterator[None]:
+    """Hold the buses, so that no run begins meanwhile. Raises ConfigurationError where one is in progress.
+
+    It holds for runs of this user on this machine: another one's nobody sees.
+    """
+    with ExitStack() as stack:
+        for bus in c.bus.buses:
+            try:
+                lock = RoleLock(bus.interface, str(bus.channel), "controller")
+            except RunError as error:
+                raise ConfigurationError(
+                    f"{path}: is not written while a run may move the legs: {error}"
+                ) from None
+            stack.callback(lock.close)
+        yield
 
 
 def _shown(c: Configuration, path: Any) -> dict[str, Any]:

@@ -36,6 +36,9 @@ class HomingFile(Section):
     lengths_m: SixLengths
     turns: SixTurns | None
     """Positions that the motors' drives reported then, turns; null: nobody has read them."""
+    stated_legs: list[Annotated[int, Field(ge=0, le=5)]] | None = None
+    """Of a file that is stated, the legs that were measured by hand: the others stay as they were parked.
+    null: all."""
 
 
 def now() -> str:
@@ -131,6 +134,7 @@ def homing_file(
     state: Literal["parked", "stated", "moved"],
     lengths_m: list[float],
     turns: list[float] | None,
+    stated_legs: list[int] | None = None,
 ) -> HomingFile:
     """Return a file of this robot and this moment."""
     return HomingFile(
@@ -142,4 +146,5 @@ def homing_file(
         robot=robot_hash(c),
         lengths_m=lengths_m,
         turns=turns,
+        stated_legs=stated_legs,
     )

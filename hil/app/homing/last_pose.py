@@ -6,6 +6,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import LogError
+from drivers.signals import LEGS
 from drivers.transmission import Transmission, forgotten_length
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
@@ -46,8 +47,11 @@ def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = 
     if homing is None or transmission is None:
         return None
     step_m = forgotten_length(transmission, homing.forgotten_turns)
-    parked = file is not None and file.state == "parked"
-    limit_m = np.full(6, homing.limit_m) if parked else STATED_SHARE * step_m
+    by_hand = list(range(LEGS)) if file is None or file.stated_legs is None else file.stated_legs
+    if file is not None and file.state == "parked":
+        by_hand = []
+    limit_m = np.full(LEGS, homing.limit_m)
+    limit_m[by_hand] = STATED_SHARE * step_m[by_hand]
     origin = "where the plant begins" if file is None else f"{file.state} {file.date}"
     length = start_lengths(c) if file is None else np.array(file.lengths_m)
     m_per_turn = Transmission.of(transmission).m_per_turn

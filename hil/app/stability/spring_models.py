@@ -210,6 +210,8 @@ def _motion(subject: Subject) -> list[str]:
     conditions = [] if subject.rest else ["the reference rests; while it moves nothing is proven"]
     if subject.plant is None and not subject.on_bench:
         conditions += subject.unseen
+    if subject.c.drives.transmission is not None:
+        conditions.append("the drives give what is asked: their steps and losses are left out")
     if not replace(subject.stated, payload=NO_PAYLOAD).nothing:
         conditions.append("no load: of these laws no ultimate bound is computed")
     return conditions

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hil.app.check.command import inspect, stopping_distances_m
+from hil.app.check.dangers import _implausible
 from hil.app.configuration.configuration import load, loads
 
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
@@ -137,3 +138,22 @@ def test_drives_without_a_brake_and_without_a_watchdog_are_dangers():
     cubemars = ("{variant: damiao, model: DM4310}", "{variant: cubemars, model: AK80-9}")
     found = [w for w in warnings("desktop", cubemars) if w.startswith("drives.watchdog_ms")]
     assert found[0].startswith("drives.watchdog_ms: cubemars has no watchdog that is set from here")
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "words"),
+    [
+        (0.02, None),
+        (0.5, "the whole stroke is 0.0477 turns of the motor, fewer than 0.1"),
+        (5e-5, "limits.speed_m_s 0.25 is 4.77e+04 rpm of the motor, more than 30000"),
+        (10.0, "limits.force_N 120 needs 1.2e+03 N m of the motor, more than 1000"),
+    ],
+)
+def test_a_transmission_that_makes_no_motor_that_there_is_is_named(radius_m, words):
+    c = load("desktop")
+    assert c.drives.transmission is not None
+    gear = c.drives.transmission.model_copy(update={"pulley_radius_m": radius_m})
+    changed = c.model_copy(update={"drives": c.drives.model_copy(update={"transmission": gear})})
+    found = list(_implausible(changed))
+    assert bool(found) == (words is not None)
+    assert words is None or any(words in each for each in found)

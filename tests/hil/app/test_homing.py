@@ -1,5 +1,6 @@
 """A power-off between two runs: the file of the last parked pose, what it refuses, what it tells."""
 
+import os
 import re
 from importlib import resources
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from drivers.can.runtime_folder import RoleLock
 from drivers.config import HomingSettings
 from drivers.errors import ConfigurationError
 from drivers.transmission import Transmission
@@ -234,6 +236,40 @@ def test_a_stated_length_may_be_off_by_a_quarter_of_a_turn_and_a_parked_one_by_t
     file = tmp_path / "bench.yaml"
     file.write_text(file.read_text().replace("state: stated", "state: parked"))
     assert limits(c) == [0.0005] * 6
+
+
+def test_a_leg_that_was_measured_widens_its_own_limit_alone(tmp_path):
+    c = configuration(tmp_path)
+    path = tmp_path / "bench.yaml"
+    state(c)
+    text = path.read_text().replace("state: stated", "state: parked")
+    path.write_text(text)
+    state_homing(c, emulated=True, legs_m={2: 0.31})
+    wide = STEP_M / 4
+    assert limits(c) == pytest.approx([5e-4, 5e-4, wide, 5e-4, 5e-4, 5e-4])
+    state_homing(c, emulated=True, legs_m={0: 0.31})
+    assert limits(c) == pytest.approx([wide, 5e-4, wide, 5e-4, 5e-4, 5e-4])
+    state(c)
+    state_homing(c, emulated=True, legs_m={0: 0.31})
+    assert limits(c) == pytest.approx([wide] * 6)
+
+
+def test_nothing_is_written_while_a_run_has_the_bus(tmp_path):
+    c = configuration(tmp_path)
+    state(c)
+    before = (tmp_path / "bench.yaml").read_text()
+    held = RoleLock(c.bus.interface, c.bus.channel, "controller")
+    try:
+        with pytest.raises(
+            ConfigurationError, match=f"while a run may move .* process {os.getpid()}; stop it"
+        ):
+            state_homing(c, emulated=True, legs_m={2: 0.31})
+        assert (tmp_path / "bench.yaml").read_text() == before
+        assert state_homing(c, emulated=True)["success"], "it is shown"
+    finally:
+        held.close()
+    state_homing(c, emulated=True, legs_m={2: 0.31})
+    assert (tmp_path / "bench.yaml").read_text() != before
 
 
 def test_a_length_outside_the_stroke_is_refused_and_nothing_is_written(tmp_path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import resource
 import shlex
 import sys
 from collections.abc import Callable, Iterable
@@ -148,6 +150,9 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         except OSError as error:
             if reader_gone():
                 raise
+            if error.errno == errno.EMFILE:
+                most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+                _refuse(f"a process may open {most} files here, and that is too few: raise `ulimit -n`")
             place = "" if error.filename is None else f"{error.filename}: "
             _refuse(f"{place}{error.strerror or error}")
 
@@ -172,7 +177,10 @@ def _announce() -> None:
 
     if elsewhere():
         click.echo(f"hil: {elsewhere()}", err=True)
-    click.echo("compiling the mathematics, once (about 45 s) ...", err=True)
+    click.echo(
+        "compiling the mathematics, once: about a minute of processor time; Ctrl-C loses little of it ...",
+        err=True,
+    )
 
 
 def load(configuration: str, command: Literal["run", "plant", "sim"] | None = None) -> Configuration:

@@ -1,1 +1,1 @@
-"""Interrupts at any moment, and machines that give no room or no rights: what each command says of them."""
+"""Interrupts at any moment of any command: what it says of them, and what it leaves behind."""

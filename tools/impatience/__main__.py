@@ -1,4 +1,4 @@
-"""`python -m tools.impatience`: what was interrupted or refused, what was said, what was left behind."""
+"""`python -m tools.impatience`: what was interrupted, what was said, what was left behind."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _SHOWN = 100
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--only", multiple=True, type=click.Choice(["obstacles", *COMMANDS]), help="Only these.")
+@click.option("--only", multiple=True, type=click.Choice(list(COMMANDS)), help="Only these.")
 @click.option(
     "--moments", type=click.IntRange(min=1), default=40, show_default=True,
     help="Of each of sim, run, compare, replay; of the others a tenth.",
 )  # fmt: skip
 def main(only: tuple[str, ...], moments: int) -> None:
-    """Interrupt every command at many moments, and start it where there is no room, no right, no home.
+    """Interrupt every command at many moments.
 
     One line a case: exit code, time to the end, last line said. Exit code 1 where a case left a traceback, a
     process, half a file or silence, or ended with a code that it may not have.

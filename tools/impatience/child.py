@@ -17,7 +17,7 @@ MARK = "HIL_IMPATIENCE"
 HIL = (sys.executable, "-m", "hil.cli")
 LONGEST_S = 240.0
 _ROOT = str(Path(__file__).resolve().parents[2])
-_GONE_S = 2.0
+_GONE_S = 15.0
 """What a command has started may take so long to leave after it."""
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import resource
 import signal
 
 import pytest
@@ -146,3 +148,14 @@ def test_before_the_loop_a_second_press_does_not_disturb_the_end_of_the_start():
     with panel.attached(), pytest.raises(KeyboardInterrupt):
         begin()
     assert panel.interrupts == 2
+
+
+def test_too_few_files_are_named_with_their_limit(process, monkeypatch):
+    def work():
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    interrupted_in(monkeypatch, work)
+    code, said = process("check")
+    most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    assert code == 2
+    assert said == f"hil: a process may open {most} files here, and that is too few: raise `ulimit -n`\n"

@@ -6,6 +6,7 @@ import resource
 
 import pytest
 
+from hil.app import compose
 from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.app.sim import command
@@ -63,11 +64,10 @@ def test_in_lockstep_the_producer_hears_why_its_recorder_has_ended(tmp_path):
 
 def test_a_simulation_on_a_full_disk_fails_and_names_it_and_its_log_replays(tmp_path, monkeypatch):
     def started(*arguments, **options):
-        recording = begin(*arguments, **options)
+        recording = compose.record(*arguments, **options)
         lessen(recording, 300_000)
         return recording
 
-    begin = command.record
     monkeypatch.setattr(command, "record", started)
     summary = command.simulate(load("virtual"), log=tmp_path / "a.mcap", duration_s=0.3)
 

@@ -15,6 +15,7 @@ from hil.app.sim import command
 from hil.cli import check, main
 from hil.cli.interrupts import INTERRUPTED, Interrupts, comes_of_interrupt
 from hil.loop.panel import OperatorPanel
+from hil.record import Recording
 from hil.record.log import Log
 
 
@@ -92,7 +93,7 @@ def test_a_press_after_the_result_changes_nothing(monkeypatch):
     interrupts = Interrupts()
     interrupts.settle()
     interrupts.pressed(signal.SIGINT, None)
-    ends = []
+    ends: list[int] = []
     monkeypatch.setattr("os._exit", ends.append)
     interrupts.pressed(signal.SIGINT, None)
     assert not ends
@@ -110,7 +111,7 @@ def test_only_what_comes_of_an_interrupt_is_taken_for_one():
 
 def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    row, ticks = command.Recording.tick, []
+    row, ticks = Recording.tick, []
 
     def tick(self, *given):
         row(self, *given)
@@ -118,7 +119,7 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
         if len(ticks) == 150:
             press()
 
-    monkeypatch.setattr(command.Recording, "tick", tick)
+    monkeypatch.setattr(Recording, "tick", tick)
     code, said = process("sim", "--duration", "0.3", "--log", path)
     assert code == 130
     assert said == f"hil: interrupted at 0.149 s of simulated time; the log until then: {path}\n"

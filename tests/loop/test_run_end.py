@@ -111,6 +111,30 @@ def test_a_run_that_stays_does_so_before_it_was_ever_armed(mode):
     assert first_end(course, 1000) is not None
 
 
+def test_a_leg_that_moves_after_a_fault_is_waited_for_ten_seconds_or_until_the_operator_leaves():
+    now = cycle(Mode.FAULT, faults=Fault.ESTOP, rate=np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0]))
+    ending = first_end(Course(now), 2000)
+    assert ending is not None
+    assert ending.ticks == 1000
+    assert ending.reason.endswith("; still moving: leg 2 at +0.020 m/s")
+    course = Course(now, stays=True)
+    assert first_end(course, 3000) is None
+    course.commands(3000, (Operator.STOP,))
+    assert course.ending(3000) is None
+    course.commands(3001, (Operator.ESTOP,))
+    ending = course.ending(3001)
+    assert ending is not None
+    assert "still moving: leg 2" in ending.reason
+
+
+@pytest.mark.parametrize(("stays", "tick"), [(False, 100), (True, None)])
+def test_a_platform_that_is_held_with_force_is_held_for_a_second_or_until_the_operator_releases_it(
+    stays, tick
+):
+    ending = first_end(Course(cycle(Mode.HELD, faults=Fault.ESTOP), stays=stays), 2000)
+    assert (ending.ticks if ending else None) == tick
+
+
 def test_a_run_that_stays_and_finds_no_drives_ends():
     now = cycle(Mode.WAITING, age=NEVER)
     assert first_end(Course(now, armed=False, goes_on=True), 1000) is not None

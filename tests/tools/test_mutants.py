@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tools.mutants import __main__ as tool
-from tools.mutants import table
+from tools.mutants import choice, table
 from tools.mutants.areas import AREAS, ROOT, Area
 from tools.mutants.choice import Context, chosen, contexts
 from tools.mutants.equivalent import FILE, equivalents, is_equivalent
@@ -221,3 +221,36 @@ def test_a_line_of_the_table_that_was_cut_short_is_run_again(toy):
 def test_every_area_has_sources_and_tests(area):
     assert AREAS[area].source_files()
     assert AREAS[area].test_files()
+
+
+def test_a_kernel_is_judged_by_the_tests_of_the_nearest_user_of_its_file(monkeypatch):
+    monkeypatch.setattr(choice, "users", lambda file: ["near.py", "far.py"])
+    kernel = "@kernel(REAL)\ndef twice(a):\n    return 2 * a\n"
+    known = [
+        Context("t.py::far", 0.1, {("far.py", "g")}),
+        Context("t.py::near", 0.2, {("near.py", "f")}),
+        Context("t.py::none", 0.1),
+    ]
+    found = {tuple(c.test for c in chosen(m, known, 9.0)) for m in mutants("twice.py", kernel)}
+    assert found == {("t.py::near",)}
+    plain = kernel.partition("\n")[2]
+    assert {tuple(chosen(m, known, 9.0)) for m in mutants("twice.py", plain)} == {()}
+    assert {tuple(c.test for c in chosen(m, known, 9.0)) for m in mutants("b.py", "A = 2\n")} == {
+        ("t.py::near",)
+    }
+
+
+def test_the_summary_counts_what_loads_and_lists_what_survived():
+    def result(outcome, after):
+        return table.Result("", "a.py", 7, "f", "a = 1", "one more", "1", after, outcome, "", 3, 0.1)
+
+    results = [
+        result("noticed", "2"),
+        result("survived", "3"),
+        result("not loaded", "4"),
+        result("noticed", "5"),
+    ]
+    first, *rest = table.summary("toy", results, 2).splitlines()
+    assert first == "toy: 2 of 3 noticed, 67 % (95 %: 21 to 94 %); 1 did not load, 2 equivalent"
+    assert rest == ["  a.py:7 f: '1' -> '3' (one more)"]
+    assert table.wilson(0, 0) == (0.0, 1.0)

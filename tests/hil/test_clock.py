@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from hil.loop import clock
 from hil.loop.clock import (
     STALL_S,
     Deadlines,
@@ -94,6 +95,29 @@ def test_real_time_is_undone_after_an_exception() -> None:
         raise ZeroDivisionError
     assert gc.isenabled()
     assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+
+
+@pytest.mark.parametrize("fifo", [True, False])
+def test_the_process_is_pinned_only_with_fifo_and_pin_and_memory_lock_are_undone(
+    monkeypatch: pytest.MonkeyPatch, fifo: bool
+) -> None:
+    pinned: list[set[int]] = []
+    locked: list[int] = []
+
+    def refuse(_priority: int) -> None:
+        raise PermissionError(1, "no right")
+
+    monkeypatch.setattr(clock, "_fifo", (lambda _: None) if fifo else refuse)
+    monkeypatch.setattr(clock, "_mlockall", locked.append)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, cpus: pinned.append(set(cpus)))
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *_: None)
+    before = os.sched_getaffinity(0)
+    with clock.real_time_rights(1, 5):
+        assert pinned == [{5}] * fifo
+        assert len(locked) == 1
+        assert locked[0] != 0
+    assert pinned == [{5}] * fifo + [before]
+    assert locked[1:] == [0]
 
 
 def test_asking_for_fifo_leaves_the_scheduler_as_it_was() -> None:

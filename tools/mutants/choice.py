@@ -71,7 +71,7 @@ def chosen(mutant: Mutant, known: list[Context], budget_s: float) -> list[Contex
 
     First the tests that run its line, then those that run its function or, for a module's constants, anything
     of its file. A kernel is not seen by a trace function, nor is another process: there it is the tests that
-    run a user of its file, the nearest that any test runs. A file's tests stay together: they share fixtures.
+    run a user of its file, the nearest first. A file's tests stay together: they share fixtures.
     """
     ranks = [
         [c for c in known if c.lines.get(mutant.file, 0) >> mutant.line & 1],
@@ -80,7 +80,7 @@ def chosen(mutant: Mutant, known: list[Context], budget_s: float) -> list[Contex
     if mutant.kernel or not mutant.first_line or not any(ranks):
         ranks += _running([mutant.file], known)
         if not any(ranks):
-            ranks += _running(users(mutant.file), known)[:1]
+            ranks += _running(users(mutant.file), known)
     result: list[Context] = []
     spent = 0.0
     taken: set[str] = set()

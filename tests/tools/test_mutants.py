@@ -170,7 +170,7 @@ def test_the_list_of_equivalent_changes_fits_the_sources():
     assert len(equivalents(ROOT)) == len(json.loads(FILE.read_text()))
 
 
-def test_tests_of_the_line_come_first_then_of_the_function_within_the_budget():
+def test_tests_of_the_line_come_first_then_of_the_function_then_of_the_file_within_the_budget():
     (mutant,) = [m for m in mutants("toy.py", SOURCE) if m.after == "(a * 2)"]
     function = {("toy.py", "half")}
     known = [
@@ -179,8 +179,13 @@ def test_tests_of_the_line_come_first_then_of_the_function_within_the_budget():
         Context("c.py::cheap", 0.2, function, {"toy.py": 1 << 6}),
         Context("d.py::other", 0.1, {("toy.py", "larger")}, {"toy.py": 1 << 2}),
     ]
-    assert [c.test for c in chosen(mutant, known, 9.0)] == ["c.py::cheap", "b.py::dear", "a.py::function"]
-    assert [c.test for c in chosen(mutant, known, 1.0)] == ["c.py::cheap", "a.py::function"]
+    assert [c.test for c in chosen(mutant, known, 9.0)] == [
+        "c.py::cheap",
+        "b.py::dear",
+        "a.py::function",
+        "d.py::other",
+    ]
+    assert [c.test for c in chosen(mutant, known, 1.0)] == ["c.py::cheap", "a.py::function", "d.py::other"]
 
 
 def test_a_test_that_fails_unchanged_is_never_chosen_and_fixtures_count_for_all_of_their_file(tmp_path):

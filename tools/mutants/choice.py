@@ -69,18 +69,15 @@ def users(file: str) -> list[str]:
 def chosen(mutant: Mutant, known: list[Context], budget_s: float) -> list[Context]:
     """Return the tests that can notice a mutant, in the order to run them, of `budget_s` seconds in all.
 
-    First the tests that run its line, then those that run its function or, for a module's constants, anything
-    of its file. A kernel is not seen by a trace function, nor is another process: there it is the tests that
-    run a user of its file, the nearest first. A file's tests stay together: they share fixtures.
+    First the tests that run its line, then those that run its function, then those that run anything of its
+    file, then those of its users, the nearest first: neither kernels nor other processes are traced.
+    A file's tests stay together: they share fixtures.
     """
     ranks = [
         [c for c in known if c.lines.get(mutant.file, 0) >> mutant.line & 1],
         [c for c in known if (mutant.file, mutant.where) in c.functions],
     ]
-    if mutant.kernel or not mutant.first_line or not any(ranks):
-        ranks += _running([mutant.file], known)
-        if not any(ranks):
-            ranks += _running(users(mutant.file), known)
+    ranks += _running([mutant.file, *users(mutant.file)], known)
     result: list[Context] = []
     spent = 0.0
     taken: set[str] = set()

@@ -67,6 +67,7 @@ def test_either_side_that_is_stopped_for_a_while_is_waited_for(
     assert "with real drives this machine would have ended the run" in bench_time["note"]
 
 
+@pytest.mark.long
 @pytest.mark.realtime
 def test_with_on_stall_fault_time_goes_on_and_the_limits_act(
     tmp_path: Path, start: Start, listen: Listen

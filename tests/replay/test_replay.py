@@ -12,6 +12,7 @@ from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.loop.replay import replay
 from hil.record.log import Log
+from tests.broad import broad
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,9 @@ def test_every_tick_and_frame_comes_back(log):
     assert summary["different_ticks"] == 0
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.LOADING, Mode.APPROACH, Mode.TRACKING, Mode.PARKED])
+@pytest.mark.parametrize(
+    "mode", broad([Mode.TRACKING, Mode.IDLE, Mode.LOADING, Mode.APPROACH, Mode.PARKED], quick=2)
+)
 def test_one_flipped_bit_names_the_tick_and_the_column(log, mode):
     rows = Log.open(log).rows()
     tick = int(rows["tick"][rows["mode"] == mode][-1])

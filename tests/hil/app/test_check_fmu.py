@@ -13,6 +13,7 @@ from hil.app.configuration.configuration import load
 from hil.cli import main
 from plant_fmu.fmu.probe import Probe
 from plant_fmu.stewart.build import build
+from tests.broad import broad
 
 OURS = """
 plant:
@@ -54,7 +55,7 @@ def test_coupled_legs_are_left_in_peace_and_a_leg_that_pulls_is_named():
     assert "shortens leg 3 of the FMU" in said
 
 
-@pytest.mark.parametrize("brake", ["brake", ""])
+@pytest.mark.parametrize("brake", broad(["", "brake"], quick=1))
 def test_a_plant_without_brakes_is_warned_of_by_check_and_before_it_falls_by_sim(brake, tmp_path):
     file = configured(tmp_path, brake)
     warnings = [w for w in inspect(load(file)).warnings if w.startswith("plant.model.brake")]

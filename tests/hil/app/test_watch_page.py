@@ -12,6 +12,7 @@ from drivers.signals import DriveFault, Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.record.log import Log
+from tests.broad import broad
 from tests.browser import Browser, needs_chromium
 from tests.live_run import Listening, LiveRun, Watch, operating
 
@@ -46,7 +47,7 @@ def text(browser, name):
     return browser.value(f"document.getElementById('{name}').textContent")
 
 
-@pytest.mark.parametrize("width", [1200, 360])
+@pytest.mark.parametrize("width", broad([360, 1200], quick=1))
 def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_line(rows, tmp_path, width):
     with Watch("virtual") as watch, LiveRun(rows), Browser(tmp_path, width=width) as browser:
         browser.go(watch.link)

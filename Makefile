@@ -25,7 +25,7 @@ test: venv  ## import contracts, ruff, mypy, pytest (its summary is the last lin
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
 
 long: fmu viewers  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
-	@$(BIN)/python -m pytest -n0 -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
 
 fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes; FUZZ_FLAGS="--seed 5000" goes on there
 	@exec $(BIN)/python -m tools.fuzz $(FUZZ_FLAGS)

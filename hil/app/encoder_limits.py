@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers import build_protocol
 from drivers.arrays import Array
+from drivers.errors import ConfigurationError
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
@@ -33,7 +34,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
 
     A push takes a leg that bears F N from one end of what friction and losses balance, (F - friction) eta_b,
     to beyond the other, (F + friction + what accelerates it) / eta_d. Where the pose is fused with a tracker,
-    the filter decides: no encoder is watched here.
+    the filter decides: no encoder is watched here. Raises ConfigurationError where the legs are singular.
     """
     payload, period_s = unknown_payload(c), 1.0 / rate_Hz
     friction, protocol = friction_N(c), build_protocol(c.bus, c.drives)
@@ -48,6 +49,8 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     push = PUSH[sticks] * monitor.disturbance_m_s2
     up_N = (payload.holding_N + friction + push / np.diag(heaviest)) / driving
     push_N = up_N - (payload.holding_N - friction) * back_driving
+    if not np.isfinite(push_N).all():
+        raise ConfigurationError("platform: no leg forces hold it at home: the legs are singular there")
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
     ticks, turns = ceil((late_s + seen_s) / period_s), ceil(2.0 * float(push_N.max()) / c.limits.force_step_N)

@@ -126,22 +126,27 @@ class ChildHost:
                 f"{self.spec.path}: the FMU did not {what} within {timeout_s:g} s; its process was stopped"
             )
         if not os.read(self._reply_r, 1):
-            code = self._process.wait()
+            code, most_kB = self._died()
             how = (
                 f"died of {signal.Signals(-code).name}" if code < 0 else f"ended itself with exit code {code}"
             )
-            raise self._end(f"{self.spec.path}: the FMU's process {how} when it was to {what}{self._full()}")
+            text = f"{self.spec.path}: the FMU's process {how} when it was to {what}"
+            raise self._end(f"{text}{self._full(most_kB)}")
         if self._board.record["status"] != _OK:
             text = bytes(self._board.record["text"]).decode("utf-8", "replace")
-            raise PlantError(f"{text}{self._full()}")
+            status = Path(f"/proc/{self._process.pid}/status").read_text()
+            data = next((line.split()[1] for line in status.splitlines() if line.startswith("VmData")), "0")
+            raise PlantError(f"{text}{self._full(int(data))}")
 
-    def _full(self) -> str:
-        """Say so where the FMU's process has, or had, most of the memory that it may have."""
-        peak_kB = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        with contextlib.suppress(OSError):  # it has ended
-            text = Path(f"/proc/{self._process.pid}/status").read_text()
-            peak_kB = next((int(line.split()[1]) for line in text.splitlines() if "VmData" in line), peak_kB)
-        used_GB, limit = peak_kB * 1024 / 1e9, self.spec.memory_GB
+    def _died(self) -> tuple[int, int]:
+        """Return the exit code of the process that has ended, and the most memory that it had, kB."""
+        _, status, usage = os.wait4(self._process.pid, 0)
+        self._process.returncode = os.waitstatus_to_exitcode(status)
+        return self._process.returncode, usage.ru_maxrss
+
+    def _full(self, kB: int) -> str:
+        """Say so where that is most of the memory that the FMU's process may have."""
+        used_GB, limit = kB * 1024 / 1e9, self.spec.memory_GB
         return (
             f": it had {used_GB:.2g} GB, plant.model.memory_GB is {limit:g}" if used_GB > 0.8 * limit else ""
         )

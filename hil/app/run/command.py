@@ -13,7 +13,7 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.errors import LogError, RunError
-from drivers.signals import Mode
+from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_names, loads
 from hil.app.configuration.configuration import Configuration
@@ -115,15 +115,16 @@ def run_daemon(
                 interrupted = clock is not None and clock.interrupted
             finally:
                 bus.clock.leave()
-        if plant is not None:  # first: why it fell silent is the reason of what the controller saw
-            plant_summary = plant.finish()
-        ending = _explained(ending, c, with_plant=with_plant)
-        if plant_summary is not None:
-            ending = ending.blamed(plant_summary.get("trouble") or "")
-        trouble = ending.trouble
+        explained = _explained(ending, c, with_plant=with_plant)
+        if plant is not None and (plant.trouble() or explained is not ending or Fault.STALE in ending.faults):
+            plant_summary = plant.finish()  # why it fell silent is the reason of what the controller saw
+            explained = explained.blamed(plant_summary.get("trouble") or "")
+        ending, trouble = explained, explained.trouble
         if trouble:
             recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
         closed = recording.close(closing(ending, trouble) | scheduled)
+        if plant is not None:
+            plant_summary = plant_summary or plant.finish()
     with leaving(lambda: _what_there_is(ending, trouble, closed)):
         result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
         result |= keeper.summary(cycle)

@@ -27,6 +27,7 @@ def press():
 def process(monkeypatch, capsys):
     """Be the process of a command: return its exit code and what it says on standard error."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGALRM)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # it is ignored in the background of a shell
 
     def run(*words):
         monkeypatch.setattr("sys.argv", ["hil", *map(str, words)])

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 from drivers.errors import LogError
@@ -31,6 +32,21 @@ class Terminal(Console):
     def on_broken_pipe(self) -> None:
         """Raise BrokenPipeError."""
         raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+
+TABLE_WIDTH = 180
+"""Columns that a table takes at most where it goes to a file or a pipe."""
+
+
+def print_table(table: Table, width: int | None = None) -> None:
+    """Print a table as wide as it is, or folded to the terminal's width; no word of it is cut."""
+    out = Terminal(highlight=False, width=width)
+    for column in table.columns:
+        column.overflow = "fold"
+    needed = out.measure(table, options=out.options.update(width=10_000))
+    most = out.width if width is not None or out.is_terminal else TABLE_WIDTH
+    wide = max(needed.minimum, min(needed.maximum, most))
+    Terminal(highlight=False, width=wide).print(table, crop=False)
 
 
 console = Terminal(stderr=True, highlight=False)

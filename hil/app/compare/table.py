@@ -6,7 +6,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from hil.app.output import Terminal, number
+from hil.app.output import Terminal, number, print_table
 
 Columns = tuple[tuple[str, str, str], ...]
 """Title, key of a law's figures, format; empty: as in summaries, whatever the robot's size."""
@@ -47,7 +47,7 @@ def show(summary: dict[str, Any], width: int | None = None) -> None:
     for title, table in parts.items():
         if table is not None and table.row_count:
             out.print(Text(title, style="bold"))
-            out.print(table)
+            print_table(table, width)
             out.print()
 
 

@@ -10,10 +10,7 @@ from rich.text import Text
 
 from drivers.errors import LogError
 from hil.app.files import write_whole
-from hil.app.output import Terminal
-
-WIDTH = 180
-"""Columns of the table where it goes to a file."""
+from hil.app.output import print_table
 
 
 def show(summary: dict[str, Any]) -> None:
@@ -32,8 +29,7 @@ def show(summary: dict[str, Any]) -> None:
         verdict = Text(f"{'pass' if case['success'] else 'FAIL'}: {case['verdict']}", style=style)
         figures = (_figure(case, key) for key in ("after_ms", "motion_mm"))
         table.add_row(name, case["when"], case["given"], reaction(case), *figures, verdict)
-    terminal = Terminal().is_terminal
-    Terminal(highlight=False, width=None if terminal else WIDTH).print(table)
+    print_table(table)
 
 
 def reaction(case: dict[str, Any]) -> str:

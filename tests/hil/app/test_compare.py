@@ -386,6 +386,16 @@ def test_all_figures_are_there_in_100_columns_and_no_line_is_longer(compared, ca
         assert title in output
 
 
+@pytest.mark.parametrize("width", [None, 40])
+def test_nothing_of_a_table_is_cut_in_a_pipe_or_a_narrow_terminal(compared, capsys, width):
+    _, _, summary = compared
+    show(summary, width)
+    output = capsys.readouterr().out
+    assert "…" not in output
+    if width is None:
+        assert "FOLLOWING at 0." in output
+
+
 def test_a_row_says_what_is_wrong_with_it():
     good = {"fault": None, "fault_s": None, "settled": True, "limited_ticks": {"FORCE_STEP": 0}}
     assert not result(good)

@@ -71,8 +71,10 @@ class Feedback:
         A TPDO that came at `since_ns` or later answers this tick's SYNC; an earlier one answers the last one,
         and counts with age 1 if nothing newer is held. Refused, and counted in `rejected`: a wrong length, a
         statusword or an NMT state that there is not, an SDO frame that is no expedited answer. A second
-        TPDO of a tick with other data makes the node `doubled`; the first one counts. A leg is as old as the
-        older one of its two TPDOs. Boot-up, and a drive that has left Operational, begin its set-up anew.
+        TPDO of a tick with other data makes the node `doubled`, and the first one counts; unless the drive
+        owes that of the tick before: then the first one may be that, and the second counts. A leg is as old
+        as the older one of its two TPDOs. Boot-up, and a drive that has left Operational, begin its set-up
+        anew.
         """
         heard = _Heard(last, tick)
         number, at = int(tick["tick"]), 0
@@ -195,7 +197,10 @@ class _Heard:
     def __init__(self, last: Record, tick: Record) -> None:
         number, before = int(tick["tick"]), int(last["tick"])
         gone = number - before if before >= 0 else 1
-        self.age = [min(NEVER, age + gone) for age in last["age"].tolist()]
+        ages = last["age"].tolist()
+        self.age = [min(NEVER, age + gone) for age in ages]
+        self.owed = [age > 0 for age in ages]
+        """Whether each leg was not heard in the last tick."""
         self.state = last["drive_state"].tolist()
         self.fault = last["drive_fault"].tolist()
         self.places: list[tuple[bytes, bool] | None] = [None] * LEGS
@@ -209,7 +214,7 @@ class _Heard:
             return
         held = self.places if kind == _PLACE else self.speeds
         first = held[leg]
-        if first is None or (first[1] and not late):
+        if first is None or (not late and (first[1] or self.owed[leg])):
             held[leg] = data, late
         elif first[1] == late and first[0] != data:
             self.doubled |= 1 << leg

@@ -17,7 +17,7 @@ from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
 from drivers.protocol import DriveSetup, Frame, Received, Sync, run_of
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
-from drivers.tick_columns import new_record
+from drivers.tick_columns import Record, new_record
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, drives
 
 DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
@@ -243,14 +243,37 @@ def test_wrong_lengths_and_statuswords_are_counted_and_frames_of_others_named():
         assert decoded([stranger])[1]["foreign"] == name
 
 
-def test_an_answer_from_before_the_sync_is_a_tick_old_and_a_second_one_doubles_the_node():
-    first, speed = Frame(0x185, bytes.fromhex("3702640000000000")), Frame(0x285, bytes(4))
-    _, m = decoded([first, speed], since_ns=10, t_ns=9)
+FIRST, SECOND = (Frame(0x185, bytes.fromhex(f"3702{count}0000000000")) for count in ("64", "65"))
+"""TPDO1 of node 5, enabled, 100 and 101 counts from zero."""
+SPEEDS = [Frame(0x285, bytes(4)), Frame(0x285, b"\x01" + bytes(3))]
+"""Its TPDO2, 0 and 1 count/s."""
+
+
+def after(age: int, frames: list[Frame]) -> Record:
+    """Return the measurement of a tick with these frames, after one in which the leg had this age."""
+    last, m = new_record(), new_record()
+    last["tick"], last["age"], m["tick"] = 6, age, 7
+    P.decode(P.start(SETUP), run_of([Received(1, frame) for frame in frames]), last, m, 0)
+    return m
+
+
+def test_an_answer_from_before_the_sync_is_a_tick_old():
+    _, m = decoded([FIRST, SPEEDS[0]], since_ns=10, t_ns=9)
     assert m["age"][LEG] == 1
-    assert not P.fresh(Received(9, first), 0, 10)
-    assert P.fresh(Received(10, first), 0, 10)
-    second = first._replace(data=bytes.fromhex("3702650000000000"))
-    _, m = decoded([first, speed, second])
+    assert not P.fresh(Received(9, FIRST), 0, 10)
+    assert P.fresh(Received(10, FIRST), 0, 10)
+    assert decoded([FIRST])[1]["age"][LEG] == NEVER, "a length without its rate is none"
+
+
+def test_a_second_answer_to_one_sync_doubles_the_node():
+    m = after(0, [FIRST, SPEEDS[0], SECOND])
     assert (m["doubled"], m["length"][LEG]) == (1 << LEG, pytest.approx(0.75 + 100 * STEP_m))
-    assert decoded([first, speed, first])[1]["doubled"] == 0
-    assert decoded([first])[1]["age"][LEG] == NEVER, "a length without its rate is none"
+    assert after(0, [FIRST, *SPEEDS])["doubled"] == 1 << LEG
+    assert after(0, [FIRST, SPEEDS[0], FIRST])["doubled"] == 0
+
+
+def test_a_drive_that_owes_the_answer_of_the_tick_before_may_send_two_and_the_second_counts():
+    m = after(1, [FIRST, SPEEDS[0], SECOND, SPEEDS[1]])
+    assert (m["doubled"], m["age"][LEG]) == (0, 0)
+    assert m["length"][LEG] == pytest.approx(0.75 + 101 * STEP_m, abs=STEP_m / 4)
+    assert m["rate"][LEG] == pytest.approx(STEP_m)

@@ -14,7 +14,7 @@ FARTHEST_m = 2.0
 
 
 class Resolution(NamedTuple):
-    """Largest deviations by the steps of the frames alone; every array is (6,), leg order.
+    """Largest deviations by the steps of the frames; every array is (6,), leg order.
 
     A field that is rounded is off by half a step; one that may be truncated, at either end, by a whole one.
     """
@@ -25,11 +25,16 @@ class Resolution(NamedTuple):
     """m/s, of a rate that is read."""
     force: Array
     """N at the leg, without losses, of a force that is commanded."""
+    differences: bool = False
+    """Whether a rate is no reading, but the slope at the end of the parabola through three lengths."""
 
     @classmethod
-    def of(cls, length: Array | float, rate: Array | float, force: Array | float) -> Self:
+    def of(
+        cls, length: Array | float, rate: Array | float, force: Array | float, *, differences: bool = False
+    ) -> Self:
         """Return the deviations; their signs do not count, a value for all legs is repeated."""
-        return cls(*(np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force)))
+        six = [np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force)]
+        return cls(*six, differences)
 
     @classmethod
     def of_singles(cls) -> Self:

@@ -125,7 +125,8 @@ class Cia402Protocol(Routes):
         """
         count = self.transmission.m_per_turn / self.transmission.counts
         rate = count if self.velocity else 2.0 * rate_Hz * count
-        return Resolution.of(count, rate, 0.5 * self.transmission.N_per_Nm * self._permille_Nm)
+        force = 0.5 * self.transmission.N_per_Nm * self._permille_Nm
+        return Resolution.of(count, rate, force, differences=not self.velocity)
 
     def reported_lengths(self) -> tuple[Array, Array]:
         """Return the ends of 0x6064 as leg lengths."""

@@ -22,6 +22,19 @@ _WHY = Step("read", o.ERROR_CODE, 0, 2)
 """What a drive in fault is asked whose EMCY was not heard: it was sent once, before us or into a loss."""
 
 
+class Slope(NamedTuple):
+    """The step from one length of a leg to the next."""
+
+    rate: float = 0.0
+    """m/s, the mean of the step."""
+    T: float = 0.0
+    """s, between the two; 0: there is one length only."""
+    latched_ns: int = 0
+    """When the last one was latched, by the clock."""
+    length: float | None = None
+    """That one, m; None: there is none."""
+
+
 class Cia402Dialogue(NamedTuple):
     """What the controller's end remembers; a tuple of six has one element a leg."""
 
@@ -47,8 +60,11 @@ class Cia402Dialogue(NamedTuple):
     """Bit i: drive i could not hear a RESET, as it was not set up, and gets one when it is."""
     rate: tuple[float, ...] = (0.0,) * LEGS
     """Leg rates, m/s."""
-    slopes: tuple[tuple[float, int], ...] = ((0.0, 0),) * LEGS
-    """Mean rate between the last two lengths, m/s, and ticks between them; 0 where there are no two."""
+    slopes: tuple[Slope, ...] = (Slope(),) * LEGS
+    owed: tuple[int, ...] = (1,) * (2 * LEGS)
+    """Answers of each drive to earlier SYNCs that have not come: TPDO1 of all legs, then TPDO2."""
+    missed: tuple[int, ...] = (0,) * LEGS
+    """Last tick in which a drive was not heard."""
 
     def done(self, leg: int) -> bool:
         """Tell whether a drive has been set up."""

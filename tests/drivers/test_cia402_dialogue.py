@@ -9,6 +9,7 @@ from drivers.cia402 import dictionary
 from drivers.cia402 import objects as o
 from drivers.cia402.emergency import meaning
 from drivers.cia402.feedback import difference
+from drivers.cia402.set_up import Slope
 from drivers.cia402.states import State
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import Answer, DeviceCommand, DriveSetup, Frame, Received, Status, Sync, run_of
@@ -271,33 +272,39 @@ def test_a_drive_is_not_enabled_from_off():
 
 
 def test_the_slope_of_a_parabola_is_exact_at_its_end():
-    T = 2e-3
-    x = [1.0 + 0.3 * t - 2.0 * t * t for t in (0.0, T, 2 * T, 4 * T)]
-    _, slope = difference(x[1] - x[0], 1, T, (0.0, 0))
-    rate, slope = difference(x[2] - x[1], 1, T, slope)
-    assert rate == pytest.approx(0.3 - 4.0 * 2 * T)
-    rate, slope = difference(x[3] - x[2], 2, T, slope)
-    assert rate == pytest.approx(0.3 - 4.0 * 4 * T)
-    assert difference(0.0, 0, T, slope) == (0.0, (0.0, 0))
+    t_ns = (0, 2_000_000, 4_000_000, 8_000_000)
+    t = [1e-9 * each for each in t_ns]
+    x = [1.0 + 0.3 * each - 2.0 * each * each for each in t]
+    rate, slope = difference(x[0], t_ns[0], Slope(), 7.0, 2e-3)
+    assert (rate, slope.T) == (0.0, 0.0), "one length has no slope"
+    _, slope = difference(x[1], t_ns[1], slope, 0.0, 2e-3)
+    rate, slope = difference(x[2], t_ns[2], slope, 0.0, 2e-3)
+    assert rate == pytest.approx(0.3 - 4.0 * t[2])
+    rate, slope = difference(x[3], t_ns[3], slope, 0.0, 2e-3)
+    assert rate == pytest.approx(0.3 - 4.0 * t[3])
+    assert difference(9.0, t_ns[3] + 990_000, slope, rate, 2e-3) == (rate, slope), "too short a step"
+    assert difference(9.0, t_ns[3] + 101_000_000, slope, rate, 2e-3)[0] == 0.0, "too long a one"
 
 
-def test_without_a_velocity_pdo_the_rate_is_that_of_the_lengths():
+@pytest.mark.parametrize("lateness_ns", [(0, 0, 0, 0), (0, 300_000, 0, 200_000)], ids=["in time", "late"])
+def test_without_a_velocity_pdo_the_rate_is_that_of_the_lengths(lateness_ns):
     protocol = drives(velocity=False)
     dialogue, m = protocol.start(SETUP), at_tick(-1)
     v = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
-    for number in range(4):
+    for number, late_ns in enumerate(lateness_ns):
         state = np.full(LEGS, DriveState.RUN)
         frames = protocol._devices.answer(
             protocol._devices.set_up(protocol._settings, state),
             Sync(0),
-            LENGTH + v * number * 4e-3,
+            LENGTH + v * (number * 4e-3 + 1e-9 * late_ns),
             v,
             FORCE,
             state,
         )[1]
         last, m = m, at_tick(number)
+        m["t_ns"], m["lateness_ns"] = number * 4_000_000, late_ns
         dialogue = protocol.decode(dialogue, run_of([Received(0, f) for _, f in frames]), last, m, 0)
-    np.testing.assert_allclose(m["rate"], v, rtol=0, atol=2 * STEP_m / 4e-3)
+    np.testing.assert_allclose(m["rate"], v, rtol=0, atol=2 * STEP_m / 3.7e-3)
     assert {frame.id >> 7 for frame in protocol.cyclic_frames()} == {1, 3, 4}
 
 

@@ -17,7 +17,7 @@ from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
 from drivers.protocol import DriveSetup, Frame, Received, Sync, run_of
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
-from drivers.tick_columns import Record, new_record
+from drivers.tick_columns import new_record
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, drives
 
 DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
@@ -249,11 +249,13 @@ SPEEDS = [Frame(0x285, bytes(4)), Frame(0x285, b"\x01" + bytes(3))]
 """Its TPDO2, 0 and 1 count/s."""
 
 
-def after(age: int, frames: list[Frame]) -> Record:
-    """Return the measurement of a tick with these frames, after one in which the leg had this age."""
-    last, m = new_record(), new_record()
-    last["tick"], last["age"], m["tick"] = 6, age, 7
-    P.decode(P.start(SETUP), run_of([Received(1, frame) for frame in frames]), last, m, 0)
+def after(*ticks):
+    """Return the measurement of the last of some ticks with these frames, after twenty calm ones."""
+    dialogue, m = P.start(SETUP), new_record()
+    for number, frames in enumerate([[FIRST, SPEEDS[0]]] * 20 + list(ticks)):
+        last, m = m, new_record()
+        m["tick"] = number
+        dialogue = P.decode(dialogue, run_of([Received(1, frame) for frame in frames]), last, m, 0)
     return m
 
 
@@ -266,14 +268,21 @@ def test_an_answer_from_before_the_sync_is_a_tick_old():
 
 
 def test_a_second_answer_to_one_sync_doubles_the_node():
-    m = after(0, [FIRST, SPEEDS[0], SECOND])
+    m = after([FIRST, SPEEDS[0], SECOND])
     assert (m["doubled"], m["length"][LEG]) == (1 << LEG, pytest.approx(0.75 + 100 * STEP_m))
-    assert after(0, [FIRST, *SPEEDS])["doubled"] == 1 << LEG
-    assert after(0, [FIRST, SPEEDS[0], FIRST])["doubled"] == 0
+    assert after([FIRST, *SPEEDS])["doubled"] == 1 << LEG
+    assert after([FIRST, SPEEDS[0], FIRST])["doubled"] == 0
 
 
 def test_a_drive_that_owes_the_answer_of_the_tick_before_may_send_two_and_the_second_counts():
-    m = after(1, [FIRST, SPEEDS[0], SECOND, SPEEDS[1]])
+    m = after([], [FIRST, SPEEDS[0], SECOND, SPEEDS[1]])
     assert (m["doubled"], m["age"][LEG]) == (0, 0)
     assert m["length"][LEG] == pytest.approx(0.75 + 101 * STEP_m, abs=STEP_m / 4)
     assert m["rate"][LEG] == pytest.approx(STEP_m)
+
+
+def test_a_drive_that_answers_a_tick_late_may_catch_up_in_a_later_one():
+    calm, both = [FIRST, SPEEDS[0]], [FIRST, SPEEDS[0], SECOND, SPEEDS[1]]
+    assert after([], calm, calm, both)["doubled"] == 0
+    assert after([], calm, both, both)["doubled"] == 1 << LEG, "it owed one alone"
+    assert after([], *[calm] * 8, both)["doubled"] == 1 << LEG, "an answer that was lost does not come"

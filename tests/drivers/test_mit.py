@@ -422,7 +422,7 @@ def test_no_field_of_a_reply_or_command_is_off_by_more_than_the_resolution_and_s
         t1 = unpack_command(pack_command(0.0, 0.0, 0.0, 0.0, t, WIDE), WIDE)[4]
         off.append(((p - p1) * LEAD_m / TURN, (v - v1) * LEAD_m / TURN, (t - t1) * NEWTONS))
     largest = np.abs(off).max(axis=0)
-    steps = np.array([each[0] for each in stated])
+    steps = np.array([each[0] for each in (stated.length, stated.rate, stated.force)])
     assert (largest <= steps * (1.0 + 1e-9)).all()
     assert (largest > 0.6 * steps).all()
 

@@ -13,6 +13,7 @@ from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
+from hil.safety.differences import REACHES_BACK
 from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.stillness import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
@@ -43,7 +44,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     decided = c.estimation.pose == "fused" and c.sensors.tracker is not None
     delay = loop_delay(c)
     noise = read_noise(c, rate_Hz)
-    noise_m = noise.length_m
+    noise_m, differences = noise.length_m, int(protocol.resolution(rate_Hz).differences)
     driving, back_driving = efficiencies(c)
     sticks = friction > 0.0 or bool((driving * back_driving < 1.0).any())
     push = PUSH[sticks] * monitor.disturbance_m_s2
@@ -62,13 +63,14 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         rate_error=1e-2 * monitor.rate_error_percent,
         disturbance_m_s2=monitor.disturbance_m_s2,
         mobility=AWAY * A,
-        acting_ticks=ceil((late_s + LAGS * delay.lag_s) / period_s),
+        acting_ticks=ceil((late_s + LAGS * delay.lag_s) / period_s) + REACHES_BACK * differences,
         push_N=push_N,
         push_ticks=ticks + max(turns - 1, 0) if sticks else max(ticks, turns),
         sticks=int(sticks),
         open_ticks=ceil(c.engage.brake_release_s / period_s),
         period_s=period_s,
         unnamed=int(not protocol.answers_name_sync),
+        differences=differences,
     )
 
 

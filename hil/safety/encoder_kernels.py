@@ -8,6 +8,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.signals import Doubt, Fault, Mode
+from hil.safety.differences import is_time, lag_of, lag_of_leap
 from hil.safety.increments import beside, excused, gap_bound, gap_of, remembered, slip_bound
 from hil.safety.latch import explained, shared_delay
 from hil.safety.leaps import acceleration_range, leap_bound, leap_of, sole
@@ -27,7 +28,22 @@ LEAST_m_s = 1e-9
 """A rate that leaps by less does not."""
 RATE_MOVES = 3.0
 """So many times its noise make a rate that is not zero."""
-(_DT, _GAP, _RATE, _BOUND, _RANGE, _LEAPED, _EXCESS, _DEVIATION, _SWING, _NOISE, _SAY, _LATE) = range(12)
+(
+    _DT,
+    _GAP,
+    _RATE,
+    _BOUND,
+    _RANGE,
+    _LEAPED,
+    _EXCESS,
+    _DEVIATION,
+    _SWING,
+    _NOISE,
+    _SAY,
+    _LATE,
+    _LAG,
+    _LEAPS,
+) = range(14)
 """Rows of a tick's scratch."""
 
 
@@ -116,6 +132,9 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
         x[_GAP, i] = gap_of(tick.length[i], tick.rate[i], memory.length_was[i], memory.rate_was[i], T)
         x[_RATE, i] = 0.5 * (tick.rate[i] + memory.rate_was[i])
         x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T + stray_s)
+        if limits.differences != 0:
+            x[_LAG, i] = lag_of(T, memory.spacing_s[i])
+            x[_BOUND, i] += 0.5 * T * (x[_LAG, i] + memory.lag_s[i]) * x[_RANGE, i]
         if memory.heard[i] == memory.heard_tick:
             x[_SAY, i] = x[_GAP, i]
     delay, shared = shared_delay(x[_SAY], x[_RATE], x[_BOUND])
@@ -148,14 +167,19 @@ def allow_delay(limits: Any, shared: bool, stray_s: float, x: Array) -> None:
 
 @helper
 def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
-    """Fill how far each rate leaps, and as a share of what forces explain; 0 where that is not known."""
+    """Fill how far each rate leaps, and as a share of what forces explain; nan and 0: not known."""
+    x[_LEAPED] = np.nan
     if unsure(tick, limits, memory):
         return
     for i in range(6):
         if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0:
             leap = leap_of(tick.rate[i], memory.rate_was[i], memory.acceleration[i], x[_DT, i])
             bound = leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
-            x[_LEAPED, i], x[_EXCESS, i] = leap, abs(leap) / max(bound, LEAST_m_s)
+            if limits.differences != 0:
+                lag = lag_of_leap(x[_LAG, i], memory.lag_s[i], x[_DT, i], memory.spacing_s[i])
+                bound += lag * x[_RANGE, i]
+            x[_LEAPS, i] = max(bound, LEAST_m_s)
+            x[_LEAPED, i], x[_EXCESS, i] = leap, abs(leap) / x[_LEAPS, i]
 
 
 @helper
@@ -185,11 +209,11 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 
 @helper
 def judge_rates(tick: Any, limits: Any, memory: Any, x: Array) -> None:
-    """Doubt the one leg whose rate leaps."""
+    """Doubt the one leg whose rate leaps; not where a late latch makes a difference of lengths leap."""
     leg = sole(x[_EXCESS])
-    if leg >= 0:
-        leap = x[_LEAPED, leg]
-        doubt_leg(tick, limits, memory, leg, _LEAP, leap, abs(leap) / x[_EXCESS, leg])
+    if leg < 0 or (limits.differences != 0 and is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS])):
+        return
+    doubt_leg(tick, limits, memory, leg, _LEAP, x[_LEAPED, leg], x[_LEAPS, leg])
 
 
 @helper
@@ -242,6 +266,7 @@ def remember_readings(tick: Any, limits: Any, memory: Any, latched_ns: int, dela
             memory.gaps[i] = memory.travel[i] = memory.excused[i] = 0.0
             memory.acceleration[i] = memory.spacing_s[i] = 0.0
         memory.length_was[i], memory.rate_was[i] = tick.length[i], tick.rate[i]
+        memory.lag_s[i] = x[_LAG, i]
         memory.latched_ns[i], memory.latched_delay_s[i] = latched_ns, memory.delay_s
         memory.heard[i] = memory.heard_tick = tick.tick + 1
 
@@ -258,9 +283,8 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
         return 0
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
-    x = np.zeros((12, 6))
+    x = np.zeros((14, 6))
     latched_ns = tick.t_ns + tick.lateness_ns
-    note_missed(tick, memory)
     swings(history, memory.newest, acting(tick, limits, memory), x[_SWING])
     delay = compare(tick, limits, memory, latched_ns, x)
     if tick.mode < _IDLE:
@@ -275,6 +299,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
         memory.stood[:] = 0
         memory.push[:] = 0
     remember_readings(tick, limits, memory, latched_ns, delay, x)
+    note_missed(tick, memory)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
     return _ENCODER if memory.doubted != 0 else 0

@@ -36,6 +36,8 @@ class EncoderLimits(NamedTuple):
     period_s: float
     unnamed: int = 0
     """1: no feedback says which SYNC or poll it answers, see `hil.safety.encoder_kernels.unsure`."""
+    differences: int = 0
+    """1: rates are made of the last three lengths, see `hil.safety.differences`."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 0, 0.0)
@@ -55,6 +57,7 @@ ENCODER_LIMITS = [
     ("open_ticks", "<i8"),
     ("period_s", "<f8"),
     ("unnamed", "<i8"),
+    ("differences", "<i8"),
 ]
 """Fields of a record of `EncoderLimits`."""
 ENCODER_MEMORY = [
@@ -72,6 +75,7 @@ ENCODER_MEMORY = [
     ("length_was", "<f8", (LEGS,)),
     ("rate_was", "<f8", (LEGS,)),
     ("spacing_s", "<f8", (LEGS,)),  # over which the last acceleration was taken; 0: unknown
+    ("lag_s", "<f8", (LEGS,)),  # of the last rate, where it is a difference
     ("acceleration", "<f8", (LEGS,)),
     ("gaps", "<f8", (LEGS,)),  # m, sums that forget
     ("travel", "<f8", (LEGS,)),

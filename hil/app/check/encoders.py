@@ -5,6 +5,7 @@ import numpy as np
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits, friction_N, steps
+from hil.safety.differences import lag_of, lag_of_leap
 from hil.safety.encoder_kernels import UNSHARED
 from hil.safety.increments import WINDOW_S, gap_bound, slip_bound
 from hil.safety.leaps import acceleration_range, leap_bound
@@ -26,6 +27,10 @@ def report_encoders(report: Report, c: Configuration) -> None:
     jump_m = gap_bound(noise_m, rate_noise, a, T)
     slip_m = slip_bound(noise_m, rate_noise, a, T, limits.rate_error, 0.0)
     leap_m_s = leap_bound(rate_noise, a, T, T)
+    if limits.differences:
+        lag_s = lag_of(T, T)
+        jump_m += T * lag_s * a
+        leap_m_s += lag_of_leap(lag_s, lag_s, T, T) * a
     strayed_m, tested_s = SUSPECT * noise_m, limits.push_ticks * T
     drift_m_s, late_m = slip_m / WINDOW_S, c.limits.speed_m_s * T
     push = f"a push of up to {limits.push_N.max():.0f} N"

@@ -33,8 +33,10 @@ class Resolution(NamedTuple):
         cls, length: Array | float, rate: Array | float, force: Array | float, *, differences: bool = False
     ) -> Self:
         """Return the deviations; their signs do not count, a value for all legs is repeated."""
-        six = [np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force)]
-        return cls(*six, differences)
+        length, rate, force = (
+            np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force)
+        )
+        return cls(length, rate, force, differences)
 
     @classmethod
     def of_singles(cls) -> Self:

@@ -33,10 +33,8 @@ class Resolution(NamedTuple):
         cls, length: Array | float, rate: Array | float, force: Array | float, *, differences: bool = False
     ) -> Self:
         """Return the deviations; their signs do not count, a value for all legs is repeated."""
-        length, rate, force = (
-            np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force)
-        )
-        return cls(length, rate, force, differences)
+        q, dq, f = (np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force))
+        return cls(q, dq, f, differences)
 
     @classmethod
     def of_singles(cls) -> Self:

@@ -18,6 +18,8 @@ _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 _STANDS = ("platform",)
 """Facts that hold whatever was exchanged: the platform hangs on the legs until somebody takes it down."""
 _BY_LEG = ("ids", "encoder", "held", "opens", "force", "gauge", "watchdog")
+_OTHERS = {"ids": "drives", "encoder": "drive", "opens": "legs"}
+"""Where facts by leg name the drives that count it, and facts by drive the legs that it frees."""
 
 
 class Store:
@@ -64,13 +66,22 @@ class Store:
         """Drop what was measured at legs that are to be mended: it is measured again."""
         for finding in findings:
             if finding.name in _WHOLE:
-                self.facts.clear()
-            for leg in finding.legs:
-                for step in _BY_LEG:
-                    self.facts.get(step, {}).pop(str(leg), None)
+                for step in self.facts.keys() - set(_STANDS):
+                    del self.facts[step]
+            for step in _BY_LEG:
+                self._forget_legs(step, {str(leg) for leg in finding.legs})
             self.facts.pop("mounted", None)
             self.facts.pop("passed", None)
         self.save()
+
+    def _forget_legs(self, step: str, legs: set[str]) -> None:
+        """Drop the facts about legs or their drives: behind exchanged numbers a fact's own leg is another."""
+        key, facts = _OTHERS.get(step), self.facts.get(step, {})
+        for name, fact in list(facts.items()):
+            named = fact.get(key) if key else None
+            others = named if isinstance(named, list) else [named]
+            if not legs.isdisjoint({name, *map(str, others)}):
+                del facts[name]
 
 
 def refuse_malformed(facts: Any) -> None:

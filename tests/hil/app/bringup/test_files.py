@@ -220,3 +220,41 @@ def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch
     good = Rehearsal("virtual", Wiring(), facts=Store(state, identity(c, ())).facts)
     assert good.run().success
     assert {r.leg for r in good.hands.requests if r.act != "hang"} == {3}
+
+
+@pytest.mark.parametrize("name", ["absent", "same_id", "wrong_protocol", "second_controller", "set_up"])
+def test_a_platform_that_hangs_is_known_after_a_finding_for_which_the_bus_is_scanned_again(tmp_path, name):
+    path = tmp_path / "s.json"
+    store = Store(path, {})
+    facts = store.facts
+    facts |= {"platform": {"hung": True}, "passed": {"mounted": True}}
+    store.forget([Finding(name, (2,), "", "")])
+    assert Store(path, {}).facts == facts == {"platform": {"hung": True}}
+
+
+def test_after_an_absent_drive_no_brake_opens_before_the_hung_platform_is_off(tmp_path):
+    store = Store(tmp_path / "s.json", {})
+    store.facts["platform"] = {"hung": True}
+    store.forget([Finding("absent", (2,), "", "")])
+    rehearsal = Rehearsal("virtual", Wiring(), facts=Store(tmp_path / "s.json", {}).facts)
+    rehearsal.bench.hung = True
+    rehearsal.run((scan.STEP, silence.STEP))
+    with rehearsal.context.opened(3):
+        assert not rehearsal.bench.hung
+    assert [request.act for request in rehearsal.hands.requests] == ["take_down"]
+    assert rehearsal.watched.most_open == 1
+    assert rehearsal.watched.opened_while_hung == 0
+
+
+def test_an_encoder_that_was_mended_behind_exchanged_numbers_is_measured_again(tmp_path):
+    """The finding names the drive, 4; the facts are those of leg 1, which it counts."""
+    bad = Rehearsal("virtual", wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_jumps", 1)))
+    store = Store(tmp_path / "s.json", {})
+    bad.context.facts = store.facts
+    outcome = bad.run(FIRST)
+    assert [finding.name for finding in outcome.findings] == ["encoder_jumps"]
+    store.forget(outcome.findings)
+    mended = Rehearsal("virtual", wired(Mistake("ids_swapped", 1, 4)), facts=store.facts)
+    assert mended.run(FIRST).findings == ()
+    measured = [request.leg for request in mended.hands.requests if request.act == "measure"]
+    assert sorted(measured) == [1, 1, 1, 4, 4, 4]

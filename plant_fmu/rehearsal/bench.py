@@ -115,6 +115,12 @@ class RehearsalBench:
         """Push a leg by hand."""
         self._legs.push(leg, HAND_SHARE * self._rated_N)
 
+    def push_others(self, leg: int) -> None:
+        """Push all legs but one by hand."""
+        for other in range(LEGS):
+            if other != leg:
+                self.push(other)
+
     def read_push(self, leg: int) -> float:
         """Read the hand's force gauge, N: what a free leg gave way at."""
         most = HAND_SHARE * self._rated_N
@@ -125,6 +131,11 @@ class RehearsalBench:
     def let_go(self, leg: int) -> None:
         """Take the hand away."""
         self._legs.push(leg, 0.0)
+
+    def let_go_all(self) -> None:
+        """Take all hands away."""
+        for leg in range(LEGS):
+            self.let_go(leg)
 
     def clamp(self, leg: int | None) -> None:
         """Clamp a leg to the force gauge; None frees it."""

@@ -43,7 +43,8 @@ class WiredPlant:
         for drive in range(LEGS):
             if w.present[drive] and not w.other_protocol[drive]:
                 at_leg[w.motor[drive]] += w.force_gain[drive] * force[drive]
-                held[w.brake[drive]] = min(held[w.brake[drive]], brake[drive])
+                for leg in w.brake[drive]:
+                    held[leg] = min(held[leg], brake[drive])
         for leg, stuck in enumerate(w.stuck):
             if stuck is not None:
                 held[leg] = stuck

@@ -5,10 +5,13 @@ Every tuple has one element a drive, in the leg order of the configuration, unle
 
 from dataclasses import dataclass
 from math import inf
+from typing import TypeVar
 
 from drivers.signals import LEGS
 
+_T = TypeVar("_T")
 OWN = tuple(range(LEGS))
+OWN_BRAKES = tuple(frozenset((leg,)) for leg in OWN)
 ONES = (1.0,) * LEGS
 ZEROS = (0.0,) * LEGS
 NONE = (None,) * LEGS
@@ -22,8 +25,8 @@ class Wiring:
     """Leg that the motor of each drive moves."""
     encoder: tuple[int, ...] = OWN
     """Leg that the encoder of each drive counts."""
-    brake: tuple[int, ...] = OWN
-    """Leg whose brake each drive opens."""
+    brake: tuple[frozenset[int], ...] = OWN_BRAKES
+    """Legs whose brakes each drive opens."""
     force_gain: tuple[float, ...] = ONES
     """N at the leg for each N that the drive believes to give."""
     scale: tuple[float, ...] = ONES
@@ -79,7 +82,7 @@ def put(values: tuple[object, ...], leg: int, value: object) -> tuple[object, ..
     return (*values[:leg], value, *values[leg + 1 :])
 
 
-def turned(values: tuple[int, ...], *legs: int) -> tuple[int, ...]:
+def turned(values: tuple[_T, ...], *legs: int) -> tuple[_T, ...]:
     """Return the values with those of `legs` handed on, each to the one before it."""
     changed = list(values)
     for k, leg in enumerate(legs):
@@ -93,7 +96,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "motor_crossed": (("motor",), 2, None, "motor cables of two drives exchanged"),
     "encoder_crossed": (("encoder",), 2, None, "encoder cables of two drives exchanged"),
     "brake_crossed": (("brake",), 2, None, "brake cables of two drives exchanged"),
-    "brake_of_another": (("brake",), 1, None, "the drive's brake cable goes to another leg's brake, too"),
+    "brake_of_another": (("brake",), 1, None, "the drive's output opens another leg's brake, too"),
     "mounted_elsewhere": (("base_joint",), 2, None, "two legs mounted at each other's base joint"),
     "encoder_counts_another": (("encoder",), 1, None, "an encoder counts another leg, beside that leg's own"),
     "same_id": (("answers_as",), 1, None, "a drive has the node number of another one"),
@@ -154,7 +157,8 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
         if count > 1:
             changes[field] = turned(there, *legs)
         elif len(legs) == 2:
-            changes[field] = put(there, mistake.leg, mistake.other)
+            also = there[mistake.leg] | {mistake.other} if field == "brake" else mistake.other
+            changes[field] = put(there, mistake.leg, also)
         else:
             assert value is not None
             old = there[mistake.leg]

@@ -126,10 +126,14 @@ class BenchHands:
                 self._answer = bench.measure(leg)
             case "push":
                 bench.push(leg)
+            case "push_others":
+                bench.push_others(leg)
             case "read_push":
                 self._answer = bench.read_push(leg)
             case "let_go":
                 bench.let_go(leg)
+            case "let_go_all":
+                bench.let_go_all()
             case "clamp":
                 bench.clamp(leg)
             case "free":

@@ -31,13 +31,15 @@ def find(c: Context) -> None:
     for drive in range(LEGS):
         if c.known("opens", drive) is not None:
             continue
-        likely = list(dict.fromkeys([drive, counts.get(drive, drive), *range(LEGS)]))
+        firm = [leg for leg in range(LEGS) if not c.known("held", leg)["moved"]]
+        likely = list(dict.fromkeys([drive, counts.get(drive, drive), *firm]))
         fact: dict[str, Any] = {"legs": [], "hand_N": None}
         with c.opened(drive):
             for leg in likely:
                 moved, hand_N = gives_way(c, leg, partial(c.drive, drive), "open")
                 if moved:
-                    fact = {"legs": [leg], "hand_N": hand_N}
+                    others = [other for other in firm if other != leg]
+                    fact = {"legs": [leg, *give_way_too(c, drive, leg, others)], "hand_N": hand_N}
                     break
         c.keep("opens", drive, fact)
 
@@ -57,6 +59,22 @@ def gives_way(c: Context, leg: int, keep: Callable[[], object], state: str) -> t
     return moved, force
 
 
+def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[int]:
+    """Have all legs but one pushed with a drive's brake open; return which of `others` move, meanwhile or after."""
+    before, moved = c.lengths(), set[int]()
+
+    def keep() -> None:
+        c.drive(drive)
+        moved.update(other for other, by_m in c.travelled(before).items() if abs(by_m) > TRAVEL_M)
+
+    text = f"Push each leg but leg {leg} along its axis, one after the other or at once; brake: shut"
+    c.ask(Request("push_others", leg, 0.0, text), keep)
+    for _ in range(c.drives.ticks(PUSH_S)):
+        keep()
+    c.ask(Request("let_go_all", leg, 0.0, "Let go of all legs"), keep)
+    return [other for other in others if other in moved]
+
+
 def judge(c: Context) -> list[Finding]:
     """Name brakes that do not hold, do not open or belong to another drive, and exchanged drives."""
     found = []
@@ -67,8 +85,8 @@ def judge(c: Context) -> list[Finding]:
             found.append(Finding("brake_stuck_open", (leg,), text, mend))
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     opens = {drive: c.known("opens", drive)["legs"] for drive in range(LEGS)}
-    exchanged = {d: j for d, j in counts.items() if j != d and opens[d] != [d]}
-    crossed = {d: j for d, j in counts.items() if j != d and opens[d] == [d]}
+    exchanged = {d: j for d, j in counts.items() if j != d and d not in opens[d]}
+    crossed = {d: j for d, j in counts.items() if j != d and d in opens[d]}
     if exchanged:
         nodes = c.machine.node_ids
         text = "; ".join(f"node {nodes[d]} is the drive of leg {j}, not {d}" for d, j in exchanged.items())
@@ -87,7 +105,13 @@ def judge(c: Context) -> list[Finding]:
     for drive in stuck:
         text = "its brake does not open: no leg gives way"
         found.append(Finding("brake_stuck_shut", (drive,), text, "Look at the brake, its cable, its supply."))
-    wrong = {d: legs[0] for d, legs in opens.items() if legs and legs[0] != d and d not in exchanged}
+    for drive, legs in opens.items():
+        if len(legs) > 1:
+            text = f"drive {drive} opens the brakes of legs {', '.join(map(str, sorted(legs)))} at once"
+            mend = "Give each brake an output of its own; do not load these legs."
+            found.append(Finding("brake_crossed", tuple(sorted({drive, *legs})), text, mend))
+    alone = {d: legs[0] for d, legs in opens.items() if len(legs) == 1}
+    wrong = {d: leg for d, leg in alone.items() if leg != d and d not in exchanged}
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
         found.append(Finding("brake_crossed", tuple(sorted(wrong)), text, "Exchange the brakes' cables."))
@@ -103,7 +127,7 @@ def friction(c: Context) -> list[Finding]:
     return [
         Finding(
             "friction",
-            tuple(c.known("opens", drive)["legs"]),
+            (c.known("opens", drive)["legs"][0],),
             f"it gives way at {value:.4g} N, the median of the legs is {usual:.4g} N",
             "Look at guide, nut, seals, and a brake that drags.",
         )

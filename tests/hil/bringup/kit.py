@@ -23,9 +23,10 @@ configuration = cache(load)
 
 @dataclass
 class Watched:
-    """What the drives did to the cables, as the plant's end saw it."""
+    """What the drives did to the cables, and which brakes were open behind them."""
 
     most_open: int = 0
+    """Of the brakes that work, at the legs."""
     most_force_N: float = 0.0
     most_travel_m: float = 0.0
     """Of a leg in one opening of a brake, while no hand was on it."""
@@ -34,8 +35,9 @@ class Watched:
     _origin: Array = field(default_factory=lambda: np.zeros(6))
     _open: bool = False
 
-    def look(self, bench: RehearsalBench, force: Array, brake: Array) -> None:
-        free, legs = int((brake == 0.0).sum()), np.array([bench.length(leg) for leg in range(6)])
+    def look(self, bench: RehearsalBench, force: Array, held: Array) -> None:
+        works = np.array([stuck is None for stuck in bench.wiring.stuck])
+        free, legs = int(((held == 0.0) & works).sum()), np.array([bench.length(leg) for leg in range(6)])
         self.most_open = max(self.most_open, free)
         self.opened_while_hung += bool(free) and bench.hung
         if free:
@@ -88,13 +90,18 @@ class Rehearsal:
         self.c = c = _configured(name)
         self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
-        step = bench.cables.step
+        step, leg_step, held = bench.cables.step, bench._legs.step, np.ones(6)
+
+        def at_legs(force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+            held[:] = brake
+            return leg_step(force, brake, wrench, dt_s)
 
         def watch(force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
             result = step(force, brake, wrench, dt_s)
-            self.watched.look(bench, force, brake)
+            self.watched.look(bench, force, held)
             return result
 
+        bench._legs.step = at_legs  # type: ignore[method-assign]
         bench.cables.step = watch  # type: ignore[method-assign]
         self.hands = Hands(bench, c, stop_at)
         protocol = build_protocol(c)

@@ -15,7 +15,7 @@ from hil.bringup.procedure import STEPS
 from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.rehearsal.wiring import OWN, Mistake, Wiring, turned, wired
+from plant_fmu.rehearsal.wiring import OWN, OWN_BRAKES, Mistake, Wiring, turned, wired
 from tests.hil.bringup.kit import Rehearsal, named
 
 BY_HAND = STEPS[:4]
@@ -33,7 +33,7 @@ PAIRS = {
         {("force_sign", (5,)), ("brake_stuck_shut", (0,))},
     ),
     "encoders_and_brakes_of_the_same_two": (
-        replace(Wiring(), encoder=turned(OWN, 2, 3), brake=turned(OWN, 2, 3)),
+        replace(Wiring(), encoder=turned(OWN, 2, 3), brake=turned(OWN_BRAKES, 2, 3)),
         {("ids", (2, 3)), ("motor_crossed", (2, 3))},  # the same as exchanged drives with crossed motors
     ),
     "motors_and_encoders_of_the_same_two": (
@@ -46,7 +46,6 @@ PAIRS = {
     ),
     "gear_4_for_5": (wired(Mistake("wrong_lead", 2, value=0.8)), {("wrong_lead", (2,))}),
     "gear_5_for_4": (wired(Mistake("wrong_lead", 2, value=1.25)), {("wrong_lead", (2,))}),
-    "brake_on_another_output": (wired(Mistake("brake_of_another", 1, 4)), {("brake_crossed", (1,))}),
     "torque_limit_of_one": (
         wired(Mistake("force_scale", 3, value=0.6)),
         {("force_scale", (3,))},
@@ -77,6 +76,22 @@ def test_what_nobody_listed_is_named(case):
     assert named(outcome) == expected
     assert not outcome.success
     assert rehearsal.watched.most_open <= 1
+
+
+def test_two_brakes_on_one_output_are_named_with_both_legs_and_carry_no_force():
+    rehearsal = Rehearsal("virtual", wired(Mistake("brake_of_another", 1, 4)))
+    outcome = rehearsal.run(STEPS[:6])
+    assert named(outcome) == {("brake_crossed", (1, 4))}
+    assert "drive 1 opens the brakes of legs 1, 4 at once" in outcome.findings[0].text
+    assert rehearsal.context.known("opens", 4)["legs"] == [4]
+    assert rehearsal.watched.most_open == 2
+    assert rehearsal.context.known("force", 1) is None
+    assert rehearsal.context.known("force", 4) is not None
+
+
+def test_a_leg_whose_brake_never_shuts_is_not_laid_to_the_outputs_of_the_others():
+    rehearsal = Rehearsal("virtual", wired(Mistake("brake_stuck_open", 4)))
+    assert named(rehearsal.run(STEPS[:5])) == {("brake_stuck_open", (4,))}
 
 
 @cache

@@ -28,6 +28,7 @@ Act = Literal[
     "push",
     "push_others",
     "read_push",
+    "read_held",
     "let_go",
     "let_go_all",
     "clamp",

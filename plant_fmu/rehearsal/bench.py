@@ -128,6 +128,10 @@ class RehearsalBench:
             1.0 + GAUGE_SHARE * float(self._chance.standard_normal())
         )
 
+    def read_held(self, leg: int) -> float:
+        """Read the hand's force gauge while a leg holds, N."""
+        return self._legs.pushed(leg) * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+
     def let_go(self, leg: int) -> None:
         """Take the hand away."""
         self._legs.push(leg, 0.0)

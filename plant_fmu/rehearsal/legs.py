@@ -77,6 +77,10 @@ class TrestleLegs:
         self._hand[leg] = force
         self._hand_from[leg] = self._x[leg]
 
+    def pushed(self, leg: int) -> float:
+        """Return the hand's force on a leg, N."""
+        return float(self._hand[leg])
+
     def hold_at_gauge(self, leg: int | None) -> None:
         """Clamp the end of a leg to the force gauge; None takes it away."""
         self._gauge = None if leg is None else (leg, float(self._x[leg]))

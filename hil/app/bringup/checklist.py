@@ -1,6 +1,7 @@
 """The checklist of a bring-up: what was measured of each leg, by step, as lines."""
 
 from collections.abc import Iterable
+from typing import Any
 
 from drivers.signals import LEGS
 from hil.bringup.context import Context
@@ -60,7 +61,7 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             gives = ", ".join(map(str, fact["legs"])) or "none"
             at = "" if fact["hand_N"] is None else f" at {fact['hand_N']:.4g} N"
             held = c.known("held", leg)
-            shut = "" if held is None else "; shut: " + ("gives way" if held["moved"] else "holds a hand")
+            shut = "" if held is None else "; shut: " + _shut(held)
             return f"its drive's brake frees leg {gives}{at}{shut}"
         case "force":
             parts = (f"{way} {_force(fact[way])}" for way in ("plus", "minus"))
@@ -69,6 +70,10 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             g = gains(c).get(leg)
             return "" if g is None else f"{g.value:.4f} +- {g.error:.2f} N a commanded N"
     return ""
+
+
+def _shut(held: dict[str, Any]) -> str:
+    return "gives way" if held["moved"] else f"holds {held['hand_N']:.4g} N by hand"
 
 
 def _force(found: dict[str, float | None]) -> str:

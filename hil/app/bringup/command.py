@@ -10,6 +10,7 @@ from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
 from drivers.errors import ConfigurationError, RunError
 from drivers.protocol import Frame, Received
+from drivers.signals import Fault
 from drivers.tick_columns import Record, row_of
 from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.checklist import checklist
@@ -20,7 +21,7 @@ from hil.app.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.app.bringup.rehearsal import BenchHands, BenchLine, build_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
-from hil.app.bringup.together import lines_of, six_legs
+from hil.app.bringup.together import Together, lines_of, six_legs
 from hil.app.bringup.words import wiring_of
 from hil.app.compose import attachments, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration, loads
@@ -99,24 +100,28 @@ def run_bringup(
         bench = build_bench(c, wiring_of(words)) if rehearsal else None
         outcome, context, reason = _proceed(c, bench, store, said, yes=yes)
         text = found_text(c, context, outcome.findings)
-        together: list[str] = []
-        success = False
+        together = Together(success=False, lines=[])
         if outcome.success and not reason:
             write_whole(files.found, text)
-            found = loads(text, str(files.found), c.folder)
-            if not rehearsal:
-                state_lengths(found, context, said)
-            success, together = _release(found, bench, said, yes=yes)
+            together = _release(loads(text, str(files.found), c.folder), bench, context, said, yes=yes)
+            if together.success:
+                write_whole(files.found, found_text(c, context, (), released=True))
+            if together.brake_failed:
+                store.forget_brakes()
         elif outcome.findings:
             with contextlib.suppress(ConfigurationError):
                 loads(text, str(files.found), c.folder)
                 write_whole(files.found, text)
-        lines = checklist(context, outcome, together)
+        lines = checklist(context, outcome, together.lines)
         write_whole(files.checklist, "\n".join([*_head(c, path), *lines]) + "\n")
         for line in lines:
-            recording.event(int(context.drives.record["t_ns"]), "info", line)
+            said.event(line)
         store.forget(outcome.findings)
-    return _summary(c, outcome, files, path, reason, success=success)
+        closed = recording.close()
+    if closed.error:
+        cut = f"{closed.error}: {closed.dropped + closed.lost} ticks are not in the log"
+        reason = "; ".join(filter(None, (reason, cut)))
+    return _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
 
 
 def _summary(
@@ -138,20 +143,39 @@ def _summary(
 
 
 class _Said:
-    """Says texts to the operator and into the log. Mutable state: the time of the last tick."""
+    """Says texts to the operator and into the log.
+
+    Mutable state: the time of the last tick, and why the log was cut.
+    """
 
     def __init__(self, say: Callable[[str], None], recording: Recording) -> None:
         self._say, self._recording = say, recording
         self.t_ns = 0
+        self.trouble = ""
+        """Why the recorder has ended; empty while it lives."""
 
     def __call__(self, text: str) -> None:
-        self._recording.event(self.t_ns, "info", text)
+        self.event(text)
         self._say(text)
+
+    def event(self, text: str) -> None:
+        """Record a text."""
+        if self._recorded():
+            self._recording.event(self.t_ns, "info", text)
+
+    def _recorded(self) -> bool:
+        """Tell whether the recorder lives; say once why not."""
+        if not self.trouble:
+            self.trouble = self._recording.trouble
+            if self.trouble:
+                self._say(f"the log ends here ({self.trouble}): without a whole log this is no success")
+        return not self.trouble
 
     def tick(self, record: Record, received: Sequence[Received], sent: Sequence[Frame]) -> None:
         """Record a tick."""
         self.t_ns = int(record["t_ns"])
-        self._recording.tick(row_of(record), received, sent)
+        if self._recorded():
+            self._recording.tick(row_of(record), received, sent)
 
 
 def _proceed(
@@ -198,34 +222,41 @@ def _proceed(
 def _release(
     found: Configuration,
     bench: RehearsalBench | None,
+    context: Context,
     said: _Said,
     *,
     yes: bool,
-) -> tuple[bool, list[str]]:
-    """Let all six legs move together, by the ordinary controller at the limits that were found."""
+) -> Together:
+    """Let all six legs move together, by the ordinary controller at the limits that were found.
+
+    Not with a log that was cut; the homing file is written once the operator has consented.
+    """
+    if said.trouble:
+        return Together(success=False, lines=["[ ] together: not begun, since the log is not whole"])
     said("together: six legs at reduced limits")
     will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
     try:
         (_agreed if yes else Terminal(said).consent)("six legs together", will, "Ctrl-C parks, twice stops")
     except RefusedError as refusal:
-        return False, [f"[ ] together: {refusal}"]
+        return Together(success=False, lines=[f"[ ] together: {refusal}"])
     if bench is None:
+        state_lengths(found, context, said)
         summary = run_daemon(found, draw=False, arm=True)
-        lines = lines_of(summary["success"], summary["trouble"] or f"log {summary['log']}")
-        return _told(lines, said, success=summary["success"])
-    ending = six_legs(found, bench)
-    return _told(lines_of(ending.success, ending.trouble), said, success=ending.success)
+        success, faults = summary["success"], summary.get("faults", ())
+        lines = lines_of(success, summary["trouble"] or f"log {summary['log']}")
+        together = Together(success, lines, str(Fault.BRAKE.name) in faults)
+    else:
+        ending = six_legs(found, bench)
+        lines = lines_of(ending.success, ending.trouble)
+        together = Together(ending.success, lines, Fault.BRAKE in ending.faults)
+    for line in together.lines:
+        said(line)
+    return together
 
 
 def _agreed(*_: str) -> bool:
     """Agree to a step of a rehearsal."""
     return True
-
-
-def _told(lines: list[str], said: _Said, *, success: bool) -> tuple[bool, list[str]]:
-    for line in lines:
-        said(line)
-    return success, lines
 
 
 def _head(c: Configuration, log: Path) -> list[str]:

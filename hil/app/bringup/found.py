@@ -19,8 +19,13 @@ FIRST_S, FIRST_M = 2.0, 2e-3
 """The first motion of all six legs: up and down by so much in so long."""
 
 
-def found_text(c: Configuration, context: Context, findings: Sequence[Finding]) -> str:
-    """Return the given configuration with what was found, at reduced limits, and where it comes from."""
+def found_text(
+    c: Configuration, context: Context, findings: Sequence[Finding], *, released: bool = False
+) -> str:
+    """Return the given configuration with what was found, at reduced limits, and where it comes from.
+
+    released: the six legs have moved together; before, the text says that they have not.
+    """
     changes, comments = _changes(c, context, findings)
     text = with_changes(c.text, changes)
     head = [
@@ -30,6 +35,8 @@ def found_text(c: Configuration, context: Context, findings: Sequence[Finding]) 
     if findings:
         head.append("# NOT RELEASED: mend what follows, and give this file to `hil bringup` again.")
         head += [f"#   {finding.line}" for finding in findings]
+    elif not released:
+        head.append("# NOT RELEASED: the step together has not passed. Give the command again.")
     return "\n".join(head) + "\n" + commented(text, comments)
 
 

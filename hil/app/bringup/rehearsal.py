@@ -130,6 +130,8 @@ class BenchHands:
                 bench.push_others(leg)
             case "read_push":
                 self._answer = bench.read_push(leg)
+            case "read_held":
+                self._answer = bench.read_held(leg)
             case "let_go":
                 bench.let_go(leg)
             case "let_go_all":

@@ -12,7 +12,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.files import write_whole
 from hil.bringup.context import Finding
 
-VERSION = 2
+VERSION = 3
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 """Findings after which the bus is scanned again."""
 _STANDS = ("platform",)
@@ -49,7 +49,9 @@ class Store:
                 "is: name another with --state, or remove it, and take the platform off the legs before"
             ) from None
         if version != VERSION:
-            raise RunError(f"{self.path}: version {version}, allowed: {VERSION}; remove it to begin anew")
+            raise RunError(
+                f"{self.path}: version {version}, allowed: {VERSION}; take the platform off, and remove it"
+            )
         other = [key for key, value in self._identity.items() if identity.get(key) != value]
         if again or other:
             self.changed = "" if again else ", ".join(other)
@@ -58,9 +60,15 @@ class Store:
             self.facts = facts
 
     def save(self) -> None:
-        """Write the file."""
+        """Write the file. Raises RunError where it cannot be written: what it held before stays."""
         there = {"version": VERSION, "identity": self._identity, "facts": self.facts}
-        write_whole(self.path, json.dumps(there, indent=1) + "\n")
+        try:
+            write_whole(self.path, json.dumps(there, indent=1) + "\n")
+        except OSError as error:
+            raise RunError(
+                f"{self.path}: the state cannot be written ({error.strerror}). It keeps what was found "
+                "before the last fact; make room, or name another with --state, and give the command again"
+            ) from None
 
     def forget(self, findings: Iterable[Finding]) -> None:
         """Drop what was measured at legs that are to be mended: it is measured again."""
@@ -72,6 +80,12 @@ class Store:
                 self._forget_legs(step, {str(leg) for leg in finding.legs})
             self.facts.pop("mounted", None)
             self.facts.pop("passed", None)
+        self.save()
+
+    def forget_brakes(self) -> None:
+        """Drop that brakes hold and open, and that steps have passed: brakes are tested again."""
+        for step in ("held", "opens", "passed"):
+            self.facts.pop(step, None)
         self.save()
 
     def _forget_legs(self, step: str, legs: set[str]) -> None:
@@ -136,7 +150,7 @@ _FORMS: dict[str, dict[str, Any]] = {
             "bent_m": _NUMBER,
         }
     },
-    "held": {"": {"moved": _FLAG}},
+    "held": {"": {"moved": _FLAG, "hand_N": _MAYBE}},
     "opens": {"": {"legs": _LEGS, "hand_N": _MAYBE}},
     "force": {"": {"plus": _WAY, "minus": _WAY}},
     "gauge": {"": {"pairs_N": [[_NUMBER, 2], 0]}},

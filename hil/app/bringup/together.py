@@ -1,5 +1,7 @@
 """The last step of a rehearsal: all six legs under the ordinary controller, at reduced limits."""
 
+from typing import NamedTuple
+
 from hil.app.bringup.machine import known_poses
 from hil.app.bringup.rehearsal import emulated, mounted
 from hil.app.compose import build_cycle
@@ -11,6 +13,16 @@ from hil.loop.run_end import Ending
 from hil.robot.kinematics import leg_lengths
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.rehearsal.bench import RehearsalBench
+
+
+class Together(NamedTuple):
+    """How the six legs ran."""
+
+    success: bool
+    lines: list[str]
+    """For the checklist."""
+    brake_failed: bool = False
+    """A brake did not hold, or did not open: the brakes are to be tested again."""
 
 
 def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:

@@ -9,7 +9,7 @@ from statistics import median
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.bringup.context import TRAVEL_M, Context, Finding, Request
+from hil.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Request
 from hil.bringup.step import Step
 
 PUSH_S = 0.15
@@ -25,8 +25,7 @@ def find(c: Context) -> None:
     """Have each leg pushed with all brakes shut, then each with its drive's brake open."""
     for leg in range(LEGS):
         if c.known("held", leg) is None:
-            moved, _ = gives_way(c, leg, c.drives.step, "shut")
-            c.keep("held", leg, {"moved": moved})
+            c.keep("held", leg, holds(c, leg))
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     for drive in range(LEGS):
         if c.known("opens", drive) is not None:
@@ -36,7 +35,7 @@ def find(c: Context) -> None:
         fact: dict[str, Any] = {"legs": [], "hand_N": None}
         with c.opened(drive):
             for leg in likely:
-                moved, hand_N = gives_way(c, leg, partial(c.drive, drive), "open")
+                moved, hand_N = gives_way(c, leg, partial(c.drive, drive))
                 if moved:
                     others = [other for other in firm if other != leg]
                     fact = {"legs": [leg, *give_way_too(c, drive, leg, others)], "hand_N": hand_N}
@@ -44,10 +43,10 @@ def find(c: Context) -> None:
         c.keep("opens", drive, fact)
 
 
-def gives_way(c: Context, leg: int, keep: Callable[[], object], state: str) -> tuple[bool, float]:
-    """Have a leg pushed by hand; tell whether it has moved, and with how many N."""
+def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, float]:
+    """Have a leg pushed with a brake open; tell whether it has moved, and with how many N."""
     before = c.lengths()
-    c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: {state}"), keep)
+    c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: open"), keep)
     for _ in range(c.drives.ticks(PUSH_S)):
         keep()
     moved = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M
@@ -59,8 +58,26 @@ def gives_way(c: Context, leg: int, keep: Callable[[], object], state: str) -> t
     return moved, force
 
 
+def holds(c: Context, leg: int) -> dict[str, Any]:
+    """Have a leg pushed on its shut brake, and the force read: no encoder tells whether anybody pushed.
+
+    At least FORCE_SHARE of the rated force, as much as a drive puts on a shut brake until all six move.
+    """
+    m, before = c.machine, c.lengths()
+    c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: shut"))
+    c.rest(PUSH_S)
+    moved, hand_N = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M, None
+    if not moved:
+        least = FORCE_SHARE * m.rated_N
+        text = f"Push with at least {least:.4g} N, and read the force that leg {leg} holds, N"
+        hand_N = c.ask(Request("read_held", leg, 0.0, text, within=(least, m.rated_N)))
+        moved = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M
+    c.ask(Request("let_go", leg, 0.0, f"Let go of leg {leg}"))
+    return {"moved": moved, "hand_N": hand_N}
+
+
 def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[int]:
-    """Have all legs but one pushed with a drive's brake open; return which of `others` move, meanwhile or after."""
+    """Have all legs but one pushed with a drive's brake open; return which of `others` move."""
     before, moved = c.lengths(), set[int]()
 
     def keep() -> None:
@@ -139,7 +156,8 @@ def friction(c: Context) -> list[Finding]:
 STEP = Step(
     "brakes",
     "brakes, by hand",
-    "opens one brake after the other, without force, the five others shut, while you push the legs",
+    "has you push each leg on its shut brake; then opens one brake after the other, without force, while you "
+    "push its leg and the others",
     "Ctrl-C, or the emergency stop; brakes shut by themselves when this program falls silent",
     find,
     judge,

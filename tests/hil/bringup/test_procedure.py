@@ -162,12 +162,12 @@ def test_a_leg_that_runs_away_is_stopped_and_named():
 
 
 def test_ctrl_c_with_a_brake_open_takes_force_and_power_away_and_keeps_what_is_known():
-    rehearsal = Rehearsal("virtual", Wiring(), stop_at=55)
+    rehearsal = Rehearsal("virtual", Wiring(), stop_at=61)
     with pytest.raises(KeyboardInterrupt):
         rehearsal.run(ALONE)
     stopped_at = rehearsal.hands.requests[-1]
     assert stopped_at.act in ("push", "read_push", "let_go")
-    assert "open" in rehearsal.hands.requests[53].text + rehearsal.hands.requests[54].text
+    assert "open" in rehearsal.hands.requests[59].text + rehearsal.hands.requests[60].text
     snapshot = rehearsal.bench.nodes.snapshot()
     assert not snapshot.force.any()
     assert snapshot.brake.tolist() == [1.0] * 6
@@ -179,6 +179,29 @@ def test_ctrl_c_with_a_brake_open_takes_force_and_power_away_and_keeps_what_is_k
     assert ("measure", 0) not in asked
     assert len(asked) == 6 * 5
     assert resumed.context.known("opens", 5)["legs"] == [5]
+
+
+def test_a_brake_that_nobody_has_pushed_on_has_not_held():
+    """The brake of leg 3 does not shut; the operator pushes only once the gauge's 0 N has been refused."""
+    rehearsal = Rehearsal("virtual", wired(Mistake("brake_stuck_open", 3)))
+    ask, reads = rehearsal.hands.ask, []
+
+    def lazy(request):
+        if request.act == "push" and "shut" in request.text and request.leg == 3:
+            request = request._replace(act="let_go")
+        if request.act == "read_held" and request.leg == 3:
+            reads.append(request.within)
+            if len(reads) == 2:
+                rehearsal.bench.push(3)
+        ask(request)
+
+    rehearsal.hands.ask = lazy  # type: ignore[method-assign]
+    waits = iter(range(200))
+    answer = rehearsal.hands.answer
+    rehearsal.hands.answer = lambda: None if len(reads) == 2 and next(waits, None) is not None else answer()  # type: ignore[method-assign]
+    assert named(rehearsal.run(ALONE)) == {("brake_stuck_open", (3,))}
+    # 2 % of the rated 30 kN
+    assert reads == [(600.0, 30_000.0)] * 2
 
 
 def test_without_consent_nothing_is_polled_or_powered():

@@ -1,0 +1,137 @@
+"""The end of a bring-up: what its files say once six legs are to move, and what a full disk leaves."""
+
+import contextlib
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.errors import RunError
+from drivers.signals import Fault
+from hil.app.bringup import command
+from hil.app.bringup.store import Store
+from hil.app.configuration.configuration import load
+from hil.bringup.procedure import Outcome
+from hil.record.recording import LogSummary
+
+FULL = "No space left on device"
+
+
+class Recorder:
+    """A recording in memory, which may fail at some event."""
+
+    def __init__(self, path, fails_at):
+        self.path, self.fails_at, self.events, self.trouble = path, fails_at, [], ""
+
+    def event(self, _t_ns, _level, text):
+        self.events.append(text)
+        if len(self.events) == self.fails_at:
+            self.trouble = FULL
+
+    def close(self):
+        return LogSummary(self.path, 10, 0, 0, 3, 0, 0.0, not self.trouble, self.trouble, bool(self.trouble))
+
+
+@pytest.fixture
+def ended(tmp_path, monkeypatch):
+    """A function that does a rehearsal whose steps have all passed, with another end; summary, texts, state."""
+    monkeypatch.chdir(tmp_path)
+
+    def end(six_legs, *, yes=True, fails_at=0):
+        said: list[str] = []
+
+        def steps(context):
+            for step in ("held", "opens", "platform"):
+                context.keep(step, "hung" if step == "platform" else 0, _FACTS[step])
+            for _ in range(3):
+                context.operator.tell("a step")
+            return Outcome(("scan",), ())
+
+        @contextlib.contextmanager
+        def log(_c, path, **_):
+            yield Recorder(path, fails_at)
+
+        monkeypatch.setattr(command, "bring_up", steps)
+        monkeypatch.setattr(command, "six_legs", six_legs)
+        monkeypatch.setattr(command, "_log", log)
+        summary = command.run_bringup("virtual", load("virtual"), mistakes=[], yes=yes, say=said.append)
+        return summary, said
+
+    return end
+
+
+_FACTS = {"held": {"moved": False, "hand_N": 700.0}, "opens": {"legs": [0], "hand_N": 30.0}, "platform": True}
+FOUND = "virtual.rehearsal.yaml"
+
+
+def ran(*, success=True, faults=Fault(0)):
+    return lambda *_: SimpleNamespace(success=success, trouble="", faults=faults)
+
+
+def test_the_found_file_is_released_once_six_legs_have_moved(ended, tmp_path):
+    summary, said = ended(ran())
+    assert summary["success"]
+    assert not any("the log ends" in text for text in said)
+    assert "NOT RELEASED" not in (tmp_path / FOUND).read_text()
+
+
+def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):
+    summary, _ = ended(ran(success=False, faults=Fault.BRAKE))
+    assert not summary["success"]
+    assert "# NOT RELEASED: the step together has not passed" in (tmp_path / FOUND).read_text()
+    kept = Store(tmp_path / "virtual.rehearsal.state.json", {}).facts
+    assert kept == {"platform": {"hung": True}}
+
+
+def test_nothing_is_released_where_six_legs_were_refused(ended, tmp_path, monkeypatch):
+    monkeypatch.setattr(command.Terminal, "consent", _refuse)
+    summary, _ = ended(ran(), yes=False)
+    assert not summary["success"]
+    assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
+
+
+def _refuse(*_):
+    raise command.RefusedError("ended by the operator")
+
+
+def test_nothing_is_released_where_the_program_died_meanwhile(ended, tmp_path):
+    def dies(*_):
+        raise SystemExit
+
+    with pytest.raises(SystemExit):
+        ended(dies)
+    assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
+
+
+def test_a_log_that_was_cut_is_said_once_and_six_legs_do_not_move(ended, tmp_path):
+    summary, said = ended(lambda *_: pytest.fail("six legs have moved"), fails_at=2)
+    assert not summary["success"]
+    assert summary["trouble"] == f"{FULL}: 3 ticks are not in the log"
+    assert sum("the log ends here" in text for text in said) == 1
+    assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
+
+
+def test_a_log_that_was_cut_at_the_end_is_no_success(ended):
+    summary, _ = ended(ran(), fails_at=4)
+    assert (summary["success"], FULL in summary["trouble"]) == (False, True)
+
+
+@pytest.mark.parametrize("agrees", [True, False])
+def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees):
+    done: list[str] = []
+    monkeypatch.setattr(command.Terminal, "consent", lambda *_: agrees or _refuse())
+    monkeypatch.setattr(command, "state_lengths", lambda *_: done.append("stated"))
+    monkeypatch.setattr(
+        command,
+        "run_daemon",
+        lambda *_, **__: done.append("ran") or {"success": False, "trouble": "x", "faults": ["BRAKE"]},
+    )
+    said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
+    together = command._release(load("virtual"), None, None, said, yes=False)  # type: ignore[arg-type]
+    assert done == ["stated", "ran"] * agrees
+    assert together.brake_failed is agrees
+
+
+def test_a_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):
+    store = Store(tmp_path / "gone" / "s.json", {})
+    with pytest.raises(RunError, match=r"gone/s\.json: the state cannot be written \(.+\)\. It keeps"):
+        store.save()

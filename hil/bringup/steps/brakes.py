@@ -156,8 +156,8 @@ def friction(c: Context) -> list[Finding]:
 STEP = Step(
     "brakes",
     "brakes, by hand",
-    "has you push each leg on its shut brake; then opens one brake after the other, without force, while you "
-    "push its leg and the others",
+    "has you push each leg on its shut brake; then opens one brake after the other, without force, the five "
+    "others shut, while you push its leg and then the others",
     "Ctrl-C, or the emergency stop; brakes shut by themselves when this program falls silent",
     find,
     judge,

@@ -149,7 +149,7 @@ def test_a_new_beginning_still_knows_that_the_platform_hangs(tmp_path):
     c = load("virtual")
     path = tmp_path / "state.json"
     store = Store(path, identity(c, ()))
-    store.facts |= {"platform": {"hung": True}, "held": {"0": {"moved": False}}}
+    store.facts |= {"platform": {"hung": True}, "held": {"0": {"moved": False, "hand_N": 700.0}}}
     store.save()
     assert Store(path, identity(c, ()), again=True).facts == {"platform": {"hung": True}}
     assert Store(path, identity(c, ("other",))).facts == {"platform": {"hung": True}}

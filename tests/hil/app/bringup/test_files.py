@@ -33,9 +33,9 @@ def test_another_node_number_is_other_hardware_and_nothing_is_kept(tmp_path):
     c = load("virtual")
     path = tmp_path / "state.json"
     store = Store(path, identity(c, ()))
-    store.facts["held"] = {"0": {"moved": False}}
+    store.facts["held"] = {"0": {"moved": False, "hand_N": 700.0}}
     store.save()
-    assert Store(path, identity(c, ())).facts == {"held": {"0": {"moved": False}}}
+    assert Store(path, identity(c, ())).facts == {"held": {"0": {"moved": False, "hand_N": 700.0}}}
     other = loads(c.text.replace("node_ids: [1, 2,", "node_ids: [2, 1,"), "x", c.folder)
     assert other.drives.node_ids[:2] == [2, 1]
     again = Store(path, identity(other, ()))

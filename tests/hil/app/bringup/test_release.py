@@ -60,10 +60,11 @@ def ended(tmp_path, monkeypatch):
 
 
 _FACTS = {"held": {"moved": False, "hand_N": 700.0}, "opens": {"legs": [0], "hand_N": 30.0}, "platform": True}
+NO_FAULT = Fault(0)
 FOUND = "virtual.rehearsal.yaml"
 
 
-def ran(*, success=True, faults=Fault(0)):
+def ran(*, success=True, faults=NO_FAULT):
     return lambda *_: SimpleNamespace(success=success, trouble="", faults=faults)
 
 

@@ -9,7 +9,9 @@ from drivers.errors import RunError
 from drivers.signals import Fault
 from hil.app.bringup import command
 from hil.app.bringup.store import Store
+from hil.app.bringup.terminal import Terminal
 from hil.app.configuration.configuration import load
+from hil.bringup.context import RefusedError
 from hil.bringup.procedure import Outcome
 from hil.record.recording import LogSummary
 
@@ -84,14 +86,14 @@ def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_r
 
 
 def test_nothing_is_released_where_six_legs_were_refused(ended, tmp_path, monkeypatch):
-    monkeypatch.setattr(command.Terminal, "consent", _refuse)
+    monkeypatch.setattr(Terminal, "consent", _refuse)
     summary, _ = ended(ran(), yes=False)
     assert not summary["success"]
     assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
 
 
 def _refuse(*_):
-    raise command.RefusedError("ended by the operator")
+    raise RefusedError("ended by the operator")
 
 
 def test_nothing_is_released_where_the_program_died_meanwhile(ended, tmp_path):
@@ -119,13 +121,14 @@ def test_a_log_that_was_cut_at_the_end_is_no_success(ended):
 @pytest.mark.parametrize("agrees", [True, False])
 def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees):
     done: list[str] = []
-    monkeypatch.setattr(command.Terminal, "consent", lambda *_: agrees or _refuse())
+    monkeypatch.setattr(Terminal, "consent", lambda *_: agrees or _refuse())
     monkeypatch.setattr(command, "state_lengths", lambda *_: done.append("stated"))
-    monkeypatch.setattr(
-        command,
-        "run_daemon",
-        lambda *_, **__: done.append("ran") or {"success": False, "trouble": "x", "faults": ["BRAKE"]},
-    )
+
+    def run(*_, **__):
+        done.append("ran")
+        return {"success": False, "trouble": "x", "faults": ["BRAKE"]}
+
+    monkeypatch.setattr(command, "run_daemon", run)
     said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
     together = command._release(load("virtual"), None, None, said, yes=False)  # type: ignore[arg-type]
     assert done == ["stated", "ran"] * agrees

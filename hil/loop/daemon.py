@@ -20,6 +20,7 @@ from hil.loop.console import Console
 from hil.loop.cycle import Cycle
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
+from hil.loop.unheard import not_told
 from hil.operate.channel import OperatorChannel
 from hil.record import Recording
 from hil.signals import Operator, TickInput
@@ -33,11 +34,7 @@ _UNRECORDED = {
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
 """Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
-_TOLD = "drives were told to switch off"
-_NOT_TOLD = (
-    "drives could not be told to switch off, since the bus takes no frames: the watchdog of each acts "
-    "{:g} ms after the last command it heard"
-)
+_TOLD = "the drives were told to switch off"
 
 
 class Shell(NamedTuple):
@@ -74,7 +71,7 @@ def run(course: Course, shell: Shell) -> Ending:
             what = f"{type(error).__name__}: {error}"
             reason = f"tick {tick}: defect of this program, {what}; the log has the details"
             unexpected = traceback.format_exc()
-        done = _TOLD if told else _NOT_TOLD.format(1e3 * cycle.parts.setup.watchdog_s)
+        done = _TOLD if told else not_told(cycle.parts)
         return Ending(
             Mode.FAULT,
             cycle.faults,

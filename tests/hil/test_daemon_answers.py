@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from drivers.can.bus import Bus
+from drivers.errors import BusError
 from drivers.protocol import DeviceCommand, Frame, Received, Sync
 from drivers.signals import DriveMode, DriveState
 from hil.app.compose import build_cycle
-from hil.app.configuration.configuration import load
+from hil.app.configuration.configuration import load, loads
 from hil.loop.clock import Deadlines
-from hil.loop.daemon import _answers, switch_off
+from hil.loop.daemon import Shell, _answers, run, switch_off
+from hil.loop.panel import OperatorPanel
+from hil.loop.run_end import Course
 from tests.drivers.drives_end import answers
 
 TICK = 1003
@@ -94,3 +98,39 @@ def test_a_loop_that_fails_sends_sync_and_command_so_that_the_drives_obey(cycle)
     assert len(commands) == 5
     assert {each.mode for each in commands} == {DriveMode.OFF}
     assert len({each.counter for each in commands}) == 5, "none is a repetition"
+
+
+class Dead(Queue):
+    """A bus that takes no frame."""
+
+    clock = SimpleNamespace(stretched=lambda: 0)
+
+    def send(self, frames: tuple[Frame, ...]) -> int:
+        return len(frames)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "left"),
+    [
+        ("virtual", (), "the watchdog of each acts 13 ms after the last command it heard"),
+        (
+            "desktop",
+            ("{variant: damiao, model: DM4310}", "{variant: cubemars, model: AK80-9}"),
+            "they have no watchdog that is set from here: they keep the last torque; cut their power now",
+        ),
+    ],
+)
+def test_a_failed_loop_on_a_dead_bus_promises_no_watchdog_that_the_drives_lack(name, changes, left):
+    text = load(name).text
+    c = loads(text.replace(*changes), name) if changes else load(name)
+    cycle, bus = build_cycle(c, 400.0, 0.013), Dead()
+
+    def wait() -> Any:
+        raise BusError("the interface is gone")
+
+    deadlines = SimpleNamespace(tick=7, period_ns=1_000, wait=wait)
+    recording = SimpleNamespace(alive=True)
+    shell = Shell(cast("Any", bus), cast("Any", deadlines), cast("Any", recording), OperatorPanel(), 0)
+    ending = run(Course(cycle), shell)
+    expected = f"the drives could not be told to switch off, since the bus takes no frames: {left}"
+    assert ending.trouble == f"tick 7: the interface is gone at tick 7: {expected}"

@@ -8,16 +8,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from drivers.signals import DriveState
+from drivers.signals import DriveState, Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.sim.command import simulate
 from hil.loop.report import waiting_text
 from hil.record.log import Log
+from plant_fmu.faults.bus import BusOff
 from tests.broad import broad
+from tests.loop.test_held import run
 
 TEXT = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
 MIT = "  protocol: mit\n  options: {variant: damiao, model: DM4310}\n"
@@ -123,3 +126,14 @@ def test_a_fault_code_is_told_with_its_leg_and_what_the_maker_means_by_it():
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
     cycle.tick["drive_state"][4], cycle.tick["drive_fault"][4] = DriveState.FAULT, 0x100 + 8
     assert "drive 4 stays in FAULT (264: over voltage)" in waiting_text(cycle)
+
+
+@pytest.mark.parametrize("family", broad(("cubemars", "mini_cheetah", "robstride", "damiao"), quick=1))
+def test_drives_without_a_watchdog_are_not_said_to_have_stopped_on_a_dead_bus(family):
+    """The plant decides: a leg whose brake has closed stands, one that has kept its torque does not."""
+    ran = run(desktop(*FAMILIES[family]), BusOff(mode="TRACKING", at_s=0.6), duration_s=5.0)
+    assert ran.ending.mode is Mode.FAULT
+    stopped = np.abs(ran.true[-1] - ran.true[-5]).max() < 1e-9
+    promised = "the watchdog of each acts" in ran.ending.trouble
+    assert (stopped, promised) == ((family == "damiao"),) * 2
+    assert ("they keep the last torque; cut their power now" in ran.ending.trouble) != promised

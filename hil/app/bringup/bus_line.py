@@ -7,6 +7,7 @@ from drivers.errors import BusError
 from drivers.protocol import Frame
 from hil.bringup.line import Heard
 from hil.loop.clock import Deadlines
+from hil.loop.unheard import NO_WATCHDOG
 
 WINDOW = 0.65
 """Share of the period in which answers are waited for."""
@@ -15,9 +16,12 @@ WINDOW = 0.65
 class BusLine:
     """Ticks on an open bus. Mutable state: the deadlines, and the bus."""
 
-    def __init__(self, bus: Bus, rate_Hz: float) -> None:
+    def __init__(self, bus: Bus, rate_Hz: float, *, watched: bool) -> None:
+        """Take the open bus, the tick rate in Hz, and whether the drives have a watchdog of their own."""
         self.rate_Hz = rate_Hz
         self._bus = bus
+        shut = "the drives' watchdogs shut their brakes"
+        self._left = shut if watched else f"the drives {NO_WATCHDOG}"
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
         self._window_ns = round(WINDOW * 1e9 / rate_Hz)
         bus.flush_tx()
@@ -39,9 +43,7 @@ class BusLine:
                 break
             frames += heard
         if self._bus.events().off:
-            raise BusError(
-                "the bus is down: the drives' watchdogs shut their brakes; look at cable and power"
-            )
+            raise BusError(f"the bus is down: {self._left}; look at cable and power")
         return Heard(began, tuple(frames))
 
     def send(self, frames: Sequence[Frame]) -> None:

@@ -17,8 +17,8 @@ from hil.app.check.monitor import report_monitor
 from hil.app.check.operating import report_operating
 from hil.app.check.payload import broken_by, carried_along, report_payload
 from hil.app.check.pushes import clipped
-from hil.app.check.silence import silence_of
-from hil.app.compose import build_admission
+from hil.app.check.silence import Silence, reacted_to, silence_of
+from hil.app.compose import build_admission, build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.schema import named_schema, schema_is_there
@@ -27,6 +27,7 @@ from hil.app.encoder_limits import encoder_limits
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
 from hil.config.reference import LiveReference
 from hil.loop.clock import real_time_rights
+from hil.loop.unheard import NO_WATCHDOG
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
@@ -83,15 +84,20 @@ def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -
 
 def _drives(report: Report, c: Configuration) -> None:
     period_ms = 1e3 / c.loop.rate_Hz
-    periods = c.drives.watchdog_ms / period_ms
+    periods, watched = c.drives.watchdog_ms / period_ms, build_protocol(c).has_watchdog
     report.sections["drives"] = [
         f"nodes {', '.join(map(str, c.drives.node_ids))}; rated force {c.drives.force_limit_N:g} N",
-        f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {_reaction(c)}",
+        f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {_reaction(c)}"
+        if watched
+        else f"watchdog none: they {NO_WATCHDOG} when the controller falls silent",
         f"brakes get {1e3 * c.engage.brake_release_s:g} ms to open, {1e3 * c.engage.closing_s:g} ms to close",
         _brake_test(c),
         *brake_line(c),
     ]
-    report.figures["drives"] = {"watchdog_periods": periods, "reaction": c.reactions.silence}
+    report.figures["drives"] = {
+        "watchdog_periods": periods if watched else None,
+        "reaction": c.reactions.silence if watched else None,
+    }
 
 
 def _reaction(c: Configuration) -> str:
@@ -110,13 +116,14 @@ def _brake_test(c: Configuration) -> str:
 def stopping_distances_m(c: Configuration) -> tuple[float, float]:
     """Return how far a leg may travel on the reference, m, as printed.
 
-    From silence until its brake holds it, and in a stop under control. Raises ConfigurationError as `inspect`
-    does.
+    From silence until its brake holds it, and in a stop under control. Where the drives have no watchdog that
+    is set from here, the first is what a reaction within `drives.watchdog_ms` leaves: theirs has no bound.
+    Raises ConfigurationError as `inspect` does.
     """
     platform = build_platform(c.platform)
     model = Model(platform, leg_spin=c.platform.leg_spin)
     w, _ = _walk_within_limits(c, platform, model)
-    return silence_of(c, w).travel_m(w), _controlled_stop_m(c, w)
+    return reacted_to(c, w).travel_m(w), _controlled_stop_m(c, w)
 
 
 def _controlled_stop_m(c: Configuration, w: Walk) -> float:
@@ -170,7 +177,6 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
     w, whole = _walk_within_limits(c, platform, model)
     step, swing = _changes(w, 1 / c.loop.rate_Hz)
     peak, silence = float(np.abs(w.tau).max()), silence_of(c, w)
-    braked_m = silence.travel_m(w)
     change = f"not seen: {len(w.t)} samples are fewer than ticks"
     if w.every_tick:
         change = (
@@ -186,12 +192,11 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         f"leg forces     {w.tau.min():.0f} to {w.tau.max():.0f} N (limit {c.limits.force_N:g})",
         f"force change   {change}",
         f"condition of J up to {w.condition.max():.2f} (limit {c.limits.condition:g})",
-        f"silence        a leg travels up to {1e3 * braked_m:.0f} mm until it rests on its brake,",
-        f"               in {1e3 * silence.T:.0f} ms: drives.watchdog_ms and engage.brake_close_s",
+        *_silence(silence, w),
         f"controlled stop up to {1e3 * _controlled_stop_m(c, w):.0f} mm, along the path within engage.stop_s",
     ]
     report.figures["reference"] = {
-        "until_braked_m": braked_m,
+        "until_braked_m": silence.travel_m(w) if silence else None,
         "controlled_stop_m": _controlled_stop_m(c, w),
         "duration_s": whole,
         "length_min_m": float(w.q.min()),
@@ -214,6 +219,19 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
             f"the reference needs {peak:.0f} N of limits.force_N {c.limits.force_N:g}: less than 10 % "
             "is left for control"
         )
+
+
+def _silence(silence: Silence | None, w: Walk) -> tuple[str, str]:
+    """Say how far a leg travels when the controller falls silent."""
+    if silence is None:
+        return (
+            "silence        no bound to a leg's travel: the drives keep the last torque until their power is",
+            "               cut, as they have no watchdog that is set from here",
+        )
+    return (
+        f"silence        a leg travels up to {1e3 * silence.travel_m(w):.0f} mm until it rests on its brake,",
+        f"               in {1e3 * silence.T:.0f} ms: drives.watchdog_ms and engage.brake_close_s",
+    )
 
 
 def _live(report: Report, c: Configuration, reference: LiveReference, platform: Platform) -> None:

@@ -32,8 +32,8 @@ QUINTIC_PEAK = 1.875
 """Peak over mean speed of the approach."""
 
 
-def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
-    """Yield what is dangerous.
+def dangers(c: Configuration, w: Walk, silence: Silence | None) -> Iterator[str]:
+    """Yield what is dangerous; silence is None where nothing ends it.
 
     The layout ideal drives no hardware, so nothing is dangerous with it.
     """
@@ -53,7 +53,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence) -> Iterator[str]:
         )
     if c.engage.force_ramp_s <= 0.0:
         yield "engage.force_ramp_s 0: no brake is ever tested, neither at the start nor when parking"
-    hit = silence.beyond(w, c.platform.length_min_m, c.platform.length_max_m)
+    hit = silence and silence.beyond(w, c.platform.length_min_m, c.platform.length_max_m)
     if c.reactions.silence == "brake" and hit is not None:
         yield (
             f"drives.watchdog_ms {c.drives.watchdog_ms:g} and engage.brake_close_s "

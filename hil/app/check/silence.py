@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
+from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
@@ -49,8 +50,16 @@ class Silence(NamedTuple):
         return speed * self.T + 0.5 * self.a * self.T**2
 
 
-def silence_of(c: Configuration, w: Walk) -> Silence:
-    """Return what silence does to the legs on a walk along the reference, whatever the payload."""
+def silence_of(c: Configuration, w: Walk) -> Silence | None:
+    """Return what silence does to the legs on a walk along the reference, whatever the payload.
+
+    None: nothing ends it, as the drives have no watchdog that is set from here.
+    """
+    return reacted_to(c, w) if build_protocol(c).has_watchdog else None
+
+
+def reacted_to(c: Configuration, w: Walk) -> Silence:
+    """Return what silence does to the legs where somebody reacts to it within drives.watchdog_ms."""
     home, still = pose_arrays(c.platform.home), np.zeros(6)
     a = float(np.abs(w.ddq).max())
     for corner in corners(c.platform):

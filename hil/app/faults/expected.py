@@ -56,7 +56,9 @@ EXPECTED: dict[str, Expected] = {
         "BRAKE FOLLOWING ENCODER/STILL", "it closes late: the leg moves; it opens late: as one that is stuck"
     ),
     "brake_slipping": _row("BRAKE", "the leg moves where its brake has to hold"),
-    "frames_loss": _row(_UNHEARD, "feedback is missing, or commands: drives stop by their watchdog"),
+    "frames_loss": _row(
+        _UNHEARD, "feedback is missing, or commands: drives stop by their watchdog, if they have one"
+    ),
     "frames_duplicate": _row("", "a frame that comes twice says nothing new"),
     "frames_delay": _row(_UNHEARD, "a frame of an older SYNC counts for nothing, at either end"),
     "frames_reorder": _row(_UNHEARD, "as of the delay"),

@@ -100,10 +100,11 @@ def stale(m: Moment) -> Iterator[Seen]:
     key, blind = "limits.stale_fault_ticks", m.legs("blind")
     if min(ages) >= limit and not any(blind):
         stall_ms = 1e3 * min(ages) / m.cycle.parts.rate_Hz
+        watched = m.cycle.parts.protocol.has_watchdog
+        lengthen = " and lengthen drives.watchdog_ms" if watched else ""
         text = (
             "no leg heard for {value} ticks, {key} is {limit}: the drives, the bus or this machine stalled "
-            f"for {stall_ms:.0f} ms; if it was this machine, lower loop.rate_Hz and lengthen "
-            "drives.watchdog_ms"
+            f"for {stall_ms:.0f} ms; if it was this machine, lower loop.rate_Hz{lengthen}"
         )
         yield Seen(min(ages), limit, sentence=text, unit="ticks", key=key)
         return

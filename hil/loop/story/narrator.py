@@ -14,6 +14,7 @@ from hil.loop.report import moving_text
 from hil.loop.story.faults import findings
 from hil.loop.story.finding import Finding, Moment
 from hil.loop.story.told import DONE, DriveSaid, Step, Story, done_text, listed, short
+from hil.loop.unheard import not_confirmed, not_told
 from hil.signals import Operator
 
 _fields: Any = TICK.fields
@@ -189,22 +190,16 @@ class Narrator:
         assert self._off_tick is not None
         if now == self._off_tick:
             return DONE[Mode.FAULT]
-        setup = cycle.parts.setup
         running = any(d.state == DriveState.RUN.name for d in self._drives)
-        reaction = setup.reaction.name.lower() if running else "brake"
-        own = f"{1e3 * setup.watchdog_s:g} ms after the last command it heard, with reaction `{reaction}`"
+        reaction = cycle.parts.setup.reaction.name.lower() if running else "brake"
         if not self._told:
-            return (
-                "the drives could not be told to switch off, since the bus takes no frames: the watchdog of "
-                f"each acts {own}"
-            )
+            return not_told(cycle.parts, reaction)
         if self._all_off is not None:
             tick, states = self._all_off
             later_ms = 1e3 * (tick - self._off_tick) / cycle.parts.rate_Hz
             return f"{DONE[Mode.FAULT]}: all six in {states} {later_ms:g} ms later"
         silent = listed(self._unconfirmed())
-        which = f"not confirmed by drive {silent}; the watchdog of one that hears nothing acts {own}"
-        return f"{DONE[Mode.FAULT]}: {which}"
+        return f"{DONE[Mode.FAULT]}: not confirmed by drive {silent}; {not_confirmed(cycle.parts, reaction)}"
 
     def _unconfirmed(self) -> list[int]:
         """Return the legs whose drive has not said, since it was told to switch off, that it is."""

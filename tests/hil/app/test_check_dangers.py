@@ -157,3 +157,24 @@ def test_a_transmission_that_makes_no_motor_that_there_is_is_named(radius_m, wor
     found = list(_implausible(changed))
     assert bool(found) == (words is not None)
     assert words is None or any(words in each for each in found)
+
+
+@pytest.mark.parametrize(
+    ("options", "watched"),
+    [
+        ("{variant: damiao, model: DM4310}", True),
+        ("{variant: cubemars, model: AK80-9}", False),
+        ("{variant: mini_cheetah}", False),
+    ],
+)
+def test_no_time_and_no_travel_after_silence_is_stated_of_drives_without_a_watchdog(options, watched):
+    report = inspect(
+        loads(load("desktop").text.replace("{variant: damiao, model: DM4310}", options), "my.yaml")
+    )
+    told = " ".join(" ".join(line for lines in report.sections.values() for line in lines).split())
+    assert ("watchdog 10 ms, 4.0 periods; then brake" in told) == watched
+    assert ("mm until it rests on its brake" in told) == watched
+    assert ("they keep the last torque; cut their power now" in told) != watched
+    assert ("no bound to a leg's travel" in told) != watched
+    figures = report.figures["drives"], report.figures["reference"]["until_braked_m"]
+    assert ((None not in figures[0].values()), figures[1] is not None) == (watched, watched)

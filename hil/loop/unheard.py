@@ -3,7 +3,8 @@
 from drivers.protocol import DriveSetup
 from hil.loop.parts import Parts
 
-NO_WATCHDOG = "have no watchdog that is set from here: they keep the last torque; cut their power now"
+KEPT = "they keep the last torque; cut their power now"
+NO_WATCHDOG = f"have no watchdog that is set from here: {KEPT}"
 """Of families whose `has_watchdog` is False."""
 _NOT_TOLD = "the drives could not be told to switch off, since the bus takes no frames: "
 

@@ -24,10 +24,11 @@ from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.schema import named_schema, schema_is_there
 from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.encoder_limits import encoder_limits
+from hil.app.force_steps import force_steps_N, stepped_error_m
 from hil.app.reachability import Walk, span_s, violations, walk, window_swing
 from hil.config.reference import LiveReference
 from hil.loop.clock import real_time_rights
-from hil.loop.unheard import NO_WATCHDOG
+from hil.loop.unheard import KEPT
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
@@ -89,14 +90,16 @@ def _drives(report: Report, c: Configuration) -> None:
         f"nodes {', '.join(map(str, c.drives.node_ids))}; rated force {c.drives.force_limit_N:g} N",
         f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {_reaction(c)}"
         if watched
-        else f"watchdog none: they {NO_WATCHDOG} when the controller falls silent",
+        else f"watchdog none that is set from here: when the controller falls silent {KEPT}",
         f"brakes get {1e3 * c.engage.brake_release_s:g} ms to open, {1e3 * c.engage.closing_s:g} ms to close",
         _brake_test(c),
+        *_force_step(c),
         *brake_line(c),
     ]
     report.figures["drives"] = {
         "watchdog_periods": periods if watched else None,
         "reaction": c.reactions.silence if watched else None,
+        "force_step_N": float(force_steps_N(c).max()),
     }
 
 
@@ -104,6 +107,15 @@ def _reaction(c: Configuration) -> str:
     silence = c.reactions.silence
     ends = silence in {"damp", "hold"}
     return f"{silence}, after {c.drives.brake_after_ms:g} ms brake" if ends else silence
+
+
+def _force_step(c: Configuration) -> list[str]:
+    """Say what a step of the command is at the leg, and what it may leave; nothing where there is none."""
+    step_N, left_m = float(force_steps_N(c).max()), stepped_error_m(c)
+    if step_N == 0.0:
+        return []
+    left = "" if left_m is None else f", which leaves up to {1e3 * left_m:.3g} mm at rest"
+    return [f"one step of the force is {step_N:.2g} N at the leg{left}"]
 
 
 def _brake_test(c: Configuration) -> str:

@@ -12,6 +12,7 @@ from hil.app.check.silence import Silence
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits
+from hil.app.force_steps import force_steps_N, stepped_error_m
 from hil.app.reachability import Walk
 from hil.safety.increments import gap_bound
 from hil.safety.stillness import SUSPECT
@@ -73,6 +74,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence | None) -> Iterator[str]
     yield from _implausible(c)
     yield from _loose(c, w)
     yield from _blind(c)
+    yield from _coarse(c)
     yield from brake_dangers(c, w)
     rated, asked = c.drives.force_limit_N, c.limits.force_N
     if "force_limit_N" not in c.drives.model_fields_set and rated > UNSTATED * asked:
@@ -125,6 +127,17 @@ def _blind(c: Configuration) -> Iterator[str]:
         yield (
             f"{stated}: a leg that stands still is suspected from {1e3 * SUSPECT * noise_m:.3g} mm on, above "
             f"limits.following_error_m {following_m:g}, so that rule is without effect; {mend}"
+        )
+
+
+def _coarse(c: Configuration) -> Iterator[str]:
+    """Yield steps of the force that alone may take a leg beyond its following error."""
+    error_m, allowed_m = stepped_error_m(c), c.limits.following_error_m
+    if error_m is not None and error_m > allowed_m:
+        yield (
+            f"limits.following_error_m {allowed_m:g}: one code of torque is {force_steps_N(c).max():.2g} N "
+            f"at the leg, which alone may leave it {1e3 * error_m:.3g} mm from its reference; raise the "
+            "travel a turn (drives.transmission), take a weaker model, or raise controller.wn_rad_s"
         )
 
 

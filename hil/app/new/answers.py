@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import HilError
-from hil.app.new import derive, drives
+from hil.app.new import derive, drives, fineness
 from hil.app.new.robot import HOLD_SHARE, WORST_CONDITION, condition_at_home, joints_apart_m, robot_at_home
 
 Answers = dict[str, Any]
@@ -168,7 +168,7 @@ def _speed(a: Answers) -> str | None:
 
 
 def _rate(a: Answers) -> str | None:
-    return derive.rate_trouble(a, a["rate_Hz"])
+    return derive.rate_trouble(a, a["rate_Hz"]) or fineness.rate_trouble(a)
 
 
 def _layout(a: Answers) -> str | None:
@@ -234,7 +234,7 @@ QUESTIONS: tuple[Question, ...] = (
     ),
     Question(
         "travel_m", "leg length a turn that the drive reports: lead over gear, or 2 pi r of a pinion",
-        "m", 1e-5, 10.0, trouble=drives.travel_trouble, needed=drives.bought,
+        "m", 1e-5, 10.0, trouble=fineness.travel_trouble, needed=drives.bought,
     ),
     Question(
         "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s",

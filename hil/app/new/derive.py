@@ -164,10 +164,15 @@ def limits_section(
         "speed_m_s": min(a["drive_speed_m_s"], raised(2.5 * needed)),
         "deceleration_m_s2": lowered(0.5 * free / home.leg_mass_kg),
         "stroke_margin_m": rounded(0.02 * a["stroke_m"]),
-        "following_error_m": rounded(0.02 * a["stroke_m"]),
+        "following_error_m": following_error_m(a),
         "following_error_s": 0.02,
         "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a)[0])),
     }
+
+
+def following_error_m(a: dict[str, Any]) -> float:
+    """Return what a leg may be off its reference at rest, m: 2 % of the stroke."""
+    return rounded(0.02 * a["stroke_m"])
 
 
 def closing_s(a: dict[str, Any], home: AtHome, speed_m_s: float) -> float:

@@ -30,6 +30,8 @@ class Family(NamedTuple):
     """What its drives do that hear nothing."""
     velocity_bits: int = 0
     """Bits of a velocity that is sent over a range; 0: it is sent as it is."""
+    torque_bits: int = 0
+    """The same of a torque."""
 
 
 FAMILIES: dict[str, Family] = {
@@ -37,10 +39,10 @@ FAMILIES: dict[str, Family] = {
     "cia402": Family("cia402", "classic"),
     "moteus": Family("moteus", "fd", silence="damp"),
     "odrive": Family("odrive", "classic"),
-    "cubemars": Family("mit", "classic", velocity_bits=12),
-    "damiao": Family("mit", "classic", velocity_bits=12),
-    "mini_cheetah": Family("mit", "classic", velocity_bits=12),
-    "robstride": Family("mit", "classic", velocity_bits=16),
+    "cubemars": Family("mit", "classic", velocity_bits=12, torque_bits=12),
+    "damiao": Family("mit", "classic", velocity_bits=12, torque_bits=12),
+    "mini_cheetah": Family("mit", "classic", velocity_bits=12, torque_bits=12),
+    "robstride": Family("mit", "classic", velocity_bits=16, torque_bits=16),
 }
 """Answer -> its row; of MIT framing the variants."""
 
@@ -90,8 +92,11 @@ def model_trouble(a: Answers) -> str | None:
     )
 
 
-def travel_trouble(a: Answers) -> str | None:
-    """Return why the leg length a turn suits neither stroke nor the model's fields; None where it does."""
+def travel_trouble(a: Answers, finest_m: float = 0.0) -> str | None:
+    """Return why the leg length a turn suits neither stroke nor the model's fields; None where it does.
+
+    finest_m: below it the steps of the torque are too coarse, m.
+    """
     if a["travel_m"] > LONGEST_TURN * a["stroke_m"]:
         return (
             f"allowed: up to {LONGEST_TURN * a['stroke_m']:g} m a turn, {LONGEST_TURN:g} times the stroke of "
@@ -99,15 +104,29 @@ def travel_trouble(a: Answers) -> str | None:
         )
     if not models(a):
         return None
-    least, most = _travels_m(a)
+    carried, most = _travels_m(a)
+    least = max(carried, finest_m)
     if least <= a["travel_m"] <= most:
         return None
-    r = _ranges(a)
+    r, coarse = _ranges(a), ""
+    if finest_m > carried:
+        coarse = (
+            f"; one code of torque is {force_step_N(a, a['travel_m']):.2g} N at the leg, and has to leave it "
+            "within 2 % of the stroke"
+        )
+    if carried <= most < least:
+        return f"{_model(a)} is too strong for a robot this light at any lead{coarse}; take a weaker model"
     return model_trouble(a) or (
         f"allowed with {_model(a)}: {least:.4g} to {most:.4g} m a turn, given: {a['travel_m']:g}. Its "
         f"position of +-{r.position:g} rad has to carry {a['stroke_m']:g} m of stroke, its torque of "
-        f"{r.torque:g} N m {a['drive_force_N']:g} N"
+        f"{r.torque:g} N m {a['drive_force_N']:g} N{coarse}"
     )
+
+
+def force_step_N(a: Answers, travel_m: float) -> float:
+    """Return what one code of the model's torque is at the leg, N."""
+    r, own = _ranges(a), family(a)
+    return float(2.0 * r.torque / (2**own.torque_bits - 1) * TURN / travel_m)
 
 
 def _travels_m(a: Answers) -> tuple[float, float]:

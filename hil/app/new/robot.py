@@ -27,6 +27,8 @@ class AtHome(NamedTuple):
     """What the robot needs at mid-stroke, at rest."""
 
     platform: Platform
+    pose: tuple[Array, Array]
+    """Position (3,) m and rotation (3, 3) at home."""
     model: Model
     J: Array
     """(6, 6), dq = J twist."""
@@ -123,6 +125,7 @@ def robot_at_home(a: dict[str, Any]) -> AtHome:
     M = np.linalg.solve(J.T, np.linalg.solve(J.T, model.mass_matrix(*home)).T)
     return AtHome(
         platform,
+        home,
         model,
         J,
         model.inverse_dynamics(*home, still, still),

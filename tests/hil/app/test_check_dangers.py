@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.app.check.command import inspect, stopping_distances_m
-from hil.app.check.dangers import _implausible
+from hil.app.check.dangers import _coarse, _implausible
 from hil.app.configuration.configuration import load, loads
 
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
@@ -178,3 +178,25 @@ def test_no_time_and_no_travel_after_silence_is_stated_of_drives_without_a_watch
     assert ("no bound to a leg's travel" in told) != watched
     figures = report.figures["drives"], report.figures["reference"]["until_braked_m"]
     assert ((None not in figures[0].values()), figures[1] is not None) == (watched, watched)
+
+
+@pytest.mark.parametrize(("lead_m", "coarse"), [(0.06, True), (0.2, False)])
+def test_steps_of_the_force_that_lead_beyond_the_following_error_are_a_danger(lead_m, coarse):
+    """By hand: 2 x 18 N m on 4095 steps, over 0.06 m a turn, are 0.92 N."""
+    text = load("desktop").text
+    transmission = text[text.index("  transmission:\n") : text.index("  watchdog_ms")]
+    for old, new in (
+        ("{variant: damiao, model: DM4310}", "{variant: cubemars, model: AK80-9}"),
+        (transmission, f"  transmission: {{lead_m: {lead_m}, offset_m: 0.325}}\n"),
+    ):
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    c = loads(text, "my.yaml")
+    report = inspect(c)
+    step_N = 2 * 18 / 4095 * 2 * np.pi / lead_m
+    assert report.figures["drives"]["force_step_N"] == pytest.approx(step_N, rel=1e-3)
+    assert f"one step of the force is {step_N:.2g} N at the leg" in "\n".join(report.lines)
+    strict = c.limits.model_copy(update={"following_error_m": 0.0003})
+    warned = _coarse(c.model_copy(update={"limits": strict}))
+    found = [each for each in warned if f"one code of torque is {step_N:.2g} N at the leg" in each]
+    assert bool(found) == coarse

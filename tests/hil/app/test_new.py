@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
 from hil.app.configuration.schema import named_schema, schema_path
+from hil.app.force_steps import stepped_error_m
 from hil.app.new.derive import monitor_section
 from hil.app.new.drives import drives_section
 from hil.app.sim.command import simulate
@@ -222,6 +223,40 @@ def test_what_drives_cannot_do_is_said_of_the_answer(words, told, tmp_path):
     assert done.exit_code == 2
     assert told in done.output
     assert not list(tmp_path.iterdir())
+
+
+LIGHT = (
+    "--mounting hanging --base-radius 0.2 --platform-radius 0.12 --length-min 0.3 --stroke 0.12 --mass 5 "
+    "--leg-mass 0.5 --drive-force 200 --drive-speed 0.3 --drives cubemars"
+)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--model AK80-9 --travel 0.06", "allowed with AK80-9: 0.1257 to 0.5598 m a turn"),
+        ("--model AK80-9 --travel 0.06", "one code of torque is 0.92 N at the leg"),
+        ("--model AK80-9 --travel 0.13 --rate 250", "--rate: at 250 Hz one code of torque is 0.42 N"),
+    ],
+)
+def test_a_torque_field_too_coarse_for_a_light_robot_is_refused(words, told, tmp_path):
+    """By hand: 2 x 18 N m on 4095 steps, over 0.06 m a turn, are 0.92 N; over 0.13 m 0.42 N."""
+    done = new(tmp_path / "r.yaml", f"{LIGHT} {words}")
+    assert done.exit_code == 2
+    assert told in done.output
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+def test_the_least_travel_that_is_allowed_is_fine_enough_for_the_first_run(tmp_path):
+    path = tmp_path / "r.yaml"
+    assert new(path, f"{LIGHT} --model AK80-9 --travel 0.1258").exit_code == 0
+    c = load(path)
+    left_m = stepped_error_m(c)
+    assert left_m is not None
+    assert 0.98 * c.limits.following_error_m < left_m <= c.limits.following_error_m
+    summary = simulate(c, log=tmp_path / "run.mcap", duration_s=2.0)
+    assert summary["success"], summary
 
 
 def test_yes_names_every_answer_that_has_no_default(tmp_path):

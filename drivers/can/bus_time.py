@@ -188,8 +188,12 @@ def check(
     rate_Hz: float,
     max_load_percent: float = 70.0,
     where: str = "bus",
+    *,
+    either_layout: bool = False,
 ) -> BusBudget:
     """Return the budget, or refuse it with the arithmetic shown; `where` is the key of the bus.
+
+    either_layout: the drives know frames of CAN FD and classic ones.
 
     Raises ConfigurationError when the frames take more than `max_load_percent` of the period, BusError for
     a frame that cannot be on the bus.
@@ -197,13 +201,14 @@ def check(
     frames = list(frames)
     result = budget(frames, timing, rate_Hz, max_load_percent)
     if not result.fits:
-        classic = not any(frame.flags & FD for frame in frames)
-        layout = ", or use bus.layout: fd if the drives know it" if classic else ""
+        data_phase, instead = "", ", or use bus.layout: fd" if either_layout else ""
+        if any(frame.flags & FD for frame in frames):
+            instead, data_phase = "", f" (data phase {timing.data_bitrate / 1e6:g} Mbit/s)"
         raise ConfigurationError(
-            f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s "
-            f"(data phase {timing.data_bitrate / 1e6:g} Mbit/s), worst-case stuffing:\n{result.table()}\n"
+            f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s"
+            f"{data_phase}, worst-case stuffing:\n{result.table()}\n"
             f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
             "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
-            f"(bus.channels){layout}"
+            f"(bus.channels){instead}"
         )
     return result

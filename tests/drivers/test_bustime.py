@@ -160,11 +160,14 @@ def test_overload_is_refused_with_the_arithmetic():
     assert check([Frame(1, bytes(8))] * 12, CLASSIC_1M, 432, 70).fits
 
 
-@pytest.mark.parametrize(("flags", "offered"), [(0, True), (FD | BRS, False)])
-def test_the_layout_fd_is_offered_to_who_has_it_not(flags, offered):
+@pytest.mark.parametrize(
+    ("flags", "either", "offered"), [(0, True, True), (0, False, False), (FD | BRS, True, False)]
+)
+def test_the_layout_fd_is_offered_to_who_can_have_it_and_has_it_not(flags, either, offered):
     with pytest.raises(ConfigurationError, match=r"bus\.channels") as caught:
-        check([Frame(1, bytes(8), flags)] * 40, BitTiming(1_000_000, 5_000_000), 1000)
+        check([Frame(1, bytes(8), flags)] * 40, BitTiming(1_000_000, 5_000_000), 1000, either_layout=either)
     assert ("bus.layout: fd" in str(caught.value)) == offered
+    assert ("data phase 5 Mbit/s" in str(caught.value)) == bool(flags & FD)
 
 
 @st.composite

@@ -38,6 +38,7 @@ def bus_budgets(
             rate_Hz,
             each.max_load_percent,
             f"bus.channels[{index}]" if bus.channels else "bus",
+            either_layout=drives.protocol == "legs",
         )
         for index, each in enumerate(bus.buses)
     )

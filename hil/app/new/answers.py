@@ -69,7 +69,8 @@ class Question:
             return text
         value = _number(text, f" in {self.unit} without the unit")
         if not self.low <= value <= self.high:
-            raise ValueError(f"allowed: {self.low:g} to {self.high:g} {self.unit}, given: {value:g}")
+            upper = f"{self.low:g} to {self.high:g}" if isfinite(self.high) else f"at least {self.low:g}"
+            raise ValueError(f"allowed: {upper} {self.unit}, given: {value:g}")
         return value
 
 
@@ -229,12 +230,12 @@ QUESTIONS: tuple[Question, ...] = (
         default=lambda _: drives.LEGS_PROTOCOL, choices=tuple(drives.FAMILIES),
     ),
     Question(
-        "model", "their model, whose ranges the frames have", default=lambda a: drives.models(a)[0],
+        "model", "their model, whose ranges the frames have",
         trouble=drives.model_trouble, needed=drives.has_models,
     ),
     Question(
         "travel_m", "leg length a turn that the drive reports: lead over gear, or 2 pi r of a pinion",
-        "m", 1e-5, 10.0, trouble=fineness.travel_trouble, needed=drives.bought,
+        "m", 1e-5, trouble=fineness.travel_trouble, needed=drives.bought,
     ),
     Question(
         "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s",

@@ -73,14 +73,18 @@ def _ranges(a: Answers) -> Ranges:
 
 
 def _model(a: Answers) -> str:
-    return str(a["model"]) if has_models(a) else models(a)[0]
+    """Return the model as its family writes it: case does not count. As it was typed where there is none."""
+    if not has_models(a):
+        return models(a)[0]
+    typed = str(a["model"])
+    return next((name for name in models(a) if name.casefold() == typed.casefold()), typed)
 
 
 def model_trouble(a: Answers) -> str | None:
     """Return why a model is none, or too weak for the robot at any lead; None where it is neither."""
     if _model(a) not in models(a):
         return f"allowed with {a['drives']}: {', '.join(models(a))}, given: {_model(a)}"
-    least, most = _travels_m(a)
+    least, most = travels_m(a)
     if least <= most:
         return None
     r = _ranges(a)
@@ -97,14 +101,14 @@ def travel_trouble(a: Answers, finest_m: float = 0.0) -> str | None:
 
     finest_m: below it the steps of the torque are too coarse, m.
     """
-    if a["travel_m"] > LONGEST_TURN * a["stroke_m"]:
+    if not models(a):
+        if a["travel_m"] <= LONGEST_TURN * a["stroke_m"]:
+            return None
         return (
             f"allowed: up to {LONGEST_TURN * a['stroke_m']:g} m a turn, {LONGEST_TURN:g} times the stroke of "
             f"{a['stroke_m']:g} m, given: {a['travel_m']:g}; it is in m, so a lead of 10 mm is 0.01"
         )
-    if not models(a):
-        return None
-    carried, most = _travels_m(a)
+    carried, most = travels_m(a)
     least = max(carried, finest_m)
     if least <= a["travel_m"] <= most:
         return None
@@ -129,7 +133,7 @@ def force_step_N(a: Answers, travel_m: float) -> float:
     return float(2.0 * r.torque / (2**own.torque_bits - 1) * TURN / travel_m)
 
 
-def _travels_m(a: Answers) -> tuple[float, float]:
+def travels_m(a: Answers) -> tuple[float, float]:
     """Return the least and the largest leg length a turn, m, that the ranges carry."""
     r = _ranges(a)
     return a["stroke_m"] * TURN / (2.0 * ROOM * r.position), ROOM * TURN * r.torque / a["drive_force_N"]

@@ -14,7 +14,7 @@ from hil.app.configuration.configuration import load
 from hil.app.configuration.schema import named_schema, schema_path
 from hil.app.force_steps import stepped_error_m
 from hil.app.new.derive import monitor_section
-from hil.app.new.drives import drives_section
+from hil.app.new.drives import drives_section, model_trouble
 from hil.app.sim.command import simulate
 from hil.cli import main
 from tests.broad import broad
@@ -166,7 +166,7 @@ DRIVES = {
     "cubemars": "--drives cubemars --model AK80-9 --travel 0.06",
     "damiao": "--drives damiao --model DM8009 --travel 0.1",
     "mini_cheetah": "--drives mini_cheetah --travel 0.1",
-    "robstride": "--drives robstride --travel 0.1",
+    "robstride": "--drives robstride --model rs-02 --travel 0.1",
 }
 
 
@@ -214,6 +214,9 @@ def test_what_new_writes_of_drives_follows_from_force_stroke_and_travel():
         ("--drives damiao --model DM8009 --travel 0.01", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
         ("--drives damiao --model DM3507 --travel 0.06", "--model: DM3507 is too weak at any lead"),
         ("--drives moteus --travel 10", "--travel: allowed: up to 2 m a turn"),
+        ("--drives damiao --model dm8009 --travel 10", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
+        ("--drives moteus --travel -0.01", "--travel: allowed: at least 1e-05 m, given"),
+        ("--drives cubemars --travel 0.06", "no default for --model"),
         ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames alone"),
         ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),
     ],
@@ -223,6 +226,26 @@ def test_what_drives_cannot_do_is_said_of_the_answer(words, told, tmp_path):
     assert done.exit_code == 2
     assert told in done.output
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [("cia402 --travel 0.01 --rate 500", False), ("legs --layout classic --rate 700", True)],
+)
+def test_a_rate_that_does_not_fit_offers_no_layout_that_the_drives_lack(words, offered, tmp_path):
+    done = new(tmp_path / "r.yaml", f"{ROBOTS['table']} --drives {words}")
+    assert done.exit_code == 2
+    assert "the frames of one tick do not fit at 1 Mbit/s, worst-case" in done.output, "no data phase"
+    assert ("or use bus.layout: fd" in done.output) == offered
+
+
+def test_a_models_name_is_taken_in_any_case_and_written_as_its_family_does():
+    asked = {
+        "drive_force_N": 800.0, "length_min_m": 0.5, "stroke_m": 0.2, "travel_m": 0.06, "drives": "cubemars",
+        "model": "ak80-9",
+    }  # fmt: skip
+    assert model_trouble(asked) is None
+    assert drives_section(asked, 400.0)["options"]["model"] == "AK80-9"
 
 
 LIGHT = (

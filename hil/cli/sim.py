@@ -35,7 +35,9 @@ from hil.cli.shared import (
     help="What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`.",
 )
 @click.option(
-    "--plant-log", is_flag=True, help="Record the plant's truth, too, beside the log: NAME-plant.mcap."
+    "--plant-log",
+    is_flag=True,
+    help="Record the plant's truth, too, as NAME-plant.mcap beside NAME.mcap of --log; takes no name.",
 )
 @reporting
 def command(

@@ -3,7 +3,8 @@
 Numba's own cache notices edits of the file that holds a function, but not of the files whose functions and
 constants it uses; so each source file has a folder of its own, keyed by the hash of that file and of all that
 it imports from this project. Where the file lies does not count: a second clone or an installed wheel with
-the same sources finds what is compiled.
+the same sources finds what is compiled. What a process has imported before its source was saved anew is
+compiled for that process alone.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 import re
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
@@ -24,8 +26,14 @@ from drivers.own_folder import made_folder, own_folder
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("drivers", "hil", "plant_fmu")
 _IMPORT = re.compile(
-    r"^from ([\w.]+) import \(?([^)\n]*(?:\n[^)\n]*)*?)(?:\)|\n)|^import ([\w.]+)", re.MULTILINE
+    r"""(?:^|[;:])[ \t]*(?:
+        from\b((?:[\w. \t]|\\\n)+?)\bimport\b(?:[ \t]|\\\n)*(\((?:[^()#]|\#[^\n]*)*\)|(?:[^\\\n#;]|\\\n)*)
+        |import\b((?:[^\\\n#;]|\\\n)*))""",
+    re.MULTILINE | re.VERBOSE,
 )
+"""Modules, names and plain imports; a parser of all Python would cost each start 0.2 s."""
+_COMMENT = re.compile(r"#[^\n]*")
+_NAME = re.compile(r"(?:^|[,(])[\s\\]*([\w.]+)")
 _announcement: list[Callable[[], None]] = []
 
 
@@ -85,11 +93,23 @@ def _file_of(module: str) -> Path | None:
 @functools.cache
 def _imports(source: Path) -> frozenset[Path]:
     """Return the project's files that this one imports."""
-    found = set()
-    for module, names, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
-        modules = [module or plain, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
-        found |= {path for path in map(_file_of, modules) if path is not None}
-    return frozenset(found)
+    modules = set()
+    for given, names, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
+        if given:
+            module = _absolute(given.strip(" \t\n\\"), source)
+            modules |= {module, *(f"{module}.{name}" for name in _NAME.findall(_COMMENT.sub("", names)))}
+        for name in _NAME.findall(plain):
+            packages = name.split(".")
+            modules |= {".".join(packages[: n + 1]) for n in range(len(packages))}
+    return frozenset(path for path in map(_file_of, modules) if path is not None)
+
+
+def _absolute(module: str, source: Path) -> str:
+    """Return the full name of a module that a file names, with dots in front where it is relative."""
+    name = module.lstrip(".")
+    dots = len(module) - len(name)
+    package = source.parts[len(_ROOT.parts) : -dots] if dots else ()
+    return ".".join([*package, name] if name else package)
 
 
 def sources_of(source: Path) -> list[Path]:
@@ -119,9 +139,46 @@ def folder_of(source: Path) -> Path:
     return CACHE_FOLDER / f"{source.stem}-{digest.hexdigest()[:16]}"
 
 
-def before_compiling(announce: Callable[[], None]) -> None:
-    """Have `announce` called once, before the first kernel that is compiled instead of loaded."""
-    _announcement[:] = [announce]
+def _began_ns() -> int:
+    """Return when this process began, ns since the epoch; where the system does not tell: now."""
+    now_ns = time.time_ns()
+    try:
+        began = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+        since_boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        # In whole ticks of the clock, rounded down; no interpreter reads a source within its first one.
+        return now_ns - since_boot_ns + (began + 1) * 10**9 // os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError, ValueError, IndexError):
+        return now_ns
+
+
+_BEGAN_NS = _began_ns()
+
+
+@functools.cache
+def is_as_imported(source: Path) -> bool:
+    """Tell whether a file and all it imports are what this process has read: none was written since it began.
+
+    Else machine code of the old source could be kept under the hash of the new one, for good. A stamp of the
+    future says nothing: the clock was set back.
+    """
+    folder_of(source)  # first: what is written after both has neither been hashed nor imported
+    now_ns = time.time_ns()
+    for path in sources_of(source):
+        stat = path.stat()
+        if any(_BEGAN_NS <= stamp <= now_ns for stamp in (stat.st_mtime_ns, stat.st_ctime_ns)):
+            return False
+    return True
+
+
+def before_compiling(say: Callable[[], None]) -> None:
+    """Have `say` called once, before the first kernel that is compiled instead of loaded."""
+    _announcement[:] = [say]
+
+
+def announce() -> None:
+    """Say that a kernel is compiled, once."""
+    if _announcement:
+        _announcement.pop()()
 
 
 class Locator:
@@ -131,7 +188,7 @@ class Locator:
         self._folder = folder_of(Path(file).resolve())
         self._line = function.__code__.co_firstlineno
         if _announcement and next(self._folder.glob("*.nbi"), None) is None:
-            _announcement.pop()()
+            announce()
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], file: str) -> Self:

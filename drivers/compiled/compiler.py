@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -14,7 +15,7 @@ from numba.extending import intrinsic
 from numba.np import linalg
 
 from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
-from drivers.compiled.cache import Locator
+from drivers.compiled.cache import Locator, announce, is_as_imported
 from drivers.compiled.lean_library import lean_libraries
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -63,23 +64,27 @@ def record(dtype: np.dtype[np.void], *names: str) -> Any:
 
 
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": False}
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 
 
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """Compile for exactly these argument types when the module is imported; others are refused.
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
-    the interpreter run meanwhile.
+    the interpreter run meanwhile. Where a source was saved since this process began, what is compiled is
+    neither taken from the cache nor kept.
     """
 
     def decorate(function: F) -> F:
+        kept = is_as_imported(Path(function.__code__.co_filename).resolve())
+        if not kept:
+            announce()
         settings = vars(numba.config)
         elsewhere = settings["CACHE_LOCATOR_CLASSES"]
         settings["CACHE_LOCATOR_CLASSES"] = f"{Locator.__module__}.{Locator.__name__}"
         try:
             with lean_libraries():
-                compiled: Any = numba.njit(arguments, nogil=unlocked, **_OPTIONS)(function)
+                compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **_OPTIONS)(function)
         finally:
             settings["CACHE_LOCATOR_CLASSES"] = elsewhere
         return cast("F", compiled)

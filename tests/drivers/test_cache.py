@@ -1,14 +1,18 @@
 """Where compiled kernels are kept, and when a first compilation is announced."""
 
+import ast
+import importlib
 import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from drivers.compiled.cache import cache_folder
+from drivers.compiled import cache
+from drivers.compiled.cache import before_compiling, cache_folder
 from tools.compile_kernels import PACKAGES, modules
 
 ROOT = Path(__file__).parents[2]
@@ -76,3 +80,148 @@ def test_what_compiles_all_kernels_imports_every_file_that_has_some():
     }
     assert "hil.robot.dynamics_kernels" in names
     assert names <= set(modules())
+
+
+PACKAGE = "project_of_this_test"
+SUM = """
+from drivers.compiled.compiler import REAL, kernel
+from project_of_this_test import (  # with a comment (and brackets
+    addends,
+)
+
+addend = addends.addend
+
+@kernel(REAL)
+def plus(x):
+    return x + addend
+"""
+
+
+@pytest.fixture
+def project(monkeypatch, tmp_path):
+    """A package of its own, whose kernel adds what another module says, and a cache of its own."""
+    folder = tmp_path / PACKAGE
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "addends.py").write_text("addend = 1.0")
+    (folder / "sums.py").write_text(SUM)
+
+    def file_of(module):
+        path = tmp_path.joinpath(*module.split(".")).with_suffix(".py")
+        return path if path.is_file() else None
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
+    monkeypatch.setattr(cache, "CACHE_FOLDER", tmp_path / "cache")
+    monkeypatch.setattr(cache, "_file_of", file_of)
+    monkeypatch.setattr(cache, "_announcement", [])
+    return folder
+
+
+def begin_anew(monkeypatch):
+    """Forget what a later process would not know."""
+    for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
+        del sys.modules[name]
+    for remembered in (cache._imports, cache._content, cache.folder_of, cache.is_as_imported):
+        remembered.cache_clear()
+    importlib.invalidate_caches()
+    time.sleep(0.02)  # stamps of files are up to a tick of the kernel late
+    monkeypatch.setattr(cache, "_BEGAN_NS", time.time_ns())
+
+
+def plus_of(module):
+    """Return 0 plus what the kernel adds, and how many kernels came out of the cache."""
+    kernel = importlib.import_module(f"{PACKAGE}.{module}").plus
+    return kernel(0.0), sum(kernel.stats.cache_hits.values())
+
+
+def test_what_was_imported_before_its_source_was_saved_is_compiled_and_not_kept(project, monkeypatch):
+    begin_anew(monkeypatch)
+    importlib.import_module(f"{PACKAGE}.addends")
+    time.sleep(0.02)
+    (project / "addends.py").write_text("addend = 2.0")
+    announced = []
+    before_compiling(lambda: announced.append(1))
+    assert plus_of("sums") == (1.0, 0)
+    assert announced
+    begin_anew(monkeypatch)
+    assert plus_of("sums") == (2.0, 0)
+    begin_anew(monkeypatch)
+    assert plus_of("sums") == (2.0, 1)
+
+
+def test_what_was_edited_between_two_processes_is_compiled_anew(project, monkeypatch):
+    begin_anew(monkeypatch)
+    assert plus_of("sums") == (1.0, 0)
+    (project / "addends.py").write_text("addend = 2.0")
+    begin_anew(monkeypatch)
+    assert plus_of("sums") == (2.0, 0)
+
+
+def test_a_source_of_the_future_is_kept(project, monkeypatch):
+    """The clock was set back: what is compiled would else be so at each start."""
+    year_ns = time.time_ns() + 365 * 86400 * 10**9
+    os.utime(project / "addends.py", ns=(year_ns, year_ns))
+    begin_anew(monkeypatch)
+    assert cache.is_as_imported(project / "sums.py")
+    monkeypatch.setattr(cache, "_BEGAN_NS", 0)
+    cache.is_as_imported.cache_clear()
+    assert not cache.is_as_imported(project / "sums.py")
+
+
+def test_a_process_began_before_its_first_statement_and_after_it_was_asked_for():
+    program = (
+        "import time; first = time.time_ns(); time.sleep(0.1); "
+        "from drivers.compiled.cache import _BEGAN_NS; print(_BEGAN_NS, first)"
+    )
+    asked = time.time_ns()
+    said = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, check=True).stdout
+    began, first = map(int, said.split())
+    assert asked - 1_000_000 <= began <= first
+
+
+def imports_of(source):
+    """Return the files of this project that a source imports, as Python's own parser reads it."""
+    modules = set()
+    for node in ast.walk(ast.parse(source.read_text())):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            modules |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    places = [ROOT / module.replace(".", "/") for module in modules if module.split(".")[0] in PACKAGES]
+    files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
+    return {file.resolve() for file in files if file.is_file()}
+
+
+def test_every_import_of_a_source_counts_as_pythons_parser_reads_it():
+    sources = cache.sources_of(ROOT / "hil/loop/cycle.py")
+    assert len(sources) > 50
+    for source in sources:
+        assert imports_of(source) <= set(sources), source
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "from drivers import signals",
+        "from drivers import errors, signals as other",
+        "from drivers import (errors,\n  # (a comment, signal\n  signals,\n)",
+        "from drivers import errors, \\\n    signals",
+        "from \\\n    drivers.signals import (LEGS)",
+        "from drivers.signals import *",
+        "import drivers.errors, drivers.signals as other",
+        "import numpy; import drivers.signals",
+        "if True:\n    from drivers.signals import LEGS",
+        "if True: import drivers.signals",
+    ],
+)
+def test_an_import_is_read_however_it_is_written(statement, tmp_path):
+    ast.parse(statement)
+    (tmp_path / "source.py").write_text(f"{statement}\nx = (1)\n")
+    assert ROOT.resolve() / "drivers/signals.py" in cache.sources_of(tmp_path / "source.py")
+
+
+def test_a_relative_import_is_read():
+    absolute = cache._absolute("..signals", ROOT.resolve() / "drivers/compiled/cache.py")
+    assert absolute == "drivers.signals"
+    assert cache._absolute(".", ROOT.resolve() / "drivers/compiled/cache.py") == "drivers.compiled"

@@ -26,10 +26,10 @@ from drivers.own_folder import made_folder, own_folder
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("drivers", "hil", "plant_fmu")
 _IMPORT = re.compile(
-    r"""(?:^|[;:])[ \t]*(?:
+    r"""(?:
         from\b((?:[\w. \t]|\\\n)+?)\bimport\b(?:[ \t]|\\\n)*(\((?:[^()#]|\#[^\n]*)*\)|(?:[^\\\n#;]|\\\n)*)
         |import\b((?:[^\\\n#;]|\\\n)*))""",
-    re.MULTILINE | re.VERBOSE,
+    re.VERBOSE,
 )
 """Modules, names and plain imports; a parser of all Python would cost each start 0.2 s."""
 _COMMENT = re.compile(r"#[^\n]*")
@@ -112,7 +112,8 @@ def _absolute(module: str, source: Path) -> str:
     return ".".join([*package, name] if name else package)
 
 
-def sources_of(source: Path) -> list[Path]:
+@functools.cache
+def sources_of(source: Path) -> tuple[Path, ...]:
     """Return the project's files that decide what ``source`` compiles to: it and all it imports."""
     seen: set[Path] = set()
     todo = [source.resolve()]
@@ -121,7 +122,7 @@ def sources_of(source: Path) -> list[Path]:
         if path not in seen:
             seen.add(path)
             todo += _imports(path)
-    return sorted(seen)
+    return tuple(sorted(seen))
 
 
 @functools.cache

@@ -122,7 +122,9 @@ def begin_anew(monkeypatch):
     """Forget what a later process would not know."""
     for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
         del sys.modules[name]
-    for remembered in (cache._imports, cache._content, cache.folder_of, cache.is_as_imported):
+    for remembered in (
+        cache._imports, cache.sources_of, cache._content, cache.folder_of, cache.is_as_imported,
+    ):  # fmt: skip
         remembered.cache_clear()
     importlib.invalidate_caches()
     time.sleep(0.02)  # stamps of files are up to a tick of the kernel late

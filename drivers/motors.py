@@ -122,6 +122,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     """Whether a drive says that it is enabled; else it is taken to be what it is asked for."""
     shares_identifiers = True
     answers_name_sync = False
+    latches_together = False
     has_watchdog = True
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     feedback_ids = frozenset(range(LEGS))

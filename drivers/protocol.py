@@ -220,6 +220,10 @@ class DriveProtocol(Protocol):
     def answers_name_sync(self) -> bool:
         """Whether a feedback says which SYNC or poll it answers; else the tick in which it comes tells."""
 
+    @property
+    def latches_together(self) -> bool:
+        """Whether one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
+
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return how far readings and commands are off by the steps of the frames, at a rate of the loop."""
 

@@ -106,6 +106,11 @@ class SeveralBuses:
         """As the family's."""
         return self.family.answers_name_sync
 
+    @property
+    def latches_together(self) -> bool:
+        """As the family's."""
+        return self.family.latches_together
+
     def resolution(self, rate_Hz: float) -> Resolution:
         """As the family's."""
         return self.family.resolution(rate_Hz)

@@ -41,6 +41,7 @@ class Traits:
     reactions = tuple(Reaction)
     shares_identifiers = False
     answers_name_sync = True
+    latches_together = True
     _exact: bool
     """Whether the fields are doubles."""
     _feedback_range: Array

@@ -71,6 +71,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         period_s=period_s,
         unnamed=int(not protocol.answers_name_sync),
         differences=differences,
+        apart=int(not protocol.latches_together),
     )
 
 

@@ -95,21 +95,31 @@ def acting(tick: Any, limits: Any, memory: Any) -> int:
 
 
 @helper
-def unsure(tick: Any, limits: Any, memory: Any) -> bool:
-    """Tell whether an answer may be that to the SYNC or poll of the tick before.
+def unsure(tick: Any, limits: Any, memory: Any, leg: int) -> bool:
+    """Tell whether the answer of a leg may be that to the SYNC or poll of the tick before.
 
-    Where no feedback names it, so it is from a tick on in which a leg was missed, until what was under way
-    then has been heard: each drive was late by itself.
+    Where no feedback names it, so it is from a tick on in which the leg was missed, or any where one SYNC
+    serves all, until what was under way then has been heard: each drive was late by itself.
     """
-    return bool(limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick <= LONGEST_GAP)
+    return bool(limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick[leg] <= LONGEST_GAP)
 
 
 @helper
-def note_missed(tick: Any, memory: Any) -> None:
-    """Remember the last tick in which a leg was not heard."""
+def note_missed(tick: Any, limits: Any, memory: Any) -> None:
+    """Remember for each leg the last tick in which it was not heard, or any where all latch together."""
     for i in range(6):
-        if tick.age[i] != 0:
-            memory.missed_tick = tick.tick + 1
+        if tick.age[i] == 0:
+            continue
+        if limits.apart != 0:
+            memory.missed_tick[i] = tick.tick + 1
+        else:
+            memory.missed_tick[:] = tick.tick + 1
+
+
+@helper
+def stray_of(tick: Any, limits: Any, memory: Any, leg: int) -> float:
+    """Return by how many s the latch of a leg may be off by itself, whatever others say."""
+    return STRAYS * limits.period_s if unsure(tick, limits, memory, leg) else 0.0
 
 
 @helper
@@ -118,7 +128,6 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
 
     Returns how much later than the clock says the latch was, over the legs heard the last time any was.
     """
-    stray_s = STRAYS * limits.period_s if unsure(tick, limits, memory) else 0.0
     for i in range(6):
         x[_GAP, i] = x[_SAY, i] = np.nan
         lost = memory.heard[i] == 0 or tick.tick + 1 - memory.heard[i] > LONGEST_GAP
@@ -131,7 +140,8 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
         x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
         x[_GAP, i] = gap_of(tick.length[i], tick.rate[i], memory.length_was[i], memory.rate_was[i], T)
         x[_RATE, i] = 0.5 * (tick.rate[i] + memory.rate_was[i])
-        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T + stray_s)
+        strayed_T = T + stray_of(tick, limits, memory, i)
+        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], strayed_T)
         if limits.differences != 0:
             x[_LAG, i] = lag_of(T, memory.spacing_s[i])
             x[_BOUND, i] += 0.5 * T * (x[_LAG, i] + memory.lag_s[i]) * x[_RANGE, i]
@@ -143,25 +153,25 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
             late = memory.delay_s + delay - memory.latched_delay_s[i]
             x[_DT, i] += late
             x[_GAP, i] -= late * x[_RATE, i]
-    allow_delay(limits, shared, stray_s, x)
+    allow_delay(tick, limits, memory, shared, x)
     return delay
 
 
 @helper
-def allow_delay(limits: Any, shared: bool, stray_s: float, x: Array) -> None:
+def allow_delay(tick: Any, limits: Any, memory: Any, shared: bool, x: Array) -> None:
     """Fill what a delay that is not shared may make of each gap, and add it to the bounds.
 
     Where no leg contradicts it, it may be a whole period: a leg that is heard in its tick was latched in it.
-    stray_s: by so much each leg may be off by itself, whatever others say.
     """
     for i in range(6):
+        stray_s = stray_of(tick, limits, memory, i)
         period = limits.period_s * abs(x[_RATE, i])
         x[_LATE, i] = max(UNSHARED * limits.period_s, stray_s) * abs(x[_RATE, i])
         beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
         if beyond and explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
             x[_LATE, i] = period
     for i in range(6):
-        if not shared or stray_s > 0.0 or isnan(x[_SAY, i]):
+        if not shared or unsure(tick, limits, memory, i) or isnan(x[_SAY, i]):
             x[_BOUND, i] += x[_LATE, i]
 
 
@@ -169,10 +179,9 @@ def allow_delay(limits: Any, shared: bool, stray_s: float, x: Array) -> None:
 def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     """Fill how far each rate leaps, and as a share of what forces explain; nan and 0: not known."""
     x[_LEAPED] = np.nan
-    if unsure(tick, limits, memory):
-        return
     for i in range(6):
-        if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0:
+        known = not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0
+        if known and not unsure(tick, limits, memory, i):
             leap = leap_of(tick.rate[i], memory.rate_was[i], memory.acceleration[i], x[_DT, i])
             bound = leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
             if limits.differences != 0:
@@ -261,7 +270,7 @@ def remember_readings(tick: Any, limits: Any, memory: Any, latched_ns: int, dela
             continue
         if not isnan(x[_GAP, i]):
             memory.acceleration[i] = (tick.rate[i] - memory.rate_was[i]) / x[_DT, i]
-            memory.spacing_s[i] = 0.0 if unsure(tick, limits, memory) else x[_DT, i]
+            memory.spacing_s[i] = 0.0 if unsure(tick, limits, memory, i) else x[_DT, i]
         else:
             memory.gaps[i] = memory.travel[i] = memory.excused[i] = 0.0
             memory.acceleration[i] = memory.spacing_s[i] = 0.0
@@ -299,7 +308,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
         memory.stood[:] = 0
         memory.push[:] = 0
     remember_readings(tick, limits, memory, latched_ns, delay, x)
-    note_missed(tick, memory)
+    note_missed(tick, limits, memory)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
     return _ENCODER if memory.doubted != 0 else 0

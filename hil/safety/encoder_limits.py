@@ -38,6 +38,8 @@ class EncoderLimits(NamedTuple):
     """1: no feedback says which SYNC or poll it answers, see `hil.safety.encoder_kernels.unsure`."""
     differences: int = 0
     """1: rates are made of the last three lengths, see `hil.safety.differences`."""
+    apart: int = 0
+    """1: each drive latches by itself: that a leg was missed says nothing of the others."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 0, 0.0)
@@ -58,6 +60,7 @@ ENCODER_LIMITS = [
     ("period_s", "<f8"),
     ("unnamed", "<i8"),
     ("differences", "<i8"),
+    ("apart", "<i8"),
 ]
 """Fields of a record of `EncoderLimits`."""
 ENCODER_MEMORY = [
@@ -68,7 +71,7 @@ ENCODER_MEMORY = [
     ("open_for", "<i8"),  # ticks in a row with all drives in RUN
     ("delay_s", "<f8"),  # how much later than the clock says the encoders were latched, summed up
     ("heard_tick", "<i8"),  # the last one in which a leg was heard
-    ("missed_tick", "<i8"),  # tick + 1 in which a leg was last missed; 0: not yet
+    ("missed_tick", "<i8", (LEGS,)),  # tick + 1 in which each leg, or any, was last missed; 0: not yet
     ("heard", "<i8", (LEGS,)),  # tick + 1 in which each leg was last heard; 0: not yet
     ("latched_ns", "<i8", (LEGS,)),
     ("latched_delay_s", "<f8", (LEGS,)),

@@ -112,6 +112,7 @@ class StubProtocol:
     reactions = tuple(Reaction)
     shares_identifiers = False
     answers_name_sync = False
+    latches_together = False
 
     def __init__(self, node_ids: list[int]) -> None:
         for leg, node in enumerate(node_ids):

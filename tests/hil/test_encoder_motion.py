@@ -330,3 +330,23 @@ def test_encoders_no_rate_is_judged_by_a_spacing_that_nobody_knows(unnamed):
     bench.tick(unseen=[0])
     found = bench.tick(rate=RATES + six(3.0, 2))
     assert found["doubt"] == (Doubt.NONE if unnamed else Doubt.LEAP)
+
+
+@pytest.mark.parametrize(("leg", "apart", "doubts"), [(0, 1, True), (0, 0, False), (5, 1, False)])
+def test_encoders_a_drive_that_latches_apart_and_is_missed_widens_its_own_bounds_alone(leg, apart, doubts):
+    bench = Bench(unnamed=1, apart=apart)
+    bench.ticks(60, rate=RATES)
+    for _ in range(3):
+        bench.ticks(1, unseen=[5])
+        bench.ticks(1)
+    found = bench.tick(jump=six(0.95 * RATES[leg] * T, leg))
+    assert (found["doubt"], found["legs_doubted"]) == ((Doubt.JUMP, 1 << leg) if doubts else (Doubt.NONE, 0))
+
+
+@pytest.mark.parametrize(("leg", "doubts"), [(2, True), (0, False)])
+def test_encoders_rates_of_drives_that_latch_apart_are_judged_beside_one_that_was_missed(leg, doubts):
+    bench = Bench(unnamed=1, apart=1, open_ticks=0, length_noise_m=1.0)
+    bench.ticks(60, rate=RATES)
+    bench.ticks(1, unseen=[0])
+    found = bench.tick(rate=RATES + six(3.0, leg))
+    assert found["doubt"] == (Doubt.LEAP if doubts else Doubt.NONE)

@@ -14,6 +14,7 @@ import pytest
 from drivers.errors import ConfigurationError
 from drivers.signals import DriveState, Mode
 from hil.app.compose import build_cycle
+from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.sim.command import simulate
 from hil.loop.report import waiting_text
@@ -137,3 +138,14 @@ def test_drives_without_a_watchdog_are_not_said_to_have_stopped_on_a_dead_bus(fa
     promised = "the watchdog of each acts" in ran.ending.trouble
     assert (stopped, promised) == ((family == "damiao"),) * 2
     assert ("they keep the last torque; cut their power now" in ran.ending.trouble) != promised
+
+
+def test_a_jump_is_found_beside_a_drive_that_is_heard_four_times_in_five(tmp_path):
+    """0.2 mm in motion, 0.09 mm are allowed; a way of one period, 0.3 mm, is allowed to the lossy leg alone."""
+    faults = [
+        {"kind": "frames_loss", "identifier": 22, "probability": 0.2, "at_s": 3.5},
+        {"kind": "encoder_jump", "leg": 0, "at_s": 4.13, "by_m": 2e-4},
+    ]
+    c = loads(with_changes(TEXT, {"plant": {"faults": faults}}), "desktop")
+    trouble = simulate(c, log=tmp_path / "run.mcap", duration_s=4.2, check_replay=False)["trouble"]
+    assert "the length of leg 0 changed by" in trouble

@@ -1,7 +1,9 @@
 """Sign of each force and friction of each leg: a slow ramp both ways with one brake open.
 
 The ramp ends as soon as a leg has moved by MOVED_M, at FORCE_SHARE of the rated force at the latest, and a
-leg that has gone TRAVEL_M is a runaway.
+leg that has gone TRAVEL_M is a runaway. A coarse field of torque may have no code of zero, and half a code
+may move a leg of little friction: the ramp begins where a force has its sign, START_STEPS steps of the field,
+and what a leg moves by itself before it is taken off.
 """
 
 from typing import Any
@@ -12,7 +14,12 @@ from hil.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding
 from hil.bringup.step import Step
 
 RAMP_S = 0.8
-SETTLE_S = 0.06
+SETTLE_S = 0.02
+"""For how long a leg may coast, still watched, before its brake shuts."""
+WATCH_S = 0.02
+"""For how long a leg is watched without command before each ramp."""
+START_STEPS = 1.5
+"""Steps of the commanded force: rounded or truncated, it is not zero and has its sign."""
 MOVES = 0.75
 """A leg that gives way to a hand at this share of the most force of a step must move by its drive."""
 
@@ -26,27 +33,47 @@ def find(c: Context) -> None:
         own = c.known("opens", drive)["legs"] == [counts.get(drive)]
         if c.known("force", drive) is not None or not own or len(counts) < LEGS:
             continue
-        with c.opened(drive):
-            origin = c.lengths()
-            fact = {"plus": _ramp(c, drive, 1.0, origin), "minus": _ramp(c, drive, -1.0, origin)}
-        c.keep("force", drive, fact)
+        c.keep("force", drive, {"plus": _ramp(c, drive, 1.0), "minus": _ramp(c, drive, -1.0)})
 
 
-def _ramp(c: Context, drive: int, sign: float, origin: Array) -> dict[str, Any]:
-    """Let the force of a drive grow until a leg moves; return the force, the leg, and the way it went."""
-    before, ticks = c.lengths(), c.drives.ticks(RAMP_S)
+def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
+    """Let the force of a drive grow until a leg moves; return the force, the leg, and the way it went.
+
+    The brake opens for one ramp alone: a leg that a code of zero moves is at rest again before the next.
+    """
     found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
-    for n in range(1, ticks + 1):
-        force = sign * c.machine.force_N * n / ticks
-        c.drive(drive, force)
-        leg, by_m = guard(c, drive, before, origin)
-        if abs(by_m) > MOVED_M:
-            found = {"force_N": abs(force), "leg": leg, "way": 1 if by_m > 0.0 else -1}
-            break
-    for _ in range(c.drives.ticks(SETTLE_S)):
+    high = c.machine.force_N
+    low = min(START_STEPS * step_of(c, drive), high)
+    with c.opened(drive):
+        origin = c.lengths()
+        drift, before, ticks = _drift(c, drive, origin), c.lengths(), c.drives.ticks(RAMP_S)
+        for n in range(1, ticks + 1):
+            force = sign * (low + (high - low) * n / ticks)
+            c.drive(drive, force)
+            guard(c, drive, before, origin)
+            moves = {leg: by_m - n * drift[leg] for leg, by_m in c.travelled(before).items()}
+            leg = max(moves, key=lambda k: abs(moves[k]))
+            if abs(moves[leg]) > MOVED_M:
+                found = {"force_N": abs(force), "leg": leg, "way": 1 if moves[leg] > 0.0 else -1}
+                break
+        for _ in range(c.drives.ticks(SETTLE_S)):
+            c.drive(drive)
+            guard(c, drive, before, origin)
+    return found
+
+
+def _drift(c: Context, drive: int, origin: Array) -> dict[int, float]:
+    """Return how far each leg moves in a tick without a command, m."""
+    before, ticks = c.lengths(), c.drives.ticks(WATCH_S)
+    for _ in range(ticks):
         c.drive(drive)
         guard(c, drive, before, origin)
-    return found
+    return {leg: by_m / ticks for leg, by_m in c.travelled(before).items()}
+
+
+def step_of(c: Context, drive: int) -> float:
+    """Return the step of the force that a drive is commanded, N at the leg."""
+    return float(c.drives.protocol.resolution(c.drives.line.rate_Hz).force[drive])
 
 
 def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, float]:
@@ -82,10 +109,12 @@ def judge(c: Context) -> list[Finding]:
         if fact is None:
             continue
         plus, minus = fact["plus"]["way"], fact["minus"]["way"]
-        if plus < 0 or minus > 0:
+        if plus < 0 < minus:
             text = "a force that should extend it shortens it"
             mend = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
             found.append(Finding("force_sign", (drive,), text, mend))
+        elif plus < 0 or minus > 0:
+            found.append(_one_way(c, drive, "shorter" if plus < 0 else "longer"))
         elif breakaway(fact) is None:
             still.append(drive)
     stiff = [d for d in still if c.known("opens", d)["hand_N"] > MOVES * c.machine.force_N]
@@ -106,11 +135,20 @@ def judge(c: Context) -> list[Finding]:
     return found
 
 
+def _one_way(c: Context, drive: int, way: str) -> Finding:
+    step = step_of(c, drive)
+    code = f", or one code of torque ({step:.3g} N) is more than its friction" if step > 0.0 else ""
+    text = f"it moves {way}, one way under either sign of force: slope, play{code}"
+    return Finding(
+        "one_way", (drive,), text, "Lay the leg level on its trestle, look for play, and try again."
+    )
+
+
 STEP = Step(
     "force",
     "forces and friction, one leg at a time",
     f"opens one brake, the five others shut, and lets that drive's force grow to {100 * FORCE_SHARE:g} % of "
-    f"the rated one until the leg has moved {1e3 * MOVED_M:g} mm, both ways; {1e3 * TRAVEL_M:g} mm end it",
+    f"the rated one until the leg has moved {1e3 * MOVED_M:g} mm, each way; {1e3 * TRAVEL_M:g} mm end it",
     "Ctrl-C, or the emergency stop; keep hands off",
     find,
     judge,

@@ -1,0 +1,55 @@
+"""Legs of little friction behind a coarse field of torque, whose code of zero is half a step of force."""
+
+from importlib import resources
+
+import pytest
+
+from drivers.signals import LEGS
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import loads
+from hil.bringup.steps import force
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.hil.bringup.kit import Rehearsal, named
+
+ROBOTS = {
+    # +-18 N m and +-54 N m in 4095 steps, behind 20 mm: half a step is 0.22 N and 0.66 N at the leg
+    "cubemars": ({"variant": "cubemars", "model": "AK80-9"}, 200.0),
+    "damiao": ({"variant": "damiao", "model": "DM8009"}, 600.0),
+}
+"""Options of the drives and rated force, N; friction of a leg on the bench is a thousandth of that."""
+
+
+def with_robot(name, wiring):
+    """A rehearsal whose steps before `force` have found all legs as they should be."""
+    options, rated_N = ROBOTS[name]
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    changes = {
+        "drives": {"options": options, "force_limit_N": rated_N},
+        "plant": {"model": {"coulomb_friction_N": 0.0}},
+    }
+    facts = {
+        "held": {str(k): {"moved": False} for k in range(LEGS)},
+        "opens": {str(k): {"legs": [k], "hand_N": 1e-3 * rated_N} for k in range(LEGS)},
+        "encoder": {str(k): {"drive": k, "scale": 1.0} for k in range(LEGS)},
+    }
+    return Rehearsal(loads(with_changes(text, changes), name), wiring, facts=facts)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_sign_of_force_is_not_taken_from_half_a_step_that_moves_the_leg(name):
+    rehearsal = with_robot(name, wired(Mistake("force_sign", 2)))
+    outcome = rehearsal.run((force.STEP,))
+    assert named(outcome) == {("force_sign", (2,))}
+    assert rehearsal.watched.most_travel_m < 1e-3
+
+
+@pytest.mark.parametrize(("plus", "minus"), [(-1, -1), (1, 1), (-1, 0), (0, 1)])
+def test_a_leg_that_moves_one_way_under_either_sign_is_no_reason_to_exchange_phases(plus, minus):
+    rehearsal = with_robot("cubemars", Wiring())
+    right = {"plus": {"force_N": 1.0, "leg": 0, "way": 1}, "minus": {"force_N": 1.0, "leg": 0, "way": -1}}
+    one_way = {"plus": right["plus"] | {"way": plus}, "minus": right["minus"] | {"way": minus}}
+    rehearsal.context.facts["force"] = {str(k): one_way if k == 4 else right for k in range(LEGS)}
+    (finding,) = force.judge(rehearsal.context)
+    assert (finding.name, finding.legs) == ("one_way", (4,))
+    assert "0.44 N" in finding.text
+    assert "phases" not in finding.line

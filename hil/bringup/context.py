@@ -90,6 +90,9 @@ class Finding(NamedTuple):
 class Operator(Protocol):
     """Who stands beside the machine. Mutable state: what he was asked and has not answered."""
 
+    patience: float
+    """After so many refused readings of one request the bring-up ends; inf: never, a person reads again."""
+
     def consent(self, title: str, will: str, stop: str) -> bool:
         """Ask whether a step may begin that will do this and is stopped like that."""
 
@@ -206,7 +209,11 @@ class Context:
             self.save()
 
     def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
-        """Ask the operator, calling `keep` every tick until he answers; by default all drives are off."""
+        """Ask the operator, calling `keep` every tick until he answers; by default all drives are off.
+
+        Raises RefusedError where he has given more readings out of range than his patience has.
+        """
+        refused = 0
         idle = self.drives.step if keep is None else keep
         self.operator.ask(request)
         while True:
@@ -219,6 +226,12 @@ class Context:
                 return answer
             text = f"    {answer:g} cannot be: {low:g} to {high:g} are allowed, in m and N, not mm or kN"
             self.operator.tell(text)
+            refused += 1
+            if refused >= self.operator.patience:
+                raise RefusedError(
+                    f"ended: {request.text}: {refused} readings refused, the last one {answer:g}, "
+                    f"allowed: {low:g} to {high:g}; look at what the bench is wired with"
+                )
             self.operator.ask(request)
 
     def rest(self, seconds: float) -> None:

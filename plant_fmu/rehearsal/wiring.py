@@ -124,6 +124,26 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
 }
 """Name -> fields of Wiring that it changes, legs that take part, usual size, what it is."""
 
+RANGES: dict[str, tuple[float, float]] = {
+    "encoder_sign": (-4.0, -0.25),
+    "encoder_scale": (0.25, 4.0),
+    "force_sign": (-4.0, -0.25),
+    "force_scale": (0.0, 100.0),
+    "wrong_lead": (0.25, 4.0),
+    "drive_reversed": (-4.0, -0.25),
+    "encoder_jumps": (-0.1, 0.1),
+    "backlash": (0.0, 0.1),
+    "offset": (-0.1, 0.1),
+    "brake_weak": (0.0, 1.0),
+    "friction": (0.0, 1.0),
+    "end_stop": (0.0, 0.9),
+    "watchdog_long": (1.0, 100.0),
+    "watchdog_short": (0.01, 1.0),
+}
+"""Name -> least and largest size that somebody may ask for; a mistake that is not here has no size."""
+OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watchdog" in fields)
+"""Mistakes of drives that have a watchdog."""
+
 
 def wired(*mistakes: Mistake) -> Wiring:
     """Return the wiring with some mistakes. Raises ValueError: unknown, or a leg that does not exist."""

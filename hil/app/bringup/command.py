@@ -86,6 +86,7 @@ def run_bringup(
         c.require("run")
         if yes and not asked(hands_socket(c.bus.interface, c.bus.channel)):
             raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
+    wiring = wiring_of(words, build_protocol(c)) if rehearsal else None
     files = files_of(configuration, c, state, rehearsal=rehearsal)
     store = Store(files.state, identity(c, words), again=again)
     if store.changed:
@@ -97,7 +98,7 @@ def run_bringup(
         said = _Said(say, recording)
         if not rehearsal:
             mark_moved(c, said)
-        bench = build_bench(c, wiring_of(words)) if rehearsal else None
+        bench = build_bench(c, wiring) if wiring is not None else None
         outcome, context, reason = _proceed(c, bench, store, said, yes=yes)
         text = found_text(c, context, outcome.findings)
         together = Together(success=False, lines=[])

@@ -15,8 +15,9 @@ from drivers.bus_address import BusAddress
 from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import RunError
 from hil.app.bringup.machine import known_poses
-from hil.app.bringup.rehearsal import BenchHands, build_bench, mounted
+from hil.app.bringup.rehearsal import PATIENCE, BenchHands, build_bench, mounted
 from hil.app.bringup.words import wiring_of
+from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.plant import Bench
 from hil.bringup.context import Operator, Request
@@ -38,7 +39,7 @@ def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
     path = hands_socket(c.bus.interface, c.bus.channel)
     if asked(path):
         raise RunError(f"{path}: another bench is served on this bus; end it first")
-    bench = build_bench(c, wiring_of(mistakes))
+    bench = build_bench(c, wiring_of(mistakes, build_protocol(c)))
     platform = mounted(c, bench.wiring)
     hands = BenchHands(bench, known_poses(c), mounted=lambda: platform)
     with contextlib.ExitStack() as stack:
@@ -82,6 +83,8 @@ class RemoteHands:
 
     Mutable state: the socket.
     """
+
+    patience: float = PATIENCE
 
     def __init__(self, address: BusAddress, beside: Operator, agree: Callable[[str, str, str], bool]) -> None:
         """Ask the hands of a bus. Raises RunError where there are none."""

@@ -23,6 +23,8 @@ from plant_fmu.stewart.plant import stewart_plant
 
 COMMAND_SHARE = 0.4
 """When in a tick its command arrives, as a share of the period."""
+PATIENCE = 5
+"""Readings that are refused before a rehearsal ends: a bench reads the same again."""
 UNLOADED = 0.5
 """Share of its friction that a leg without load has."""
 
@@ -92,6 +94,8 @@ class BenchHands:
 
     Consent is asked of `agree`. Mutable state: the answer that has not been fetched.
     """
+
+    patience: float = PATIENCE
 
     def __init__(
         self,

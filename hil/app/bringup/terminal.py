@@ -22,6 +22,8 @@ class Terminal:
     Mutable state: the open question, and what was typed and not yet taken.
     """
 
+    patience = math.inf
+
     def __init__(self, write: Callable[[str], None], source: TextIO | None = None) -> None:
         self._write = write
         self._source = sys.stdin if source is None else source

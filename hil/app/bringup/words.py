@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from math import isfinite
 
 from drivers.errors import ConfigurationError
-from plant_fmu.rehearsal.wiring import MISTAKES, Mistake, Wiring, legs_of, wired
+from drivers.protocol import DriveProtocol
+from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, RANGES, Mistake, Wiring, legs_of, wired
 
 _KEYS = ("leg", "other", "third", "value")
 
@@ -12,18 +13,9 @@ _KEYS = ("leg", "other", "third", "value")
 def mistake_of(words: str) -> Mistake:
     """Return a mistake. Raises ConfigurationError for words that are none."""
     name, *rest = words.split() or [""]
-    given: dict[str, float] = {}
-    for word in rest:
-        key, equals, text = word.partition("=")
-        try:
-            number = float(text)
-        except ValueError:
-            number = float("nan")
-        if key not in _KEYS or not equals or not isfinite(number):
-            raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {', '.join(_KEYS)} = a number")
-        given[key] = number
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
+    given = _given(words, rest)
     legs = {key: int(given[key]) for key in _KEYS[:3] if key in given}
     needed = _KEYS[: legs_of(name)]
     lacks = [key for key in needed if key not in given]
@@ -33,12 +25,60 @@ def mistake_of(words: str) -> Mistake:
         raise ConfigurationError(
             f"--mistake {words!r}: {wrong}, allowed: {name} with {', '.join(needed)}, legs 0 to 5"
         )
-    return Mistake(name, **{"leg": 0, **legs}, value=given.get("value"))
+    value = given.get("value")
+    if value is not None:
+        _refuse_size(words, name, value)
+    return Mistake(name, **{"leg": 0, **legs}, value=value)
 
 
-def wiring_of(mistakes: Sequence[str]) -> Wiring:
-    """Return the wiring with some mistakes. Raises ConfigurationError."""
+def _given(words: str, rest: Sequence[str]) -> dict[str, float]:
+    """Return the numbers by their keys. Raises ConfigurationError for the first word that is none."""
+    given: dict[str, float] = {}
+    for word in rest:
+        key, _, text = word.partition("=")
+        if key not in _KEYS:
+            raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {', '.join(_KEYS)} = a number")
+        if key in given:
+            raise ConfigurationError(f"--mistake {words!r}: {word!r}: {key} is given twice, allowed: once")
+        try:
+            given[key] = float(text)
+        except ValueError:
+            given[key] = float("nan")
+        if not isfinite(given[key]):
+            raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {key}= a finite number")
+    return given
+
+
+def _refuse_size(words: str, name: str, value: float) -> None:
+    if name not in RANGES:
+        raise ConfigurationError(f"--mistake {words!r}: {name} has no size, allowed: no value=")
+    low, high = RANGES[name]
+    if not low <= value <= high:
+        raise ConfigurationError(
+            f"--mistake {words!r}: value={value:g}, allowed: {low:g} to {high:g} ({MISTAKES[name][3]})"
+        )
+
+
+def wiring_of(mistakes: Sequence[str], protocol: DriveProtocol) -> Wiring:
+    """Return the wiring with some mistakes of drives of a protocol.
+
+    Raises ConfigurationError for words that are no mistake, that these drives cannot make, or that together
+    wire everything as it should be.
+    """
+    known = [mistake_of(words) for words in mistakes]
+    for words, mistake in zip(mistakes, known, strict=True):
+        if mistake.name in OF_WATCHDOG and not protocol.has_watchdog:
+            raise ConfigurationError(
+                f"--mistake {words!r}: these drives have no watchdog that is set from here, "
+                f"allowed: all but {', '.join(sorted(OF_WATCHDOG))}"
+            )
     try:
-        return wired(*map(mistake_of, mistakes))
+        wiring = wired(*known)
     except ValueError as error:
         raise ConfigurationError(f"--mistake: {error}") from None
+    if known and wiring == Wiring():
+        raise ConfigurationError(
+            f"--mistake {'; '.join(mistakes)!r}: nothing is wired wrongly by that, "
+            "allowed: a size, or a set of mistakes, that changes something"
+        )
+    return wiring

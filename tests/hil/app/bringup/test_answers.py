@@ -6,14 +6,18 @@ import os
 import pytest
 
 from drivers.errors import ConfigurationError, RunError
+from hil.app.bringup.command import run_bringup
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.words import wiring_of
+from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.bringup.context import RefusedError, Request
-from plant_fmu.rehearsal.wiring import Wiring
+from plant_fmu.rehearsal.wiring import MISTAKES, RANGES, Wiring
+from tests.hil.bringup.families import family
 from tests.hil.bringup.kit import Rehearsal
 
+VIRTUAL = build_protocol(load("virtual"))
 MEASURE = Request("measure", 1, 0.0, "Measure leg 1")
 PUSH = Request("push", 1, 0.0, "Push leg 1")
 DOWN = Request("take_down", text="Take the platform off", word="down")
@@ -172,10 +176,73 @@ def test_a_new_beginning_still_knows_that_the_platform_hangs(tmp_path):
 )
 def test_a_mistake_names_its_legs_or_is_refused(words):
     with pytest.raises(ConfigurationError, match="--mistake"):
-        wiring_of([words])
+        wiring_of([words], VIRTUAL)
+
+
+@pytest.mark.parametrize(
+    ("words", "wrong", "allowed"),
+    [
+        ("friction leg=2 value=-1", "value=-1", "0 to 1"),
+        ("absent leg=1 value=3", "absent has no size", "no value="),
+        ("ids_swapped leg=1 other=2 value=1", "ids_swapped has no size", "no value="),
+        ("offset leg=2 leg=3", "'leg=3': leg is given twice", "once"),
+        ("offset leg=1 value=100", "value=100", "-0.1 to 0.1"),
+        ("encoder_scale leg=1 value=1e9", "value=1e+09", "0.25 to 4"),
+        ("brake_weak leg=1 value=5", "value=5", "0 to 1"),
+        ("force_sign leg=1 value=1", "value=1", "-4 to -0.25"),
+        ("watchdog_short leg=1 value=0", "value=0", "0.01 to 1"),
+        ("offset leg=1 value=nan", "'value=nan'", "a finite number"),
+        ("offset leg", "'leg'", "a finite number"),
+        ("offset leg=1 value=0", "nothing is wired wrongly", "changes something"),
+    ],
+)
+def test_a_mistake_of_a_size_that_cannot_be_is_refused_with_what_is_allowed(words, wrong, allowed):
+    with pytest.raises(ConfigurationError) as caught:
+        wiring_of([words], VIRTUAL)
+    before, _, after = str(caught.value).partition("allowed: ")
+    assert before.startswith(f"--mistake {words!r}: ")
+    assert wrong in before.removeprefix(f"--mistake {words!r}: ")
+    assert allowed in after
+
+
+def test_mistakes_that_undo_each_other_are_none():
+    with pytest.raises(ConfigurationError, match="nothing is wired wrongly"):
+        wiring_of(["encoder_sign leg=2"] * 2, VIRTUAL)
+
+
+@pytest.mark.parametrize("name", ["watchdog_missing", "watchdog_long", "watchdog_short"])
+def test_drives_without_a_watchdog_cannot_have_a_wrong_one(name):
+    with pytest.raises(ConfigurationError, match=r"these drives have no watchdog.*allowed: "):
+        wiring_of([f"{name} leg=1"], build_protocol(family("cubemars")))
+    assert wiring_of([f"{name} leg=1"], build_protocol(family("damiao"))) != Wiring()
+
+
+def test_every_mistake_has_its_usual_size_within_its_range():
+    sized = {name for name, (_, legs, size, _) in MISTAKES.items() if legs == 1 and size is not None}
+    assert set(RANGES) <= sized
+    assert all(low <= (MISTAKES[name][2] or 0.0) <= high for name, (low, high) in RANGES.items())
+
+
+def test_a_refused_mistake_is_said_before_anything_of_the_state_file(tmp_path):
+    state, said = tmp_path / "state.json", []
+    Store(state, identity(load("virtual"), ("offset leg=1",))).save()
+    with pytest.raises(ConfigurationError, match="--mistake"):
+        run_bringup(
+            "virtual", load("virtual"), mistakes=["offset leg=9"], state=state, yes=True, say=said.append
+        )
+    assert said == []
+
+
+def test_a_bench_that_reads_what_cannot_be_ends_after_five_readings_and_says_why():
+    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal.hands.answer = lambda: -1.0  # type: ignore[method-assign]
+    request = Request("read_push", 2, 0.0, "Read the gauge at leg 2", within=(0.0, 50.0))
+    with pytest.raises(RefusedError, match=r"leg 2: 5 readings refused.*-1, allowed: 0 to 50"):
+        rehearsal.context.ask(request)
+    assert rehearsal.hands.requests == [request] * 5
 
 
 def test_the_legs_of_a_mistake_are_those_that_are_named():
-    assert wiring_of(["ids_rotated leg=1 other=2 third=4"]).motor == (0, 2, 4, 3, 1, 5)
-    brakes = wiring_of(["brake_of_another leg=1 other=4"]).brake
+    assert wiring_of(["ids_rotated leg=1 other=2 third=4"], VIRTUAL).motor == (0, 2, 4, 3, 1, 5)
+    brakes = wiring_of(["brake_of_another leg=1 other=4"], VIRTUAL).brake
     assert [sorted(legs) for legs in brakes] == [[0], [1, 4], [2], [3], [4], [5]]

@@ -19,6 +19,7 @@ from hil.app.bringup.hands import RemoteHands, hands_socket, served_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.words import mistake_of, wiring_of
+from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load, loads
 from hil.bringup.context import Finding, RefusedError, Request
 from hil.bringup.steps import encoder, ids, scan, silence
@@ -121,8 +122,9 @@ def test_the_checklist_marks_what_passed_and_what_was_found():
 
 
 def test_words_of_mistakes():
+    protocol = build_protocol(load("virtual"))
     assert mistake_of("encoder_scale leg=2 value=1.01") == Mistake("encoder_scale", 2, value=1.01)
-    assert wiring_of(["ids_swapped leg=1 other=4"]).motor == (0, 4, 2, 3, 1, 5)
+    assert wiring_of(["ids_swapped leg=1 other=4"], protocol).motor == (0, 4, 2, 3, 1, 5)
     for words in (
         "nonsense leg=1",
         "offset leg=x",
@@ -131,7 +133,7 @@ def test_words_of_mistakes():
         "offset leg=6",
     ):
         with pytest.raises(ConfigurationError, match="--mistake"):
-            wiring_of([words])
+            wiring_of([words], protocol)
 
 
 def test_the_terminal_takes_numbers_asks_again_and_ends():

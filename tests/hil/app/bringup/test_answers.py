@@ -224,7 +224,8 @@ def test_every_mistake_has_its_usual_size_within_its_range():
 
 
 def test_a_refused_mistake_is_said_before_anything_of_the_state_file(tmp_path):
-    state, said = tmp_path / "state.json", []
+    state = tmp_path / "state.json"
+    said: list[str] = []
     Store(state, identity(load("virtual"), ("offset leg=1",))).save()
     with pytest.raises(ConfigurationError, match="--mistake"):
         run_bringup(

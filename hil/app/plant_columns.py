@@ -12,7 +12,7 @@ PLANT = Table(
     (
         own("tick", int, "", "number of the row"),
         own("t_ns", int, "ns", "instant of length and rate on the monotonic clock"),
-        own("syncs", int, "", "SYNC frames heard so far"),
+        own("syncs", int, "", "SYNC frames, of polled drives the polls of each, heard so far on all buses"),
         own("commands", int, "", "valid command frames with a new counter so far"),
         own("repeated", int, "", "valid command frames without one so far"),
         own("rejected", int, "", "frames refused so far"),

@@ -189,7 +189,8 @@ def imports_of(source):
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            modules |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            module = str(node.module)
+            modules |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
     places = [ROOT / module.replace(".", "/") for module in modules if module.split(".")[0] in PACKAGES]
     files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
     return {file.resolve() for file in files if file.is_file()}

@@ -73,6 +73,7 @@ class ChildHost:
         self._step_timeout_s = step_timeout_s
         self._start_timeout_s = start_timeout_s
         self._ended: str | None = None
+        self._most_here_kB = _most_here_kB()
         # The child unpacks in here; whichever of us two is left removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         text = spec.to_json().encode()
@@ -139,10 +140,13 @@ class ChildHost:
             raise PlantError(f"{text}{self._full(int(data))}")
 
     def _died(self) -> tuple[int, int]:
-        """Return the exit code of the process that has ended, and the most memory that it had, kB."""
+        """Return the exit code of the process that has ended, and its most memory, kB; 0: unknown.
+
+        The kernel counts what this process had when it began the other one.
+        """
         _, status, usage = os.wait4(self._process.pid, 0)
         self._process.returncode = os.waitstatus_to_exitcode(status)
-        return self._process.returncode, usage.ru_maxrss
+        return self._process.returncode, usage.ru_maxrss if usage.ru_maxrss > self._most_here_kB else 0
 
     def _full(self, kB: int) -> str:
         """Say so where that is most of the memory that the FMU's process may have."""
@@ -237,6 +241,11 @@ def _end_with_parent(life_fd: int, parent: int, folder: str) -> None:
             break
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
+
+
+def _most_here_kB() -> int:
+    """Return the most memory that this process ever had, and whatever it inherited, kB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _bound_memory(most_GB: float) -> None:

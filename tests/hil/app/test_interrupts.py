@@ -23,11 +23,19 @@ def press():
     os.kill(os.getpid(), signal.SIGINT)
 
 
+@pytest.fixture(autouse=True)
+def foreground():
+    """Let SIGINT be as in a terminal: it is ignored in the background of a shell."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGALRM)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture
 def process(monkeypatch, capsys):
     """Be the process of a command: return its exit code and what it says on standard error."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGALRM)}
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # it is ignored in the background of a shell
 
     def run(*words):
         monkeypatch.setattr("sys.argv", ["hil", *map(str, words)])
@@ -35,9 +43,7 @@ def process(monkeypatch, capsys):
             main()
         return ended.value.code, capsys.readouterr().err
 
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    return run
 
 
 def interrupted_in(monkeypatch, work):

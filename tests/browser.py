@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import base64
+import functools
 import json
 import os
 import select
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any, Self
@@ -33,16 +36,17 @@ os.execv(sys.argv[3], sys.argv[3:])
 _PATIENCE_S = 60.0
 
 
-class Browser:
-    """One page. Keeps what it asked the network for, and every error of its console."""
+class Chromium:
+    """The one process of this test session. Its pages share nothing but it."""
 
-    def __init__(self, folder: Path, width: int = 1200, height: int = 900) -> None:
+    def __init__(self) -> None:
         assert CHROMIUM is not None
-        commands, self._write = os.pipe()
-        self._read, answers = os.pipe()
+        self._folder = tempfile.TemporaryDirectory(prefix="hil-test-", ignore_cleanup_errors=True)
+        commands, self.write = os.pipe()
+        self.read, answers = os.pipe()
         launch = [sys.executable, "-c", _LAUNCH, str(commands), str(answers), CHROMIUM, *_FLAGS]
         self._process = subprocess.Popen(
-            [*launch, f"--user-data-dir={folder}", "about:blank"],
+            [*launch, f"--user-data-dir={self._folder.name}", "about:blank"],
             pass_fds=(commands, answers),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -50,12 +54,34 @@ class Browser:
         )
         os.close(commands)
         os.close(answers)
-        self._buffer, self._number, self._session = b"", 0, ""
+        self.number, self.buffer = 0, b""
+        atexit.register(self.end)
+
+    def end(self) -> None:
+        """Stop it and forget what it kept."""
+        self._process.terminate()
+        self._process.wait(_PATIENCE_S)
+        os.close(self.write)
+        os.close(self.read)
+        self._folder.cleanup()
+
+
+_chromium = functools.cache(Chromium)
+"""A start costs two seconds of a processor."""
+
+
+class Browser:
+    """One page, with cookies and cache of its own. Keeps what it asked the network for, and its console's errors."""
+
+    def __init__(self, width: int = 1200, height: int = 900) -> None:
+        self._chromium, self._session = _chromium(), ""
         self.errors: list[str] = []
         self.requests: list[str] = []
         self._loaded = 0
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._context = self.call("Target.createBrowserContext")["browserContextId"]
+        target = self.call("Target.createTarget", url="about:blank", browserContextId=self._context)
+        attached = self.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.call(
@@ -67,21 +93,20 @@ class Browser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.terminate()
-        self._process.wait(_PATIENCE_S)
-        os.close(self._write)
-        os.close(self._read)
+        self._session = ""
+        self.call("Target.disposeBrowserContext", browserContextId=self._context)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Give one command and return its answer; events meanwhile are taken in."""
-        self._number += 1
-        message = {"id": self._number, "method": method, "params": parameters}
+        self._chromium.number += 1
+        number = self._chromium.number
+        message = {"id": number, "method": method, "params": parameters}
         if self._session:
             message["sessionId"] = self._session
-        os.write(self._write, json.dumps(message).encode() + b"\0")
+        os.write(self._chromium.write, json.dumps(message).encode() + b"\0")
         while True:
             answer = self._next()
-            if answer.get("id") == self._number:
+            if answer.get("id") == number:
                 assert "error" not in answer, answer
                 result: dict[str, Any] = answer["result"]
                 return result
@@ -113,14 +138,14 @@ class Browser:
         return base64.b64decode(self.call("Page.captureScreenshot")["data"])
 
     def _next(self) -> dict[str, Any]:
-        end = time.monotonic() + _PATIENCE_S
-        while b"\0" not in self._buffer:
-            ready, _, _ = select.select([self._read], [], [], max(0.0, end - time.monotonic()))
+        browser, end = self._chromium, time.monotonic() + _PATIENCE_S
+        while b"\0" not in browser.buffer:
+            ready, _, _ = select.select([browser.read], [], [], max(0.0, end - time.monotonic()))
             assert ready, "Chromium does not answer"
-            part = os.read(self._read, 1 << 20)
+            part = os.read(browser.read, 1 << 20)
             assert part, "Chromium is gone"
-            self._buffer += part
-        line, _, self._buffer = self._buffer.partition(b"\0")
+            browser.buffer += part
+        line, _, browser.buffer = browser.buffer.partition(b"\0")
         message: dict[str, Any] = json.loads(line)
         if message.get("sessionId") == self._session:
             self._take_in(message.get("method", ""), message.get("params", {}))

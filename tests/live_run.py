@@ -125,6 +125,7 @@ class Listening:
             client.close()
         self._ready.close()
         self._socket.close()
+        socket_path(*BUS).unlink()
 
 
 class Watch:

@@ -101,7 +101,7 @@ def test_the_font_and_its_licence_are_beside_the_pages(built):
 
 @needs_chromium
 def test_a_page_shows_its_equations_with_its_own_font_and_asks_nobody_else(built, tmp_path):
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(built / "theory/inverse_dynamics.html")
         assert browser.value(
             "document.fonts.ready.then(() => document.fonts.check('16px \"STIX Two Math\"'))"
@@ -136,7 +136,7 @@ def test_the_search_finds_a_word_that_is_part_of_a_name(built, tmp_path, word):
         )  # in words, not pictures
         and "_static" not in page.parts
     }
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(built / "search.html", f"?q={word}")
         found = browser.value(
             "new Promise((done) => { const look = () => { const hits = [...document.querySelectorAll("

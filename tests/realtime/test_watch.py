@@ -45,7 +45,7 @@ def test_the_buttons_hold_and_end_the_motion_of_a_running_platform(
     tmp_path: Path, start: Start, word: str
 ) -> None:
     file = configuration(tmp_path, LASTING | {"name: virtual": "name: virtual\nwatch: {operate: true}"})
-    with Browser(tmp_path / "b") as browser, Watch(str(file)) as watch:
+    with Browser() as browser, Watch(str(file)) as watch:
         run = start("run", str(file), "--plant")
         browser.go(watch.link)
         until(browser, mode_is(Mode.TRACKING), 120.0)

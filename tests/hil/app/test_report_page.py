@@ -49,7 +49,7 @@ def test_chromium_is_here_for_the_tests_of_pages():
 @pytest.mark.parametrize("width", [1200, 390])
 def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pages, tmp_path, name, width):
     file = pages / f"{name}.html"
-    with Browser(tmp_path, width=width) as browser:
+    with Browser(width=width) as browser:
         browser.open(file)
         assert browser.errors == []
         assert set(browser.requests) == {file.resolve().as_uri()}
@@ -64,7 +64,7 @@ def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pag
 
 @needs_chromium
 def test_a_page_plays_and_zooms_by_the_keyboard_alone(pages, tmp_path):
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(pages / "good.html")
         browser.value("document.getElementById('play').focus()")
         browser.key("Enter", "\r")
@@ -94,7 +94,7 @@ def test_what_plays_is_the_pose_of_the_log(pages, tmp_path):
     rows = Log.open(pages / "good.mcap").rows()
     at = int(np.argmax(rows["p"][:, 0]))
     t = float((rows["t_ns"][at] - rows["t_ns"][0]) * 1e-9)
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(pages / "good.html")
         shown = (
             "(() => { const u = [...document.querySelectorAll('.chart')].find((c) => c.dataset.key === 'p').plot;"
@@ -132,7 +132,7 @@ def test_a_turned_platform_is_drawn_where_its_turned_joints_are(pages, tmp_path)
         makeScene({ clientWidth: 600, clientHeight: 400, getContext: () => pen, addEventListener: () => {} },
             given, (numbers) => numbers).draw();
         return lines; })"""
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(pages / "good.html")
         found, expected = (browser.value(f"{script}({json.dumps(given)})") for given in (turned, plain))
     assert len(found) == len(expected) > 20
@@ -151,7 +151,7 @@ def test_a_text_of_a_log_never_becomes_part_of_the_page(pages, tmp_path):
     assert "run<b>" not in text
     assert "run&lt;b&gt;&amp;&quot;&#x27;.mcap" in text
     (tmp_path / "forged.html").write_text(page.replace("</h1>", f"</h1>{hostile}"))
-    with Browser(tmp_path / "profile") as browser:
+    with Browser() as browser:
         browser.open(tmp_path / "forged.html")
         browser.value("new Promise((done) => setTimeout(done, 100))")
         assert browser.value("document.title").startswith("bad.mcap"), "the policy runs no script but ours"

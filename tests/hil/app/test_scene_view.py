@@ -58,7 +58,7 @@ def browser(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     script = importlib.resources.files("hil.app.report").joinpath("assets", "scene.js").read_text("utf-8")
     (folder / "scene.html").write_text(PAGE.replace("SCRIPT", script), encoding="utf-8")
-    with Browser(folder / "profile") as browser:
+    with Browser() as browser:
         browser.open(folder / "scene.html")
         yield browser
 

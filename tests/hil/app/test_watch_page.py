@@ -19,11 +19,23 @@ from tests.live_run import Listening, LiveRun, Watch, operating
 pytestmark = needs_chromium
 
 
-@pytest.fixture(autouse=True)
-def _meeting_place(monkeypatch):
-    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # a socket's path is short
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+@pytest.fixture(scope="module", autouse=True)
+def _meeting_place():
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", folder)  # a socket's path is short
         yield
+
+
+@pytest.fixture(scope="module")
+def watch(_meeting_place):
+    with Watch("virtual") as watching:
+        yield watching
+
+
+@pytest.fixture(scope="module")
+def operated(_meeting_place, tmp_path_factory):
+    with Watch(operating(tmp_path_factory.mktemp("operated"))) as watching:
+        yield watching
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +60,8 @@ def text(browser, name):
 
 
 @pytest.mark.parametrize("width", broad([360, 1200], quick=1))
-def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_line(rows, tmp_path, width):
-    with Watch("virtual") as watch, LiveRun(rows), Browser(tmp_path, width=width) as browser:
+def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_line(rows, watch, width):
+    with LiveRun(rows), Browser(width=width) as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 20")
         assert text(browser, "mode-name") == "TRACKING"
@@ -69,9 +81,9 @@ def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_
 
 @pytest.mark.long
 @pytest.mark.realtime
-def test_the_page_is_drawn_anew_fifty_times_a_second(rows, tmp_path):
+def test_the_page_is_drawn_anew_fifty_times_a_second(rows, watch):
     now = "[watching.counts.states, watching.counts.drawn, performance.now()]"
-    with Watch("virtual") as watch, LiveRun(rows), Browser(tmp_path) as browser:
+    with LiveRun(rows), Browser() as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 20")
         first = browser.value(now)
@@ -81,8 +93,8 @@ def test_the_page_is_drawn_anew_fifty_times_a_second(rows, tmp_path):
         assert drawn / ms * 1e3 > 40.0
 
 
-def test_what_is_shown_is_the_newest_row(rows, tmp_path):
-    with Watch("virtual") as watch, LiveRun(rows[:1].copy()) as run, Browser(tmp_path) as browser:
+def test_what_is_shown_is_the_newest_row(rows, watch):
+    with LiveRun(rows[:1].copy()) as run, Browser() as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 5")
         row = rows[0]
@@ -100,12 +112,12 @@ def test_what_is_shown_is_the_newest_row(rows, tmp_path):
         assert run.shown > 0
 
 
-def test_faults_are_told_in_words_and_legs_are_marked(rows, tmp_path):
+def test_faults_are_told_in_words_and_legs_are_marked(rows, watch):
     bad = rows[:1].copy()
     bad["mode"], bad["faults"] = Mode.FAULT, Fault.DRIVE | Fault.BRAKE
     bad["drive_fault"][0, 3], bad["legs_moved"] = DriveFault.OVERFORCE, 1 << 5
     bad["tau"][0, 1] = np.nan
-    with Watch("virtual") as watch, LiveRun(bad), Browser(tmp_path) as browser:
+    with LiveRun(bad), Browser() as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 5")
         assert browser.value("[...document.querySelectorAll('#faults li')].map((x) => x.textContent)") == [
@@ -119,8 +131,8 @@ def test_faults_are_told_in_words_and_legs_are_marked(rows, tmp_path):
         assert browser.errors == []
 
 
-def test_old_data_are_called_old_and_a_run_that_follows_is_picked_up(rows, tmp_path):
-    with Watch("virtual") as watch, Browser(tmp_path) as browser:
+def test_old_data_are_called_old_and_a_run_that_follows_is_picked_up(rows):
+    with Watch("virtual") as watch, Browser() as browser:
         browser.go(watch.link)
         until(browser, "document.getElementById('banner').textContent === 'nothing runs on this bus yet'")
         with LiveRun(rows, name="first") as run:
@@ -148,14 +160,13 @@ def tab_to(browser, condition):
     raise AssertionError(f"Tab does not reach {condition}")
 
 
-def test_every_control_works_by_the_keyboard(rows, tmp_path):
+def test_every_control_works_by_the_keyboard(rows, operated):
     with (
-        Watch(operating(tmp_path)) as watch,
         LiveRun(rows),
         Listening() as controller,
-        Browser(tmp_path / "b") as browser,
+        Browser() as browser,
     ):
-        browser.go(watch.link)
+        browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         assert browser.value("location.search") == "", "the token is not left in the address"
         browser.key("Tab")
@@ -184,13 +195,13 @@ window.fetch = (to, {body}) => new Promise((answer) => {
 """
 
 
-def test_nothing_waits_behind_an_emergency_stop_and_nothing_overtakes_it(rows, tmp_path):
+def test_nothing_waits_behind_an_emergency_stop_and_nothing_overtakes_it(rows, operated):
     def click(*words):
         for word in words:
             browser.value(f"document.querySelector('[data-line={word}], button#{word}').click()")
 
-    with Watch(operating(tmp_path)) as watch, LiveRun(rows), Browser(tmp_path / "b") as browser:
-        browser.go(watch.link)
+    with LiveRun(rows), Browser() as browser:
+        browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         browser.value(SLOW)
         click("reset", "arm", "start")
@@ -232,14 +243,13 @@ LET_GO = {
 }
 
 
-def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, tmp_path):
+def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, operated):
     with (
-        Watch(operating(tmp_path)) as watch,
         LiveRun(rows) as run,
         Listening() as controller,
-        Browser(tmp_path / "b") as browser,
+        Browser() as browser,
     ):
-        browser.go(watch.link)
+        browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         for how, let_go in LET_GO.items():
             controller.lines.clear()
@@ -253,28 +263,27 @@ def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, tmp_pa
             assert set(controller.lines) == {"key"}
             let_go(run, browser)
             until(browser, "document.querySelectorAll('.held.down').length === 0")
-            time.sleep(0.3)  # the one that is under way
+            time.sleep(0.15)  # the one that is under way
             count = len(controller.lines)
-            time.sleep(0.7)
+            time.sleep(0.3)
             assert len(controller.lines) == count, how
             press(browser, "keyUp")
         assert browser.errors == []
 
 
-def test_who_jogs_holds_the_key(rows, tmp_path):
+def test_who_jogs_holds_the_key(rows, operated):
     with (
-        Watch(operating(tmp_path)) as watch,
         LiveRun(rows),
         Listening() as controller,
-        Browser(tmp_path / "b") as browser,
+        Browser() as browser,
     ):
-        browser.go(watch.link)
+        browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         browser.value("document.getElementById('jogging').open = true")
         browser.value("document.querySelector('[aria-label=\"jog x −\"]').focus()")
         press(browser, "keyDown")
         until(browser, "document.querySelectorAll('.held.down').length === 1")
-        time.sleep(1.0)
+        time.sleep(0.5)
         press(browser, "keyUp")
         assert controller.lines[0] == "key"
         assert set(controller.lines) == {"key", "jog x -0.25"}

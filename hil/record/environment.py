@@ -4,7 +4,7 @@ import os
 import platform
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from functools import cache
 from pathlib import Path
 
 PACKAGES = (
@@ -53,13 +53,17 @@ def scheduling() -> dict[str, str]:
     return {key: value for key, value in found.items() if value}
 
 
+@cache
 def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - no recorder pays for it
+
     try:
         return version(name)
     except PackageNotFoundError:
         return ""
 
 
+@cache
 def _git() -> str:
     """Return commit (and -dirty) when the sources lie in a repository of their own."""
     root = Path(__file__).resolve().parents[2]

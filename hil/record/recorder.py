@@ -29,7 +29,6 @@ from mcap.records import Channel, Schema
 from drivers.arrays import Ints
 from drivers.errors import LogError
 from hil.record.encode import TICK, Encoder, Messages
-from hil.record.environment import product_version
 from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
 from hil.record.mirror import Mirror
@@ -95,7 +94,8 @@ class Recorder:
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
         self.socket = LiveSocket.listening(setup["websocket"], self._encoder.channels)
         self._publisher = _publisher(ring, setup["mirror"])
-        self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{product_version()}")
+        version = setup["environment"].get("version", "unknown")
+        self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{version}")
         try:
             self._open(setup, attachments)
         except OSError:

@@ -242,7 +242,7 @@ def test_it_is_the_plain_filter_with_a_leg_lost_and_a_tracker_between_ticks():
 @pytest.mark.parametrize("lost", [(), (4,)])
 def test_its_errors_are_as_large_as_it_says(lost):
     """Mean of e^T P^-1 e / 12 over independent runs: 1, within five standard deviations of that mean."""
-    runs, ticks = 40, 150
+    runs, ticks = 20, 150
     nees = []
     for seed in range(runs):
         truth = Truth(seed)

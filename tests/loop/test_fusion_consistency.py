@@ -98,13 +98,12 @@ def assert_consistent(found, *, rms_m):
     assert found.position_rms < rms_m
 
 
-SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))]
+SEEDED = [(name, seed) for seed in range(1, 6) for name in ("virtual", "lab")]
 RMS_M = {"virtual": 0.36e-6, "lab": 0.12e-6}
 """On `virtual` that of the legs alone, whose encoders have steps of 1 um; on `lab` the steps are 0.15 um."""
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", ["virtual", "lab"])
+@pytest.mark.parametrize(("name", "seed"), broad(SEEDED, quick=1))
 def test_its_errors_are_as_large_as_it_says_and_no_good_leg_is_left_out(name, seed):
     found = run(fused(name, changes=[SHORT[name]]), seed=seed)
     assert_consistent(found, rms_m=RMS_M[name])

@@ -28,6 +28,7 @@ from hil.trajectory.path import Trajectory
 from plant_fmu.config import StewartPlant
 from plant_fmu.faults.load import PayloadStep, WrenchStep
 from plant_fmu.faults.plan import STANDARD_GRAVITY, FaultPlan
+from tests.broad import broad
 
 SHIPPED = sorted(path.stem for path in Path(str(configs.__file__)).parent.glob("*.yaml"))
 VIRTUAL = [name for name in SHIPPED if load(name).plant is not None]
@@ -230,7 +231,7 @@ def test_a_short_tick_after_a_long_one_alarms_nobody():
     assert stalls > 1
 
 
-@pytest.mark.parametrize(("name", "end_s"), [("virtual-cia402", 14.2), ("lab-cia402", 13.5)])
+@pytest.mark.parametrize(("name", "end_s"), broad([("virtual-cia402", 14.2), ("lab-cia402", 13.5)], quick=1))
 def test_rates_made_of_lengths_and_answers_without_a_name_alarm_nobody(name, end_s):
     """Late latches, answers of one tick in the next, two and three of them at once, and steps of 0.1 ms."""
     ending, stalls = run(name, 1000, end_s)

@@ -135,6 +135,7 @@ def test_a_killed_recorder_does_not_move_the_platform(
     assert replay_log(tmp_path / "salvaged.mcap")[0].exact
 
 
+@pytest.mark.long
 def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

@@ -108,6 +108,7 @@ def test_beside_a_busy_process_it_goes_on_at_the_rate_it_can_hold(
     assert "Traceback" not in run.errors
 
 
+@pytest.mark.long
 def test_on_a_bench_whose_time_may_stand_still_it_keeps_the_rate(
     folder: Path, start: Start, ordinary: dict[str, Any]
 ) -> None:

@@ -21,7 +21,6 @@ from hil.app.configuration.configuration import load
 from hil.operate.client import OperatorClient
 from hil.record.log import Log
 from hil.signals import Operator
-from tests.broad import broad
 from tests.realtime.rig import CHANNEL, LASTING, ROOT, START_S, Listener, Process, configuration
 
 pytestmark = pytest.mark.realtime(patient=True)
@@ -79,7 +78,8 @@ def holder() -> Iterator[Callable[[], subprocess.Popen[str]]]:
         process.stdout.close()
 
 
-@pytest.mark.parametrize("end", broad([signal.SIGSTOP, signal.SIGKILL], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("end", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_key_whose_holder_is_killed_or_stopped_is_let_go_of(
     tmp_path: Path, start: Start, holder: Callable[[], subprocess.Popen[str]], end: signal.Signals
 ) -> None:

@@ -14,7 +14,6 @@ from drivers.protocol import Frame, Sync
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
-from tests.broad import broad
 from tests.drivers.legs_frames import command_frames, parse
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
@@ -27,7 +26,8 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("kind", broad(ATTACKS, quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ATTACKS)
 def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
 ) -> None:

@@ -85,6 +85,7 @@ def test_with_on_stall_fault_time_goes_on_and_the_limits_act(
     assert "bench_time" not in run.summary
 
 
+@pytest.mark.long
 @pytest.mark.realtime
 def test_a_plant_that_stays_away_is_a_fault_after_all(tmp_path: Path, start: Start, listen: Listen) -> None:
     run = moving(start, listen, configuration(tmp_path, patient=False))

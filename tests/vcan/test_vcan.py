@@ -168,6 +168,7 @@ def test_masters_in_the_packages_canopen_and_moteus_move_the_drives_of_hil_plant
         assert np.abs(np.delete(way, legs)).max(initial=0.0) < 1e-6
 
 
+@pytest.mark.long
 def test_the_command_of_the_guest_ends_at_its_time_limit(tmp_path):
     try:
         done = uml.run(["sleep", "60"], limit_s=1.0, share=tmp_path)

@@ -252,13 +252,13 @@ def with_law(law):
     ("law", "margin_deg"),
     broad(
         [
-            # A delay T of 2.296 ms costs 117.9 lambda T degrees of 76.35 where the layer is k / lambda.
-            (SLIDING + "  lambda_rad_s: 92\n", 51.44),
-            (SLIDING + "  lambda_rad_s: 175\n", 28.97),
             # rho = sqrt(6) 14.2 / 0.9 = 38.65 m/s^2. 0.43 m/s: K_P 8993, K_D 209.9, 214.0 rad/s, 78.7 less 28.2 deg.
             (ROBUST + "  boundary_layer_m_s: 0.43\n", 50.5),
             # 0.1 m/s: K_P 26788, K_D 506.5, 509.2 rad/s, 84.1 less 67.0 deg.
             (ROBUST + "  boundary_layer_m_s: 0.1\n", 17.1),
+            # A delay T of 2.296 ms costs 117.9 lambda T degrees of 76.35 where the layer is k / lambda.
+            (SLIDING + "  lambda_rad_s: 92\n", 51.44),
+            (SLIDING + "  lambda_rad_s: 175\n", 28.97),
         ],
         quick=1,
     ),

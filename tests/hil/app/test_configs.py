@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +45,18 @@ def test_these_are_shipped():
     assert list(shipped()) == NAMES
 
 
+@cache
+def validator():
+    committed = json.loads((ROOT / "configs/hil.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(committed)
+    return jsonschema.Draft202012Validator(committed)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_file_names_its_schema_and_an_editor_accepts_it(name):
     text = load(name).text
     assert text.splitlines()[0] == "# yaml-language-server: $schema=hil.schema.json"
-    committed = json.loads((ROOT / "configs/hil.schema.json").read_text())
-    jsonschema.Draft202012Validator.check_schema(committed)
-    jsonschema.Draft202012Validator(committed).validate(yaml.load(text, Floats))
+    validator().validate(yaml.load(text, Floats))
 
 
 def test_the_committed_schema_is_current():

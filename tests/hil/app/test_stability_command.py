@@ -72,7 +72,7 @@ def test_every_law_of_the_table_has_its_judge():
         (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", True, "conditional", "small errors die out"),
         ("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "0.143 mm and 0.0087 deg"),
         ("  law: partial_linearisation\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.387 mm"),
-        (SLIDING, False, "conditional", "stay below 2.85 mm"),
+        pytest.param(SLIDING, False, "conditional", "stay below 2.85 mm", marks=pytest.mark.long),
         (f"{SLIDING}  boundary_layer_m_s: 0\n", False, "conditional", "s reaches its layer"),
         pytest.param(
             f"  law: robust_inverse_dynamics\n  wn_rad_s: 60\n  boundary_layer_m_s: 0.43\n{UNCERTAIN}",

@@ -36,6 +36,7 @@ def test_no_two_brakes_are_open_and_force_and_way_stay_small(good):
     assert 1e-4 < rehearsal.watched.most_travel_m < 1e-3
 
 
+@pytest.mark.long
 def test_no_two_brakes_are_open_where_each_leg_has_a_bus_of_its_own(tmp_path):
     text = (Path(hil.__file__).parents[1] / "configs" / "two_buses.yaml").read_text()
     first = text.index("  channels:")

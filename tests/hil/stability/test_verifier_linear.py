@@ -16,6 +16,7 @@ from hil.stability.verifier.linearisation import Eigenvalues, eigenvalues, jacob
 from hil.stability.verifier.orthant import sign
 from hil.stability.verifier.signs import Signs
 from hil.stability.verifier.system import make_system
+from tests.broad import broad
 
 x, y, z, v, w = sp.symbols("x y z v w")
 R = sp.Rational
@@ -41,7 +42,7 @@ NAMES = [
 ]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", broad(NAMES, quick=6))
 def test_a_parameter_of_any_name_is_a_parameter(name):
     k = sp.Symbol(name)
     q, r = sp.symbols("state other")

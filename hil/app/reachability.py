@@ -5,13 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Flags
+from hil.app.walk_kernels import ACCELERATION, CONDITION, FORCE, LENGTH, RATE, SAMPLE, walk_kernel
 from hil.config.limits import LimitSettings
 from hil.config.platform import PlatformSettings
-from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
-from hil.robot.kinematics_kernels import jacobian_kernel, jacobian_rate_kernel, leg_lengths_kernel
 from hil.safety.guard import WINDOW_S
 from hil.trajectory.path import Trajectory
 from hil.trajectory.piecewise import PiecewisePolynomial
@@ -88,24 +86,22 @@ def walk(
     steps = round(span / period)
     n = min(steps, SAMPLES) + 1
     t = np.linspace(0.0, steps * period, n) if steps else np.zeros(1)
-    q, dq, ddq, tau = (np.empty((n, 6)) for _ in range(4))
-    Js, cond = np.empty((n, 6, 6)), np.empty(n)
-    a, b, radius, no_wrench = platform.base_joints, platform.platform_joints, platform.radius, np.zeros(6)
+    samples, found, Js = np.empty((n, SAMPLE)), np.empty((n, CONDITION + 1)), np.empty((n, 36))
     for k in range(n):
         # Just inside the end, where the path still moves: outside it rests.
         p, R, twist, dtwist = trajectory.sample(min(t[k], span * (1 - 1e-12)))
-        J = Js[k] = jacobian_kernel(a, b, p, R)
-        q[k] = leg_lengths_kernel(a, b, p, R)
-        dq[k] = J @ twist
-        ddq[k] = J @ dtwist + jacobian_rate_kernel(a, b, p, R, twist) @ twist
-        cond[k] = condition_kernel(J, radius)
-        tau[k] = inverse_dynamics_kernel(model.constants, model.code, p, R, twist, dtwist, no_wrench)
+        row = samples[k]
+        row[:3], row[3:12], row[12:18], row[18:] = p, R.ravel(), twist, dtwist
+    joints = platform.base_joints, platform.platform_joints
+    walk_kernel(*joints, model.constants, model.code, platform.radius, samples, found, Js)
+    q, dq, ddq, tau = (found[:, at : at + 6] for at in (LENGTH, RATE, ACCELERATION, FORCE))
     still = np.zeros(6)
     ends = (trajectory.sample(0.0), trajectory.sample(span))
     rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
     forces = drive_forces(plant, q, dq, ddq, tau, rest)
     repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
-    return Walk(t, q, dq, ddq, *forces, cond, np.linalg.slogdet(Js)[0], steps == n - 1, repeats)
+    sign = np.linalg.slogdet(Js.reshape(n, 6, 6))[0]
+    return Walk(t, q, dq, ddq, *forces, found[:, CONDITION], sign, steps == n - 1, repeats)
 
 
 def drive_forces(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigurationError
@@ -14,8 +15,6 @@ if TYPE_CHECKING:  # the processes that only log need no sections
 
 
 def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
-    from drivers.legs.protocol import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
-
     if drives.options:
         raise ConfigurationError(
             f"drives.options: protocol legs has none, given: {', '.join(drives.options)}"
@@ -24,11 +23,23 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
         raise ConfigurationError(
             "drives.transmission: protocol legs speaks of leg lengths and forces and has none; leave it out"
         )
-    if bus.channels:
-        from drivers.legs.several import LegsOnBuses  # noqa: PLC0415 - as above
+    return _our_own(
+        bus.layout, tuple(drives.node_ids), drives.force_limit_N, bus.legs if bus.channels else None
+    )
 
-        return LegsOnBuses(bus.layout, drives.node_ids, drives.force_limit_N, bus.legs)
-    return LegsProtocol(bus.layout, drives.node_ids, drives.force_limit_N)
+
+@cache
+def _our_own(
+    layout: str, node_ids: tuple[int, ...], force_limit_N: float, legs: tuple[tuple[int, ...], ...] | None
+) -> DriveProtocol:
+    """Return the codec of these drives, by their buses where there are several: one is as good as another."""
+    from drivers.legs.protocol import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
+
+    if legs is None:
+        return LegsProtocol(layout, node_ids, force_limit_N)
+    from drivers.legs.several import LegsOnBuses  # noqa: PLC0415 - as above
+
+    return LegsOnBuses(layout, node_ids, force_limit_N, legs)
 
 
 def _cia402(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:

@@ -129,14 +129,13 @@ class Cycle:
             inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state,
             inp.recorder_alive, inp.recorder_dropped, inp.compute_ns, len(inp.frames), zlib.crc32(run),
         )  # fmt: skip
-        began_ns = inp.t_ns + inp.lateness_ns
-        reported = self.homing.before(last)
+        began_ns, reported = inp.t_ns + inp.lateness_ns, self.homing.before(last)
         self.dialogue = parts.protocol.decode(self.dialogue, run, reported, tick, began_ns)
         self.homing.correct(tick, last, braked=self.proven)
         self.tick = tick
         if parts.sensors is not None:
             self.sight.hear(parts.sensors, inp, tick)
-        self.sight.estimate(tick, last, inp.t_ns + inp.lateness_ns)
+        self.sight.estimate(tick, last, began_ns)
         parts.wrench.fill(tick, fusing=self.sight.fusing)
 
         self.operating.step(inp.orders, number, self.mode, self.motion)
@@ -166,9 +165,10 @@ class Cycle:
         for follower in self._followers:
             follower.sent(command.force)
         self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
-        rivalled = bool(self.faults & Fault.SECOND_CONTROLLER)
-        if stops and (latches or rivalled or last["command_mode"] != DriveMode.OFF):  # else OFF is the stop
-            frames = parts.protocol.emergency_stop() + frames
+        if stops:
+            rivalled = self.faults & Fault.SECOND_CONTROLLER
+            if latches or rivalled or last["command_mode"] != DriveMode.OFF:  # else OFF is the stop
+                frames = parts.protocol.emergency_stop() + frames
         frames += self._set_up(tick)
         setpoints = NO_SETPOINTS if steering is None else steering.counts
         if setpoints.refusal:
@@ -348,7 +348,13 @@ class Cycle:
     # -- safety, command -----------------------------------------------------------------------------
 
     def _latch(self, inp: TickInput, verdict: Verdict) -> None:
-        faults = verdict.faults
+        if verdict.faults or self.faults or inp.operator:
+            self._react(inp, verdict.faults)
+        if verdict.stop is not Stop.NONE and self.stop_requested is Stop.NONE:
+            self.stop_requested = verdict.stop
+
+    def _react(self, inp: TickInput, faults: Fault) -> None:
+        """Go where faults lead that strike now."""
         if self.mode is Mode.HELD and self.faults & modes.NOT_MEASURED:
             faults &= ~modes.OF_THE_POSE  # no news, and no cause
         if Operator.ESTOP in inp.operator:
@@ -365,8 +371,6 @@ class Cycle:
                 self._enter(mode, self.tick)
             elif mode is Mode.PARKING and not self._yields and faults & ~self._under_control:
                 self._yield(self.tick)
-        if verdict.stop is not Stop.NONE and self.stop_requested is Stop.NONE:
-            self.stop_requested = verdict.stop
 
     def _after(self, faults: Fault, tick: Record) -> Mode:
         """Return where faults lead that strike now."""

@@ -44,6 +44,7 @@ class Schedule:
             Passed(np.random.default_rng((plan.seed, getattr(fault, "seed", 0), n)))
             for n, fault in enumerate(plan.faults)
         ]
+        self._wait()
         self._present: tuple[tuple[int, Fault], ...] = ()
         self._from_ns = self._until_ns = 0
 
@@ -52,10 +53,11 @@ class Schedule:
         """When the first fault begins; NEVER_NS where none will, as things stand."""
         return min(self._start_ns, default=NEVER_NS)
 
-    @property
-    def waiting(self) -> tuple[Fault, ...]:
+    def _wait(self) -> None:
+        """Look again which faults wait."""
+        faults = zip(self._plan.faults, self._start_ns, strict=True)
+        self.waiting = tuple(fault for fault, at in faults if at == NEVER_NS)
         """Faults whose mode has not been reached."""
-        return tuple(f for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at == NEVER_NS)
 
     def begun(self, t_ns: int) -> tuple[Fault, ...]:
         """Return the faults that have begun by an instant."""
@@ -68,6 +70,7 @@ class Schedule:
             if fault.mode == mode and self._start_ns[n] == NEVER_NS:
                 self._start_ns[n] = t_ns + round(fault.at_s * 1e9)
                 found = True
+        self._wait()
         self._from_ns = self._until_ns = 0
         return found
 

@@ -239,7 +239,7 @@ def test_it_is_the_plain_filter_with_a_leg_lost_and_a_tracker_between_ticks():
 # -- its own statistics ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lost", [(), (4,)])
+@pytest.mark.parametrize("lost", [(4,), pytest.param((), marks=pytest.mark.long)])
 def test_its_errors_are_as_large_as_it_says(lost):
     """Mean of e^T P^-1 e / 12 over independent runs: 1, within five standard deviations of that mean."""
     runs, ticks = 20, 150

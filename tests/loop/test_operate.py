@@ -141,7 +141,7 @@ def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
 
 
 @pytest.mark.parametrize(
-    ("start", "t"), broad([("asked", 0.9), ("automatic", 1.1), ("asked", 1.1), ("automatic", 1.2)], quick=2)
+    ("start", "t"), broad([("asked", 0.9), ("automatic", 1.1), ("asked", 1.1), ("automatic", 1.2)], quick=1)
 )
 def test_a_park_in_the_approach_parks_however_the_path_begins(tmp_path, start, t):
     settings = BRISK | {"start": start}

@@ -13,6 +13,7 @@ from hil.app.sim.command import simulate
 from hil.loop.replay import replay
 from hil.record.log import Log
 from hil.signals import SetPoint
+from tests.broad import broad
 
 LIVE = """reference:
   type: live
@@ -111,7 +112,7 @@ class Changed:
         yield from map(self.change, self.log.ticks())
 
 
-@pytest.mark.parametrize("word", [1, 5])
+@pytest.mark.parametrize("word", broad([5, 1], quick=1))
 def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
     _, log = run
     first: list[int] = []

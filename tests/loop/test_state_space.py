@@ -12,6 +12,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.record.log import Log
+from tests.broad import broad
 from tests.loop import unrecorded
 from tests.loop.test_engage import both_ends, until
 
@@ -34,7 +35,7 @@ def bench(folder, controller, *, name="virtual", reference=None, more=""):
 CONTROLLER = (DATA / "controller.yaml").read_text()
 
 
-@pytest.fixture(scope="module", params=["joint", "pose"])
+@pytest.fixture(scope="module", params=broad(["pose", "joint"], quick=1))
 def recorded(request, tmp_path_factory):
     """A run into the book's path, which begins at 1.25 s, and its summary."""
     folder = tmp_path_factory.mktemp("state_space")

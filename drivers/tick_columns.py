@@ -136,6 +136,14 @@ RECORDED = (
     _("input", "recorder_alive", int, "", "1 while the recorder lives"),
     _("input", "recorder_dropped", int, "", "ticks that the recorder has lost so far"),
     _("input", "compute_ns", int, "ns", "time that the last tick's step took"),
+    _(
+        "input",
+        "latch_ns",
+        int,
+        "ns",
+        "from the wake-up to the end of the SYNC or poll on which each drive latched its encoder",
+        *PER_LEG,
+    ),
     _("input", "frames_received", int, "", "frames that this tick consumed"),
     _("input", "frames_crc32", int, "", "CRC-32 of those frames"),
     _("output", "mode", Mode, "", "where the controller is between rest and motion"),
@@ -232,6 +240,8 @@ del _
 COLUMNS = {column.name: column for column in (*RECORDED, *WORKING)}
 INPUT_COLUMNS = tuple(c.name for c in RECORDED if c.part == "input" and not c.name.startswith("frames_"))
 """Columns that replay reads back as TickInput (frames and operator commands have channels of their own)."""
+INPUT_ELEMENTS = sum(COLUMNS[name].size for name in INPUT_COLUMNS)
+"""Of these columns in all."""
 COMPUTED_COLUMNS = tuple(c.name for c in RECORDED if c.name not in INPUT_COLUMNS)
 """What replay compares."""
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from drivers.arrays import Rows
 from drivers.protocol import Frame, Received
-from drivers.signals import BusState, Refusal
+from drivers.signals import LEGS, BusState, Refusal
 
 
 class Operator(IntEnum):
@@ -125,6 +125,8 @@ class TickInput(NamedTuple):
     operator: tuple[Operator, ...] = ()
     compute_ns: int = 0
     """Time that the previous step took: recorded, decides nothing."""
+    latch_ns: tuple[int, ...] = (0,) * LEGS
+    """From the wake-up to the end of the SYNC or poll on which the drive of each leg latched its encoder."""
     setpoints: tuple[SetPoint, ...] = ()
     """For a live reference, in the order received."""
     orders: tuple[Order, ...] = ()

@@ -160,6 +160,13 @@ class Bus:
         """Return the time between the first frames of the last `send` on the buses; 0 of a single bus."""
         return self._link.skew_ns() if isinstance(self._link, LinkGroup) else 0
 
+    def sent_ns(self) -> Sequence[int | None]:
+        """Return when each frame of the last `send` ended on the wire, where the interface knows it.
+
+        Else when the interface had taken it; None, or no more entries, for what was not taken.
+        """
+        return self._link.sent_ns()
+
     def flush_tx(self) -> None:
         """Drop frames that still wait to be sent, and have a dead bus another try.
 

@@ -45,6 +45,9 @@ class Link(Source, Protocol):
     def first_sent_ns(self) -> int | None:
         """Return when the first frame of the last `send` ended on the wire; None where that is not known."""
 
+    def sent_ns(self) -> Sequence[int]:
+        """Return when each frame that the last `send` took ended on the wire, else when it was taken."""
+
     def fileno(self) -> int:
         """Return a descriptor that is readable when something has come; -1 where there is none."""
 
@@ -70,8 +73,9 @@ class Link(Source, Protocol):
 class LinkGroup:
     """The links of several buses as one.
 
-    Mutable state: the links; on which of them each identifier was last received; when each had taken what
-    the last `send` gave it, and since when it takes none; the worst state of each at the last look.
+    Mutable state: the links; on which of them each identifier was last received; on which each frame of the
+    last `send` went; when each had taken what that gave it, and since when it takes none; the worst state of
+    each at the last look.
     """
 
     def __init__(self, links: Sequence[Link]) -> None:
@@ -80,6 +84,7 @@ class LinkGroup:
         clocks = {id(link.clock) for link in self._links}
         self.clock: Clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
         self._home: dict[int, int] = {}
+        self._order: list[int] = []
         self._taken_ns = [0] * len(self._links)
         self._refused_since = [0] * len(self._links)
         self._states = [BusState.UNKNOWN] * len(self._links)
@@ -128,6 +133,7 @@ class LinkGroup:
     def send(self, frames: Sequence[Frame]) -> int:
         """Return how many frames the buses took, each bus from its first on."""
         own: list[list[Frame]] = [[] for _ in self._links]
+        self._order = [frame.flags // BUS for frame in frames]
         for identifier, data, flags in frames:
             own[flags // BUS].append(Frame(identifier, data, flags % BUS))
         taken = 0
@@ -148,6 +154,11 @@ class LinkGroup:
         ends = [end for link in self._links if (end := link.first_sent_ns()) is not None]
         times = ends if len(ends) == len(self._links) else self._taken_ns
         return max(times) - min(times)
+
+    def sent_ns(self) -> list[int | None]:
+        """Return when each frame of the last `send` ended on its wire, or was taken; None: it was not."""
+        own = {bus: iter(self._links[bus].sent_ns()) for bus in set(self._order)}
+        return [next(own[bus], None) for bus in self._order]
 
     def receive(self) -> list[Received]:
         """Return what is there on all buses, in the order of time."""

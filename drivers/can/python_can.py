@@ -21,7 +21,10 @@ from drivers.protocol import Frame, Received
 
 
 class PythonCan(NoController):
-    """One bus of python-can. Mutable state: the bus, whether its last call failed."""
+    """One bus of python-can.
+
+    Mutable state: the bus, whether its last call failed, what came, and when it had taken the last frames.
+    """
 
     overflow = 0
     clock = MONOTONIC
@@ -30,6 +33,7 @@ class PythonCan(NoController):
         self.off = False
         self._bus = bus
         self._held: list[Received] = []
+        self._taken_ns: list[int] = []
         try:
             self._selectable = bus.fileno() >= 0
         except NotImplementedError:
@@ -37,6 +41,7 @@ class PythonCan(NoController):
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send until the interface refuses one."""
+        self._taken_ns.clear()
         for i, frame in enumerate(frames):
             try:
                 self._bus.send(to_message(Received(0, frame), 0, ""), timeout=0)
@@ -44,12 +49,17 @@ class PythonCan(NoController):
                 raise BusError(f"bus: frame 0x{frame.id:X} cannot be sent: {error}") from error
             except (can.CanError, OSError):
                 return i
+            self._taken_ns.append(time.monotonic_ns())
         self.off = False
         return len(frames)
 
     def first_sent_ns(self) -> None:
         """Return None: python-can does not say when a frame was on the wire."""
         return
+
+    def sent_ns(self) -> list[int]:
+        """Return when the interface had taken each frame of the last `send`."""
+        return self._taken_ns
 
     def fileno(self) -> int:
         """Return the interface's descriptor, readable when something has come; -1 where it has none."""

@@ -39,6 +39,8 @@ STUCK_NS = 50_000_000
 """A bus that has not emptied our transmit queue once in so long is dead, ..."""
 STUCK_LOOKS = 5
 """... if we have looked so often: a machine that stood still has not."""
+_CLOCK_LOOKS, _CLOSE_NS = 5, 10_000
+"""At most so many looks at both clocks, until they are so close."""
 _LOOK_NS = 100_000_000
 """How often it is looked whether an interface is back."""
 
@@ -48,7 +50,8 @@ class SocketCan:
 
     Mutable state: the socket, `overflow` (frames lost so far in the kernel or the controller), whether the
     interface is down, gone or not the configured one any more and since when, whether the controller is
-    bus-off, its worst state since it was asked for, and since when our frames wait.
+    bus-off, its worst state since it was asked for, since when our frames wait, and when the kernel had
+    taken the last ones.
     Raises BusError when the kernel has no CAN, or the channel does not exist, is down or differs from
     the section `bus`.
     """
@@ -62,6 +65,7 @@ class SocketCan:
         self._down = self._gone = self._refused = self._bus_off = self._stuck = self._dropped = False
         self._since_ns = self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
         self._state = self._worst = BusState.UNKNOWN
+        self._taken_ns: list[int] = []
         try:
             self._socket, self._interface = self._open()
         except AttributeError as error:
@@ -161,6 +165,7 @@ class SocketCan:
         None while the bus is off, or older ones have waited for STUCK_NS: what a dead bus is given comes out
         when it is back.
         """
+        self._taken_ns.clear()
         self._look_at_queue()
         if self._refused or self._bus_off or self._stuck:
             return 0
@@ -179,11 +184,16 @@ class SocketCan:
                 if error.errno == errno.ENETDOWN or error.errno in _GONE:
                     self._set_down(error)
                 return i
+            self._taken_ns.append(time.monotonic_ns())
         return len(frames)
 
     def first_sent_ns(self) -> None:
         """Return None: nobody asks the kernel when a frame was on the wire."""
         return
+
+    def sent_ns(self) -> list[int]:
+        """Return when the kernel had taken each frame of the last `send`."""
+        return self._taken_ns
 
     def fileno(self) -> int:
         """Return the socket's descriptor, readable when something has come."""
@@ -230,7 +240,7 @@ class SocketCan:
     def receive(self) -> list[Received]:
         """Return the frames that are there, error frames included."""
         received: list[Received] = []
-        real_to_monotonic = time.monotonic_ns() - time.time_ns()
+        real_to_monotonic = _real_to_monotonic()
         for _ in range(_BATCH):
             try:
                 raw, ancillary, _, _ = self._socket.recvmsg(_FD_MTU, 64)
@@ -336,6 +346,18 @@ class SocketCan:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+
+def _real_to_monotonic() -> int:
+    """Return the monotonic clock less that of the kernel's stamps, ns, from two looks close to each other.
+
+    A stall between the two would move all stamps.
+    """
+    for _ in range(_CLOCK_LOOKS):
+        before, real, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < _CLOSE_NS:
+            break
+    return (before + after) // 2 - real
 
 
 def pack(frame: Frame) -> bytes:

@@ -20,7 +20,7 @@ OLDEST = 50
 STRAYING = 8
 """Ticks after a drive was missed within which what it still owes may come: a stall shifts answers."""
 SHORTEST = 0.5
-"""Periods; a stall leaves shorter steps, of which the clock does not know how long they are on the bus."""
+"""Periods; a stall leaves shorter steps, over which the steps of the encoder make too rough a rate."""
 _PLACE, _SPEED, _SDO, _BEAT, _EMERGENCY, _OTHER = range(6)
 """Kinds of frames."""
 _TPDO1, _TPDO2 = struct.Struct("<Hih"), struct.Struct("<i")
@@ -72,16 +72,17 @@ class Feedback:
     ) -> Cia402Dialogue:
         """Fill the measurement of a tick from that of the last one and the frames since.
 
-        A TPDO that came at `since_ns` or later answers this tick's SYNC; an earlier one answers the last one,
-        and counts with age 1 if nothing newer is held. Refused, and counted in `rejected`: a wrong length, a
-        statusword or an NMT state that there is not, an SDO frame that is no expedited answer. A second
-        TPDO of a tick with other data makes the node `doubled`, and the first one counts; unless the drive
-        owes one to an earlier SYNC since it was missed within the last STRAYING ticks: then the last one
-        counts. A leg is as old as the older one of its two TPDOs. Boot-up, and a drive that has left
-        Operational, begin its set-up anew.
+        since_ns: when the loop woke up. A TPDO that came after this tick's SYNC had ended answers it; an
+        earlier one answers the last one, and counts with age 1 if nothing newer is held. Refused, and counted
+        in `rejected`: a wrong length, a statusword or an NMT state that there is not, an SDO frame that is no
+        expedited answer. A second TPDO of a tick with other data makes the node `doubled`, and the first one
+        counts; unless the drive owes one to an earlier SYNC since it was missed within the last STRAYING
+        ticks: then the last one counts. A leg is as old as the older one of its two TPDOs. Boot-up, and a
+        drive that has left Operational, begin its set-up anew.
         """
         heard = _Heard(dialogue, last, tick)
         number, at = int(tick["tick"]), 0
+        synced_ns = [since_ns + delay for delay in tick["latch_ns"].tolist()]
         while at < len(run):
             t_ns, identifier, flags, size = HEAD.unpack_from(run, at)
             start = at + HEAD.size
@@ -94,7 +95,7 @@ class Feedback:
                 if size != _SIZES[kind] or (kind == _PLACE and STATE_OF[run[start] & 0x7F] == UNHEARD):
                     heard.rejected += 1
                 else:
-                    heard.take(kind, leg, run[start:at], late=t_ns < since_ns)
+                    heard.take(kind, leg, run[start:at], late=t_ns < synced_ns[leg])
             elif kind == _OTHER:
                 heard.foreign |= leg
             else:
@@ -136,7 +137,7 @@ class Feedback:
         """Put what was heard into the tick."""
         length, rate, force = (last[name].tolist() for name in ("length", "rate", "drive_force"))
         states, stopped = list(dialogue.states), dialogue.stopped
-        slopes, latched_ns = list(dialogue.slopes), (_began_ns(tick), _began_ns(last))
+        slopes, latched_ns = list(dialogue.slopes), (_latched_ns(tick), _latched_ns(last))
         for leg in range(LEGS):
             place, speed = heard.places[leg], heard.speeds[leg]
             if place is None:
@@ -156,7 +157,7 @@ class Feedback:
                 rate[leg] = self._m_per_count[leg] * _TPDO2.unpack(speed[0])[0]
             else:
                 period_s, slope = 1.0 / dialogue.setup.rate_Hz, slopes[leg]
-                rate[leg], slopes[leg] = difference(here, latched_ns[late], slope, rate[leg], period_s)
+                rate[leg], slopes[leg] = difference(here, latched_ns[late][leg], slope, rate[leg], period_s)
             length[leg], heard.age[leg] = here, int(late)
             if not late and dialogue.asked[leg] >= 0:
                 step = dialogue.step(leg)
@@ -189,8 +190,8 @@ def difference(
     """Return the rate at the end of a step from the last two mean rates, and what the next one needs.
 
     dq = d1 + (d1 - d0) T1 / (T1 + T0), the slope at the end of the parabola through the last three lengths:
-    the mean rate d1 of the step alone is that of T1 / 2 ago. T by the clock, lateness included: at 400 Hz a
-    loop that wakes up 25 us late moves a leg by 1 % of its step. A step shorter than SHORTEST periods leaves
+    the mean rate d1 of the step alone is that of T1 / 2 ago. T from SYNC to SYNC as the bus carried them: at
+    400 Hz one that is 25 us late moves a leg by 1 % of its step. A step shorter than SHORTEST periods leaves
     the rate as it was read last, m/s, and is part of the next one; after OLDEST periods the rate begins at 0.
     """
     d0, T0, was_ns, was = before
@@ -203,9 +204,10 @@ def difference(
     return d1 + ((d1 - d0) * T1 / (T1 + T0) if T0 else 0.0), Slope(d1, T1, latched_ns, length)
 
 
-def _began_ns(record: Record) -> int:
-    """Return when the SYNC of a tick was due to be sent."""
-    return int(record["t_ns"]) + int(record["lateness_ns"])
+def _latched_ns(record: Record) -> list[int]:
+    """Return when the SYNC of a tick ended on the bus of each leg."""
+    woke_ns = int(record["t_ns"]) + int(record["lateness_ns"])
+    return [woke_ns + delay for delay in record["latch_ns"].tolist()]
 
 
 class _Heard:

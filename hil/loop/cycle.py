@@ -17,7 +17,7 @@ from typing import Any
 from drivers.arrays import ZERO6
 from drivers.protocol import Dialogue, Frame, run_of
 from drivers.signals import Command, DriveMode, Fault, Mode, Stop, Warn
-from drivers.tick_columns import INPUT_COLUMNS, TICK, Record, new_record, row_of
+from drivers.tick_columns import INPUT_ELEMENTS, TICK, Record, new_record, row_of
 from hil.loop import modes
 from hil.loop.drives_say import all_free, all_ready, any_powered, confirmed, measured_at_rest
 from hil.loop.effort import Effort
@@ -38,7 +38,7 @@ from hil.safety.standstill import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
 from hil.trajectory.path import PoseSample
 
-_put_input = struct.Struct(f"<{len(INPUT_COLUMNS) + 2}q").pack_into
+_put_input = struct.Struct(f"<{INPUT_ELEMENTS + 2}q").pack_into
 _put_three = struct.Struct("<3q").pack_into
 _fields: Any = TICK.fields
 _MODE_AT, _SETPOINTS_AT = _fields["mode"][1], _fields["setpoints_taken"][1]
@@ -127,7 +127,8 @@ class Cycle:
             buffer.data, 0,
             number, inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns,
             inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state,
-            inp.recorder_alive, inp.recorder_dropped, inp.compute_ns, len(inp.frames), zlib.crc32(run),
+            inp.recorder_alive, inp.recorder_dropped, inp.compute_ns, *inp.latch_ns,
+            len(inp.frames), zlib.crc32(run),
         )  # fmt: skip
         began_ns, reported = inp.t_ns + inp.lateness_ns, self.homing.before(last)
         self.dialogue = parts.protocol.decode(self.dialogue, run, reported, tick, began_ns)

@@ -18,6 +18,7 @@ from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines
 from hil.loop.console import Console
 from hil.loop.cycle import Cycle
+from hil.loop.latches import checked, latch_ns
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
 from hil.loop.unheard import not_told
@@ -52,6 +53,8 @@ class Shell(NamedTuple):
     or comes over `channel`."""
     say: Callable[[str], None] = lambda _: None
     """Tells the operator what the run waits for, or why it goes on after a fault."""
+    answer_ns: int = 0
+    """A feedback takes at least so long on the bus."""
 
 
 def run(course: Course, shell: Shell) -> Ending:
@@ -115,16 +118,19 @@ def _run(course: Course, shell: Shell) -> Ending:
     sends_failed = compute_ns = 0
     said, ask = "", WORD if shell.consent is None else CONSENT
     recorded = True
-    clock, stood_ns = bus.clock, bus.clock.stretched()
+    protocol, clock, stood_ns = cycle.parts.protocol, bus.clock, bus.clock.stretched()
     panel.running()
     while True:
         tick, t_ns, lateness_ns, skipped = deadlines.wait()
         stood_before_ns, stood_ns = stood_ns, clock.stretched()
         frames = bus.drain_now()
         opening = cycle.begin(tick)
+        begun_ns = clock.now()
         sends_failed += bus.send(opening)
-        frames += _answers(cycle, bus, tick, t_ns + lateness_ns, t_ns + window_ns)
+        answers = _answers(cycle, bus, tick, begun_ns, t_ns + window_ns)
+        frames += answers
         skew_ns = bus.skew_ns()
+        sent_ns = checked(protocol, opening, bus.sent_ns(), answers, begun_ns, shell.answer_ns)
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
         if recorded and not recording.alive:
@@ -151,6 +157,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             recorder_dropped=recording.dropped,
             operator=operator,
             compute_ns=compute_ns,
+            latch_ns=latch_ns(protocol, opening, sent_ns, t_ns + lateness_ns),
             setpoints=heard.setpoints,
             orders=heard.orders,
         )
@@ -182,7 +189,7 @@ def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:
-    """Wait for the six feedbacks of a tick that began at `begun_ns`."""
+    """Wait for the six feedbacks of a tick whose first frames were given to the bus from `begun_ns` on."""
     protocol = cycle.parts.protocol
     wanted, fresh, awaited = protocol.feedback_ids, protocol.fresh, protocol.awaited
     answers: list[Received] = []

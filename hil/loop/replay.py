@@ -4,13 +4,21 @@ import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
 
 from drivers.arrays import Rows
 from drivers.signals import BusState
-from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_COLUMNS, RECORDED, Column
+from drivers.tick_columns import (
+    COLUMNS,
+    COMPUTED_COLUMNS,
+    INPUT_COLUMNS,
+    INPUT_ELEMENTS,
+    RECORDED,
+    Column,
+)
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
@@ -71,7 +79,7 @@ class Comparison:
         )
 
 
-_INPUT = struct.Struct(f"<{len(INPUT_COLUMNS)}q")
+_INPUT = struct.Struct(f"<{INPUT_ELEMENTS}q")
 """The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
 
 
@@ -102,7 +110,11 @@ class Recorded(Protocol):
 
 def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick."""
-    columns: dict[str, Any] = dict(zip(INPUT_COLUMNS, _INPUT.unpack_from(entry.row.tobytes()), strict=True))
+    numbers = iter(_INPUT.unpack_from(entry.row.tobytes()))
+    columns: dict[str, Any] = {
+        name: tuple(islice(numbers, COLUMNS[name].size)) if COLUMNS[name].shape else next(numbers)
+        for name in INPUT_COLUMNS
+    }
     columns["recorder_alive"] = bool(columns["recorder_alive"])
     columns["bus_state"] = BusState(columns["bus_state"])
     return TickInput(

@@ -123,7 +123,13 @@ def stray_of(tick: Any, limits: Any, memory: Any, leg: int) -> float:
 
 
 @helper
-def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> float:
+def latched(tick: Any, leg: int) -> int:
+    """Return when the encoder of a leg was latched for a tick, ns: when its SYNC or poll had gone out."""
+    return int(tick.t_ns + tick.lateness_ns + tick.latch_ns[leg])
+
+
+@helper
+def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
     """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
 
     Returns how much later than the clock says the latch was, over the legs heard the last time any was.
@@ -133,7 +139,7 @@ def compare(tick: Any, limits: Any, memory: Any, latched_ns: int, x: Array) -> f
         lost = memory.heard[i] == 0 or tick.tick + 1 - memory.heard[i] > LONGEST_GAP
         if tick.age[i] != 0 or lost:
             continue
-        T = 1e-9 * (latched_ns - memory.latched_ns[i])
+        T = 1e-9 * (latched(tick, i) - memory.latched_ns[i])
         x[_DT, i] = T
         x[_RANGE, i] = acceleration_range(limits.mobility, x[_SWING], limits.disturbance_m_s2, i)
         lively = x[_RANGE, i] + abs(memory.acceleration[i])
@@ -262,7 +268,7 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 
 
 @helper
-def remember_readings(tick: Any, limits: Any, memory: Any, latched_ns: int, delay: float, x: Array) -> None:
+def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Array) -> None:
     """Keep what the next tick is compared with."""
     memory.delay_s += delay
     for i in range(6):
@@ -276,7 +282,7 @@ def remember_readings(tick: Any, limits: Any, memory: Any, latched_ns: int, dela
             memory.acceleration[i] = memory.spacing_s[i] = 0.0
         memory.length_was[i], memory.rate_was[i] = tick.length[i], tick.rate[i]
         memory.lag_s[i] = x[_LAG, i]
-        memory.latched_ns[i], memory.latched_delay_s[i] = latched_ns, memory.delay_s
+        memory.latched_ns[i], memory.latched_delay_s[i] = latched(tick, i), memory.delay_s
         memory.heard[i] = memory.heard_tick = tick.tick + 1
 
 
@@ -293,9 +299,8 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
     x = np.zeros((14, 6))
-    latched_ns = tick.t_ns + tick.lateness_ns
     swings(history, memory.newest, acting(tick, limits, memory), x[_SWING])
-    delay = compare(tick, limits, memory, latched_ns, x)
+    delay = compare(tick, limits, memory, x)
     if tick.mode < _IDLE:
         forget_doubt(memory)
     elif memory.doubted == 0 and tick.mode != _FAULT:
@@ -307,7 +312,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
     if not settled or memory.doubted != 0:
         memory.stood[:] = 0
         memory.push[:] = 0
-    remember_readings(tick, limits, memory, latched_ns, delay, x)
+    remember_readings(tick, limits, memory, delay, x)
     note_missed(tick, limits, memory)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit

@@ -234,10 +234,14 @@ class FakeLink(NoController):
 
     def __init__(self, clock, end_ns=None):
         self.clock, self.sent, self.inbox, self.end_ns, self.blocked = clock, [], [], end_ns, []
+        self.out_ns = []
 
     def send(self, frames):
         self.sent += frames
         return len(frames) - (self.off is True)
+
+    def sent_ns(self):
+        return self.out_ns
 
     def receive(self):
         found, self.inbox = self.inbox, []
@@ -272,6 +276,14 @@ def test_the_skew_is_that_of_the_ends_on_the_wire_else_of_the_instants_at_which_
     unknown = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock)])  # type: ignore[list-item]
     unknown.send([Frame(1, b""), Frame(1, b"", BUS)])
     assert unknown.skew_ns() == 1_000
+
+
+def test_each_frame_has_the_time_of_its_own_bus_and_none_where_that_did_not_take_it():
+    links = [FakeLink(Still()), FakeLink(Still())]
+    bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
+    bus.send([Frame(1, b"", BUS), Frame(1, b""), Frame(2, b"", BUS), Frame(3, b"", BUS), Frame(2, b"")])
+    links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
+    assert list(bus.sent_ns()) == [20, 10, 21, None, 11]
 
 
 def test_one_bus_that_is_off_is_named_by_its_bit():
@@ -324,6 +336,7 @@ def test_two_localcan_channels_are_one_bus_on_one_clock():
         assert near.clock.stretched() == far.clock.stretched() == 0
         by_bus = {each.frame.bus: each.t_ns for each in heard if each.frame.id == 0x80}
         assert near.skew_ns() == abs(by_bus[1] - by_bus[0])
+        assert [list(near.sent_ns())[k] for k in (0, 1)] == [by_bus[0], by_bus[1]], "the ends on the wire"
         assert far.send([Frame(0x281, b"x"), Frame(0x284, b"y", BUS)]) == 0
         found = near.drain(near.clock.now() + 500_000_000, {0x281, 0x284})
         assert sorted((each.frame.id, each.frame.bus) for each in found) == [(0x281, 0), (0x284, 1)]

@@ -119,6 +119,35 @@ def test_a_frame_keeps_the_kernels_time_stamp(made, clock):
     assert -4_000_000 < received.t_ns - clock.ns < -2_900_000
 
 
+def test_a_stall_between_the_looks_at_two_clocks_moves_no_time_stamp(made, clock):
+    can, sock = made
+    sock.hears(0x123, t_ns=time.time_ns())
+    looks = iter([0, 3_000_000, 0, 0])
+
+    def monotonic_ns():
+        clock.ns += next(looks, 0)
+        return clock.ns
+
+    clock.monotonic_ns = monotonic_ns
+    (received,) = can.receive()
+    assert abs(received.t_ns - clock.ns) < 1_000_000
+
+
+def test_a_frame_is_out_when_the_kernel_has_taken_it(made, clock):
+    can, sock = made
+    taken = sock.send
+
+    def send(raw):
+        clock.ns += 1_000_000
+        return taken(raw)
+
+    sock.send, begun_ns = send, clock.ns
+    assert can.send([Frame(1, b""), Frame(2, b"")]) == 2
+    assert can.sent_ns() == [begun_ns + 1_000_000, begun_ns + 2_000_000]
+    can.send([Frame(3, b"")])
+    assert can.sent_ns() == [begun_ns + 3_000_000]
+
+
 def test_losses_in_the_kernel_are_counted_once_and_over_the_wrap(made):
     can, sock = made
     for lost in (3, 3, 10, 0xFFFFFFFF, 1):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import partial
 from math import e
 from pathlib import Path
@@ -13,22 +12,19 @@ import pytest
 
 import configs
 from drivers.arrays import Array
-from drivers.can.bus_time import BitTiming
-from drivers.protocol import Frame
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.sim.lockstep import Lockstep
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.loop.run_end import Ending
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from hil.trajectory.path import Trajectory
 from plant_fmu.config import StewartPlant
 from plant_fmu.faults.load import PayloadStep, WrenchStep
 from plant_fmu.faults.plan import STANDARD_GRAVITY, FaultPlan
 from tests.broad import broad
+from tests.loop.stalling import build_stalling
 
 SHIPPED = sorted(path.stem for path in Path(str(configs.__file__)).parent.glob("*.yaml"))
 VIRTUAL = [name for name in SHIPPED if load(name).plant is not None]
@@ -36,70 +32,6 @@ FOLLOWS = 0.4
 """Share of the allowed following error that a load may cause: the path and friction take theirs, too."""
 ANSWERS = 0.25
 """Share of the allowed change of force that the law may need to answer a load, anywhere on the path."""
-PLACES = ("asleep", "before SYNC", "before the command")
-
-
-@dataclass
-class Stalling(Lockstep):
-    """A controller whose machine takes the processor away now and then, and wakes it late.
-
-    It stalls where it sleeps, between the clock and SYNC, and between the feedbacks and the command, each
-    `every_s` on average and up to `longest_ns`. Periods that are over are skipped.
-
-    Mutable state: `Lockstep`'s, how late the next tick begins, and what was skipped before it.
-    """
-
-    generator: np.random.Generator = field(default_factory=np.random.default_rng)
-    every_s: float = 0.5
-    longest_ns: int = 0
-    jitter_ns: int = 30_000
-    stalls: int = 0
-    _skipped: int = 0
-    _lateness_ns: int = 0
-
-    def step(
-        self,
-        operator: tuple[Operator, ...] = (),
-        setpoints: tuple[SetPoint, ...] = (),
-        orders: tuple[Order, ...] = (),
-    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
-        """Advance both ends by one tick."""
-        self.tick = tick = self.tick + 1
-        t_ns, next_ns = tick * self.period_ns, (tick + 1) * self.period_ns
-        skipped, lateness_ns = self._skipped, self._lateness_ns
-        asleep_ns, unseen_ns, held_ns = self._stall()
-        opening = self.cycle.begin(tick)
-        sent_ns = max(t_ns + lateness_ns + unseen_ns, self.nodes.now_ns)
-        window_ns, self.window_ns = self.window_ns, self.window_ns - (sent_ns - t_ns)
-        feedback, heard_ns = self._exchange(sent_ns, opening)
-        self.window_ns = window_ns
-        inp = TickInput(
-            tick,
-            t_ns,
-            lateness_ns,
-            skipped,
-            frames=tuple(feedback),
-            operator=operator,
-            setpoints=setpoints,
-            orders=orders,
-        )
-        out = self.cycle.step(inp)
-        done_ns = max(heard_ns, sent_ns) + self.compute_ns + held_ns
-        if not self._send(done_ns, out.frames, next_ns - 1, self._commands):
-            self._queue([(done_ns, frame) for frame in out.frames], from_drive=False)
-        awake_ns = max(done_ns, next_ns + asleep_ns)
-        self._skipped = (awake_ns - next_ns) // self.period_ns
-        self.tick += self._skipped
-        self._lateness_ns = awake_ns - next_ns - self._skipped * self.period_ns
-        return inp, opening, out
-
-    def _stall(self) -> tuple[int, int, int]:
-        """Return how long this tick is held up in each of the PLACES, ns."""
-        stall = [int(self.generator.integers(self.jitter_ns)), 0, 0]
-        if self.generator.random() < 1e-9 * self.period_ns / self.every_s:
-            self.stalls += 1
-            stall[self.generator.integers(len(PLACES))] += int(self.generator.integers(self.longest_ns))
-        return stall[0], stall[1], stall[2]
 
 
 def longest_stall_s(c: Configuration) -> float:
@@ -194,11 +126,10 @@ def run(name: str, seed: int, end_s: float | None) -> tuple[Ending, int]:
     path = cycle.parts.trajectory
     loads = loads_of(c, path, generator, 60.0 if end_s is None else end_s) if moves else []
     nodes, plant = build_nodes(c, FaultPlan(loads, seed))
-    timing = None if c.bus.layout == "ideal" else BitTiming.of(c.bus)
-    stalling = Stalling(
-        cycle, nodes, timing, c.loop.window_s(rate),
-        generator=generator, every_s=200.0 / rate, longest_ns=round(1e9 * longest_stall_s(c)),
-    )  # fmt: skip
+    longest_ns = round(1e9 * longest_stall_s(c))
+    stalling = build_stalling(
+        c, nodes, cycle, generator=generator, every_s=200.0 / rate, longest_ns=longest_ns
+    )
     try:
         ending = stalling.run(end_s, partial(assert_calm, name, seed))
     finally:

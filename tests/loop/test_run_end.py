@@ -321,6 +321,9 @@ class Wire:
     def skew_ns(self):
         return 0
 
+    def sent_ns(self):
+        return []
+
     def flush_tx(self):
         pass
 

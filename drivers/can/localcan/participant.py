@@ -86,6 +86,9 @@ class Participant(NoController):
         self._inbox: list[Received] = []
         self._first_number = -1
         """Of the first frame of the last `send`; -1: none was taken."""
+        self._taken = 0
+        """How many it took."""
+        self._taken_ns = 0
         self._torn = 0
         """Frames that were overwritten while they were read."""
         self._thread = threading.RLock()
@@ -201,12 +204,13 @@ class Participant(NoController):
             room = min(self._tx_limit - int(state[log.OWN_WAITING]), QUEUE_LIMIT - int(state[log.WAITING]))
             taken = max(0, min(len(packed), room))
             number = wire.count(serial)
-            self._first_number = number if taken else -1
+            self._first_number, self._taken = number if taken else -1, taken
             for key, duration, id_, flags, data in packed[:taken]:
                 wire.put(serial, number, 0, key, duration, serial, id_, flags, len(data), data)
                 wire.counted(serial, number + 1)
                 self._append(QUEUE, number)
                 number += 1
+        self._taken_ns = self.clock.now()
         if taken:
             self.clock.sends()
             # an unanswered ring is repeated: the one who should have rung may have been killed
@@ -253,10 +257,23 @@ class Participant(NoController):
 
     def first_sent_ns(self) -> int | None:
         """Return when the first frame of the last `send` ended, as far as this node has looked; else None."""
-        at = record_at(self.serial, self._first_number)
+        return self._ended_ns(self._first_number) if self._first_number >= 0 else None
+
+    def _ended_ns(self, number: int) -> int | None:
+        """Return when a frame of this node ended; None where that is not known."""
+        at = record_at(self.serial, number)
         end = int(self._wire.words[at + END])
-        same = int(self._wire.words[at + NUMBER]) == self._first_number
-        return end if self._first_number >= 0 and same and end >= 0 else None
+        same = int(self._wire.words[at + NUMBER]) == number
+        return end if same and end >= 0 else None
+
+    def sent_ns(self) -> list[int]:
+        """Return when each frame that the last `send` took ended, as far as this node has looked.
+
+        Else when it was taken.
+        """
+        first = self._first_number
+        ends = [self._ended_ns(first + k) for k in range(self._taken)]
+        return [self._taken_ns if end is None else end for end in ends]
 
     # receiving
     @property

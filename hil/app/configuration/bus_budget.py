@@ -1,10 +1,10 @@
 """The bus time that a configuration's frames take."""
 
 from drivers import build_protocol
-from drivers.can.bus_time import BitTiming, BusBudget, check
+from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import DriveSetup
+from drivers.protocol import DriveProtocol, DriveSetup
 from drivers.sensors import SensorProtocol
 from drivers.several_buses import off_bus
 
@@ -50,6 +50,15 @@ def bus_budget(
     """Return the budget of the fullest bus, see `bus_budgets`; None for layout ideal, which takes no time."""
     found = bus_budgets(bus, drives, sensors, rate_Hz)
     return max(found, key=lambda each: each.load_percent) if found else None
+
+
+def shortest_answer_ns(bus: BusSettings, protocol: DriveProtocol) -> int:
+    """Return the least time, ns, that a feedback of the drives takes on its bus."""
+    return min(
+        frame_time_ns(len(frame.data), off_bus(frame).flags, BitTiming.of(bus.buses[frame.bus]))
+        for frame in protocol.cyclic_frames()
+        if protocol.awaited(frame) in protocol.feedback_ids
+    )
 
 
 def bus_names(bus: BusSettings) -> tuple[str, ...]:

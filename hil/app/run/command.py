@@ -15,7 +15,7 @@ from drivers.can.bus import Bus
 from drivers.errors import LogError, RunError
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, record
-from hil.app.configuration.bus_budget import bus_names, loads
+from hil.app.configuration.bus_budget import bus_names, loads, shortest_answer_ns
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
@@ -105,7 +105,8 @@ def run_daemon(
             if clock is not None:
                 begin(clock, c, cycle, window_ns)
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
-            shell = Shell(bus, deadlines, recording, panel, window_ns, channel, consent, _say)
+            answer_ns = shortest_answer_ns(c.bus, cycle.parts.protocol)
+            shell = Shell(bus, deadlines, recording, panel, window_ns, channel, consent, _say, answer_ns)
             try:
                 course = Course(
                     cycle, duration_s, armed=arm, reset=reset, stays=True, goes_on=c.operator.stays,

@@ -14,6 +14,7 @@ from drivers.errors import PlantError
 from drivers.protocol import ALWAYS, Frame, Received
 from drivers.signals import BusState, Mode
 from hil.loop.cycle import Cycle
+from hil.loop.latches import latch_ns
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
@@ -87,6 +88,8 @@ class Lockstep:
     """How many there are."""
     skew_ns: int = 0
     """From this tick's SYNC on the first bus to that on the last."""
+    sent_ns: list[int | None] = field(default_factory=list)
+    """When each of the frames that started this tick ended; None: it still waits."""
     free_ns: int = ALWAYS
     """When the bus falls free."""
     _queued: list[tuple[int, int, int, int, bool, Frame]] = field(default_factory=list)
@@ -133,6 +136,7 @@ class Lockstep:
             bus_off=off,
             bus_state=BusState.OFF if off else BusState.UNKNOWN,
             operator=operator,
+            latch_ns=latch_ns(self.cycle.parts.protocol, opening, self.sent_ns, t_ns),
             setpoints=setpoints,
             orders=orders,
         )
@@ -190,13 +194,20 @@ class Lockstep:
         return early + answers, deadline
 
     def _open(self, t_ns: int, opening: tuple[Frame, ...], deadline: int) -> None:
-        """Let what starts the tick reach the drives."""
+        """Let what starts the tick reach the drives; take note when."""
+        before = len(self._commands)
         if not self._send(t_ns, opening, deadline, self._commands):
             self._queue([(t_ns, frame) for frame in opening], from_drive=False)
             self._carry(t_ns)
             # it waits for the frame on the wire, on a flooded bus in vain
             while self.free_ns <= deadline and any(queued[-1] in opening for queued in self._queued):
                 self._carry(self.free_ns)
+        self._note_sent(opening, self._commands[before:])
+
+    def _note_sent(self, opening: tuple[Frame, ...], ended: Sequence[Received]) -> None:
+        """Take note when each of the frames that start the tick ended, among all that have."""
+        ends = {frame: t_ns for t_ns, frame in ended}
+        self.sent_ns = [ends.get(frame) for frame in opening]
 
     def _send(
         self, t_ns: int, frames: Sequence[Frame], end_ns: int, receiver: list[Received]

@@ -34,18 +34,23 @@ class SeveralWires(Lockstep):
     def _open(self, t_ns: int, opening: tuple[Frame, ...], deadline: int) -> None:
         """Let what starts the tick reach the drives, each bus by itself; take note of how far apart."""
         before = len(self._commands)
-        self._queue([(t_ns, frame) for frame in opening], from_drive=False)
-        self._carry(t_ns)
+        self._carry(self._give(t_ns, opening))
         for bus, waiting in enumerate(self._waiting):
             while self._free[bus] <= deadline and any(each[-1] in opening for each in waiting):
                 self._carry(self._free[bus])
                 waiting = self._waiting[bus]  # noqa: PLW2901 - what is left
+        self._note_sent(opening, self._commands[before:])
         ends: dict[int, int] = {}
-        for t_end_ns, frame in self._commands[before:]:
-            if frame in opening:
-                ends.setdefault(frame.bus, t_end_ns)
+        for frame, t_end_ns in zip(opening, self.sent_ns, strict=True):
+            if t_end_ns is not None:
+                ends[frame.bus] = min(ends.get(frame.bus, t_end_ns), t_end_ns)
         self._commands.sort(key=_TIME)
         self.skew_ns = max(ends.values()) - min(ends.values()) if len(ends) == self.buses else 0
+
+    def _give(self, t_ns: int, opening: tuple[Frame, ...]) -> int:
+        """Put what starts the tick into the queues of its buses; return when the last one had it."""
+        self._queue([(t_ns, frame) for frame in opening], from_drive=False)
+        return t_ns
 
     def _send(
         self, t_ns: int, frames: Sequence[Frame], end_ns: int, receiver: list[Received]

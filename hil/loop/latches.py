@@ -1,0 +1,65 @@
+"""When the drives latched their encoders, as far as the controller's end can know. Pure: no clock, no bus.
+
+A drive latches when its SYNC or poll has ended on the bus. The clock at wake-up does not tell that: a stall
+before the frame is written makes it late. A stall after it makes the clock read late instead; then the
+answer tells, as it cannot come sooner than its own time on the wire after the SYNC.
+"""
+
+from collections.abc import Sequence
+
+from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.signals import LEGS
+
+PROMPT_NS = 100_000
+"""Sends that took less are not checked against their answers."""
+
+
+def latch_ns(
+    protocol: DriveProtocol, opening: Sequence[Frame], sent_ns: Sequence[int | None], woke_ns: int
+) -> tuple[int, ...]:
+    """Return for each leg the ns from the wake-up to when its SYNC or poll had gone out; 0 where it has none.
+
+    sent_ns: when each of the first frames of `opening` was out; those behind were not taken by the bus, nor
+    one that has None.
+    """
+    delays = [0] * LEGS
+    for frame, t_ns in zip(opening, sent_ns, strict=False):
+        if t_ns is not None:
+            for leg in protocol.addressed(frame):
+                delays[leg] = t_ns - woke_ns
+    return tuple(delays)
+
+
+def checked(
+    protocol: DriveProtocol,
+    opening: Sequence[Frame],
+    sent_ns: Sequence[int | None],
+    answers: Sequence[Received],
+    begun_ns: int,
+    answer_ns: int,
+) -> list[int | None]:
+    """Return when each frame of `opening` was out, where its answers say so: sooner than the clock.
+
+    answers: what came since `begun_ns`, when the first frame was given to the bus; answer_ns: what a feedback
+    takes on the wire at least. Feedback that came within that time answers an older frame.
+    """
+    return [
+        t_ns
+        if t_ns is None or t_ns - begun_ns < PROMPT_NS
+        else min([t_ns, *_soonest(protocol, frame, answers, begun_ns, answer_ns)])
+        for frame, t_ns in zip(opening, sent_ns, strict=False)
+    ]
+
+
+def _soonest(
+    protocol: DriveProtocol, frame: Frame, answers: Sequence[Received], begun_ns: int, answer_ns: int
+) -> list[int]:
+    """Return when a frame must have been out for each feedback to it, ns."""
+    legs, wanted = protocol.addressed(frame), protocol.feedback_ids
+    return [
+        t_ns - answer_ns
+        for t_ns, answer in answers
+        if t_ns - answer_ns >= begun_ns
+        and protocol.awaited(answer) in wanted
+        and protocol.sender(answer) in legs
+    ]

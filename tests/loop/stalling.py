@@ -1,0 +1,113 @@
+"""A bench in lockstep whose controller stalls: asleep, before SYNC, between two buses, before its command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from drivers.can.bus_time import BitTiming
+from drivers.protocol import Frame
+from hil.app.configuration.configuration import Configuration
+from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.several_wires import SeveralWires
+from hil.loop.cycle import Cycle
+from hil.loop.latches import latch_ns
+from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
+from plant_fmu.drives.nodes import Nodes
+
+PLACES = ("asleep", "before SYNC", "before the command", "between the SYNCs of two buses")
+
+
+@dataclass
+class Stalling(Lockstep):
+    """A controller whose machine takes the processor away now and then, and wakes it late.
+
+    It stalls where it sleeps, between the clock and SYNC, and between the feedbacks and the command, each
+    `every_s` on average and up to `longest_ns`; of several buses between the sends of the first and the
+    others, too. Periods that are over are skipped.
+
+    Mutable state: `Lockstep`'s, how late the next tick begins, what was skipped before it, and how far apart
+    the buses get their SYNC.
+    """
+
+    generator: np.random.Generator = field(default_factory=np.random.default_rng)
+    every_s: float = 0.5
+    longest_ns: int = 0
+    timetable: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Place and length, ns, of the stall in a tick, beside those of chance."""
+    jitter_ns: int = 30_000
+    stalls: int = 0
+    _skipped: int = 0
+    _lateness_ns: int = 0
+    _apart_ns: int = 0
+
+    def step(
+        self,
+        operator: tuple[Operator, ...] = (),
+        setpoints: tuple[SetPoint, ...] = (),
+        orders: tuple[Order, ...] = (),
+    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
+        """Advance both ends by one tick."""
+        self.tick = tick = self.tick + 1
+        t_ns, next_ns = tick * self.period_ns, (tick + 1) * self.period_ns
+        skipped, lateness_ns = self._skipped, self._lateness_ns
+        asleep_ns, unseen_ns, held_ns, self._apart_ns = self._stall()
+        opening = self.cycle.begin(tick)
+        sent_ns = max(t_ns + lateness_ns + unseen_ns, self.nodes.now_ns)
+        window_ns, self.window_ns = self.window_ns, self.window_ns - (sent_ns - t_ns)
+        feedback, heard_ns = self._exchange(sent_ns, opening)
+        self.window_ns = window_ns
+        inp = TickInput(
+            tick,
+            t_ns,
+            lateness_ns,
+            skipped,
+            sync_skew_ns=self.skew_ns,
+            frames=tuple(feedback),
+            latch_ns=latch_ns(self.cycle.parts.protocol, opening, self.sent_ns, t_ns + lateness_ns),
+            operator=operator,
+            setpoints=setpoints,
+            orders=orders,
+        )
+        out = self.cycle.step(inp)
+        done_ns = max(heard_ns, sent_ns + self._apart_ns) + self.compute_ns + held_ns
+        if not self._send(done_ns, out.frames, next_ns - 1, self._commands):
+            self._queue([(done_ns, frame) for frame in out.frames], from_drive=False)
+        awake_ns = max(done_ns, next_ns + asleep_ns)
+        self._skipped = (awake_ns - next_ns) // self.period_ns
+        self.tick += self._skipped
+        self._lateness_ns = awake_ns - next_ns - self._skipped * self.period_ns
+        return inp, opening, out
+
+    def _stall(self) -> list[int]:
+        """Return how long this tick is held up in each of the PLACES, ns."""
+        stall = [int(self.generator.integers(self.jitter_ns)), 0, 0, 0]
+        place, known_ns = self.timetable.get(self.tick, (0, 0))
+        stall[place] += known_ns
+        if self.longest_ns and self.generator.random() < 1e-9 * self.period_ns / self.every_s:
+            self.stalls += 1
+            places = len(PLACES) - (self.buses == 1)
+            stall[self.generator.integers(places)] += int(self.generator.integers(self.longest_ns))
+        return stall
+
+
+@dataclass
+class StallingWires(Stalling, SeveralWires):
+    """The same on several buses."""
+
+    def _give(self, t_ns: int, opening: tuple[Frame, ...]) -> int:
+        late_ns = t_ns + self._apart_ns
+        self._queue(((late_ns if frame.bus else t_ns, frame) for frame in opening), from_drive=False)
+        return late_ns
+
+
+def build_stalling(c: Configuration, nodes: Nodes, cycle: Cycle, **stalls: Any) -> Stalling:
+    """Return a bench that stalls, on as many wires as the configuration has buses."""
+    timings = tuple(map(BitTiming.of, c.bus.buses))
+    timing = None if c.bus.layout == "ideal" else timings[0]
+    window_s = c.loop.window_s(c.loop.rate_Hz)
+    if not c.bus.channels:
+        return Stalling(cycle, nodes, timing, window_s, **stalls)
+    return StallingWires(cycle, nodes, timing, window_s, buses=len(timings), timings=timings, **stalls)

@@ -1,0 +1,107 @@
+"""A SYNC that goes out late moves no rate, no doubt and no replay: its own time counts, on each bus."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.loop.replay import replay
+from hil.record.log import Tick
+from plant_fmu.faults.plan import FaultPlan
+from tests.loop.stalling import PLACES, build_stalling
+
+BUSES = "channels:\n    - {channel: c0, legs: [0, 2, 4]}\n    - {channel: c1, legs: [1, 3, 5]}\n"
+STALLS_NS = (1_480_000, 300_000, 2_300_000, 4_100_000)
+STRAYING = 8
+"""Ticks after a missed leg within which an answer may be that to the SYNC before."""
+MOVES = 620, 12, 764
+"""First tick with a stall, ticks from one to the next, and the last tick: legs go at up to 1 m/s there."""
+
+
+class Ran(NamedTuple):
+    c: Configuration
+    ticks: list[Tick]
+    rows: Any
+    true: Array
+    """(n, 6) m/s, the plant's own rates when the drives were last read."""
+
+
+def configuration(buses: str) -> Configuration:
+    text = resources.files("configs").joinpath("virtual-cia402.yaml").read_text(encoding="utf-8")
+    if buses:
+        line = next(line for line in text.splitlines() if line.startswith("  channel: "))
+        text = text.replace(f"{line}\n", f"  {buses}")
+    return loads(text, "late")
+
+
+def cycle_of(c: Configuration) -> Any:
+    return build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+
+
+@cache
+def run(place: str, buses: str = "") -> Ran:
+    """Run into the motion with stalls of all lengths in one place."""
+    c, (first, step, last) = configuration(buses), MOVES
+    where = PLACES.index(place)
+    table = {tick: (where, STALLS_NS[n % len(STALLS_NS)]) for n, tick in enumerate(range(first, last, step))}
+    nodes, plant = build_nodes(c, FaultPlan([]))
+    bench = build_stalling(c, nodes, cycle_of(c), timetable=table)
+    ticks: list[Tick] = []
+    true: list[Array] = []
+
+    def observe(inp: Any, opening: Any, out: Any) -> None:
+        sent = opening + out.frames
+        ticks.append(Tick(out.row.copy(), inp.frames, sent, tuple(map(int, inp.operator))))
+        true.append(nodes.snapshot().rate.copy())
+
+    try:
+        bench.run((last + 1) / c.loop.rate_Hz, observe)
+    finally:
+        plant.close()
+    kept = [n for n, tick in enumerate(ticks) if tick.row["tick"] <= last]
+    rows = np.array([ticks[n].row for n in kept])
+    return Ran(c, [ticks[n] for n in kept], rows, np.array([true[n] for n in kept]))
+
+
+QUICK = [("before SYNC", ""), ("between the SYNCs of two buses", BUSES)]
+CASES = [("asleep", ""), ("before the command", ""), ("before SYNC", BUSES)]
+
+
+@pytest.mark.parametrize(
+    ("place", "buses"), [*QUICK, *(pytest.param(*case, marks=pytest.mark.long) for case in CASES)]
+)
+def test_the_rate_is_that_of_the_leg_whenever_its_sync_goes_out(place, buses):
+    """By the clock at wake-up, 1.06 m/s read 2.01 m/s."""
+    ran = run(place, buses)
+    moving, heard = ran.rows["tick"] >= MOVES[0], ran.rows["age"] == 0
+    missed = ~heard.all(axis=1)
+    strays = np.array([missed[max(n - STRAYING, 0) : n].any() for n in range(len(missed))])
+    error = np.abs(ran.rows["dq"] - ran.true).max(axis=1, where=heard, initial=0.0)
+    assert np.abs(ran.true[moving]).max() > 0.8
+    assert heard[moving].mean() > 0.9
+    assert error[moving & ~strays].max() < 0.03
+    assert error[moving & strays].max(initial=0.0) < 0.2, "an answer may be that to the SYNC before"
+    assert not ran.rows["faults"].any()
+    assert not ran.rows["legs_doubted"].any()
+
+
+@pytest.mark.parametrize(("place", "buses"), QUICK)
+def test_a_run_with_late_syncs_replays_to_the_bit(place, buses):
+    ran = run(place, buses)
+
+    class Kept:
+        def ticks(self):
+            return iter(ran.ticks)
+
+    compared = replay(Kept(), cycle_of(ran.c))
+    assert compared.exact, compared.first
+    delays = ran.rows["latch_ns"]
+    assert delays.max() > STALLS_NS[0]
+    assert (np.ptp(delays, axis=1).max() > STALLS_NS[0]) == bool(buses), "each bus has its own"

@@ -265,6 +265,7 @@ class DriveProtocol(Protocol):
     ) -> Dialogue:
         """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
 
+        since_ns: when the loop woke up; the SYNC or poll of each leg was out `latch_ns` of the tick later.
         Fills every column of the part. Frames that are nobody's are ignored; those of another controller and
         a second answer of one node are named in `foreign` and `doubled`, a set-up that is not ours in
         `altered`, as far as the protocol can tell. A fault code that is not a DriveFault is the drive's own.

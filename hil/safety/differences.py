@@ -7,6 +7,11 @@ acceleration. One that varies within a range a makes it wrong by the integral of
 
 a third of a period where both steps are one. A latch that is d s later than the clock says makes a slope
 wrong by a share of the rate, 3 d / (2 T) for equal steps, the same in all legs, and so the next two.
+
+A length that jumps by J makes its own slope leap by 3 J / (2 T), and the gap between length and slope is
+J / 4 alone. So a jump shows as a leap. Later ticks show more of it, but by then the law has answered it with
+a force that explains as much. A latch that is late is a jump by its way, and one back: its leaps follow each
+other as 1.5, -5, 6, -3 and 0.5 times rate d / T.
 """
 
 from math import isnan
@@ -17,6 +22,13 @@ from hil.safety.latch import explained
 
 REACHES_BACK = 2
 """Periods from a slope to the first length that it is made of."""
+
+TIME_LEAPS = 6.0
+"""Of a rate, times the periods by which one latch is late, in the largest of the leaps that this makes."""
+SHOWS_AS_LEAP = 1.5
+"""Of a length that jumps, over a period, in the leap of its slope."""
+SHOWS_AS_GAP = 0.25
+"""The same in the gap between length and slope."""
 
 
 @helper
@@ -35,11 +47,11 @@ def lag_of_leap(lag: float, lag_was: float, T: float, T_was: float) -> float:
 
 
 @helper
-def is_time(leg: int, leaps: Array, rates: Array, bounds: Array) -> bool:
+def is_time(leg: int, leaps: Array, rates: Array, bounds: Array, latest: float) -> bool:
     """Tell whether a latch that is late explains that the rate of a leg leaps, beside those of the others.
 
-    leaps (6,) m/s, nan: unknown; rates (6,) m/s; bounds (6,) m/s of the leaps.
+    leaps (6,) m/s, nan: unknown; rates (6,) m/s, before; bounds (6,) m/s of the leaps; latest: periods.
     """
-    if isnan(leaps[leg]):
+    if isnan(leaps[leg]) or abs(leaps[leg]) > bounds[leg] + TIME_LEAPS * latest * abs(rates[leg]):
         return False
     return explained(leg, leaps, rates, bounds, leaps)

@@ -129,6 +129,15 @@ def latched(tick: Any, leg: int) -> int:
 
 
 @helper
+def pace(rate: float, rate_was: float, differs: bool) -> float:
+    """Return the rate, m/s, by which a late latch moves a length: the mean one from reading to reading.
+
+    Where rates are made of lengths it is the one before: a jump of the length must not be what excuses it.
+    """
+    return rate_was if differs else 0.5 * (rate + rate_was)
+
+
+@helper
 def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
     """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
 
@@ -145,7 +154,7 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
         lively = x[_RANGE, i] + abs(memory.acceleration[i])
         x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
         x[_GAP, i] = gap_of(tick.length[i], tick.rate[i], memory.length_was[i], memory.rate_was[i], T)
-        x[_RATE, i] = 0.5 * (tick.rate[i] + memory.rate_was[i])
+        x[_RATE, i] = pace(tick.rate[i], memory.rate_was[i], limits.differences != 0)
         strayed_T = T + stray_of(tick, limits, memory, i)
         x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], strayed_T)
         if limits.differences != 0:
@@ -226,7 +235,9 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 def judge_rates(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     """Doubt the one leg whose rate leaps; not where a late latch makes a difference of lengths leap."""
     leg = sole(x[_EXCESS])
-    if leg < 0 or (limits.differences != 0 and is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS])):
+    if leg < 0:
+        return
+    if limits.differences != 0 and is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS], UNSHARED):
         return
     doubt_leg(tick, limits, memory, leg, _LEAP, x[_LEAPED, leg], x[_LEAPS, leg])
 

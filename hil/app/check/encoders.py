@@ -5,7 +5,7 @@ import numpy as np
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits, friction_N, steps
-from hil.safety.differences import lag_of, lag_of_leap
+from hil.safety.differences import SHOWS_AS_GAP, SHOWS_AS_LEAP, lag_of, lag_of_leap
 from hil.safety.encoder_kernels import UNSHARED
 from hil.safety.increments import WINDOW_S, gap_bound, slip_bound
 from hil.safety.leaps import acceleration_range, leap_bound
@@ -31,8 +31,10 @@ def report_encoders(report: Report, c: Configuration) -> None:
         lag_s = lag_of(T, T)
         jump_m += T * lag_s * a
         leap_m_s += lag_of_leap(lag_s, lag_s, T, T) * a
+        jump_m = min(jump_m / SHOWS_AS_GAP, leap_m_s * T / SHOWS_AS_LEAP)
     strayed_m, tested_s = SUSPECT * noise_m, limits.push_ticks * T
     drift_m_s, late_m = slip_m / WINDOW_S, c.limits.speed_m_s * T
+    beside = "that makes the rate leap" if limits.differences else "beside the rate"
     push = f"a push of up to {limits.push_N.max():.0f} N"
     within = f"{1e3 * WINDOW_S:g} ms"
     stays = f"within {1e6 * noise_m:g} um while a leg strays by {1e3 * strayed_m:g} mm"
@@ -40,7 +42,7 @@ def report_encoders(report: Report, c: Configuration) -> None:
     scale = f"{1e2 * share:.3g} %"
     braked_mm = 1e3 * c.limits.standstill_m
     lines = [
-        f"jump        {1e3 * jump_m:.3f} mm from one reading to the next beside the rate",
+        f"jump        {1e3 * jump_m:.3f} mm from one reading to the next {beside}",
         f"slip        {1e3 * slip_m:.3f} mm and {scale} of the way in {within}",
         f"rate        {leap_m_s:.3f} m/s of one leg in a tick, which force and disturbance do not explain",
         f"standstill  {stays}; then {push},",

@@ -1,0 +1,100 @@
+"""The smallest jump of an encoder that is found where rates are made of lengths, by hand from the configuration."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from drivers.signals import Doubt, Fault
+from hil.app.check.command import inspect
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from plant_fmu.faults.encoder import EncoderJump
+from tests.loop.test_encoders import Ran, at_hold, run
+
+T = 2.5e-3
+COUNT_m = 0.02 / 131072
+SKEW_s = 50e-6
+"""monitor.rate_skew_us, by default."""
+LATE = 0.3
+"""Periods by which a latch may be late unseen: 6 v d / T is the largest leap that this makes of a rate v."""
+BACK = 9
+"""Ticks of force that may still act: transport, three time constants of the drives, and the two of a slope."""
+LATER = 40
+"""Ticks after a jump within which half of it alarms nobody."""
+
+
+def configuration(name: str, *, still: bool) -> Configuration:
+    return at_hold(name) if still else load(name)
+
+
+@cache
+def calm(name: str, still: bool, tick: int) -> Ran:
+    return run(configuration(name, still=still), stop_s=(tick + 2) * T)
+
+
+def smallest_jump_m(c: Configuration, ran: Ran, tick: int, leg: int) -> float:
+    """Return the jump that shows as a leap beyond what force, disturbance and noise explain, m.
+
+    A slope through three lengths leaps by 1.5 J / T. The acceleration may vary by a, which changes the leap
+    by a T, and by 4/3 a T as slopes lag. What a late SYNC would explain, and no other leg contradicts, is time.
+    """
+    home = pose_arrays(c.platform.home)
+    platform = build_platform(c.platform)
+    J = jacobian(platform, *home)
+    M = Model(platform, leg_spin=c.platform.leg_spin).mass_matrix(*home)
+    forces, rates = ran.rows["tau"][tick - BACK : tick], ran.rows["dq"][tick - 3 : tick]
+    a = 2.0 * c.monitor.disturbance_m_s2 + 2.0 * np.abs(J @ np.linalg.inv(M) @ J.T) @ np.ptp(forces, axis=0)
+    noise = 2.0 * COUNT_m / T + SKEW_s * (a + np.abs(np.diff(rates, axis=0)).max(axis=0) / T)
+    leap = a * T * (1.0 + 4.0 / 3.0) + 4.0 * noise
+    speed = np.abs(rates[-1])
+    most = [leap[other] / speed[other] for other in range(6) if other != leg and speed[other] > 0.0]
+    return float((leap[leg] + speed[leg] * min([6.0 * LATE, *most])) * T / 1.5)
+
+
+CASES = [
+    ("virtual-cia402", False, 800, 3, 0.15e-3, 0.30e-3),
+    *(
+        pytest.param(*case, marks=pytest.mark.long)
+        for case in [
+            ("virtual-cia402", False, 800, 1, 0.40e-3, 0.60e-3),
+            ("virtual-cia402", True, 800, 0, 0.15e-3, 0.40e-3),
+            ("lab-cia402", False, 1300, 2, 0.15e-3, 0.60e-3),
+            ("lab-cia402", False, 1500, 5, 0.60e-3, 0.90e-3),
+            ("lab-cia402", True, 1300, 4, 0.15e-3, 0.60e-3),
+        ]
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "still", "tick", "leg", "least_m", "most_m"), CASES)
+def test_twice_the_smallest_jump_is_found_at_once_and_half_of_it_alarms_nobody(
+    name, still, tick, leg, least_m, most_m
+):
+    c = configuration(name, still=still)
+    jump_m = smallest_jump_m(c, calm(name, still, tick), tick, leg)
+    assert least_m < jump_m < most_m
+    for sign in (1.0, -1.0):
+        found = run(c, EncoderJump(leg=leg, by_m=2.0 * sign * jump_m, at_s=tick * T), stop_s=(tick + 4) * T)
+        at = int(np.argmax(found.rows["faults"] != 0))
+        assert found.rows["faults"][at] & Fault.ENCODER, found.ending
+        assert found.rows["tick"][at] - tick <= 1
+        assert (found.rows["legs_doubted"][at], found.rows["doubt"][at]) == (1 << leg, Doubt.LEAP)
+    half = run(c, EncoderJump(leg=leg, by_m=0.5 * jump_m, at_s=tick * T), stop_s=(tick + LATER) * T)
+    assert not half.rows["faults"].any()
+    assert not half.rows["legs_doubted"].any()
+
+
+def test_what_is_printed_is_the_smallest_jump_of_legs_at_rest():
+    """a = 16 m/s^2: (16 x 2.5e-3 x 7/3 + 4 x (1.22e-4 + 50e-6 x 16)) x 2.5e-3 / 1.5 = 0.162 mm."""
+    report = inspect(load("virtual-cia402"))
+    leap = 16.0 * T * 7.0 / 3.0 + 4.0 * (2.0 * COUNT_m / T + SKEW_s * 16.0)
+    assert report.figures["encoders"]["jump_m"] == pytest.approx(leap * T / 1.5, rel=1e-6)
+    assert (
+        "jump        0.162 mm from one reading to the next that makes the rate leap"
+        in (report.sections["encoders, at rest"])
+    )

@@ -127,10 +127,11 @@ def _run(course: Course, shell: Shell) -> Ending:
         opening = cycle.begin(tick)
         begun_ns = clock.now()
         sends_failed += bus.send(opening)
+        given_ns = clock.now()
         answers = _answers(cycle, bus, tick, begun_ns, t_ns + window_ns)
         frames += answers
         skew_ns = bus.skew_ns()
-        sent_ns = checked(protocol, opening, bus.sent_ns(), answers, begun_ns, shell.answer_ns)
+        sent_ns = checked(protocol, opening, bus.sent_ns(), answers, begun_ns, given_ns, shell.answer_ns)
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
         if recorded and not recording.alive:

@@ -11,7 +11,7 @@ from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import LEGS
 
 PROMPT_NS = 100_000
-"""Sends that took less are not checked against their answers."""
+"""A send that took less has no stall in it, and is not checked against its answers."""
 
 
 def latch_ns(
@@ -36,17 +36,19 @@ def checked(
     sent_ns: Sequence[int | None],
     answers: Sequence[Received],
     begun_ns: int,
+    given_ns: int,
     answer_ns: int,
-) -> list[int | None]:
+) -> Sequence[int | None]:
     """Return when each frame of `opening` was out, where its answers say so: sooner than the clock.
 
-    answers: what came since `begun_ns`, when the first frame was given to the bus; answer_ns: what a feedback
-    takes on the wire at least. Feedback that came within that time answers an older frame.
+    begun_ns, given_ns: just before the frames were given to the bus, and just after; answers: what came
+    since; answer_ns: what a feedback takes on the wire at least. Feedback that came within that time answers
+    an older frame.
     """
+    if given_ns - begun_ns < PROMPT_NS:
+        return sent_ns
     return [
-        t_ns
-        if t_ns is None or t_ns - begun_ns < PROMPT_NS
-        else min([t_ns, *_soonest(protocol, frame, answers, begun_ns, answer_ns)])
+        t_ns if t_ns is None else min([t_ns, *_soonest(protocol, frame, answers, begun_ns, answer_ns)])
         for frame, t_ns in zip(opening, sent_ns, strict=False)
     ]
 

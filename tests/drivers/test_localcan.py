@@ -81,6 +81,18 @@ def test_a_frame_takes_its_bit_time(join):
     assert before + CLASSIC_8_BYTES * 500_000 <= received.t_ns <= after
 
 
+def test_a_frame_is_out_at_its_end_and_until_that_is_seen_when_it_was_taken(join):
+    a, b = join(CRAWL), join(CRAWL)
+    before = time.monotonic_ns()
+    a.send([Frame(0x123, b"12345678")])
+    after = time.monotonic_ns()
+    (taken,) = a.sent_ns()
+    assert before <= taken <= after
+    (received,) = collect(b, soon())
+    a.receive()
+    assert a.sent_ns() == [received.t_ns]
+
+
 @pytest.mark.realtime(patient=True)
 def test_frames_follow_each_other_on_the_wire(join):
     a, b = join(), join()

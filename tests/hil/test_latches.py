@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,13 @@ from drivers import build_protocol
 from drivers.protocol import BUS, DriveSetup, Frame, Received
 from drivers.signals import Reaction
 from drivers.tick_columns import row_of
+from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
 from hil.loop.latches import checked, latch_ns
 from hil.loop.replay import recorded_input
 from hil.record.log import Tick
+from hil.signals import TickInput
 from tests.records import record_of
 
 SYNC, ANSWER = Frame(0x80, b""), 135_000
@@ -57,7 +61,7 @@ def test_a_clock_that_was_read_late_is_set_right_by_the_first_answer(first):
         Received(1_000_000 + 190_000 + 135_000 * n, TPDO[leg])
         for n, leg in enumerate(np.roll(range(6), -first))
     ]
-    found = checked(protocol("virtual-cia402"), [SYNC], [2_500_000], answers, 1_000_000, ANSWER)
+    found = checked(protocol("virtual-cia402"), [SYNC], [2_500_000], answers, 1_000_000, 2_500_000, ANSWER)
     assert found == [1_055_000]
 
 
@@ -68,17 +72,22 @@ def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
         Received(1_200_000, Frame(0x701, b"\x05")),
         Received(3_000_000, TPDO[1]),  # later than the clock says, too
     ]
-    assert checked(family, [SYNC], [late_ns], wrong, 1_000_000, ANSWER) == [late_ns]
+    assert checked(family, [SYNC], [late_ns], wrong, 1_000_000, late_ns, ANSWER) == [late_ns]
     two = protocol("two_buses")
     other = [Received(1_200_000, Frame(0x281, bytes(12), 6))]
     opening = [SYNC, Frame(0x80, b"", BUS)]
-    assert checked(two, opening, [1_010_000, late_ns], other, 1_000_000, ANSWER) == [1_010_000, late_ns]
-    assert checked(two, opening, [late_ns, None], other, 1_000_000, ANSWER) == [1_065_000, None]
+    assert checked(two, opening, [1_010_000, late_ns], other, 1_000_000, late_ns, ANSWER) == [
+        1_010_000,
+        late_ns,
+    ]
+    assert checked(two, opening, [late_ns, None], other, 1_000_000, late_ns, ANSWER) == [1_065_000, None]
 
 
 def test_a_prompt_send_is_not_held_against_its_answers():
     answers = [Received(1_000_000 + ANSWER, TPDO[0])]
-    assert checked(protocol("virtual-cia402"), [SYNC], [1_099_999], answers, 1_000_000, ANSWER) == [1_099_999]
+    assert checked(
+        protocol("virtual-cia402"), [SYNC], [1_099_999], answers, 1_000_000, 1_099_999, ANSWER
+    ) == [1_099_999]
 
 
 def test_the_shortest_answer_is_that_of_the_feedback_on_the_fastest_bus():
@@ -87,7 +96,16 @@ def test_the_shortest_answer_is_that_of_the_feedback_on_the_fastest_bus():
     assert shortest_answer_ns(two.bus, protocol("two_buses")) == 64_600
 
 
+def test_the_pose_is_estimated_as_of_the_first_latch(monkeypatch):
+    cycle, seen = build_cycle(load("virtual"), 1000.0, 0.013), []
+    monkeypatch.setattr(cycle.sight, "estimate", lambda _tick, _last, latched_ns: seen.append(latched_ns))
+    cycle.step(TickInput(0, 1_000, 20, latch_ns=(7, 9, 5, 6, 8, 5)))
+    assert seen == [1_025]
+
+
 def test_a_replay_is_given_the_latch_of_every_leg():
-    row = row_of(record_of(tick=4, t_ns=7, compute_ns=5, recorder_alive=1, latch_ns=[11, 12, 13, 14, 15, 16]))
-    inp = recorded_input(Tick(row[()], (), (), ()))
+    row: Any = row_of(
+        record_of(tick=4, t_ns=7, compute_ns=5, recorder_alive=1, latch_ns=[11, 12, 13, 14, 15, 16])
+    )
+    inp = recorded_input(Tick(row, (), (), ()))
     assert (inp.latch_ns, inp.compute_ns, inp.tick) == ((11, 12, 13, 14, 15, 16), 5, 4)

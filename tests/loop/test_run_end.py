@@ -394,6 +394,24 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
         assert ran.ticks == round(seconds * rate)
 
 
+def test_the_daemon_records_when_each_drive_latched():
+    c = load("ideal")
+    nodes, plant = build_nodes(c)
+    wire, rows = Wire(nodes, round(1e9 / c.loop.rate_Hz)), []
+    wire.sent_ns = lambda: [wire.tick * wire.period_ns + 123_000]
+
+    def tick(row, *_, **__):
+        rows.append(row)
+        if len(rows) == 3:
+            raise RuntimeError("enough")
+
+    recording = SimpleNamespace(alive=True, dropped=0, tick=tick)
+    shell = Shell(wire, wire, recording, OperatorPanel(), 0)  # type: ignore[arg-type]
+    run(Course(build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)), shell)
+    plant.close()
+    assert [row["latch_ns"].tolist() for row in rows] == [[123_000] * 6] * 3
+
+
 def test_what_the_plant_says_of_itself_comes_before_what_the_controller_saw_of_it():
     now = cycle(Mode.FAULT, mode_tick=1, faults=Fault.STALE, counted_age=np.array([5] * 6))
     ending = first_end(Course(now), 100)

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Fault, Mode
-from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
+from tests.hil.encoder_bench import (
+    BOTH_SIGNS,
+    CREEP,
+    ON_ONE_LEG,
+    PERIOD_NS,
+    RATES,
+    Bench,
+    T,
+    calm,
+    doubted,
+    six,
+)
 
 # -- who is doubted, when, and until when
 
@@ -248,6 +259,17 @@ def test_encoders_what_the_clock_says_is_late_is_no_delay_beside_it():
         bench.ticks(1, lateness=lateness)
         assert bench.memory("delay_s") == pytest.approx(0.0, abs=1e-12)
     assert bench.memory("spacing_s") == pytest.approx(six(1.5 * T))
+
+
+@ON_ONE_LEG
+def test_encoders_what_the_bus_says_is_late_is_no_delay_of_its_leg(leg):
+    known = six(PERIOD_NS // 2, leg, other=0, dtype=int)
+    for latch_ns, doubts in ((known, 0), (six(0, dtype=int), 1 << leg)):
+        bench = Bench()
+        bench.ticks(3, rate=RATES)
+        way = six(RATES[leg] * T / 2, leg)
+        assert bench.tick(jump=way, latch_ns=latch_ns)["legs_doubted"] == doubts
+        assert bench.tick(jump=-way)["legs_doubted"] == doubts
 
 
 @BOTH_SIGNS

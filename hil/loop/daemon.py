@@ -13,9 +13,9 @@ from typing import NamedTuple
 from drivers.arrays import ZERO6
 from drivers.can.bus import Bus
 from drivers.errors import BusError, HilError
-from drivers.protocol import Received
+from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, Mode
-from hil.loop.clock import Deadlines
+from hil.loop.clock import Deadlines, Wake
 from hil.loop.console import Console
 from hil.loop.cycle import Cycle
 from hil.loop.latches import checked, latch_ns
@@ -118,20 +118,14 @@ def _run(course: Course, shell: Shell) -> Ending:
     sends_failed = compute_ns = 0
     said, ask = "", WORD if shell.consent is None else CONSENT
     recorded = True
-    protocol, clock, stood_ns = cycle.parts.protocol, bus.clock, bus.clock.stretched()
+    clock, stood_ns = bus.clock, bus.clock.stretched()
     panel.running()
     while True:
-        tick, t_ns, lateness_ns, skipped = deadlines.wait()
+        tick, t_ns, lateness_ns, skipped = wake = deadlines.wait()
         stood_before_ns, stood_ns = stood_ns, clock.stretched()
-        frames = bus.drain_now()
         opening = cycle.begin(tick)
-        begun_ns = clock.now()
-        sends_failed += bus.send(opening)
-        given_ns = clock.now()
-        answers = _answers(cycle, bus, tick, begun_ns, t_ns + window_ns)
-        frames += answers
-        skew_ns = bus.skew_ns()
-        sent_ns = checked(protocol, opening, bus.sent_ns(), answers, begun_ns, given_ns, shell.answer_ns)
+        frames, latched_ns, refused = _ask(cycle, shell, wake, opening)
+        sends_failed += refused
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
         if recorded and not recording.alive:
@@ -147,7 +141,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             lateness_ns=lateness_ns,
             skipped=skipped,
             stretched_ns=stood_ns - stood_before_ns,
-            sync_skew_ns=skew_ns,
+            sync_skew_ns=bus.skew_ns(),
             frames=tuple(frames),
             sends_failed=sends_failed,
             bus_errors=errors.errors,
@@ -158,7 +152,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             recorder_dropped=recording.dropped,
             operator=operator,
             compute_ns=compute_ns,
-            latch_ns=latch_ns(protocol, opening, sent_ns, t_ns + lateness_ns),
+            latch_ns=latched_ns,
             setpoints=heard.setpoints,
             orders=heard.orders,
         )
@@ -187,6 +181,25 @@ def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
         bus.flush_tx()
     except BusError as error:
         recording.event(t_ns, "error", str(error))
+
+
+def _ask(
+    cycle: Cycle, shell: Shell, wake: Wake, opening: tuple[Frame, ...]
+) -> tuple[list[Received], tuple[int, ...], int]:
+    """Send what starts a tick, and wait for the answers.
+
+    Returns what has come since the last tick, when each drive latched (ns after the wake-up), and how many
+    frames the bus refused.
+    """
+    bus, protocol = shell.bus, cycle.parts.protocol
+    tick, t_ns, lateness_ns, _ = wake
+    frames = bus.drain_now()
+    begun_ns = bus.clock.now()
+    refused = bus.send(opening)
+    given_ns = bus.clock.now()
+    answers = _answers(cycle, bus, tick, begun_ns, t_ns + shell.feedback_window_ns)
+    sent_ns = checked(protocol, opening, bus.sent_ns(), answers, begun_ns, given_ns, shell.answer_ns)
+    return frames + answers, latch_ns(protocol, opening, sent_ns, t_ns + lateness_ns), refused
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:

@@ -394,11 +394,17 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
         assert ran.ticks == round(seconds * rate)
 
 
+class Stamped(Wire):
+    """Each SYNC is out 123 us after the wake-up."""
+
+    def sent_ns(self):
+        return [self.tick * self.period_ns + 123_000]
+
+
 def test_the_daemon_records_when_each_drive_latched():
     c = load("ideal")
     nodes, plant = build_nodes(c)
-    wire, rows = Wire(nodes, round(1e9 / c.loop.rate_Hz)), []
-    wire.sent_ns = lambda: [wire.tick * wire.period_ns + 123_000]
+    wire, rows = Stamped(nodes, round(1e9 / c.loop.rate_Hz)), []
 
     def tick(row, *_, **__):
         rows.append(row)

@@ -1,6 +1,6 @@
 """From a configuration to the limits of the rules on encoders."""
 
-from math import ceil, sqrt
+from math import ceil, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.safety.differences import REACHES_BACK
 from hil.safety.encoder_limits import EncoderLimits
+from hil.safety.encoder_kernels import RATE_MOVES
 from hil.safety.stillness import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 
@@ -26,6 +27,10 @@ ASSUMED_FRICTION = 0.05
 """Share of the largest force of a leg that friction may take where nobody states it."""
 PUSH = {False: 0.038, True: 0.25}
 """Share of the stated disturbance that a leg is pushed by, by whether it sticks: nobody feels a slow rise."""
+PUSHED_SPEED = 0.5
+"""Share of the largest leg speed that legs may reach which come free under their pushes."""
+LONGEST_RISE_S = 0.2
+"""No push rises more slowly: the law changes meanwhile."""
 LAGS = 3.0
 """Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
 
@@ -54,6 +59,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         raise ConfigurationError("platform: no leg forces hold it at home: the legs are singular there")
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
+    rise = _rise_ticks(push_N, A, late_s, noise.rate_m_s, c.limits.speed_m_s, period_s) if sticks else 1
     ticks, turns = ceil((late_s + seen_s) / period_s), ceil(2.0 * float(push_N.max()) / c.limits.force_step_N)
     return EncoderLimits(
         watched_legs=0 if decided else (1 << LEGS) - 1,
@@ -65,14 +71,31 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         mobility=AWAY * A,
         acting_ticks=ceil((late_s + LAGS * delay.lag_s) / period_s) + REACHES_BACK * differences,
         push_N=push_N,
-        push_ticks=ticks + max(turns - 1, 0) if sticks else max(ticks, turns),
+        push_ticks=ticks + max(turns - 1, 0) + 2 * (rise - 1) if sticks else max(ticks, turns),
         sticks=int(sticks),
+        rise_ticks=rise,
         open_ticks=ceil(c.engage.brake_release_s / period_s),
         period_s=period_s,
         unnamed=int(not protocol.answers_name_sync),
         differences=differences,
         apart=int(not protocol.latches_together),
     )
+
+
+def _rise_ticks(
+    push_N: Array, A: Array, late_s: float, rate_noise_m_s: float, speed_m_s: float, period_s: float
+) -> int:
+    """Return within how many ticks a push may rise, so that legs that come free are seen in time.
+
+    At r N/s on all legs one of them gains v = S r t^2 / 2, S the largest sum of a row of A (6, 6) 1/kg. That
+    is seen beyond the noise v_0 of a rate, and late_s later the push goes: sqrt(v) = sqrt(v_0) + late_s
+    sqrt(S r / 2), v a share of the largest speed.
+    """
+    spare = sqrt(PUSHED_SPEED * speed_m_s) - sqrt(RATE_MOVES * rate_noise_m_s)
+    r = 2.0 * (max(spare, 0.0) / late_s) ** 2 / float(A.sum(axis=1).max())
+    longest = ceil(LONGEST_RISE_S / period_s)
+    needed = float(push_N.max()) / (r * period_s) if r > 0.0 else inf
+    return ceil(needed) if needed < longest else longest
 
 
 class Noise(NamedTuple):

@@ -343,7 +343,8 @@ def pushing(memory: Any) -> bool:
 def push_legs(tau: Array, limits: Any, memory: Any) -> None:
     """Add the pushes to tau (6,) N."""
     for i in range(6):
-        force = push_of(memory.push[i], limits.push_ticks, limits.push_N[i], limits.sticks != 0)
-        fall = 2.0 * limits.push_N[i] / max(limits.push_ticks, 1)
+        rise, ticks = limits.rise_ticks, limits.push_ticks
+        force = push_of(memory.push[i], ticks, limits.push_N[i], limits.sticks != 0, rise)
+        fall = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
         memory.pushed_N[i] = eased(memory.pushed_N[i], force, fall)
         tau[i] += memory.pushed_N[i]

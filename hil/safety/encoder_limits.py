@@ -31,6 +31,8 @@ class EncoderLimits(NamedTuple):
     push_ticks: int
     sticks: int
     """1: friction may hold a leg still, see `hil.safety.stillness`."""
+    rise_ticks: int
+    """Within so many a push of a leg that sticks rises to `push_N`; 1: at once."""
     open_ticks: int
     """The brakes get so many ticks to open."""
     period_s: float
@@ -42,7 +44,7 @@ class EncoderLimits(NamedTuple):
     """1: each drive latches by itself: that a leg was missed says nothing of the others."""
 
 
-NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 0, 0.0)
+NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
 """No encoder is watched."""
 ENCODER_LIMITS = [
     ("watched_legs", "<i8"),
@@ -56,6 +58,7 @@ ENCODER_LIMITS = [
     ("push_N", "<f8", (LEGS,)),
     ("push_ticks", "<i8"),
     ("sticks", "<i8"),
+    ("rise_ticks", "<i8"),
     ("open_ticks", "<i8"),
     ("period_s", "<f8"),
     ("unnamed", "<i8"),

@@ -3,7 +3,8 @@
 A leg whose reading stays within its noise is suspected once it, or another leg, is farther from the
 reference than when that began. A load may leave a leg still by chance, and friction may hold it. So it is
 pushed, one way and then the other, as load and law may change while the first lasts: where there is friction
-by more than it can hold, at once; where there is none by a force that rises and falls, which nobody feels. A
+by more than it can hold, at once, or as slowly as a light platform needs that is not to leap when it comes
+free; where there is none by a force that rises and falls, which nobody feels. A
 reading that does not move under that is not that of a free leg. What a leg does that was pushed makes no
 other one suspect until it has settled: pushes would go from leg to leg.
 """
@@ -51,16 +52,18 @@ def pushed(so_far: int, deviation: float) -> int:
 
 
 @helper
-def push_of(so_far: int, ticks: int, force: float, sticks: bool) -> float:
+def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
     """Return what is added to a leg, N; 0: no push.
 
-    For `ticks` its first way, then the other: at once where it sticks, else along straight lines.
+    For `ticks` its first way, then the other: along straight lines, where it sticks within `rise` ticks to the
+    whole force and as steeply to the other one; 1: at once.
     """
     if so_far == 0:
         return 0.0
     first, k = math.copysign(force, so_far), abs(so_far)
     if sticks:
-        return first if k <= ticks else -first
+        whole = 2 * rise - 1
+        return first * (min(k / rise, 1.0) if k <= ticks else max(whole - 2 * (k - ticks), -whole) / whole)
     return first * min(2 * k, ticks, max(3 * ticks - 2 * k, -ticks)) / ticks
 
 

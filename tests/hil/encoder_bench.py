@@ -46,7 +46,7 @@ class Bench:
         quiet = EncoderLimits(
             watched_legs=63, length_noise_m=0.0, rate_noise_m_s=0.0, rate_skew_s=0.0, rate_error=0.0,
             disturbance_m_s2=0.0, mobility=np.zeros((6, 6)), acting_ticks=0, push_N=np.zeros(6),
-            push_ticks=3, sticks=0, open_ticks=10_000, period_s=T,
+            push_ticks=3, sticks=0, rise_ticks=1, open_ticks=10_000, period_s=T,
         )  # fmt: skip
         self.safety = guard.Safety(
             WIDE, drive_force_limit=1e6, length_min=-1e6, length_max=1e6, rate_Hz=64.0,

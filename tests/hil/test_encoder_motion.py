@@ -274,9 +274,11 @@ def test_encoders_nothing_is_pushed_or_remembered_to_stand_before_the_brakes_are
     assert tick["tau"][2] == 0.0
 
 
-@pytest.mark.parametrize(("ticks", "fall"), [(0, 600.0), (1, 600.0), (4, 150.0)])
-def test_encoders_a_push_ends_as_fast_as_it_turns(ticks, fall):
-    limits = SimpleNamespace(push_ticks=ticks, push_N=six(300.0), sticks=0)
+@pytest.mark.parametrize(
+    ("ticks", "rise", "fall"), [(0, 1, 600.0), (1, 1, 600.0), (4, 1, 150.0), (4, 9, 150.0)]
+)
+def test_encoders_a_push_ends_as_fast_as_it_turns_however_slowly_it_rose(ticks, rise, fall):
+    limits = SimpleNamespace(push_ticks=ticks + 2 * (rise - 1), push_N=six(300.0), sticks=0, rise_ticks=rise)
     memory = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(900.0))
     tau = six(7.0)
     plain(encoder_kernels.push_legs)(tau, limits, memory)

@@ -284,10 +284,21 @@ def test_stillness_is_tested_by_a_push_towards_the_reference_that_keeps_its_sign
 
 @BOTH_SIGNS
 def test_stillness_a_push_goes_both_ways_at_once_where_the_leg_sticks_else_along_lines(sign):
-    assert stillness.push_of(0, 5, 10.0, False) == stillness.push_of(0, 5, 10.0, True) == 0.0
+    assert stillness.push_of(0, 5, 10.0, False, 1) == stillness.push_of(0, 5, 10.0, True, 1) == 0.0
     ticks = [sign * n for n in (1, 2, 5, 6, 10, 11)]
-    assert [sign * stillness.push_of(n, 5, 10.0, False) for n in ticks] == [4.0, 8.0, 10.0, 6.0, -10.0, -10.0]
-    assert [sign * stillness.push_of(n, 5, 10.0, True) for n in ticks] == [10.0] * 3 + [-10.0] * 3
+    lines = [sign * stillness.push_of(n, 5, 10.0, False, 1) for n in ticks]
+    assert lines == [4.0, 8.0, 10.0, 6.0, -10.0, -10.0]
+    assert [sign * stillness.push_of(n, 5, 10.0, True, 1) for n in ticks] == [10.0] * 3 + [-10.0] * 3
+
+
+@BOTH_SIGNS
+def test_stillness_a_slow_push_never_leaps_and_is_whole_for_as_long_as_one_at_once(sign):
+    """Rise of 4 ticks: 2.5 N a tick there; 20 N in 7 ticks back. 5 ticks and twice 3 more: 11."""
+    forces = [sign * stillness.push_of(sign * n, 11, 10.0, True, 4) for n in range(23)]
+    assert forces[:5] == [0.0, 2.5, 5.0, 7.5, 10.0]
+    assert forces[4:12] == [10.0] * 8
+    np.testing.assert_allclose(np.diff(forces[11:19]), -20.0 / 7.0, rtol=1e-12)
+    assert forces[18:] == [-10.0] * 5
 
 
 @BOTH_SIGNS

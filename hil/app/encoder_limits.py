@@ -14,8 +14,8 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.safety.differences import REACHES_BACK
-from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.encoder_kernels import RATE_MOVES
+from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.stillness import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 

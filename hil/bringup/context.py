@@ -124,6 +124,8 @@ class Machine:
     """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
     known_identifiers: frozenset[int]
     """Of all frames of this protocol."""
+    unasked_identifiers: frozenset[int] = frozenset()
+    """Of what drives send by themselves: heartbeats, emergencies."""
     losses: float = 0.0
     """Share of a force that may be lost between motor and leg."""
     heartbeat_s: float = 0.1

@@ -56,6 +56,8 @@ class Drives:
         """Of the last tick; states of locked drives are theirs."""
         self.heard: tuple[Received, ...] = ()
         """Frames of the last tick."""
+        self.spoken: tuple[set[int], ...] | None = None
+        """Identifiers of all frames that each drive has sent; None: nobody asks."""
         self._records = self.record, copy_of(self.record)
         self._alone: int | None = None
 
@@ -86,6 +88,11 @@ class Drives:
             opening = self._chosen(*starts, leg)
         heard = self.line.exchange(opening)
         self.heard = heard.frames
+        if self.spoken is not None:
+            for _, frame in heard.frames:
+                sender = self.protocol.sender(frame)
+                if sender >= 0:
+                    self.spoken[sender].add(frame.id)
         run = run_of(heard.frames)
         live, rest = new_record(), new_record()
         for record in (live, rest):

@@ -110,7 +110,7 @@ def _accept(c: Context, step: Step, gap: Gap) -> None:
 
 def merged(findings: list[Finding]) -> list[Finding]:
     """Return the findings with one cause for what has one: a wrong lead, a drive the other way round."""
-    leads = {f.legs for f in findings if f.name == "wrong_lead"}
+    leads = {f.legs for f in findings if f.name in ("wrong_lead", "scale_or_lead")}
     signs = {f.legs for f in findings if f.name == "encoder_sign"}
     reversed_ = {f.legs for f in findings if f.name == "force_sign" and f.legs in signs}
     kept = [

@@ -52,7 +52,8 @@ def command(
     Exit code:
       0  all steps passed
       1  a mistake was found, or it was ended; the checklist tells
-      2  not begun: configuration, bus, state or log file; the message says what
+      2  not begun: options, configuration, bus, state or log file; or ended by one of them on the way: the
+         bus went down, the state could not be written. The message says what; what was found is kept
     """
     if mistakes and not rehearse:
         raise click.UsageError(

@@ -55,8 +55,8 @@ def pushed(so_far: int, deviation: float) -> int:
 def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
     """Return what is added to a leg, N; 0: no push.
 
-    For `ticks` its first way, then the other: along straight lines, where it sticks within `rise` ticks to the
-    whole force and as steeply to the other one; 1: at once.
+    For `ticks` its first way, then the other: along straight lines, where it sticks within `rise` ticks to
+    the whole force and as steeply to the other one; 1: at once.
     """
     if so_far == 0:
         return 0.0

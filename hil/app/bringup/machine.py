@@ -59,6 +59,7 @@ def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
         pose_lengths=np.array([leg_lengths(platform, p, R) for p, R in poses]),
         joint_distances=np.array(joints),
         known_identifiers=known_identifiers(protocol),
+        unasked_identifiers=unasked_identifiers(protocol),
         losses=_losses(c),
         forgotten_m=_forgotten(c),
         heartbeat_s=1e-3 * c.drives.heartbeat_ms,
@@ -79,7 +80,12 @@ def _losses(c: Configuration) -> float:
 
 def known_identifiers(protocol: DriveProtocol) -> frozenset[int]:
     """Return the identifiers that frames of a protocol's drives have."""
-    known = {frame.id for frame in protocol.cyclic_frames()}
+    return unasked_identifiers(protocol) | {frame.id for frame in protocol.cyclic_frames()}
+
+
+def unasked_identifiers(protocol: DriveProtocol) -> frozenset[int]:
+    """Return the identifiers of what a protocol's drives send by themselves."""
+    known: set[int] = set()
     for leg in range(LEGS):
         with contextlib.suppress(ProtocolError):
             _, said = protocol.report(protocol.power_up(), Status(leg, int(DriveState.OFF), 0))

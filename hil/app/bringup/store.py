@@ -136,7 +136,14 @@ _NUMBER, _MAYBE, _FLAG, _TEXT, _LEGS = (int, float), (int, float, type(None)), (
 _WAY = {"force_N": _MAYBE, "leg": (int, type(None)), "way": (int,)}
 _FORMS: dict[str, dict[str, Any]] = {
     "scan": {
-        "": {"answers": _NUMBER, "twice": _FLAG, "state": _TEXT, "lacks": _TEXT, "fault": _TEXT},
+        "": {
+            "answers": _NUMBER,
+            "twice": _FLAG,
+            "state": _TEXT,
+            "lacks": _TEXT,
+            "fault": _TEXT,
+            "spoken": _LEGS,
+        },
         "bus": {"foreign": (int,), "refused": (int,), "strange": [(int,), 0]},
     },
     "watchdog": {"": {"powered": _FLAG, "until_s": _MAYBE, "since_s": _MAYBE}},

@@ -21,7 +21,8 @@ BEYOND = 1.15
 WITHIN = 0.06
 """Accepted error of a force scale, beside the losses of a transmission."""
 SAME = 0.08
-"""Scales of encoder and force that are both wrong and differ by less have one cause: lead or gear."""
+"""Scales of encoder and force that are both wrong and differ by less have one cause: lead or gear. No lead is
+off by less."""
 
 
 def find(c: Context) -> None:
@@ -94,10 +95,13 @@ def judge(c: Context) -> list[Finding]:
         if scale < 0.0:
             continue  # the drive takes its losses the wrong way round
         low, high = c.known("encoder", leg)["tape_m"]
-        if abs(abs(g) - 1.0) <= WITHIN + c.machine.losses + error:
-            continue
         off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
-        if off and abs(abs(g) - abs(scale)) < (SAME + c.machine.losses + error) * abs(scale):
+        right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)
+        if right and same and abs(abs(scale) - 1.0) > SAME:
+            found.append(_scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses)))
+        elif right:
+            continue
+        elif same:
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
             mend = f"Multiply lead, or divide gear ratio, in the drive by 1/{abs(scale):.4f}."
             found.append(Finding("wrong_lead", (drive,), text, mend))
@@ -106,6 +110,33 @@ def judge(c: Context) -> list[Finding]:
             mend = "Set torque constant, current scale or rated force of the drive."
             found.append(Finding("force_scale", (drive,), text, mend))
     return found
+
+
+def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:
+    """Tell whether a gain is right, and whether it is that of the lengths: losses count where neither is.
+
+    scale: None where the lengths are right.
+    """
+    for slack in (error, error + losses):
+        right = abs(gain - 1.0) <= WITHIN + slack
+        same = scale is not None and abs(gain - scale) < (SAME + slack) * scale
+        if right or same:
+            break
+    return right, same
+
+
+def _scale_or_lead(drive: int, scale: float, gain: Gain) -> Finding:
+    """Name both causes of a length that is wrong where the force fits either."""
+    text = (
+        f"its lengths are {scale:.4f} times what they should be; its forces, {gain.value:.2f} times with an "
+        f"error of {gain.error:.2f}, fit an encoder scale that is wrong, and a lead or gear, too"
+    )
+    mend = (
+        "Turn the shaft that the drive reports by one turn, by hand, and measure by tape how far the leg "
+        f"goes: if that is the configured way, multiply counts a turn in the drive by {scale:.4f}; else mend "
+        "lead or gear."
+    )
+    return Finding("scale_or_lead", (drive,), text, mend)
 
 
 STEP = Step(

@@ -13,12 +13,14 @@ CANOPEN_HEARTBEAT = 0x700
 
 def find(c: Context) -> None:
     """Poll all drives, commanded off, and set them up: at every start, since drives forget."""
+    c.drives.spoken = spoken = tuple(set[int]() for _ in range(LEGS))
     found = _listened(c)
     lacks = ("",) * LEGS
     if not found.doubled and not found.foreign:
         lacks = c.drives.prepare(None)
         if min(found.heard) == 0:
             found = _listened(c)  # some families do not answer before they are set up
+    c.drives.spoken = None
     bus = {"foreign": found.foreign, "refused": found.refused, "strange": sorted(found.strange)}
     c.keep("scan", "bus", bus)
     for leg in range(LEGS):
@@ -27,7 +29,8 @@ def find(c: Context) -> None:
             "answers": found.heard[leg] / c.drives.ticks(LISTEN_S),
             "twice": bool(found.doubled >> leg & 1),
             "state": state,
-            "lacks": lacks[leg] if found.heard[leg] else "",
+            "lacks": lacks[leg],
+            "spoken": sorted(spoken[leg]),
             "fault": c.fault_of(leg) if found.heard[leg] and state == DriveState.FAULT.name else "",
         }
         c.keep("scan", leg, fact)
@@ -87,7 +90,7 @@ def judge(c: Context) -> list[Finding]:
         if facts[leg]["fault"]:
             text = f"node {m.node_ids[leg]} stays in FAULT after a RESET: {facts[leg]['fault']}"
             found.append(Finding("drive_fault", (leg,), text, "Look at the drive with its maker's tool."))
-        elif facts[leg]["lacks"]:
+        elif facts[leg]["answers"] and facts[leg]["lacks"]:
             text = f"node {m.node_ids[leg]} does not take its set-up: {facts[leg]['lacks']}"
             mend = "Compare version, rated force and options of drive and configuration."
             found.append(Finding("set_up", (leg,), text, mend))
@@ -98,6 +101,7 @@ def _silent(c: Context, leg: int, bus: dict[str, object]) -> Finding:
     node = c.machine.node_ids[leg]
     strange = bus["strange"]
     assert isinstance(strange, list)
+    spoken, lacks = (c.known("scan", leg)[key] for key in ("spoken", "lacks"))
     if CANOPEN_HEARTBEAT + node in strange:
         text = (
             f"node {node} speaks CANopen: its heartbeat is {CANOPEN_HEARTBEAT + node:#x}, "
@@ -107,12 +111,27 @@ def _silent(c: Context, leg: int, bus: dict[str, object]) -> Finding:
     if bus["refused"]:
         text = f"node {node} is heard, but {bus['refused']} frames are refused: length, check or state"
         return Finding("wrong_protocol", (leg,), text, "Compare bus.layout and the version of the protocol.")
+    if spoken and not c.machine.unasked_identifiers.issuperset(spoken):
+        text = f"node {node} is heard, but does not answer the polls: {lacks or 'it confirms its set-up'}"
+        mend = "Compare version, rated force and options of drive and configuration."
+        return Finding("set_up", (leg,), text, mend)
+    if spoken:
+        names = ", ".join(f"{identifier:#x}" for identifier in spoken)
+        text = f"node {node} sends {names} unasked, and answers nothing: {lacks or 'no poll'}"
+        mend = (
+            f"Look at its firmware and set it to {c.machine.protocol}; a drive without power sends nothing."
+        )
+        return Finding("wrong_protocol", (leg,), text, mend)
     if strange:
         names = ", ".join(f"{identifier:#x}" for identifier in strange)
         text = (
             f"node {node} does not answer; identifiers of no drive of {c.machine.protocol} are heard: {names}"
         )
-        return Finding("absent", (leg,), text, "Look which device sends them, and at its node number.")
+        mend = (
+            "Switch this drive off: if these frames end, it speaks another protocol or has another node "
+            "number; if they go on, look at its power and cable."
+        )
+        return Finding("absent", (leg,), text, mend)
     text = f"node {node} does not answer"
     return Finding("absent", (leg,), text, "Look at its power, its cable, its bit rate and its node number.")
 

@@ -7,7 +7,7 @@ import pytest
 from drivers.signals import LEGS
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
-from hil.bringup.steps import force
+from hil.bringup.steps import force, gauge
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.bringup.kit import Rehearsal, named
 
@@ -53,3 +53,33 @@ def test_a_leg_that_moves_one_way_under_either_sign_is_no_reason_to_exchange_pha
     assert (finding.name, finding.legs) == ("one_way", (4,))
     assert "0.44 N" in finding.text
     assert "phases" not in finding.line
+
+
+CAUSES = {
+    # scale by tape, N by gauge a N, spread of the levels in N: behind steps of 0.45 N an error of 0.1 or 0.35
+    "a lead": (1.25, 1.24, 4.5, "wrong_lead"),
+    "a lead behind losses": (1.25, 1.2, 4.5, "wrong_lead"),
+    "an encoder": (1.25, 1.0, 4.5, None),
+    "an encoder behind losses": (1.25, 0.92, 4.5, None),
+    "a lead that steps hide": (1.25, 1.24, 1.3, "scale_or_lead"),
+    "an encoder that steps hide": (1.25, 1.0, 1.3, "scale_or_lead"),
+    "an encoder by a hundredth": (1.01, 1.0, 1.3, None),
+    "a force": (1.0, 1.5, 4.5, "force_scale"),
+    "a force within losses": (1.0, 1.2, 4.5, None),
+    "both, each by itself": (1.25, 0.6, 4.5, "force_scale"),
+}
+
+
+@pytest.mark.parametrize("case", CAUSES)
+def test_lead_and_encoder_are_told_apart_by_force_or_both_are_named(case):
+    scale, gain, span_N, name = CAUSES[case]
+    rehearsal = with_robot("cubemars", Wiring())
+    context = rehearsal.context
+    right = {"force_N": 0.1, "leg": 2, "way": 1}
+    context.facts["force"] = {"2": {"plus": right, "minus": right | {"way": -1}}}
+    context.facts["encoder"]["2"] = {"drive": 2, "scale": scale, "tape_m": [0.25, 0.4]}
+    levels = [5.4 - span_N * share for share in (1.0, 0.6, 0.3, 0.0)]
+    context.facts["gauge"] = {"2": {"pairs_N": [[force_N, gain * force_N] for force_N in levels]}}
+    found = gauge.judge(context)
+    assert [finding.name for finding in found] == [name] * (name is not None)
+    assert name != "scale_or_lead" or "one turn" in found[0].mend

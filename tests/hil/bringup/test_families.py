@@ -51,11 +51,6 @@ OTHERWISE: dict[tuple[str, str], set[tuple[str, tuple[int, ...]]] | None] = {
     # shorter than the time between two commands, or heartbeats, of the bring-up: it trips at once
     ("cia402_pdo", "fast_watchdog"): {("not_powered", (1,))},
     ("odrive", "fast_watchdog"): {("not_powered", (1,))},
-    # its steps of force leave the forces of the leg open
-    ("cubemars", "lead_10_for_8"): {("encoder_scale", (1,))},
-    # what is not our own CANopen is not heard at all
-    ("cia402_difference", "wrong_protocol"): {("absent", (1,))},
-    ("cia402_pdo", "wrong_protocol"): {("absent", (1,))},
 }
 """What is named otherwise than with our own drives; None: no such mistake can be."""
 KNOWN = [(family, case) for family in FAMILIES for case in NAMES if OTHERWISE.get((family, case), True)]
@@ -92,6 +87,7 @@ FIRST = {
     "odrive": ("watchdog_long", 4, 2),
     "moteus_stopped": ("watchdog_missing", 0, 2),
     "mini_cheetah": ("encoder_scale", 5, 4),
+    "cia402_pdo": ("wrong_protocol", 1, 1),
 }
 """Mistake, leg, and how many steps it takes to name it."""
 

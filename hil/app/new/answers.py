@@ -169,7 +169,11 @@ def _speed(a: Answers) -> str | None:
 
 
 def _rate(a: Answers) -> str | None:
-    return derive.rate_trouble(a, a["rate_Hz"]) or fineness.rate_trouble(a)
+    trouble = derive.rate_trouble(a, a["rate_Hz"])
+    if trouble is None:
+        return fineness.rate_trouble(a)
+    enough = derive.enough_channels(a, a["rate_Hz"])
+    return trouble if enough is None else f"{trouble}; here --channels {enough} is enough"
 
 
 def _layout(a: Answers) -> str | None:
@@ -240,6 +244,10 @@ QUESTIONS: tuple[Question, ...] = (
     Question(
         "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s",
         default=lambda a: drives.family(a).layout, choices=("fd", "classic"), trouble=_layout,
+    ),
+    Question(
+        "channels", "CAN buses over which the legs are spread, each with an interface of its own",
+        default=lambda _: derive.CHANNELS[0], choices=derive.CHANNELS,
     ),
     Question(
         "rate_Hz", "rate of the loop", "Hz", 10.0, 4000.0,

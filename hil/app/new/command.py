@@ -66,7 +66,7 @@ def _head(path: Path) -> list[str]:
 
 def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
     home = robot_at_home(a)
-    bus = derive.bus_section(a, "hil0" if a["interface"] == "localcan" else "can0")
+    bus = derive.bus_section(a)
     rate = a["rate_Hz"]
     reference = derive.reference_section(a, home)
     w = derive.walked(a, reference, rate)
@@ -82,7 +82,7 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
         "drives": drives_section(a, rate),
         "loop": {"rate_Hz": rate},
         "controller": derive.controller_section(a, derive.wn_rad_s(rate)),
-        "monitor": derive.monitor_section(a),
+        "monitor": derive.monitor_section(a, rate),
         "engage": {
             "force_ramp_s": 0.5,
             "brake_release_s": derive.raised(2e-3 * a["brake_ms"]),
@@ -144,6 +144,7 @@ def _parameters(proposal: Proposal, a: dict[str, Any], platform: dict[str, Any])
 
 _RATES = ", ".join(f"{rate:g}" for rate in derive.RATES_Hz)
 _COMMENTS = {
+    "bus.channels": "each bus by itself has this layout and bit rate; a bus has neighbouring legs",
     "platform.base_joints_m": "three pairs on a circle",
     "platform.platform_joints_m": "three pairs between them; leg 0 ends at 300 deg + half angle",
     "platform.platform.inertia_kg_m2": "ESTIMATE: a thin disc of this mass and the platform's radius",
@@ -165,7 +166,7 @@ _COMMENTS = {
     "controller.wn_rad_s": f"delay costs {derive.PHASE_deg:g} deg at the crossover, 2.06 wn",
     "controller": "gains that hold in every pose; `hil compare` on this file shows the other laws",
     "monitor.length_noise_m": "two steps of a reading",
-    "monitor.rate_noise_m_s": "a step and a half of the velocity that the drives send",
+    "monitor.rate_noise_m_s": "what the steps of a rate leave of it, and half of that more",
     "engage.brake_release_s": "twice what the brakes take",
     "engage.brake_close_s": "until the fastest leg rests on its brake, and a fifth of it more",
     "engage.approach_speed_m_s": "a tenth of the drives' speed, a quarter of the stroke a second",

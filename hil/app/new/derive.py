@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError
+from drivers.signals import LEGS
 from hil.app.configuration.bus_budget import bus_budget
-from hil.app.new.drives import counts_itself, drives_section, steps
+from hil.app.new.drives import counts_itself, drives_section
 from hil.app.new.robot import AtHome, platform_section, robot_at_home
 from hil.app.reachability import Walk, span_s, walk, window_swing
 from hil.config.monitor import MonitorSettings
@@ -24,6 +26,8 @@ from hil.trajectory.build import build_trajectory
 
 RATES_Hz = (1000.0, 500.0, 400.0, 312.5, 250.0, 200.0, 100.0)
 """Rates that are tried, the first that fits the bus is taken."""
+CHANNELS = ("1", "2", "3", "6")
+"""Numbers of buses that share the legs out evenly."""
 SLOW_Hz = 250
 """For an FMU that needs its tool, mostly an interpreter: half a millisecond a step leaves 1 kHz no room."""
 LAG_Hz = 200.0
@@ -55,9 +59,16 @@ def raised(x: float, digits: int = 2) -> float:
     return rounded(ceil(x / step - 1e-9) * step, digits)
 
 
-def bus_section(a: dict[str, Any], channel: str) -> dict[str, Any]:
-    """Return section `bus`."""
-    bus = {"interface": a["interface"], "channel": channel, "layout": a["layout"], "bitrate_bit_s": 1_000_000}
+def bus_section(a: dict[str, Any]) -> dict[str, Any]:
+    """Return section `bus`: neighbouring legs share a bus."""
+    stem, n = "hil" if a["interface"] == "localcan" else "can", int(a["channels"])
+    bus = {"interface": a["interface"], "channel": f"{stem}0"}
+    each = LEGS // n
+    if n > 1:
+        legs = [list(range(k * each, (k + 1) * each)) for k in range(n)]
+        several = [{"channel": f"{stem}{k}", "legs": own} for k, own in enumerate(legs)]
+        bus = {"interface": a["interface"], "channels": several}
+    bus |= {"layout": a["layout"], "bitrate_bit_s": 1_000_000}
     return bus | ({"data_bitrate_bit_s": 5_000_000} if a["layout"] == "fd" else {})
 
 
@@ -69,12 +80,18 @@ def loop_rate_Hz(a: dict[str, Any], *, slow: bool) -> float:
 
 def rate_trouble(a: dict[str, Any], rate_Hz: float) -> str | None:
     """Return why the bus does not carry the drives' frames at a rate; None where it does."""
-    bus, drives = BusSettings(**bus_section(a, "")), DriveSettings(**drives_section(a, rate_Hz))
+    bus, drives = BusSettings(**bus_section(a)), DriveSettings(**drives_section(a, rate_Hz))
     try:
         bus_budget(bus, drives, SensorSettings(), rate_Hz)
     except ConfigurationError as error:
         return str(error)
     return None
+
+
+def enough_channels(a: dict[str, Any], rate_Hz: float) -> str | None:
+    """Return the least number of buses, beyond those of the answers, that carries a rate; None: none does."""
+    more = [n for n in CHANNELS if int(n) > int(a["channels"])]
+    return next((n for n in more if rate_trouble(a | {"channels": n}, rate_Hz) is None), None)
 
 
 def wn_rad_s(rate_Hz: float) -> float:
@@ -140,9 +157,16 @@ def walked(a: dict[str, Any], reference: dict[str, Any], rate_Hz: float) -> Walk
     return walk(home.platform, home.model, path, span_s(path), 1.0 / rate_Hz)
 
 
-def monitor_section(a: dict[str, Any]) -> dict[str, Any]:
+def steps(a: dict[str, Any], rate_Hz: float) -> tuple[float, float]:
+    """Return by how much the steps of encoder and frames put a length off, m, and its rate, m/s."""
+    bus, drives = BusSettings(**bus_section(a)), DriveSettings(**drives_section(a, rate_Hz))
+    read = build_protocol(bus, drives).resolution(rate_Hz)
+    return max(float(read.length.max()), float(a["encoder_resolution_m"])), float(read.rate.max())
+
+
+def monitor_section(a: dict[str, Any], rate_Hz: float) -> dict[str, Any]:
     """Return section `monitor`: a reading that is cut is off by its step, and one may be off by more."""
-    length, rate = steps(a)
+    length, rate = steps(a, rate_Hz)
     least = raised(1.5 * rate) if rate else 0.0
     coarse = {"rate_noise_m_s": least} if least > MonitorSettings().rate_noise_m_s else {}
     return {"length_noise_m": rounded(2.0 * length)} | coarse
@@ -166,7 +190,7 @@ def limits_section(
         "stroke_margin_m": rounded(0.02 * a["stroke_m"]),
         "following_error_m": following_error_m(a),
         "following_error_s": 0.02,
-        "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a)[0])),
+        "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a, rate_Hz)[0])),
     }
 
 

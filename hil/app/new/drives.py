@@ -6,7 +6,7 @@ all else follows from that, the drive's force and the family's own fields.
 
 from __future__ import annotations
 
-from math import ceil, pi
+from math import ceil
 from typing import Any, NamedTuple
 
 from drivers.mit.fields import TURN, Ranges
@@ -28,10 +28,8 @@ class Family(NamedTuple):
     """Frame layout that it has; that of `legs` is free, and this its default."""
     silence: str = "brake"
     """What its drives do that hear nothing."""
-    velocity_bits: int = 0
-    """Bits of a velocity that is sent over a range; 0: it is sent as it is."""
     torque_bits: int = 0
-    """The same of a torque."""
+    """Bits of a torque that is sent over a range; 0: it is sent as it is."""
 
 
 FAMILIES: dict[str, Family] = {
@@ -39,10 +37,10 @@ FAMILIES: dict[str, Family] = {
     "cia402": Family("cia402", "classic"),
     "moteus": Family("moteus", "fd", silence="damp"),
     "odrive": Family("odrive", "classic"),
-    "cubemars": Family("mit", "classic", velocity_bits=12, torque_bits=12),
-    "damiao": Family("mit", "classic", velocity_bits=12, torque_bits=12),
-    "mini_cheetah": Family("mit", "classic", velocity_bits=12, torque_bits=12),
-    "robstride": Family("mit", "classic", velocity_bits=16, torque_bits=16),
+    "cubemars": Family("mit", "classic", torque_bits=12),
+    "damiao": Family("mit", "classic", torque_bits=12),
+    "mini_cheetah": Family("mit", "classic", torque_bits=12),
+    "robstride": Family("mit", "classic", torque_bits=16),
 }
 """Answer -> its row; of MIT framing the variants."""
 
@@ -176,13 +174,3 @@ def _counts(a: Answers) -> int:
 def counts_itself(a: Answers) -> bool:
     """Say whether the frames carry a length in steps of the family's own."""
     return family(a).protocol in ("cia402", "mit")
-
-
-def steps(a: Answers) -> tuple[float, float]:
-    """Return the steps of a reading at the leg: of its length, m, and of its rate, m/s; 0: of the encoder."""
-    if not models(a):
-        return a["encoder_resolution_m"], 0.0
-    r, m_per_rad = _ranges(a), a["travel_m"] / (2.0 * pi)
-    length = 2.0 * r.position / (2**16 - 1) * m_per_rad
-    rate = 2.0 * r.velocity / (2 ** family(a).velocity_bits - 1) * m_per_rad
-    return max(length, a["encoder_resolution_m"]), rate

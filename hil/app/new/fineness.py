@@ -37,7 +37,12 @@ def _finest_m(a: dict[str, Any], rate_Hz: float | None) -> float:
     if not drives.models(a):
         return 0.0
     if rate_Hz is None:
-        assumed = {"layout": drives.family(a).layout, **a, "travel_m": drives.travels_m(a)[1]}
+        assumed = {
+            "layout": drives.family(a).layout,
+            "channels": "1",
+            **a,
+            "travel_m": drives.travels_m(a)[1],
+        }
         rate_Hz = derive.loop_rate_Hz(assumed, slow=a.get("slow_plant", False))
     home = robot_at_home(a)
     P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)

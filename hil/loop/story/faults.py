@@ -128,7 +128,8 @@ FAULTS = (
         Fault.FOLLOWING,
         OWN,
         looks.following,
-        "check sign and size of the leg's force, its brake, the payload and the limits of the force",
+        "check sign and size of the leg's force, its brake, its friction, the payload, the limits of the "
+        "force, and what one step of the drive's force leaves of the error (`hil check` prints it)",
     ),
     _(
         Fault.CERTIFICATE,

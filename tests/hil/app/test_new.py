@@ -189,15 +189,15 @@ def test_what_new_writes_of_drives_follows_from_force_stroke_and_travel():
     """By hand: 800 N at 10 mm a turn are 1.273 N m; legs of 0.5 to 0.7 m; 1 um is 10000 counts of 10 mm."""
     asked = {
         "drive_force_N": 800.0, "length_min_m": 0.5, "stroke_m": 0.2, "encoder_resolution_m": 1e-6,
-        "travel_m": 0.01, "drives": "cia402",
+        "travel_m": 0.01, "drives": "cia402", "interface": "localcan", "layout": "classic", "channels": "1",
     }  # fmt: skip
     written = drives_section(asked, 312.5)
     assert written["options"]["rated_torque_Nm"] == pytest.approx(1.273, rel=0.01)
     assert written["options"]["rated_torque_Nm"] > 1.273
     assert written["transmission"] == {"lead_m": 0.01, "counts_per_turn": 10000, "offset_m": 0.6}
     assert written["watchdog_ms"] == 16.0
-    assert monitor_section(asked) == {"length_noise_m": 2e-6}
-    damiao = monitor_section(asked | {"travel_m": 0.1, "drives": "damiao", "model": "DM8009"})
+    assert monitor_section(asked, 312.5) == {"length_noise_m": 2e-6}
+    damiao = monitor_section(asked | {"travel_m": 0.1, "drives": "damiao", "model": "DM8009"}, 400.0)
     rad_m = 0.1 / 6.2831853
     assert damiao["length_noise_m"] == pytest.approx(2 * 25 / 65535 * rad_m, rel=1e-2)  # 16 bits, 12.5 rad
     assert damiao["rate_noise_m_s"] == pytest.approx(1.5 * 90 / 4095 * rad_m, rel=0.05)  # 12 bits, 45 rad/s
@@ -237,6 +237,63 @@ def test_a_rate_that_does_not_fit_offers_no_layout_that_the_drives_lack(words, o
     assert done.exit_code == 2
     assert "the frames of one tick do not fit at 1 Mbit/s, worst-case" in done.output, "no data phase"
     assert ("or use bus.layout: fd" in done.output) == offered
+
+
+HEAVY = ROBOTS["simulator"].replace(" --layout classic", " --drives cia402 --travel 0.01 --rate 500")
+
+
+def test_a_rate_that_one_bus_does_not_carry_is_refused_with_the_number_that_does_and_written_with_it(
+    tmp_path,
+):
+    """docs/guides/buses.md: six drives take 2005 us of a tick on one bus, three on each 1030 us."""
+    path = tmp_path / "r.yaml"
+    done = new(path, HEAVY)
+    assert done.exit_code == 2
+    assert "2005.0 us of a 2000.0 us period" in done.output
+    assert "here --channels 2 is enough" in done.output
+    assert new(path, f"{HEAVY} --channels 2").exit_code == 0
+    c = load(path)
+    assert [(each.channel, each.legs) for each in c.bus.channels] == [
+        ("hil0", [0, 1, 2]),
+        ("hil1", [3, 4, 5]),
+    ]
+    assert (c.loop.rate_Hz, c.bus.layout, c.bus.bitrate_bit_s) == (500.0, "classic", 1_000_000)
+    assert new(path, f"{HEAVY} --channels 3 --interface socketcan", "--force").exit_code == 0
+    legs = [(each.channel, each.legs) for each in load(path).bus.channels]
+    assert legs == [("can0", [0, 1]), ("can1", [2, 3]), ("can2", [4, 5])]
+
+
+def test_a_rate_that_no_number_of_buses_carries_is_offered_none(tmp_path):
+    done = new(tmp_path / "r.yaml", HEAVY.replace("--rate 500", "--rate 4000"))
+    assert done.exit_code == 2
+    assert "--channels" not in done.output
+
+
+def test_more_buses_give_the_loop_a_higher_rate_by_itself(tmp_path):
+    path = tmp_path / "r.yaml"
+    assert new(path, f"{HEAVY.replace(' --rate 500', '')} --channels 6").exit_code == 0
+    assert load(path).loop.rate_Hz == 1000.0
+
+
+@pytest.mark.long
+def test_two_tonnes_on_two_classic_buses_run_at_500_hz(tmp_path):
+    path = tmp_path / "r.yaml"
+    assert new(path, f"{HEAVY} --channels 2").exit_code == 0
+    summary = simulate(load(path), log=tmp_path / "run.mcap", duration_s=3.0)
+    assert summary["success"], summary
+    assert summary["replay"]["agrees"]
+    assert set(summary["bus_load_percent_by_channel"]) == {"hil0", "hil1"}
+    assert max(summary["bus_load_percent_by_channel"].values()) < 70.0
+
+
+def test_the_noise_of_a_new_robot_is_that_of_the_drives_frames(tmp_path):
+    """By hand, ODrive: singles of up to 2 m are off by 2 x 2^-24 m = 0.12 um, the encoder by its 1 um."""
+    path = tmp_path / "r.yaml"
+    assert new(path, f"{ROBOTS['table']} {DRIVES['odrive']}").exit_code == 0
+    assert load(path).monitor.length_noise_m == 2e-6
+    fine = f"{ROBOTS['table']} {DRIVES['odrive']} --encoder-resolution 1e-9"
+    assert new(path, fine, "--force").exit_code == 0
+    assert load(path).monitor.length_noise_m == pytest.approx(4.0 * 2.0**-24, rel=5e-3)
 
 
 def test_a_models_name_is_taken_in_any_case_and_written_as_its_family_does():
@@ -293,9 +350,7 @@ def test_yes_names_every_answer_that_has_no_default(tmp_path):
 
 def test_a_dialogue_asks_again_at_the_question_that_cannot_work(tmp_path):
     path = tmp_path / "r.yaml"
-    typed = (
-        "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1000"
-    )
+    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1 1000"
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
     assert done.exit_code == 0, done.output
     assert done.output.count("cannot work") == 2

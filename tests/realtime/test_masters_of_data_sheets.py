@@ -98,12 +98,50 @@ class ODrive:
         return can.Message(arbitration_id=node << 5 | command, data=data, is_extended_id=False)
 
 
+class RobStride:
+    """Its own protocol: type, 16 bits, target in a 29-bit identifier; codes of 16 bits, (x / most + 1) 0x7FFF."""
+
+    HOST, MIDDLE = 253, 0x7FFF
+    ENDS = 4.0 * math.pi, 44.0, 17.0
+    """Of position, velocity and torque of model rs-02."""
+
+    def opening(self, node: int) -> list[can.Message]:
+        operation = struct.pack("<HxxI", 0x7005, 0)
+        return [self._frame(18, node, operation), self._frame(3, node)]
+
+    def torque(self, node: int, N_m: float) -> list[can.Message]:
+        most = self.ENDS[2]
+        number = int((min(max(N_m, -most), most) / most + 1.0) * self.MIDDLE)
+        return [self._frame(1, node, struct.pack(">HHHH", self.MIDDLE, self.MIDDLE, 0, 0), number)]
+
+    def closing(self, node: int) -> list[can.Message]:
+        return [self._frame(4, node)]
+
+    def read(self, m: can.Message) -> Reply | None:
+        if not m.is_extended_id or (m.arbitration_id >> 24, m.arbitration_id & 0xFF) != (2, self.HOST):
+            return None
+        p, v, _, _ = struct.unpack(">HHHH", m.data)
+        rad, rad_s = ((n / self.MIDDLE - 1.0) * end for n, end in zip((p, v), self.ENDS, strict=False))
+        return Reply(m.arbitration_id >> 8 & 0xFF, rad / TURN, rad_s / TURN)
+
+    def _frame(self, kind: int, node: int, data: bytes = bytes(8), middle: int = HOST) -> can.Message:
+        return can.Message(arbitration_id=kind << 24 | middle << 8 | node, data=data, is_extended_id=True)
+
+
 MINI_CHEETAH, DAMIAO = Mit((12.5, 65.0, 18.0), None), Mit((12.5, 30.0, 10.0), 16)
+CUBEMARS, ROBSTRIDE = Mit((12.5, 50.0, 18.0), None), RobStride()
+Master = Mit | ODrive | RobStride
 # the spring of a leg of configs/bench.yaml takes 100 N for 20 mm: a turn is 0.4 m, which carries its stroke
 RACK = {"lead_m": 0.4, "offset_m": 1.475}
-FAMILIES: dict[str, tuple[Mit | ODrive, dict[str, Any], dict[str, float]]] = {
+FAMILIES: dict[str, tuple[Master, dict[str, Any], dict[str, float]]] = {
     "odrive": (ODrive(), {"protocol": "odrive"}, {"lead_m": 0.02, "offset_m": 1.6}),
     "mini_cheetah": (MINI_CHEETAH, {"protocol": "mit", "options": {"variant": "mini_cheetah"}}, RACK),
+    "cubemars": (CUBEMARS, {"protocol": "mit", "options": {"variant": "cubemars", "model": "AK80-9"}}, RACK),
+    "robstride": (
+        ROBSTRIDE,
+        {"protocol": "mit", "options": {"variant": "robstride", "model": "rs-02"}},
+        RACK,
+    ),
     "damiao": (DAMIAO, {"protocol": "mit", "options": {"variant": "damiao", "model": "DM4310"}}, RACK),
 }
 
@@ -144,7 +182,44 @@ def test_the_masters_speak_as_other_peoples_code_does():
         assert heard == pytest.approx((1, v["inputs"]["Pos_Estimate"], v["inputs"]["Vel_Estimate"]), rel=1e-6)
 
 
-def asked(bus: can.BusABC, drive: Mit | ODrive, node: int, N_m: float) -> Reply:
+def test_the_master_of_robstride_speaks_as_other_peoples_code_does():
+    for v in vectors("robstride", "type 1 operation control torque only"):
+        (sent,) = ROBSTRIDE.torque(1, v["inputs"]["torque_Nm"])
+        assert (sent.arbitration_id, sent.data.hex(), sent.is_extended_id) == (v["id"], v["data"], True)
+    mode, enable = ROBSTRIDE.opening(1)
+    (stop,) = ROBSTRIDE.closing(1)
+    for sent, what in ((mode, "run_mode 0"), (enable, "type 3 enable"), (stop, "type 4 disable")):
+        (v,) = vectors("robstride", what)
+        assert (sent.arbitration_id, sent.data.hex()) == (v["id"], v["data"])
+    for v in vectors("robstride", "type 2 feedback"):
+        heard = ROBSTRIDE.read(message(v))
+        assert heard is not None
+        assert heard.node == v["inputs"]["motor_id"]
+        assert heard.turns * TURN == pytest.approx(v["decoded"]["position_rad"], abs=1e-4)
+        assert heard.turns_per_s * TURN == pytest.approx(v["decoded"]["velocity_rad_s"], abs=1e-4)
+    assert ROBSTRIDE.read(ROBSTRIDE.opening(1)[1]) is None
+
+
+def test_the_master_of_cubemars_speaks_as_other_peoples_code_does():
+    """Position and velocity are those of no motion; what the package gave the torque is in the last 12 bits."""
+    commands = [v for v in vectors("mit", "command") if v["inputs"]["range"] == "AK80-9_V50"]
+    assert len({v["inputs"]["torque_Nm"] for v in commands}) == 5
+    for v in commands:
+        (sent,) = CUBEMARS.torque(1, v["inputs"]["torque_Nm"])
+        assert sent.arbitration_id == v["id"]
+        assert sent.data.hex()[-3:] == v["data"][-3:]
+        assert v["what"] != "command: all zero" or sent.data.hex() == v["data"]
+    replies = [v for v in vectors("mit", "8 bytes", "AK80-9") if v["inputs"]["range"] == "AK80-9_V50"]
+    assert {v["inputs"].get("motor_id", 1) for v in replies} == {1, 2, 10}
+    for v in replies:
+        heard = CUBEMARS.read(message(v))
+        assert heard is not None
+        assert heard.node == v["inputs"].get("motor_id", 1)
+        assert heard.turns * TURN == pytest.approx(v["decoded"]["position_rad"], abs=1e-4)
+        assert heard.turns_per_s * TURN == pytest.approx(v["decoded"]["velocity_rad_s"], abs=1e-3)
+
+
+def asked(bus: can.BusABC, drive: Master, node: int, N_m: float) -> Reply:
     """Send a torque and return the answer of that drive."""
     for each in drive.torque(node, N_m):
         bus.send(each)
@@ -157,7 +232,7 @@ def asked(bus: can.BusABC, drive: Mit | ODrive, node: int, N_m: float) -> Reply:
     raise AssertionError(f"drive {node} has not answered")
 
 
-def lifted(drive: Mit | ODrive, lead_m: float) -> dict[int, float]:
+def lifted(drive: Master, lead_m: float) -> dict[int, float]:
     """Lift all legs as a spring and a damper, then switch them off; return their ways, m."""
     nodes = range(1, 7)
     with can.Bus(CHANNEL, "localcan", ignore_config=True) as bus:

@@ -22,6 +22,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.snapshot import Snapshot
+from tests import foreign_plant
 from tests.drivers.cia402_sheet import sheet
 from tests.realtime.rig import Process
 from tests.serving import serving
@@ -42,44 +43,8 @@ def text(family: str, folder: Path, fmu: Path | None = None) -> str:
     changes["bus"]["channel"] = CHANNEL
     changes["recording"] = {"folder": f"{folder}/runs"}
     if fmu is not None:
-        changes |= behind(fmu)
+        changes |= foreign_plant.sections(fmu)
     return with_changes((ROOT / "configs/bench.yaml").read_text(encoding="utf-8"), changes)
-
-
-def behind(fmu: Path) -> dict[str, Any]:
-    """Return the sections of a robot without weight whose plant is the PythonFMU of docs/examples."""
-    numbered = {key: [f"{key}{leg}" for leg in range(1, 7)] for key in ("force", "length", "rate", "brake")}
-    circle = {"pair_half_angle_deg": 10.0}
-    base = {"radius_m": 2.0, "pair_centres_deg": [0.0, 120.0, 240.0]}
-    top = {"radius_m": 1.0, "pair_centres_deg": [60.0, 180.0, 300.0], "pairs_begin": "second_leg"}
-    return {
-        "monitor": {"friction_N": 0},
-        "platform": {"base_joints_m": base | circle, "platform_joints_m": top | circle},
-        "plant": {
-            "model": {
-                **dict.fromkeys(("mass_kg", "damping_N_s2_m2", "stiffness_N_m", "stiffness_N_m3")),
-                **dict.fromkeys(("rest_length_m", "internal_step_us")),
-                "type": "fmu",
-                "path": str(fmu),
-                "isolation": "child_process",
-                "allow_execution_tool": True,
-                **numbered,
-                "assume_unit": {"force": "N", "length": "m", "rate": "m/s"},
-                "step_us": 1250,
-                "parameters": {
-                    "mass": 1150.0,
-                    "inertia_x": 570.0,
-                    "inertia_y": 285.0,
-                    "inertia_z": 285.0,
-                    "base_radius": 2.0,
-                    "platform_radius": 1.0,
-                    "home_height": 1.0,
-                    "gravity_z": 0.0,
-                },
-            },
-            "drives": {"encoder_resolution_m": 0},
-        },
-    }
 
 
 def configuration(family: str, folder: Path, fmu: Path | None = None) -> Configuration:
@@ -89,10 +54,8 @@ def configuration(family: str, folder: Path, fmu: Path | None = None) -> Configu
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory):
     """An FMU of somebody else's making: Python behind FMI 2.0, without units."""
-    builder = pytest.importorskip("pythonfmu.builder")
-    folder = tmp_path_factory.mktemp("fmu")
-    built = builder.FmuBuilder.build_FMU(ROOT / "docs/examples/pythonfmu_plant.py", dest=folder)
-    return Path(built)
+    pytest.importorskip("pythonfmu.builder")
+    return foreign_plant.built(tmp_path_factory.mktemp("fmu"))
 
 
 def run_example(monkeypatch: pytest.MonkeyPatch, name: str, *arguments: str) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
+from drivers.identity import SERIAL, Said
 from drivers.motor_drives import MotorMemory, put
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import (
@@ -32,6 +33,7 @@ from drivers.protocol import (
     FD,
     OTHER_BUSES,
     REMOTE,
+    Answer,
     Configure,
     DeviceMessage,
     DriveSetup,
@@ -44,6 +46,8 @@ from drivers.protocol import (
 from drivers.signals import INVALID, LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
+ADDRESS = 0x06
+"""Asked for by a remote frame it is answered with node number, serial number and connection."""
 HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
 IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
@@ -197,13 +201,25 @@ class ODriveProtocol(MotorProtocol):
         """Return the leg of the node number in the identifier."""
         return self._legs.get(frame.id >> 5)
 
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Return remote frames for the address of each axis."""
+        return (tuple(self._to(leg, ADDRESS, b"")._replace(flags=REMOTE) for leg in range(LEGS)),)
+
+    def identity(self, frame: Frame) -> Said | None:
+        """Return the serial number of an address that names its own node: one that sets it names another."""
+        identifier, data, flags = frame
+        leg = self._legs.get(identifier >> 5)
+        if leg is None or identifier & 0x1F != ADDRESS or flags & (_STRANGE | REMOTE) or len(data) != 8:
+            return None
+        return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None
+
     def hear(self, frame: Frame) -> Heard | None:
         """Return what estimates or a heartbeat say."""
         identifier, data, flags = frame
         leg, kind = self._legs.get(identifier >> 5), identifier & 0x1F
         if flags & (_STRANGE | REMOTE) or identifier > 0x7FF or leg is None:
             return None
-        if kind in _COMMANDS:
+        if kind in _COMMANDS and self.identity(frame) is None:
             return Heard(leg, foreign=True)
         if kind not in (HEARTBEAT, ESTIMATES):
             return None
@@ -231,6 +247,10 @@ class ODriveProtocol(MotorProtocol):
         if frame.flags & _STRANGE or leg is None:
             return memory, ()
         if frame.flags & REMOTE:
+            if kind == ADDRESS and not frame.data:
+                node = frame.id >> 5
+                said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
+                return memory, (Answer(leg, self._to(leg, ADDRESS, said)),)
             if kind != ESTIMATES or frame.data:
                 return memory, ()
             return memory, (Sync(0, (leg,)),)

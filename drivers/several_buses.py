@@ -8,6 +8,7 @@ end the drives of each bus have a memory of their own, for they hear that bus al
 from collections.abc import Sequence
 
 from drivers.arrays import Array, Ints
+from drivers.identity import Identified, Said
 from drivers.protocol import (
     ALWAYS,
     BUS,
@@ -178,6 +179,20 @@ class SeveralBuses:
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
         return self._spread(self.family.emergency_stop())
+
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Those of the family, each on the bus of its leg; none where it has none."""
+        family = self.family
+        if not isinstance(family, Identified):
+            return ()
+        return tuple(self._spread(frames) for frames in family.identity_requests())
+
+    def identity(self, frame: Frame) -> Said | None:
+        """Return what a frame says of who sends it on its own bus."""
+        family, known = self.family, off_bus(frame)
+        if not isinstance(family, Identified) or self._strays(frame, known):
+            return None
+        return family.identity(known)
 
     def _spread(self, frames: Sequence[Frame]) -> tuple[Frame, ...]:
         """Put each frame on the buses of the legs that it is for."""

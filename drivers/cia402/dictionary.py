@@ -59,8 +59,11 @@ ENTRIES: dict[Key, Entry] = {
     (0x1016, 0): Entry(1, default=1),
     o.CONSUMER_HEARTBEAT: Entry(4, "rw"),
     o.PRODUCER_HEARTBEAT: Entry(2, "rw"),
-    (0x1018, 0): Entry(1, default=1),
+    (0x1018, 0): Entry(1, default=4),
     (0x1018, 1): Entry(4),
+    (0x1018, 2): Entry(4),
+    o.REVISION: Entry(4, default=1),
+    o.SERIAL: Entry(4),
     (0x1029, 0): Entry(1, default=1),
     o.COMMUNICATION_ERROR: Entry(1, "rw", allowed=frozenset({0, 1})),
     **_communication(),
@@ -110,6 +113,7 @@ def defaults(node: int, rated_torque_mNm: int, increments: int, revolutions: int
     """Return the dictionary of a drive that has just been powered up."""
     own = {
         (0x1014, 0): o.EMCY_ID + node,
+        o.SERIAL: node,
         (o.RPDO, 1): o.RPDO_ID[0] + node,
         (o.TPDO, 1): o.TPDO_ID[0] + node,
         o.RATED_TORQUE: rated_torque_mNm,

@@ -31,6 +31,8 @@ Key = tuple[int, int]
 DEVICE_TYPE: Key = 0x1000, 0
 CONSUMER_HEARTBEAT: Key = 0x1016, 1
 PRODUCER_HEARTBEAT: Key = 0x1017, 0
+REVISION: Key = 0x1018, 3
+SERIAL: Key = 0x1018, 4
 COMMUNICATION_ERROR: Key = 0x1029, 1
 ABORT_CONNECTION: Key = 0x6007, 0
 ERROR_CODE: Key = 0x603F, 0
@@ -58,6 +60,8 @@ NAMES: dict[Key, str] = {
     DEVICE_TYPE: "device type",
     CONSUMER_HEARTBEAT: "consumer heartbeat time",
     PRODUCER_HEARTBEAT: "producer heartbeat time",
+    REVISION: "revision number",
+    SERIAL: "serial number",
     COMMUNICATION_ERROR: "reaction to a communication error",
     ABORT_CONNECTION: "abort connection option code",
     QUICK_STOP: "quick stop option code",

@@ -2,7 +2,8 @@
 
 Identifier: type << 24 | data << 8 | target. Type 1 commands, data is the torque's code; 2 is the feedback,
 data is mode << 14 | faults << 8 | motor; 3 enables; 4 stops, and clears faults if its first byte is 1; 17
-reads and 18 writes a register. Positions and torques are big-endian, registers little-endian.
+reads and 18 writes a register; 0 asks for the processor's 64-bit number, which is answered to 0xFE. Positions
+and torques are big-endian, registers and that number little-endian.
 """
 
 import struct
@@ -12,6 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError
+from drivers.identity import SERIAL, Said
 from drivers.mit.fields import TURN, Ranges, code, resolution, value
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
 from drivers.motor_drives import MotorMemory, put
@@ -41,6 +43,8 @@ from drivers.resolution import Resolution
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
+WHO, ASKED_WHO = 0, 0xFE
+"""Type of the request for the processor's number and of its answer, and whom that is for."""
 CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 1, 2, 3, 4, 17, 18
 RUN_MODE = 0x7005
 OPERATION = 0
@@ -110,6 +114,19 @@ class RobStrideProtocol(MotorProtocol):
         return np.array([value(each, -end, end, 16) for each in codes])
 
     # controller's end
+
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Return the request for the processor's number of each drive."""
+        return (tuple(self._to(WHO, leg) for leg in range(LEGS)),)
+
+    def identity(self, frame: Frame) -> Said | None:
+        """Return that number."""
+        identifier, data, flags = frame
+        leg = self._legs.get(identifier >> 8 & 0xFFFF)
+        answers = identifier >> 24 == WHO and identifier & 0xFF == ASKED_WHO and len(data) == 8
+        if leg is None or not answers or not flags & EXTENDED or flags & _STRANGE:
+            return None
+        return Said(leg, SERIAL, int.from_bytes(data, "little"))
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
         """Return the writing and reading back of the run mode."""
@@ -192,6 +209,10 @@ class RobStrideProtocol(MotorProtocol):
         kind = identifier >> 24
         if not flags & EXTENDED or flags & _STRANGE or leg is None:
             return memory, ()
+        if kind == WHO:
+            identifier = WHO << 24 | self._nodes[leg] << 8 | ASKED_WHO
+            said = self._nodes[leg].to_bytes(8, "little")
+            return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
         if kind not in (CONTROL, ENABLE, STOP, READ, WRITE):
             return memory, ()
         if len(data) != 8:

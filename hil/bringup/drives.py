@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.identity import Identified
 from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
@@ -22,6 +23,8 @@ SETUP_S = 3.0
 """For how long the drives' confirmation of their set-up is waited for."""
 READY_S = 0.1
 """For how long a drive is waited for that changes its state."""
+ANSWER_S, ASKED_TIMES = 0.05, 2
+"""For how long an answer to the question who a drive is is waited for, and how often it is asked."""
 _PROBES = 200
 SAFE_TICKS = 10
 """Commands to switch off at every end: the bus may lose some."""
@@ -75,11 +78,13 @@ class Drives:
         *,
         silent: bool = False,
         set_up: bool = False,
+        asked: tuple[Frame, ...] = (),
     ) -> Record:
         """Command the drives for one tick and return its record.
 
         mode and force N are those of drive `leg`, the others stay out; without one, `mode` is for all and
         there is no force. silent: no command goes out. set_up: send what the drives have not confirmed.
+        asked: further frames to send.
         """
         self.tick = tick = self.tick + 1
         opening: tuple[Frame, ...] = ()
@@ -119,6 +124,7 @@ class Drives:
             sent += self._set_up_frames()
         if alike:
             self._rest = self._live
+        sent += asked
         self.line.send(sent)
         self._sink(self.record, heard.frames, (*opening, *sent))
         return self.record
@@ -178,6 +184,21 @@ class Drives:
         if not frames and not mine.all():
             self._rest, frames = self.protocol.set_up(self._rest, _only(self.record, ~mine))
         return frames
+
+    def identities(self) -> tuple[dict[str, int], ...]:
+        """Ask each drive, commanded off, who it is; return what it has said, empty where it says nothing."""
+        said: tuple[dict[str, int], ...] = tuple({} for _ in range(LEGS))
+        if not isinstance(self.protocol, Identified):
+            return said
+        for asked in self.protocol.identity_requests() * ASKED_TIMES:
+            self.step(asked=asked)
+            for _ in range(self.ticks(ANSWER_S)):
+                self.step()
+                for _, frame in self.heard:
+                    answer = self.protocol.identity(frame)
+                    if answer is not None:
+                        said[answer.leg][answer.what] = answer.value
+        return said
 
     # one brake
 

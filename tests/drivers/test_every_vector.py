@@ -251,7 +251,7 @@ EXPECTED: dict[str, dict[str, Any]] = {
         "type 17 read parameter run_mode": to_drive(robstride, "register"),
         "type 17 reply": to_controller(robstride, "register"),
         "type 2 feedback": to_controller(robstride, "feedback"),
-        "type 0 get device id": to_drive(robstride, ""),
+        "type 0 get device id": to_drive(robstride, "register"),
         "type 6 set zero position": to_drive(robstride, ""),
         "type 7 set motor id": to_drive(robstride, ""),
         "MIT-protocol mode (11 bit)": packed_as_o2,

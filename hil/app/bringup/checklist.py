@@ -40,7 +40,10 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
     match step:
         case "scan":
             heard = f"node {c.machine.node_ids[leg]} answers {100 * fact['answers']:.0f} % of the polls"
-            return f"{heard}, {c.machine.protocol}, {fact['state']}; {fact['lacks'] or 'set-up confirmed'}"
+            said = "".join(f", {what} {n}" for what, n in (c.known("identity", leg) or {}).items())
+            return (
+                f"{heard}, {c.machine.protocol}{said}, {fact['state']}; {fact['lacks'] or 'set-up confirmed'}"
+            )
         case "watchdog":
             since, until = fact["since_s"], fact["until_s"]
             set_ms = 1e3 * c.machine.watchdog_s

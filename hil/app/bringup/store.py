@@ -11,15 +11,13 @@ from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.files import write_whole
 from hil.bringup.context import Finding
+from hil.bringup.facts import forget_legs
 
-VERSION = 3
+VERSION = 4
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 """Findings after which the bus is scanned again."""
 _STANDS = ("platform",)
 """Facts that hold whatever was exchanged: the platform hangs on the legs until somebody takes it down."""
-_BY_LEG = ("ids", "encoder", "held", "opens", "force", "gauge", "watchdog")
-_OTHERS = {"ids": "drives", "encoder": "drive", "opens": "legs"}
-"""Where facts by leg name the drives that count it, and facts by drive the legs that it frees."""
 
 
 class Store:
@@ -76,10 +74,7 @@ class Store:
             if finding.name in _WHOLE:
                 for step in self.facts.keys() - set(_STANDS):
                     del self.facts[step]
-            for step in _BY_LEG:
-                self._forget_legs(step, {str(leg) for leg in finding.legs})
-            self.facts.pop("mounted", None)
-            self.facts.pop("passed", None)
+            forget_legs(self.facts, finding.legs)
         self.save()
 
     def forget_brakes(self) -> None:
@@ -87,15 +82,6 @@ class Store:
         for step in ("held", "opens", "passed"):
             self.facts.pop(step, None)
         self.save()
-
-    def _forget_legs(self, step: str, legs: set[str]) -> None:
-        """Drop the facts about legs or their drives: behind exchanged numbers a fact's own leg is another."""
-        key, facts = _OTHERS.get(step), self.facts.get(step, {})
-        for name, fact in list(facts.items()):
-            named = fact.get(key) if key else None
-            others = named if isinstance(named, list) else [named]
-            if not legs.isdisjoint({name, *map(str, others)}):
-                del facts[name]
 
 
 def refuse_malformed(facts: Any) -> None:
@@ -113,7 +99,9 @@ def refuse_malformed(facts: Any) -> None:
 
 
 def _fits(value: Any, form: Any) -> bool:
-    """Tell whether a value has a form: a type or several, a list of so many, a table of keys."""
+    """Tell whether a value has a form: a type or several, a list of so many, a table of keys, or of any."""
+    if isinstance(form, dict) and _ANY in form:
+        return isinstance(value, dict) and all(_fits(each, form[_ANY]) for each in value.values())
     if isinstance(form, dict):
         return isinstance(value, dict) and all(key in value and _fits(value[key], form[key]) for key in form)
     if isinstance(form, list):
@@ -133,6 +121,8 @@ _NAMES: dict[str, frozenset[str]] = {
 }
 """Names of the facts of a step, where they are not the legs; empty: any."""
 _NUMBER, _MAYBE, _FLAG, _TEXT, _LEGS = (int, float), (int, float, type(None)), (bool,), (str,), [(int,), 0]
+_ANY = "*"
+"""In place of the keys of a table: whatever they are."""
 _WAY = {"force_N": _MAYBE, "leg": (int, type(None)), "way": (int,)}
 _FORMS: dict[str, dict[str, Any]] = {
     "scan": {
@@ -146,6 +136,7 @@ _FORMS: dict[str, dict[str, Any]] = {
         },
         "bus": {"foreign": (int,), "refused": (int,), "strange": [(int,), 0]},
     },
+    "identity": {"": {_ANY: (int,)}},
     "watchdog": {"": {"powered": _FLAG, "until_s": _MAYBE, "since_s": _MAYBE}},
     "ids": {"": {"drives": _LEGS, "changes_m": [_NUMBER, LEGS]}},
     "encoder": {

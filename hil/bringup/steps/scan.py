@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.bringup.context import Context, Finding
+from hil.bringup.facts import forget_legs
 from hil.bringup.step import Step
 
 LISTEN_S = 0.4
@@ -34,6 +35,28 @@ def find(c: Context) -> None:
             "fault": c.fault_of(leg) if found.heard[leg] and state == DriveState.FAULT.name else "",
         }
         c.keep("scan", leg, fact)
+    _recognise(c)
+
+
+def _recognise(c: Context) -> None:
+    """Drop what is known of legs whose drive is another than the one that was measured, and say so."""
+    others = []
+    for leg, said in enumerate(c.drives.identities()):
+        known = c.known("identity", leg)
+        if known and said != known and c.known("scan", leg)["answers"]:
+            others.append(leg)
+            changes = ", ".join(
+                f"{what} {known.get(what, 'none')} -> {said.get(what, 'none')}" for what in {**known, **said}
+            )
+            c.operator.tell(
+                f"  leg {leg}: another drive answers as node {c.machine.node_ids[leg]} than the one that was "
+                f"measured ({changes}): its steps are done again"
+            )
+        if said:
+            c.keep("identity", leg, said)
+    if others:
+        forget_legs(c.facts, others)
+        c.save()
 
 
 class _Listened(NamedTuple):

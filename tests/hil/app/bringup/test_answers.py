@@ -103,7 +103,7 @@ def test_consent_is_asked_until_it_is_enter_or_no(typing):
 
 
 def state_with(facts: object, **changes: object) -> dict[str, object]:
-    return {"version": 3, "identity": {}, "facts": facts, **changes}
+    return {"version": 4, "identity": {}, "facts": facts, **changes}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,101 @@
+"""A drive that was exchanged between two sessions: the scan asks who each drive is, and compares."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from drivers.cia402 import device, objects
+from drivers.cia402.dictionary import with_value
+from drivers.identity import Identified, Said
+from drivers.mit.robstride import RobStrideProtocol
+from drivers.odrive import ODriveProtocol
+from drivers.protocol import EXTENDED, REMOTE, Frame
+from hil.app.bringup.checklist import checklist
+from hil.app.bringup.store import refuse_malformed
+from hil.app.compose import build_protocol
+from hil.bringup.procedure import STEPS
+from plant_fmu.rehearsal.wiring import Wiring
+from tests.hil.bringup.families import FAMILIES, family
+from tests.hil.bringup.kit import Rehearsal
+
+BY_HAND = STEPS[:4]
+"""Scan, watchdog, ids, encoder."""
+
+
+def asked_legs(rehearsal):
+    return {request.leg for request in rehearsal.hands.requests if request.act == "measure"}
+
+
+def with_another(monkeypatch, node, key, value):
+    """Let the drive of a node be another one, by one object of its dictionary."""
+    own = device.defaults
+
+    def defaults(n, *figures):
+        values = own(n, *figures)
+        return with_value(values, key, value) if n == node else values
+
+    monkeypatch.setattr(device, "defaults", defaults)
+
+
+@pytest.mark.parametrize(
+    ("key", "told"), [(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")]
+)
+def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_no_other(
+    monkeypatch, key, told
+):
+    first = Rehearsal("cia402_pdo", Wiring())
+    assert first.run(BY_HAND).success
+    facts = first.context.facts
+    refuse_malformed(facts)
+    assert facts["identity"]["2"] == {"serial number": 3, "revision": 1}
+    assert "serial number 3, revision 1" in "\n".join(checklist(first.context, first.run(BY_HAND), ()))
+
+    again = Rehearsal("cia402_pdo", Wiring(), facts=copy.deepcopy(facts))
+    said: list[str] = []
+    monkeypatch.setattr(again.hands, "tell", said.append)
+    assert again.run(BY_HAND).success
+    assert asked_legs(again) == set()
+    assert not any("another drive" in text for text in said)
+
+    with_another(monkeypatch, 3, key, 77)
+    third = Rehearsal("cia402_pdo", Wiring(), facts=copy.deepcopy(facts) | {"mounted": {"0": {}}})
+    monkeypatch.setattr(third.hands, "tell", said.append)
+    assert third.run(BY_HAND).success
+    assert asked_legs(third) == {2}
+    assert [text for text in said if "another drive" in text and told in text]
+    assert "mounted" not in third.context.facts
+    assert third.context.facts["watchdog"].keys() == set("012345")
+
+
+def test_each_family_that_can_be_asked_says_who_its_drives_are_and_the_others_are_not_asked():
+    told = {}
+    for name in ("cia402_pdo", "robstride", "odrive", "damiao", "legs_fd"):
+        rehearsal = Rehearsal(name, Wiring())
+        told[name] = rehearsal.drives.identities()
+    assert told["cia402_pdo"][4] == {"serial number": 5, "revision": 1}
+    assert [who["serial number"] for who in told["robstride"]] == [1, 2, 3, 4, 5, 6]
+    assert [who["serial number"] for who in told["odrive"]] == [1, 2, 3, 4, 5, 6]
+    assert told["damiao"] == told["legs_fd"] == ({},) * 6
+    capable = {name for name in FAMILIES if isinstance(build_protocol(family(name)), Identified)}
+    assert capable == {"cia402_difference", "cia402_pdo", "robstride", "odrive"}
+
+
+def test_serial_numbers_are_read_as_their_makers_write_them():
+    """ODrive: tests/data/drives/odrive.json, 0.6: Address. RobStride: type 0 from motor 5 to 0xFE."""
+    odrive = build_protocol(family("odrive"))
+    robstride = build_protocol(family("robstride"))
+    assert isinstance(odrive, ODriveProtocol)
+    assert isinstance(robstride, RobStrideProtocol)
+    said = odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("05ab896745230107")))
+    assert said == Said(4, "serial number", 1250999896491)
+    assert odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("3fab896745230107"))) is None, (
+        "gives it another number"
+    )
+    assert odrive.identity_requests()[0][4] == Frame(5 << 5 | 6, b"", REMOTE)
+    assert robstride.identity(Frame(0x0005FE, (1 << 60 | 7).to_bytes(8, "little"), EXTENDED)) == Said(
+        4, "serial number", 1 << 60 | 7
+    )
+    assert robstride.identity_requests()[0][0].id == 0xFD01
+    assert robstride.identity(Frame(0x00FD01, bytes(8), EXTENDED)) is None

@@ -27,7 +27,7 @@ ASSUMED_FRICTION = 0.05
 """Share of the largest force of a leg that friction may take where nobody states it."""
 PUSH = {False: 0.038, True: 0.25}
 """Share of the stated disturbance that a leg is pushed by, by whether it sticks: nobody feels a slow rise."""
-PUSHED_SPEED = 0.5
+PUSHED_SPEED = 0.8
 """Share of the largest leg speed that legs may reach which come free under their pushes."""
 LONGEST_RISE_S = 0.2
 """No push rises more slowly: the law changes meanwhile."""
@@ -85,14 +85,18 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
 def _rise_ticks(
     push_N: Array, A: Array, late_s: float, rate_noise_m_s: float, speed_m_s: float, period_s: float
 ) -> int:
-    """Return within how many ticks a push may rise, so that legs that come free are seen in time.
+    """Return within how many ticks a push may rise, so that legs that come free are seen in time; 1: at once.
 
-    At r N/s on all legs one of them gains v = S r t^2 / 2, S the largest sum of a row of A (6, 6) 1/kg. That
-    is seen beyond the noise v_0 of a rate, and late_s later the push goes: sqrt(v) = sqrt(v_0) + late_s
-    sqrt(S r / 2), v a share of the largest speed.
+    At once is best, as a leg that does not move is found the sooner: a leg may gain v = S F late_s, S the
+    largest sum of a row of A (6, 6) 1/kg, F the push on all legs, if v is within a share of the largest
+    speed. Else at r N/s one of them gains v = S r t^2 / 2. That is seen beyond the noise v_0 of a rate, and late_s
+    later the push goes: sqrt(v) = sqrt(v_0) + late_s sqrt(S r / 2), v that share.
     """
-    spare = sqrt(PUSHED_SPEED * speed_m_s) - sqrt(RATE_MOVES * rate_noise_m_s)
-    r = 2.0 * (max(spare, 0.0) / late_s) ** 2 / float(A.sum(axis=1).max())
+    S, most = float(A.sum(axis=1).max()), PUSHED_SPEED * speed_m_s
+    if S * float(push_N.max()) * late_s <= most:
+        return 1
+    spare = sqrt(most) - sqrt(RATE_MOVES * rate_noise_m_s)
+    r = 2.0 * (max(spare, 0.0) / late_s) ** 2 / S
     longest = ceil(LONGEST_RISE_S / period_s)
     needed = float(push_N.max()) / (r * period_s) if r > 0.0 else inf
     return ceil(needed) if needed < longest else longest

@@ -89,8 +89,8 @@ def _rise_ticks(
 
     At once is best, as a leg that does not move is found the sooner: a leg may gain v = S F late_s, S the
     largest sum of a row of A (6, 6) 1/kg, F the push on all legs, if v is within a share of the largest
-    speed. Else at r N/s one of them gains v = S r t^2 / 2. That is seen beyond the noise v_0 of a rate, and late_s
-    later the push goes: sqrt(v) = sqrt(v_0) + late_s sqrt(S r / 2), v that share.
+    speed. Else at r N/s one of them gains v = S r t^2 / 2. That is seen beyond the noise v_0 of a rate, and
+    late_s later the push goes: sqrt(v) = sqrt(v_0) + late_s sqrt(S r / 2), v that share.
     """
     S, most = float(A.sum(axis=1).max()), PUSHED_SPEED * speed_m_s
     if S * float(push_N.max()) * late_s <= most:

@@ -5,16 +5,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers import build_protocol
 from drivers.errors import HilError, PlantError, RunError
 from drivers.signals import LEGS, Doubt, Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.fault_words import show_fault
 from hil.app.faults.cases import Case
+from hil.app.faults.expected import COMMANDS_LOST
 from hil.app.faults.verdict import REST_S, Bounds, Trace, judge, see
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
+from hil.loop.unheard import NO_WATCHDOG
 from hil.signals import Operator
 from plant_fmu.faults.plan import FaultPlan
 
@@ -73,6 +76,9 @@ def _judged(job: Job) -> dict[str, Any]:
     kind = str(case.fault.kind)
     seen = see(kind, trace)
     good, verdict = judge(kind, trace, seen, job.bounds)
+    c = case.configuration
+    if not good and kind in COMMANDS_LOST and not build_protocol(c.bus, c.drives).has_watchdog:
+        verdict = f"{verdict}; the drives {NO_WATCHDOG}"
     after_ms = None if seen.declared is None else 1e3 * seen.declared / trace.rate_Hz
     return _head(case) | {
         "success": good,

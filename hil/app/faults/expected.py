@@ -24,6 +24,10 @@ def _row(causes: str, why: str) -> Expected:
 
 PLANT_FAILS = ("plant_crash", "plant_nan", "plant_hang")
 """Kinds that may end as a failure of the plant."""
+COMMANDS_LOST = frozenset(
+    {"bus_off", "bus_flood", "frames_loss", "frames_delay", "frames_reorder", "frames_corrupt"}
+)
+"""Kinds under which drives may not hear that they are to switch off."""
 NAMES_NO_LEG = frozenset({"CERTIFICATE", "KINEMATICS", "ASSEMBLY", "CONDITION", "REFUSED_FRAMES"})
 """Faults of the platform or the bus as a whole: which leg they come from cannot be told."""
 _FORCE = "DRIVE FOLLOWING SPEED CERTIFICATE ENCODER/LEAP"

@@ -6,8 +6,8 @@ import copy
 
 import pytest
 
-from drivers.cia402 import device, objects
-from drivers.cia402.dictionary import with_value
+from drivers.cia402 import objects
+from drivers.cia402.dictionary import defaults, with_value
 from drivers.identity import Identified, Said
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
@@ -30,13 +30,12 @@ def asked_legs(rehearsal):
 
 def with_another(monkeypatch, node, key, value):
     """Let the drive of a node be another one, by one object of its dictionary."""
-    own = device.defaults
 
-    def defaults(n, *figures):
-        values = own(n, *figures)
+    def of_one(n, *figures):
+        values = defaults(n, *figures)
         return with_value(values, key, value) if n == node else values
 
-    monkeypatch.setattr(device, "defaults", defaults)
+    monkeypatch.setattr("drivers.cia402.device.defaults", of_one)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,28 @@
+"""What `hil faults` says of drives that nothing stops which hear no frame."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.app.faults.case_run import Job, run_case
+from hil.app.faults.cases import cases
+from hil.app.faults.verdict import Bounds
+from tests.hil.bringup.families import family
+
+BOUNDS = Bounds(20e-3, 18e-3, 2e-3, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "watched"), [("cubemars", False), pytest.param("damiao", True, marks=pytest.mark.long)]
+)
+def test_a_dead_bus_in_motion_is_a_failure_of_drives_without_a_watchdog_and_says_why(name, watched):
+    (case,) = cases(family(name), ["bus_off/TRACKING"])
+    found = run_case(Job(case, BOUNDS))
+    assert found["faults"] == ["BUS"]
+    assert found["success"] is watched, found["verdict"]
+    told = (
+        "the platform moves at the end" in found["verdict"]
+        and "they keep the last torque" in found["verdict"]
+    )
+    assert told is not watched
+    assert watched or "have no watchdog that is set from here" in found["verdict"]

@@ -63,7 +63,7 @@ def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> f
     first, k = math.copysign(force, so_far), abs(so_far)
     if sticks:
         whole = 2 * rise - 1
-        return first * (min(k / rise, 1.0) if k <= ticks else max(whole - 2 * (k - ticks), -whole) / whole)
+        return first * min(k / rise, 1.0, max(whole - 2 * (k - ticks), -whole) / whole)
     return first * min(2 * k, ticks, max(3 * ticks - 2 * k, -ticks)) / ticks
 
 

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.forkserver import ensure_running
 from multiprocessing.resource_tracker import ensure_running as ensure_tracker
+from threading import Thread
 from typing import TypeVar
 
 Job = TypeVar("Job")
@@ -51,6 +52,7 @@ def _in_processes(
                     yield future.result()
                 except BrokenProcessPool:
                     lost.append(waiting[future])
+                del waiting[future]  # its outcome is the caller's; of a hundred thousand none is kept
         except BaseException:
             for process in active_children():  # they would finish their jobs first, for nobody
                 process.kill()
@@ -70,7 +72,19 @@ def _pool(count: int, function: Callable[[Job], Outcome]) -> ProcessPoolExecutor
     context.set_forkserver_preload([function.__module__])
     with _undisturbed():
         ensure_running()
-    return ProcessPoolExecutor(count, mp_context=context)
+    return ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """Let this process end when its parent does, by whatever signal: it would wait for jobs for good."""
+    Thread(target=_await_parent, daemon=True).start()
+
+
+def _await_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 @contextmanager

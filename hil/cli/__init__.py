@@ -41,6 +41,7 @@ COMMANDS = {
     "plot": "Columns of logs over time, as PNG or SVG.",
     "view": "A log in Rerun, Foxglove, Lichtblick or PlotJuggler.",
     "faults": "Each kind of fault at each moment of a run, with verdicts.",
+    "campaign": "Many runs with keys swept: how often it fails, and where.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",
     "ctl": "The operator's commands to a running controller: hold, start, park, key ...",
     "setpoint": "Send a live reference somewhere while it runs.",

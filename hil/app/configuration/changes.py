@@ -41,22 +41,31 @@ def with_changes(text: str, changes: Mapping[str, Any]) -> str:
         A value that no YAML file can hold.
 
     """
-    value = parse(text).value or {}
-    merged = _merged(value, {key: _plain(change, key) for key, change in changes.items()})
-    return yaml.dump(merged, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    return text_of(merged(parse(text).value or {}, changes))
+
+
+def text_of(value: Any) -> str:
+    """Return plain data as YAML text that is read as the same data."""
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+
+
+def merged(value: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data of a configuration with changes, as `with_changes` makes them. Raises as that does."""
+    found: dict[str, Any] = _merged(value, {key: _plain(change, key) for key, change in changes.items()})
+    return found
 
 
 def _merged(there: Any, change: Any) -> Any:
     if not isinstance(change, dict):
         return change
     other = isinstance(there, dict) and any(k in change and change[k] != there.get(k) for k in KINDS)
-    merged = dict(there) if isinstance(there, dict) and not other else {}
+    found = dict(there) if isinstance(there, dict) and not other else {}
     for key, value in change.items():
         if value is None:
-            merged.pop(key, None)
+            found.pop(key, None)
         else:
-            merged[key] = _merged(merged.get(key), value)
-    return merged
+            found[key] = _merged(found.get(key), value)
+    return found
 
 
 def _plain(value: Any, place: str) -> Any:

@@ -30,9 +30,18 @@ def asset(name: str) -> str:
 
 def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
     """Return the whole file. data: what the scripts draw, plain values."""
+    licence = tag(
+        "details", tag("summary", "Licence of uPlot, which draws the curves"), tag("pre", asset(LICENCE))
+    )
+    numbers = tag("script", Html(as_script(data)), type="application/json", id="data")
     scripts = [asset(name) for name in SCRIPTS]
+    return document(title, [tag("main", *body), tag("footer", licence), numbers], STYLES, scripts)
+
+
+def document(title: str, body: Sequence[Html], styles: Sequence[str], scripts: Sequence[str] = ()) -> str:
+    """Return a file with these assets as styles and these scripts at its end; it fetches nothing."""
     sums = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
-    allowed = " ".join(f"'sha256-{each}'" for each in sums)
+    allowed = " ".join(f"'sha256-{each}'" for each in sums) or "'none'"
     policy = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
     policy += "; base-uri 'none'; form-action 'none'"
     head = [
@@ -41,15 +50,10 @@ def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
         Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
         Html('<link rel="icon" href="data:,">'),
         tag("title", title),
-        *(tag("style", Html(asset(name))) for name in STYLES),
+        *(tag("style", Html(asset(name))) for name in styles),
     ]
-    numbers = tag("script", Html(as_script(data)), type="application/json", id="data")
-    licence = tag(
-        "details", tag("summary", "Licence of uPlot, which draws the curves"), tag("pre", asset(LICENCE))
-    )
     code = [tag("script", Html(script)) for script in scripts]
-    main = tag("main", *body)
-    whole = joined([tag("head", *head), tag("body", main, tag("footer", licence), numbers, *code)])
+    whole = joined([tag("head", *head), tag("body", *body, *code)])
     return f"<!doctype html>\n{tag('html', whole, lang='en')}\n"
 
 

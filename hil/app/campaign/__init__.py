@@ -1,0 +1,1 @@
+"""`hil campaign`: many lockstep runs of one configuration with keys swept, and how often they fail."""

@@ -1,0 +1,250 @@
+"""The rows of a campaign: read from its file, tried before anything runs, and told from every other's."""
+
+import hashlib
+import importlib.resources
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from drivers.regular_file import open_regular
+from hil.app.campaign.figures import METRICS
+from hil.app.campaign.keys import SEED, keys
+from hil.app.campaign.row import Job, Subject, row_configuration, row_seed
+from hil.app.campaign.sampling import draw, ends
+from hil.app.campaign.settings import CampaignSettings, Limit, ListedAxis, SampledAxis, entries
+from hil.app.check.command import refuse_unreachable
+from hil.app.configuration.changes import merged, text_of
+from hil.app.configuration.configuration import Configuration, loads, short_name
+from hil.app.configuration.controller_file import controller_path
+from hil.app.configuration.section_file import read_section
+from hil.app.configuration.text_file import read_configuration
+from hil.app.configuration.yaml_positions import Document, Problem, lines, parse
+from hil.app.configuration.yaml_positions import Path as Place
+from hil.config.reference import SampledReference
+from hil.config.running import RecordingSettings
+from hil.control.state_space import StateSpaceSettings
+from plant_fmu.config import FmuPlant
+
+Values = dict[str, Any]
+OWN_COLUMNS = ("row", "seed", "passed", "ended", "ended_s", "faults", "trouble")
+"""Columns of the table beside axes and metrics."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a campaign runs: every sample with every row of the list and every combination of the grid."""
+
+    path: Path
+    """As the user has named it."""
+    settings: CampaignSettings
+    subject: Subject
+    samples: list[tuple[Any, ...]]
+    listed: list[tuple[Any, ...]]
+    combinations: list[tuple[Any, ...]]
+
+    @property
+    def name(self) -> str:
+        """Of the campaign."""
+        return self.settings.name or short_name(self.path)
+
+    @property
+    def folder(self) -> Path:
+        """Where its results go by default: beside the logs of the configuration."""
+        given = self.subject.base.get("recording", {}).get("folder", RecordingSettings().folder)
+        return Path(given) / f"{self.name}-campaign"
+
+    def __len__(self) -> int:
+        return len(self.samples) * len(self.listed) * len(self.combinations)
+
+    def values(self, row: int) -> Values:
+        """Return the value of each axis in a row; options and faults by name."""
+        rest, k = divmod(row, len(self.combinations))
+        sample, j = divmod(rest, len(self.listed))
+        given = (*self.samples[sample], *self.listed[j], *self.combinations[k])
+        return dict(zip(self.subject.axes, given, strict=True))
+
+    def job(self, row: int) -> Job:
+        """Return what runs a row."""
+        values = self.values(row)
+        sample = row // (len(self.combinations) * len(self.listed))
+        return Job(self.subject, row, values, row_seed(self.subject.axes, values, sample))
+
+
+def read_plan(path: Path) -> Plan:
+    """Read a campaign and try each of its values on the configuration, one axis after the other.
+
+    Raises ConfigurationError with all problems found, each with its place in the file.
+    """
+    file = campaign_file(path)
+    settings, document = read_section(file, CampaignSettings)
+    found = [*_named_twice(settings), *_unknown_metrics(settings)]
+    if found:
+        raise ConfigurationError(*lines(_placed(document, found), str(file)))
+    subject = _subject(file, settings, document)
+    plan = Plan(
+        path,
+        settings,
+        subject,
+        [()] if settings.sample is None else draw(settings.sample),
+        list(zip(*(entries(axis) for axis in (settings.list or {}).values()), strict=True)) or [()],
+        list(product(*(entries(axis) for axis in (settings.grid or {}).values()))),
+    )
+    _try(plan, document, file)
+    return plan
+
+
+def shipped() -> tuple[str, ...]:
+    """Return the names of the campaigns that come with the product."""
+    files = importlib.resources.files("configs").joinpath("campaigns").iterdir()
+    return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
+
+
+def campaign_file(path: Path) -> Path:
+    """Return the file of a campaign, or of a shipped one by its name. Raises ConfigurationError: no file."""
+    if path.exists():
+        return path
+    if str(path) not in shipped():
+        raise ConfigurationError(f"{path}: no such file; shipped campaigns are: {', '.join(shipped())}")
+    return Path(str(importlib.resources.files("configs") / "campaigns" / f"{path}.yaml"))
+
+
+def _named_twice(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
+    seen: set[str] = set()
+    for place, axes in _sections(settings):
+        for name in axes:
+            if name in seen or name in METRICS or name in OWN_COLUMNS:
+                what = "another axis" if name in seen else "a column of the table"
+                yield (*place, name), f"is the name of {what}, allowed: a name of its own"
+            seen.add(name)
+
+
+def _unknown_metrics(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
+    for name in settings.limits:
+        if name not in METRICS:
+            near = get_close_matches(name, METRICS, 1, 0.6)
+            guess = f"did you mean {near[0]}? " if near else ""
+            yield ("limits", name), f"unknown metric, {guess}allowed: {', '.join(METRICS)}"
+
+
+def _sections(settings: CampaignSettings) -> Iterator[tuple[Place, dict[str, ListedAxis]]]:
+    if settings.sample is not None:
+        yield ("sample", "axes"), dict(settings.sample.axes)
+    yield ("list",), settings.list or {}
+    yield ("grid",), settings.grid or {}
+
+
+def _placed(document: Document, found: list[tuple[Place, str]]) -> list[Problem]:
+    return [Problem(document.key_position(place), place, message) for place, message in found]
+
+
+def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subject:
+    """Return what all rows share; the configuration with the campaign's changes has to be valid itself."""
+    beside = path.parent / settings.configuration
+    try:
+        file, text = read_configuration(beside if beside.is_file() else settings.configuration)
+        loads(text, str(file), file.parent)
+        base = merged({"name": short_name(file)} | (parse(text).value or {}), settings.changes)
+        name = f"{file} with the changes of the campaign"
+        refuse_unreachable(loads(text_of(base), name, file.parent))
+    except ConfigurationError as error:
+        place: Place = ("changes",) if settings.changes else ("configuration",)
+        found = [(place, problem) for problem in error.problems]
+        raise ConfigurationError(*lines(_placed(document, found), str(path))) from None
+    return Subject(
+        base=base,
+        source=str(file),
+        folder=file.parent,
+        axes={name: axis for _, axes in _sections(settings) for name, axis in axes.items()},
+        limits={"faulted": Limit(max=0.0)} | settings.limits,
+        duration_s=settings.duration_s,
+        parks=settings.until == "parked",
+        rests=settings.after_fault == "rest",
+    )
+
+
+def _tries(plan: Plan) -> Iterator[tuple[Place, Values]]:
+    """Return the place of an axis and a row in which it takes a value while the others keep their first."""
+    first = plan.values(0)
+    for place, axes in _sections(plan.settings):
+        if place == ("list",) and axes:
+            for given in plan.listed:
+                yield place, first | dict(zip(axes, given, strict=True))
+            continue
+        for name, axis in axes.items():
+            for value in ends(axis) if isinstance(axis, SampledAxis) else entries(axis):
+                yield (*place, name), first | {name: value}
+
+
+def _try(plan: Plan, document: Document, file: Path) -> None:
+    """Refuse values that the configuration cannot have, with all that is wrong with them."""
+    found: dict[tuple[Place, str], None] = {}
+    for place, values in _tries(plan):
+        try:
+            row_configuration(Job(plan.subject, 0, values, _seed(plan.subject, values)))
+        except ConfigurationError as error:
+            for problem in error.problems:
+                text = re.sub(r"^.* with the changes of row 0:([0-9]+:[0-9]+:)? ?", "", problem)
+                found.setdefault((place, text))
+    if found:
+        raise ConfigurationError(*lines(_placed(document, list(found)), str(file)))
+
+
+def _seed(subject: Subject, values: Values) -> int:
+    for name, axis in subject.axes.items():
+        if SEED in keys(axis) and not (isinstance(values[name], int) and values[name] >= 0):
+            raise ConfigurationError(f"{SEED}: allowed: whole numbers of at least 0, given: {values[name]!r}")
+    return row_seed(subject.axes, values, 0)
+
+
+def identity(plan: Plan) -> dict[str, str]:
+    """Return what tells a campaign from every other, by what it is made of: digests, and the version.
+
+    The same identity, the same table. Comments in its file and where the files lie make no difference.
+    """
+    drawn = hashlib.sha256()
+    for row in range(len(plan)):
+        drawn.update(repr(tuple(plan.values(row).items())).encode())
+    found = {
+        "campaign": _digest(plan.settings.model_dump(mode="json", exclude={"description"})),
+        "configuration": _digest(plan.subject.base),
+        "values of the rows": drawn.hexdigest(),
+        "version of hexapod-hil": version("hexapod-hil"),
+    }
+    for _, values in _tries(plan):
+        c = row_configuration(Job(plan.subject, 0, values, 0))
+        for file in _named_files(c):
+            found[f"file {file}"] = _content(c.folder / file)
+    return found
+
+
+def _content(path: Path) -> str:
+    """Return the digest of a file, of whatever size. Raises ConfigurationError: it cannot be read."""
+    found = hashlib.sha256()
+    try:
+        with open_regular(path) as file:
+            while block := file.read(1 << 20):
+                found.update(block)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    return found.hexdigest()
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()
+
+
+def _named_files(c: Configuration) -> Iterator[str]:
+    """Return the files that a configuration reads beside itself."""
+    if isinstance(c.reference, SampledReference):
+        yield c.reference.path
+    if isinstance(c.controller, StateSpaceSettings):
+        yield str(controller_path(c.controller, c.folder))
+    if c.plant is not None and isinstance(c.plant.model, FmuPlant):
+        yield c.plant.model.path

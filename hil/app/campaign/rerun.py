@@ -1,0 +1,125 @@
+"""`hil campaign rerun FILE ROW`: one row again, and its figures compared to the bit."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ConfigurationError, LogError
+from drivers.signals import Fault
+from hil.app.campaign import parquet
+from hil.app.campaign.command import line
+from hil.app.campaign.figures import METRICS, Measurement
+from hil.app.campaign.parquet import Row
+from hil.app.campaign.plan import Plan, identity
+from hil.app.campaign.row import Ended, Job, not_run, outcome, row_configuration, run
+from hil.app.campaign.store import Store
+from hil.app.configuration.configuration import Configuration
+from hil.app.output import log_path
+from hil.app.sim.command import simulate
+from hil.loop.clock import collector_paused
+from hil.record.log import Log
+from plant_fmu.faults.plan import FaultPlan
+
+
+def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, Any]:
+    """Run a row again, `log`: recorded, too; return the summary (key `success`: the same figures to the bit).
+
+    What is compared: with the row in `folder`, where the campaign has come so far; the run without a log with
+    that from its log.
+
+    Raises ConfigurationError: no such row, or one that cannot run; LogError: other campaign, log exists.
+    """
+    parquet.require()
+    if not 0 <= number < len(plan):
+        raise ConfigurationError(f"row {number}: allowed: 0 to {len(plan) - 1}, the rows of {plan.path}")
+    columns = parquet.columns(plan)
+    stored = _stored(plan, folder, number)
+    job = plan.job(number)
+    c = row_configuration(job)
+    if log is not None:
+        log = log_path(c.recording.folder, f"{plan.name}-row-{number}", None if str(log) == "." else log)
+    measured = Measurement(travels=job.subject.rests)
+    with collector_paused(), np.errstate(all="ignore"):
+        ended, faults = run(c, job, measured)
+    found = {"run again": line(plan, outcome(job, c.loop.rate_Hz, ended, faults, measured), columns)}
+    if log is not None:
+        _simulate(c, job, ended, log)
+        found["its log"] = line(plan, _from_log(c, job, ended, faults, log), columns)
+    against = stored or found["run again"]
+    different = [
+        f"{name} of {what}: {row[name]!r}, {'stored' if stored else 'run again'}: {against[name]!r}"
+        for what, row in found.items()
+        for name in row
+        if not _same(row[name], against[name])
+    ]
+    again = found["run again"]
+    return {
+        "success": not different,
+        "kind": "campaign_row",
+        "trouble": None if not different else f"the figures differ: {'; '.join(different)}",
+        "campaign": str(plan.path),
+        "row": number,
+        "values": {name: again[name] for name in job.values},
+        "passed": again["passed"],
+        "ended": again["ended"],
+        "faults": again["faults"] or None,
+        "metrics": {name: again[name] for name in METRICS},
+        "compared_with": "the stored row" if stored else "no stored row",
+        "different": len(different),
+        "log": None if log is None else str(log),
+    }
+
+
+def _stored(plan: Plan, folder: Path, number: int) -> Row | None:
+    """Return the row that the campaign has, None where it has not come so far or has not run."""
+    if not (folder / "campaign.json").is_file():
+        return None
+    with Store(folder, parquet.columns(plan), identity(plan)) as store:
+        return store.rows().get(number)
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Tell whether two cells are the same to the bit; not-a-number is itself."""
+    if isinstance(a, float) and isinstance(b, float):
+        return np.float64(a).tobytes() == np.float64(b).tobytes()
+    return bool(a == b)
+
+
+def _simulate(c: Configuration, job: Job, ended: Ended, log: Path) -> None:
+    """Record the run of a row, which goes on from its end until it parks."""
+    stop_tick = ended.ticks if ended.stop_tick is None else ended.stop_tick
+    simulate(
+        c,
+        log=log,
+        duration_s=stop_tick / c.loop.rate_Hz,
+        faults=FaultPlan((), job.seed),
+        plant_log=True,
+        check_replay=False,
+    )
+
+
+def _from_log(c: Configuration, job: Job, ended: Ended, faults: Fault, log: Path) -> dict[str, Any]:
+    """Return the outcome of a row by the ticks of its log. Raises LogError: it is shorter than the row."""
+    measured = Measurement(travels=job.subject.rests)
+    ticks = 0
+    with np.errstate(all="ignore"):
+        for row, length in _ticks(log):
+            if ticks == ended.ticks:
+                break
+            measured.take(row, length)
+            ticks += 1
+    if ticks < ended.ticks and ended.how != "plant":
+        return not_run(job, "log", f"its log has {ticks} ticks, the row {ended.ticks}")
+    return outcome(job, c.loop.rate_Hz, ended, faults, measured)
+
+
+def _ticks(log: Path) -> Iterator[tuple[Any, Array]]:
+    """Yield each tick of dtype ROW, and the true lengths (6,) m of the plant's log."""
+    truth = log.with_name(f"{log.stem}-plant{log.suffix}")
+    rows, lengths = Log(log).rows(), Log(truth).rows("tick", "length")
+    if len(rows) != len(lengths) or (rows["tick"] != lengths["tick"]).any():
+        raise LogError(f"{truth}: has other ticks than {log}; remove both and repeat the row")
+    yield from zip(rows, lengths["length"], strict=True)

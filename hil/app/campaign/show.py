@@ -1,0 +1,65 @@
+"""A campaign on the terminal: pass rates by every swept value, and the worst rows with their commands."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from hil.app.campaign.plan import Plan
+from hil.app.campaign.rates import Rate, by_value, judged, shown, why, worst
+from hil.app.output import print_table
+
+WORST = 10
+"""Failed rows that are shown."""
+
+
+def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
+    """Print the tables of a campaign; `folder`: that of --out, for the commands that repeat a row."""
+    rows = summary["matrix"]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("axis", "value"):
+        table.add_column(title)
+    for title in ("rows", "failed", "pass %", "95 % interval"):
+        table.add_column(title, justify="right")
+    for name, axis in plan.subject.axes.items():
+        for n, each in enumerate(by_value(name, axis, rows)):
+            table.add_row(name if n == 0 else "", *cells(each))
+    print_table(table)
+    failed = worst(rows, plan.subject.limits, WORST)
+    if not failed:
+        return
+    print(f"\nthe worst {len(failed)} of {summary['failed']} failed rows:")
+    for row in failed:
+        values = ", ".join(f"{name} {shown(row[name])}" for name in plan.subject.axes)
+        print(f"  row {row['row']}: {why(row, plan.subject.limits)}\n    {values}")
+        print(f"    {rerun_command(plan, row['row'], folder)}")
+    print()
+
+
+def cells(each: Rate) -> tuple[str | Text, ...]:
+    """Return value, rows, failed rows, pass rate and its interval as words."""
+    failed = each.rows - each.passed
+    percent = f"{100.0 * each.passed / each.rows:.1f}" if each.rows else "-"
+    interval = f"{100.0 * each.low:.1f} to {100.0 * each.high:.1f}"
+    return each.label, str(each.rows), str(failed), percent, interval
+
+
+def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
+    """Return the command line that repeats a row with its log."""
+    out = [] if folder is None else ["--out", str(folder)]
+    return shlex.join(["hil", "campaign", "rerun", str(plan.path), str(row), *out, "--log"])
+
+
+def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
+    """Return the summary as the terminal has it: without rows, the interval in words."""
+    low, high = summary["failed_interval_percent"]
+    found = {key: value for key, value in summary.items() if key not in ("matrix", "failed_interval_percent")}
+    limits = [
+        " ".join(filter(None, (name, f">= {limit.min:g}" if limit.min is not None else "",
+                               f"<= {limit.max:g}" if limit.max is not None else "")))
+        for name in judged(plan.subject.limits)
+        for limit in (plan.subject.limits[name],)
+    ]  # fmt: skip
+    return found | {"limits": limits, "failed_interval_percent": f"{low:.2g} to {high:.2g}"}

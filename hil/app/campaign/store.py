@@ -1,0 +1,181 @@
+"""The folder of a campaign's results: rows as they come, whole after a crash at any instant; then one table.
+
+campaign.json        what the campaign is made of: others are refused
+parts/*.parquet      rows in the order in which they were ready, a file for some of them
+table.parquet        all rows by number, once all are there; the parts are gone then
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+from drivers.errors import LogError
+from drivers.own_folder import made_folder
+from drivers.whole_file import whole_file
+from hil.app.campaign import parquet
+from hil.app.campaign.parquet import Column, Row
+from hil.app.files import write_whole
+
+TABLE = "table.parquet"
+MANIFEST = "campaign.json"
+_FORMAT = 1
+_ROWS, _SECONDS = 1000, 2.0
+"""A part is written after so many rows, or so long after its first one."""
+
+
+class Store:
+    """Rows of one campaign on the disk, one process at a time.
+
+    Mutable state: the lock, the rows that are on no disk yet and since when, the number of the next part.
+    """
+
+    def __init__(
+        self, folder: Path, columns: list[Column], identity: dict[str, str], *, fresh: bool = False
+    ) -> None:
+        """Open or make the folder; `fresh` discards the rows that are there, whatever campaign's they are.
+
+        Raises LogError: it is no folder of a campaign, of another one, or in use; or cannot be written.
+        """
+        self.folder, self._columns, self._identity = folder, columns, identity
+        self._waiting: list[Row] = []
+        self._since = 0.0
+        try:
+            self._refuse_strange()
+            made_folder(folder / "parts")
+            self._lock = self._locked()
+            self._clear(fresh=fresh)
+            self._check()
+        except OSError as error:
+            raise LogError(f"{folder}: cannot be used: {error.strerror or error}") from None
+        self._next = 1 + max((int(p.stem.removeprefix("part-")) for p in self._parts()), default=-1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.flush()
+        finally:
+            self._lock.close()
+
+    def rows(self) -> dict[int, Row]:
+        """Return the rows that are there, by number. Raises LogError: a file is damaged."""
+        table = self.folder / TABLE
+        found = {row["row"]: row for part in self._parts() for row in parquet.read(part)}
+        if table.exists():
+            found |= {row["row"]: row for row in parquet.read(table)}
+        return found
+
+    def add(self, row: Row) -> None:
+        """Take a row in; now and then write what has come. Raises LogError."""
+        if not self._waiting:
+            self._since = time.monotonic()
+        self._waiting.append(row)
+        if len(self._waiting) >= _ROWS or time.monotonic() - self._since >= _SECONDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that have come since as a part, whole and on the disk. Raises LogError."""
+        if not self._waiting:
+            return
+        self._write(self.folder / "parts" / f"part-{self._next:06d}.parquet", self._waiting)
+        self._next += 1
+        self._waiting = []
+
+    def finish(self, rows: dict[int, Row]) -> Path:
+        """Write the table of all rows by number, and remove the parts. Raises LogError."""
+        self.flush()
+        table = self.folder / TABLE
+        if self._parts() or not table.exists():
+            self._write(table, [rows[number] for number in sorted(rows)])
+            for part in self._parts():
+                part.unlink()
+        return table
+
+    def _write(self, path: Path, rows: list[Row]) -> None:
+        try:
+            with _durable(path) as temporary:
+                parquet.write(temporary, self._columns, rows, {"campaign": json.dumps(self._identity)})
+        except OSError as error:
+            raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.folder / "parts").glob("part-" + 6 * "[0-9]" + ".parquet"))
+
+    def _refuse_strange(self) -> None:
+        """Refuse a folder that holds something, and no campaign: nothing of it is touched."""
+        if self.folder.exists() and not self.folder.is_dir():
+            raise LogError(f"{self.folder}: is a file; name a folder with --out")
+        if self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / "parts").is_dir():
+            raise LogError(
+                f"{self.folder}: holds no results of a campaign; name an empty or new folder with --out"
+            )
+
+    def _locked(self) -> IO[bytes]:
+        file = (self.folder / "parts" / "lock").open("ab")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise LogError(
+                f"{self.folder}: another process works on this campaign; wait for it, or name another folder "
+                "with --out"
+            ) from None
+        return file
+
+    def _clear(self, *, fresh: bool) -> None:
+        """Remove what a crash has left half written; `fresh`: the rows, too."""
+        halves = [*(self.folder / "parts").glob("tmp*.parquet"), *self.folder.glob("tmp*.parquet")]
+        rows = [*self._parts(), self.folder / TABLE, self.folder / MANIFEST] if fresh else []
+        for file in (*halves, *rows):
+            file.unlink(missing_ok=True)
+
+    def _check(self) -> None:
+        """Take the manifest over, or refuse to mix the rows of two campaigns."""
+        manifest = self.folder / MANIFEST
+        mine = {"kind": "campaign", "format": _FORMAT, "made_of": self._identity}
+        if not manifest.exists():
+            write_whole(manifest, json.dumps(mine, indent=1) + "\n")
+            return
+        try:
+            there = json.loads(manifest.read_text("utf-8"))
+            made_of = dict(there["made_of"]) | {"format": there["format"]}
+        except (ValueError, TypeError, KeyError):
+            raise LogError(
+                f"{manifest}: is no manifest of a campaign; name another folder with --out"
+            ) from None
+        now = self._identity | {"format": _FORMAT}
+        changed = [name for name in {**now, **made_of} if now.get(name) != made_of.get(name)]
+        if changed:
+            raise LogError(
+                f"{self.folder}: its rows are of another campaign, changed since: {', '.join(changed)}; "
+                "allowed: to go on with the same ones. Restore them, name another folder with --out, or "
+                "discard these rows with --fresh"
+            )
+
+
+@contextmanager
+def _durable(path: Path) -> Iterator[Path]:
+    """Yield a new file that gets its name when its content is on the disk. Raises OSError."""
+    with whole_file(path) as temporary:
+        yield temporary
+        _sync(temporary)
+    _sync(path.parent)
+
+
+def _sync(path: Path) -> None:
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

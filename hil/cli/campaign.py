@@ -1,0 +1,150 @@
+"""`hil campaign FILE`, and `hil campaign rerun FILE ROW`: a row of it again."""
+
+from pathlib import Path
+
+import click
+
+from hil.cli.shared import FILE, finish, reporting
+
+FOLDER = click.Path(file_okay=False, path_type=Path)
+
+
+@click.command("rerun")
+@click.argument("file", metavar="FILE", type=FILE)
+@click.argument("row", type=click.IntRange(min=0))
+@click.option("--out", type=FOLDER, metavar="FOLDER", help="Where the campaign's results are, if named.")
+@click.option(
+    "--log",
+    type=FILE,
+    is_flag=False,
+    flag_value=".",
+    metavar="[FILE]",
+    help="Record it; without FILE as runs/NAME-row-ROW-TIME.mcap. With the plant's truth beside it.",
+)
+@reporting
+def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: Path | None) -> None:
+    """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
+
+    With --log the run is recorded, and the figures of the log are compared, too: `hil report` then tells what
+    went on in this row. Put --log last, or name its file.
+
+    \b
+    Examples:
+      hil campaign rerun payload 17 --log
+      hil campaign rerun my-campaign.yaml 3 --log row3.mcap
+
+    \b
+    Exit code:
+      0  the figures are the same, to the bit
+      1  they differ; the message says which
+      2  not run: campaign file, row or log file; the message says what
+    """
+    from hil.app.campaign.plan import read_plan
+    from hil.app.campaign.rerun import rerun
+
+    plan = read_plan(file)
+    summary = rerun(plan, out or plan.folder, row, log)
+    finish("campaign rerun", summary, json_file)
+
+
+class _OrRerun(click.Command):
+    """A command whose first word may be `rerun`, which is a command of its own."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: object
+    ) -> click.Context:
+        """Return the context of the command that the words ask for."""
+        if args and args[0] == rerun.name:
+            return rerun.make_context(f"{info_name} {rerun.name}", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+@click.command(cls=_OrRerun)
+@click.argument("file", metavar="FILE", type=FILE)
+@click.option("--out", type=FOLDER, metavar="FOLDER", help="Of the results; default runs/NAME-campaign.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run on the workers of a Dask cluster instead, as tcp://10.0.0.5:8786.",
+)
+@click.option("--fresh", is_flag=True, help="Discard the rows that are there, and begin anew.")
+@click.option("--page", type=FILE, metavar="FILE", help="HTML page; default report.html in the folder.")
+@click.option(
+    "--junit", type=FILE, metavar="FILE", help="Write a case a row as JUnit XML; an earlier one goes."
+)
+@reporting
+def command(
+    file: Path,
+    out: Path | None,
+    jobs: int | None,
+    scheduler: str | None,
+    fresh: bool,
+    page: Path | None,
+    junit: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Run a configuration many times in simulated time, with its keys swept, and say how often it fails.
+
+    FILE is a YAML file, or the name of a shipped campaign: payload. It says which keys of which configuration
+    take which values (sample, list, grid), and the limits that a run has to keep. A run that has failed ends
+    at once. Nothing is recorded: `hil campaign rerun FILE ROW --log` makes any row again, with its log.
+
+    Rows are kept as they come, in FOLDER/parts; after Ctrl-C or a crash the same command goes on with the
+    rows that are missing. FOLDER/table.parquet has all of them in the end, with the same bytes for any number
+    of processes and after any interruption. Guide: docs/guides/campaigns.md.
+
+    \b
+    Examples:
+      hil campaign payload                        the shipped example: 500 runs of `virtual`
+      hil campaign my.yaml --jobs 8 --junit campaign.xml
+      hil campaign my.yaml --scheduler tcp://10.0.0.5:8786
+      hil campaign rerun payload 17 --log         one row again, recorded
+
+    \b
+    Exit code:
+      0  every row is within the limits
+      1  some are not; the tables say which
+      2  not begun: campaign file, configuration, folder or cluster; the message says what
+    """
+    if jobs is not None and scheduler is not None:
+        raise click.UsageError("--jobs counts processes here, --scheduler runs elsewhere: give one of them.")
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from hil.app.campaign.command import run_campaign
+    from hil.app.campaign.junit import write_junit
+    from hil.app.campaign.page import write_page
+    from hil.app.campaign.plan import read_plan
+    from hil.app.campaign.show import show, summary_lines
+    from hil.app.faults.report import check_junit_path
+    from hil.app.output import console
+
+    if junit is not None:
+        check_junit_path(junit)
+    plan = read_plan(file)
+    folder = plan.folder if out is None else out
+    columns = (
+        TextColumn("running rows"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(compact=True),
+        TextColumn("left"),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=len(plan), rate="")
+
+        def progress(done: int, of: int) -> None:
+            speed = bar.tasks[0].speed
+            bar.update(task, completed=done, total=of, rate="" if speed is None else f"{speed:.2g} rows/s,")
+
+        summary = run_campaign(plan, folder, jobs=jobs, scheduler=scheduler, fresh=fresh, progress=progress)
+    show(plan, summary, out)
+    target = folder / "report.html" if page is None else page
+    write_page(target, plan, summary, out)
+    summary["page"] = str(target)
+    if junit is not None:
+        write_junit(junit, plan, summary, out)
+    finish("campaign", summary, json_file, summary_lines(plan, summary))

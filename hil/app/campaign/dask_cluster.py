@@ -44,7 +44,7 @@ def perform(
         ahead = _AHEAD * max(1, sum(client.nthreads().values()))
         jobs = iter(work)
         waiting = {_submit(client, job): job for _, job in zip(range(ahead), jobs, strict=False)}
-        futures = as_completed(waiting)
+        futures = as_completed(waiting, loop=client.loop)
         for n in range(len(work)):
             if progress is not None:
                 progress(n, len(work))
@@ -54,6 +54,11 @@ def perform(
                 found = future.result()
             except KilledWorker as error:
                 found = not_run(job, why=f"its workers died: {error}")
+            except Exception as error:  # `run_row` raises nothing: it is the cluster
+                raise ConfigurationError(
+                    f"--scheduler {address}: a worker cannot run row {job.number}: {error!r}; allowed: "
+                    "workers with the same versions of Python and hexapod-hil as here"
+                ) from error
             following = next(jobs, None)
             if following is not None:
                 submitted = _submit(client, following)

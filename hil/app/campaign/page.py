@@ -11,7 +11,7 @@ from hil.app.campaign.draw import histogram, intervals
 from hil.app.campaign.figures import COUNTS, METRICS
 from hil.app.campaign.parquet import Row
 from hil.app.campaign.plan import Plan
-from hil.app.campaign.rates import by_value, judged, shown, why, worst
+from hil.app.campaign.rates import by_value, causes, judged, shown, why, worst
 from hil.app.campaign.show import cells, rerun_command
 from hil.app.files import write_whole
 from hil.app.report.html import Html, table, tag
@@ -44,7 +44,8 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
     ]
     failed = worst(rows, limits, WORST)
     if failed:
-        body += [tag("h2", "Worst rows"), _worst(plan, failed, folder)]
+        counts = table(("cause", "rows"), causes(rows), "failed rows")
+        body += [tag("h2", "Worst rows"), counts, _worst(plan, failed, folder)]
     body.append(tag("p", "Wilson's interval takes rows as independent draws.", class_="note"))
     text = document(f"Campaign {plan.name}", [tag("main", *body)], ("report.css",))
     try:

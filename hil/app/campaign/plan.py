@@ -155,7 +155,7 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         refuse_unreachable(loads(text_of(base), name, file.parent))
     except ConfigurationError as error:
         place: Place = ("changes",) if settings.changes else ("configuration",)
-        found = [(place, problem) for problem in error.problems]
+        found = [(place, _bare(problem)) for problem in error.problems]
         raise ConfigurationError(*lines(_placed(document, found), str(path))) from None
     return Subject(
         base=base,
@@ -190,10 +190,14 @@ def _try(plan: Plan, document: Document, file: Path) -> None:
             row_configuration(Job(plan.subject, 0, values, _seed(plan.subject, values)))
         except ConfigurationError as error:
             for problem in error.problems:
-                text = re.sub(r"^.* with the changes of row 0:([0-9]+:[0-9]+:)? ?", "", problem)
-                found.setdefault((place, text))
+                found.setdefault((place, _bare(problem)))
     if found:
         raise ConfigurationError(*lines(_placed(document, list(found)), str(file)))
+
+
+def _bare(problem: str) -> str:
+    """Return a problem of a text that was made here without its place there: nobody has that text."""
+    return re.sub(r"^.* with the changes of (the campaign|row 0):([0-9]+:[0-9]+:)? ?", "", problem)
 
 
 def _seed(subject: Subject, values: Values) -> int:

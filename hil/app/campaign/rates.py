@@ -1,5 +1,6 @@
 """How often runs pass: Wilson's interval, over all rows and by each value of an axis."""
 
+from collections import Counter
 from collections.abc import Sequence
 from math import sqrt
 from typing import Any, NamedTuple
@@ -64,18 +65,39 @@ def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
 
 
 def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]:
-    """Return the failed rows, those without a good end first, then by how far a limit is passed."""
+    """Return failed rows, the worst of each cause first, then the second of each.
+
+    Of a cause those that ended first are the worst, then those that pass a limit by most.
+    """
 
     def badness(row: Row) -> tuple[bool, float, float, int]:
         early = row["ended"] != "complete"
         return (not early, row["ended_s"] or 0.0 if early else 0.0, -_excess(row, limits), row["row"])
 
-    return sorted((row for row in rows if not row["passed"]), key=badness)[:most]
+    failed = sorted((row for row in rows if not row["passed"]), key=badness)
+    seen: Counter[str] = Counter()
+    ranked = []
+    for row in failed:
+        ranked.append((seen[cause(row)], row))
+        seen[cause(row)] += 1
+    return [row for _, row in sorted(ranked, key=lambda each: each[0])][:most]
+
+
+def cause(row: Row) -> str:
+    """Return how a failed row ended, with the names of its faults."""
+    return "limit" if row["ended"] == "complete" else f"{row['ended']} {row['faults']}".strip()
+
+
+def causes(rows: Sequence[Row]) -> list[tuple[str, int]]:
+    """Return how many rows have failed of each cause, the most frequent first."""
+    return Counter(cause(row) for row in rows if not row["passed"]).most_common()
 
 
 def why(row: Row, limits: dict[str, Limit]) -> str:
     """Say in words why a row has failed."""
-    words = [f"{row['ended']} {row['faults']}".strip()] if row["ended"] != "complete" else []
+    words = [] if row["ended"] == "complete" else [row["ended"]]
+    if row["trouble"]:
+        words = [f"{row['ended']}: {row['trouble'].partition(chr(10))[0]}"]
     for name, limit in limits.items():
         value = row[name]
         if name == "faulted" or value is None:
@@ -84,8 +106,6 @@ def why(row: Row, limits: dict[str, Limit]) -> str:
             words.append(f"{name} {value:.6g}, allowed: at most {limit.max:g}")
         if limit.min is not None and not value >= limit.min:
             words.append(f"{name} {value:.6g}, allowed: at least {limit.min:g}")
-    if row["trouble"] and row["ended"] not in ("fault", "complete"):
-        words.append(row["trouble"].partition("\n")[0])
     return "; ".join(words) or "not measured: " + ", ".join(n for n in limits if row[n] is None)
 
 

@@ -135,7 +135,8 @@ def run(c: Configuration, job: Job, measured: Measurement) -> tuple[Ended, Fault
             mode, ending = cycle.mode, course.ending(tick)
             faulted = faulted or bool(cycle.faults)
             if faulted and (ending is not None or not subject.rests):
-                why = "" if ending is None else ending.reason
+                story = course.story()
+                why = "" if story is None else story.short
                 return Ended("fault", why, tick + 1, stop_tick), cycle.faults
             if ending is not None:
                 how = "complete" if mode is Mode.PARKED and not ending.reason else "stopped"

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.app.campaign.plan import Plan
-from hil.app.campaign.rates import Rate, by_value, judged, shown, why, worst
+from hil.app.campaign.rates import Rate, by_value, causes, judged, shown, why, worst
 from hil.app.output import print_table
 
 WORST = 10
@@ -27,6 +27,9 @@ def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
         for n, each in enumerate(by_value(name, axis, rows)):
             table.add_row(name if n == 0 else "", *cells(each))
     print_table(table)
+    if summary["failed"]:
+        found = (f"{name} {count}" for name, count in causes(rows))
+        print(f"\nfailed rows by cause: {', '.join(found)}")
     failed = worst(rows, plan.subject.limits, WORST)
     if not failed:
         return

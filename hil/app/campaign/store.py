@@ -51,8 +51,12 @@ class Store:
             self._refuse_strange()
             made_folder(folder / "parts")
             self._lock = self._locked()
-            self._clear(fresh=fresh)
-            self._check()
+            try:
+                self._clear(fresh=fresh)
+                self._check()
+            except BaseException:
+                self._lock.close()
+                raise
         except OSError as error:
             raise LogError(f"{folder}: cannot be used: {error.strerror or error}") from None
         self._next = 1 + max((int(p.stem.removeprefix("part-")) for p in self._parts()), default=-1)

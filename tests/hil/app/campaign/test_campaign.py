@@ -1,0 +1,280 @@
+"""Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
+
+import importlib.util
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import ConfigurationError
+from hil.app.campaign import parquet
+from hil.app.campaign.command import run_campaign
+from hil.app.campaign.figures import METRICS
+from hil.app.campaign.page import write_page
+from hil.app.campaign.plan import read_plan
+from hil.app.campaign.rerun import rerun
+from hil.app.campaign.row import run_row
+from hil.app.campaign.show import rerun_command
+from hil.cli import main
+from hil.record.figures import figures
+from hil.record.log import Log
+from tests.hil.app.campaign.campaigns import SMALL, written
+
+ROOT = Path(__file__).parents[4]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Return a campaign of four rows that has run in this process, and its folder."""
+    folder = tmp_path_factory.mktemp("campaign")
+    plan = read_plan(written(folder, SMALL))
+    return plan, folder / "results", run_campaign(plan, folder / "results", jobs=1)
+
+
+def test_a_row_is_its_values_and_what_came_of_it(small):
+    plan, folder, summary = small
+    rows = parquet.read(folder / "table.parquet")
+    assert rows == summary["matrix"]
+    assert [row["fault"] for row in rows] == ["none", "jump"] * 2
+    assert [row["friction_N"] for row in rows] == [plan.values(k)["friction_N"] for k in range(4)]
+    assert [(row["passed"], row["ended"], row["faults"]) for row in rows] == [
+        (True, "complete", ""), (False, "fault", "ENCODER")
+    ] * 2  # fmt: skip
+    assert "leg 1" in rows[1]["trouble"]
+    assert rows[0]["tracked_s"] == pytest.approx(0.05)
+    assert (summary["rows"], summary["failed"], summary["success"]) == (4, 2, False)
+    assert summary["failed_interval_percent"] == pytest.approx([15.0, 85.0], abs=0.1)
+
+
+def test_a_failed_run_ends_at_once(small):
+    """The jump is at the release of the brakes: what passes is over later."""
+    good, bad = small[2]["matrix"][:2]
+    assert bad["ended_s"] < good["ended_s"] - 0.3
+
+
+def test_the_table_says_what_its_columns_are(small):
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    schema = pyarrow.read_schema(small[1] / "table.parquet")
+    assert schema.field("peak_force_N").metadata[b"unit"] == b"N"
+    assert schema.field("friction_N").metadata[b"meaning"] == b"plant.model.coulomb_friction_N"
+    text = repr(schema.metadata) + (small[1] / "campaign.json").read_text()
+    assert str(os.getpid()) not in text.replace("0.", "")
+    assert time.strftime("%Y-%m") not in text
+
+
+def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(small, tmp_path):
+    plan, folder, _ = small
+
+    def press(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(
+        KeyboardInterrupt, match=r"with 2 of 4 rows in .*; the same command goes on from there"
+    ):
+        run_campaign(plan, tmp_path, jobs=1, progress=press)
+    seen = []
+    summary = run_campaign(plan, tmp_path, jobs=2, progress=lambda *counts: seen.append(counts))
+    assert (summary["rows_kept"], summary["rows_run"]) == (2, 2)
+    assert seen == [(2, 4), (3, 4)]
+    assert (tmp_path / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
+    again = run_campaign(plan, tmp_path, jobs=1)
+    assert again["rows_run"] == 0
+    assert again["matrix"] == summary["matrix"]
+
+
+def test_a_row_again_has_the_same_bits_and_its_log_does(small, tmp_path):
+    plan, folder, summary = small
+    found = rerun(plan, folder, 0, tmp_path / "row.mcap")
+    assert found["success"], found["trouble"]
+    assert found["compared_with"] == "the stored row"
+    row = summary["matrix"][0]
+    log = figures(Log(tmp_path / "row.mcap").rows())["tracking"]  # the figures of `hil sim`
+    for name in (
+        "peak_leg_error_mm",
+        "rms_leg_error_mm",
+        "peak_position_error_mm",
+        "peak_rotation_error_deg",
+    ):
+        assert log[name] == pytest.approx(row[name], rel=1e-12)
+
+
+@pytest.mark.long
+def test_a_row_that_ended_in_a_fault_has_the_same_bits_in_its_log(small, tmp_path):
+    assert rerun(small[0], small[1], 1, tmp_path / "row.mcap")["success"]
+
+
+def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
+    plan, _, summary = small
+    rows = [dict(row) for row in summary["matrix"]]
+    rows[2]["peak_force_N"] = float(np.nextafter(rows[2]["peak_force_N"], np.inf))
+    columns = parquet.columns(plan)
+    run_like = tmp_path / "parts"
+    run_like.mkdir()
+    parquet.write(run_like / "part-000000.parquet", columns, rows, {})
+    found = rerun(plan, tmp_path, 2, None)
+    assert found["compared_with"] == "no stored row"  # without its manifest it is nobody's
+    (tmp_path / "campaign.json").write_text((small[1] / "campaign.json").read_text())
+    found = rerun(plan, tmp_path, 2, None)
+    assert (found["success"], found["different"]) == (False, 1)
+    assert "peak_force_N of run again" in found["trouble"]
+
+
+def test_there_is_no_row_behind_the_last(small):
+    with pytest.raises(ConfigurationError, match="row 4: allowed: 0 to 3"):
+        rerun(small[0], small[1], 4, None)
+
+
+def test_a_limit_ends_a_run_that_is_past_it(small, tmp_path):
+    text = SMALL.replace("0.05", "0.5") + "limits: {peak_true_leg_error_mm: {max: 1e-4}}\n"
+    plan = read_plan(written(tmp_path, text))
+    row = run_row(plan.job(0))
+    assert (row["passed"], row["ended"], row["faulted"]) == (False, "limit", 0)
+    assert row["peak_true_leg_error_mm"] > 1e-4
+    assert row["tracked_s"] < 0.15  # limits are judged every 100 ticks
+    assert small[2]["matrix"][0]["passed"]
+
+
+def test_a_combination_that_cannot_run_is_a_failed_row_that_says_why(tmp_path):
+    """The path needs 0.847 m: each end alone leaves that, both together do not."""
+    text = """
+    kind: campaign
+    duration_s: 0.05
+    grid:
+      least_m: {key: platform.length_min_m, values: [0.75, 0.82]}
+      margin_m: {key: limits.stroke_margin_m, values: [0.02, 0.08]}
+    """
+    row = run_row(read_plan(written(tmp_path, text)).job(3))
+    assert (row["passed"], row["ended"]) == (False, "refused")
+    assert "out of reach, allowed leg lengths: 0.9 to" in row["trouble"]
+    assert {row[name] for name in METRICS} == {None}
+
+
+def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
+    text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
+    plan = read_plan(written(tmp_path, text))
+    parked, stopped = run_row(plan.job(0)), run_row(plan.job(1))
+    assert (parked["passed"], parked["ended"], parked["travel_mm"]) == (True, "complete", None)
+    assert parked["ended_s"] > 1.5
+    assert stopped["ended"] == "fault"
+    assert 0.0 < stopped["travel_mm"] < 10.0
+
+
+def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(small, tmp_path):
+    plan, _, summary = small
+    write_page(tmp_path / "page.html", plan, summary, tmp_path / "<out>")
+    text = (tmp_path / "page.html").read_text()
+    assert "script-src 'none'" in text
+    assert "<script" not in text
+    assert "http" not in text.replace("http-equiv", "")
+    for word in ("2 of 4 rows failed: 50 %", "friction_N", "peak_force_N", "ENCODER", "<svg"):
+        assert word in text
+    command = rerun_command(plan, 1, tmp_path / "<out>")
+    assert command.startswith("hil campaign rerun ")
+    assert command.replace("<", "&lt;").replace(">", "&gt;").replace("'", "&#x27;") in text
+
+
+def test_the_command_line(small, tmp_path, monkeypatch):
+    """Kept rows are shown, written as JUnit and JSON; exit code 1, as some failed; 2 for bad input."""
+    plan, folder, _ = small
+    out = ["--out", str(folder)]
+    files = ["--junit", str(tmp_path / "j.xml"), "--json", str(tmp_path / "j.json")]
+    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, *files])
+    assert result.exit_code == 1
+    assert "campaign: failed" in result.output
+    assert f"hil campaign rerun {plan.path} 1 --out {folder} --log" in result.output
+    assert "15 to 85 %" in result.output
+    assert (folder / "report.html").is_file()
+    suite = ET.parse(tmp_path / "j.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures")) == ("4", "2")
+    cases = suite.findall("testcase")
+    assert [case.find("failure") is None for case in cases] == [True, False] * 2
+    assert "fault=jump" in cases[1].get("name", "")
+    assert json.loads((tmp_path / "j.json").read_text())["failed"] == 2
+
+    result = CliRunner().invoke(main, ["campaign", "rerun", str(plan.path), "0", *out])
+    assert result.exit_code == 0, result.output
+
+    changed = written(tmp_path, SMALL.replace("seed: 3", "seed: 4"))
+    result = CliRunner().invoke(main, ["campaign", str(changed), *out])
+    assert (result.exit_code, "changed since: campaign, values of the rows" in result.stderr) == (2, True)
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, ["campaign", "nosuch"])
+    assert (result.exit_code, "shipped campaigns are: payload" in result.stderr) == (2, True)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="Dask is installed")
+def test_without_dask_a_scheduler_is_refused_with_what_to_install(small, tmp_path):
+    with pytest.raises(ConfigurationError, match=r'pip install "hexapod-hil\[dask\]"'):
+        run_campaign(small[0], tmp_path, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.long
+def test_the_table_is_the_same_on_a_dask_cluster(small, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        run_campaign(small[0], tmp_path, scheduler=cluster.scheduler_address)
+    assert (tmp_path / "table.parquet").read_bytes() == (small[1] / "table.parquet").read_bytes()
+
+
+@pytest.mark.long
+def test_the_shipped_campaign_is_valid():
+    plan = read_plan(Path("payload"))
+    assert len(plan) == 500
+    assert run_row(plan.job(0))["ended"] in {"complete", "fault", "limit"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
+def test_after_kill_9_at_any_instant_the_table_is_the_same(small, tmp_path, seed):
+    """Its workers end with it: nothing is left of the process group but what the next start removes."""
+    plan, folder, _ = small
+    words = [
+        sys.executable,
+        "-m",
+        "hil.cli",
+        "campaign",
+        str(plan.path),
+        "--out",
+        str(tmp_path),
+        "--jobs",
+        "2",
+    ]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    chance = random.Random(seed)
+    for _ in range(2):
+        process = subprocess.Popen(
+            words,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        time.sleep(chance.uniform(1.0, 5.0))
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        assert _gone(process.pid, 10.0)
+    run_campaign(plan, tmp_path, jobs=1)
+    assert (tmp_path / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
+
+
+def _gone(group, within_s):
+    """Tell whether all processes of a group end within some time."""
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    os.killpg(group, signal.SIGKILL)
+    return False

@@ -1,0 +1,74 @@
+"""How often runs pass: intervals, values and quarters of an axis, the worst rows."""
+
+import pytest
+
+from hil.app.campaign.figures import METRICS
+from hil.app.campaign.rates import by_value, causes, why, wilson, worst
+from hil.app.campaign.settings import Limit, ListedAxis, SampledAxis
+
+LIMITS = {"faulted": Limit(max=0.0), "peak_force_N": Limit(max=100.0)}
+
+
+def row(number, *, passed=True, ended="complete", ended_s=1.0, trouble="", **values):
+    return {
+        "row": number, "passed": passed, "ended": ended, "ended_s": ended_s, "trouble": trouble,
+        "faults": "DRIVE" if ended == "fault" else "",
+        **dict.fromkeys(METRICS), "faulted": 0, **values,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("passed", "n", "low", "high"),
+    [
+        # R. G. Newcombe, Two-sided confidence intervals for the single proportion, Statistics in Medicine 17
+        # (1998) 857: table I, method 3, the score method of Wilson without continuity correction
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+        (20, 20, 0.8389, 1.0),
+    ],
+)
+def test_the_interval_is_that_of_wilson(passed, n, low, high):
+    assert wilson(passed, n) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_nothing_is_known_of_no_rows():
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_options_are_in_the_order_of_the_file_each_with_its_rows():
+    axis = ListedAxis(options={"pd": {}, "inverse": {}})
+    rows = [row(0, law="inverse"), row(1, law="pd", passed=False), row(2, law="inverse")]
+    found = by_value("law", axis, rows)
+    assert [(r.label, r.rows, r.passed) for r in found] == [("pd", 1, 0), ("inverse", 2, 2)]
+
+
+def test_many_numbers_are_quarters_by_value_not_by_row():
+    axis = SampledAxis(key="x.y", uniform=(0.0, 20.0))
+    rows = [row(k, mass=float(19 - k), passed=k >= 5) for k in range(20)]
+    found = by_value("mass", axis, rows)
+    labels = ["0 to 4", "5 to 9", "10 to 14", "15 to 19"]
+    assert [(r.label, r.rows, r.passed) for r in found] == [
+        (label, 5, passed) for label, passed in zip(labels, (5, 5, 5, 0), strict=True)
+    ]
+
+
+def test_the_worst_rows_are_the_worst_of_each_cause():
+    rows = [
+        row(0, passed=False, peak_force_N=110.0),
+        row(1),
+        row(2, passed=False, peak_force_N=300.0),
+        row(3, passed=False, ended="fault", ended_s=0.5, faulted=1),
+        row(4, passed=False, ended="fault", ended_s=0.1, faulted=1),
+    ]
+    assert [r["row"] for r in worst(rows, LIMITS, 3)] == [4, 2, 3]
+    assert [r["row"] for r in worst(rows, LIMITS, 9)] == [4, 2, 3, 0]
+    assert sorted(causes(rows)) == [("fault DRIVE", 2), ("limit", 2)]
+
+
+def test_why_a_row_has_failed_names_value_and_limit():
+    assert why(row(0, passed=False, peak_force_N=110.5), LIMITS) == "peak_force_N 110.5, allowed: at most 100"
+    ended = row(0, passed=False, ended="plant", trouble="the FMU failed\nfar away", peak_force_N=1.0)
+    assert why(ended, LIMITS) == "plant: the FMU failed"
+    assert why(row(0, passed=False), LIMITS) == "not measured: peak_force_N"

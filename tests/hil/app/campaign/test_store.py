@@ -1,0 +1,126 @@
+"""Rows on the disk: whole after a crash between any two steps, of one campaign, of one process."""
+
+import json
+import random
+
+import pytest
+
+from drivers.errors import LogError
+from hil.app.campaign import store as store_of
+from hil.app.campaign.parquet import Column, read
+from hil.app.campaign.store import Store
+
+COLUMNS = [
+    Column("row", "int64", "", "number"),
+    Column("mass_kg", "float64", "kg", "how heavy"),
+    Column("fault", "text", "", "which"),
+    Column("passed", "bool", "", "whether"),
+]
+MADE_OF = {"campaign": "a", "configuration": "b"}
+ROWS = [
+    {"row": k, "mass_kg": None if k == 3 else k / 3.0, "fault": "none" if k % 2 else "jump", "passed": k != 2}
+    for k in range(9)
+]
+
+
+def opened(folder, made_of=MADE_OF, **options):
+    return Store(folder, COLUMNS, made_of, **options)
+
+
+def crash(store):
+    """End as a killed process does: its lock falls, and nothing is written any more."""
+    store._lock.close()
+
+
+def table(folder, parts):
+    """Return the bytes of the table that comes of rows in these parts."""
+    with opened(folder) as store:
+        for part in parts:
+            for row in part:
+                store.add(row)
+            store.flush()
+        return store.finish(store.rows()).read_bytes()
+
+
+def test_the_table_has_the_same_bytes_whatever_the_order_and_the_parts(tmp_path):
+    mixed = random.Random(1).sample(ROWS, len(ROWS))
+    tables = {
+        table(tmp_path / "one", [ROWS]),
+        table(tmp_path / "single", [[row] for row in reversed(ROWS)]),
+        table(tmp_path / "mixed", [mixed[:4], mixed[4:], mixed[2:5]]),
+    }
+    assert len(tables) == 1
+    assert read(tmp_path / "mixed" / "table.parquet") == ROWS
+    assert not list((tmp_path / "mixed" / "parts").glob("*.parquet"))
+
+
+def test_after_a_crash_the_parts_are_there_and_what_was_half_written_is_gone(tmp_path):
+    first = opened(tmp_path)
+    for row in ROWS[:4]:
+        first.add(row)
+    first.flush()
+    first.add(ROWS[5])  # on no disk yet
+    half = tmp_path / "parts" / "tmpabc.parquet"
+    half.write_bytes(b"PAR1")
+    crash(first)
+    with opened(tmp_path) as second:
+        assert second.rows() == {k: ROWS[k] for k in range(4)}
+        assert not half.exists()
+        second.add(ROWS[5])
+    with opened(tmp_path) as third:
+        assert sorted(third.rows()) == [0, 1, 2, 3, 5]
+
+
+def test_after_a_crash_between_the_table_and_the_removal_of_the_parts_nothing_is_lost(tmp_path):
+    table(tmp_path, [ROWS])
+    whole = (tmp_path / "table.parquet").read_bytes()
+    late = opened(tmp_path)
+    late.add(ROWS[0])
+    late.flush()
+    crash(late)
+    with opened(tmp_path) as store:
+        assert store.finish(store.rows()).read_bytes() == whole
+    assert not list((tmp_path / "parts").glob("*.parquet"))
+
+
+def test_rows_are_written_while_a_campaign_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(store_of, "_ROWS", 3)
+    store = opened(tmp_path)
+    for row in ROWS[:7]:
+        store.add(row)
+    crash(store)
+    with opened(tmp_path) as again:
+        assert sorted(again.rows()) == list(range(6))
+
+
+def test_rows_of_another_campaign_are_refused_with_what_has_changed_and_how_to_go_on(tmp_path):
+    table(tmp_path, [ROWS])
+    with pytest.raises(LogError, match=r"changed since: configuration, file a\.csv; allowed: .*--fresh"):
+        opened(tmp_path, MADE_OF | {"configuration": "c", "file a.csv": "d"})
+    assert read(tmp_path / "table.parquet") == ROWS
+    with opened(tmp_path, MADE_OF | {"configuration": "c"}, fresh=True) as store:
+        assert store.rows() == {}
+    assert json.loads((tmp_path / "campaign.json").read_text())["made_of"]["configuration"] == "c"
+
+
+def test_two_processes_do_not_share_a_folder(tmp_path):
+    with opened(tmp_path), pytest.raises(LogError, match="another process works on this campaign; wait"):
+        opened(tmp_path, fresh=True)
+
+
+def test_a_damaged_part_is_named_with_what_to_do(tmp_path):
+    with opened(tmp_path) as store:
+        store.add(ROWS[0])
+    part = tmp_path / "parts" / "part-000000.parquet"
+    part.write_bytes(part.read_bytes()[:-9])
+    with opened(tmp_path) as store, pytest.raises(LogError, match=r"part-000000\.parquet: .* remove it"):
+        store.rows()
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "thesis.txt").write_text("years")
+    with pytest.raises(LogError, match="holds no results of a campaign; name an empty or new folder"):
+        opened(tmp_path, fresh=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.txt"]
+    with pytest.raises(LogError, match="is a file; name a folder"):
+        opened(tmp_path / "thesis.txt")

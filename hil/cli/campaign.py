@@ -17,7 +17,7 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
     "--log",
     type=FILE,
     is_flag=False,
-    flag_value=".",
+    flag_value="",
     metavar="[FILE]",
     help="Record it; without FILE as runs/NAME-row-ROW-TIME.mcap. With the plant's truth beside it.",
 )

@@ -25,7 +25,9 @@ from plant_fmu.faults.plan import FaultPlan
 
 
 def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, Any]:
-    """Run a row again, `log`: recorded, too; return the summary (key `success`: the same figures to the bit).
+    """Run a row again, and return the summary (key `success`: the same figures to the bit).
+
+    log : where to record it, too, `Path()`: under a new name beside the other logs; None: nowhere.
 
     What is compared: with the row in `folder`, where the campaign has come so far; the run without a log with
     that from its log.
@@ -40,7 +42,7 @@ def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, 
     job = plan.job(number)
     c = row_configuration(job)
     if log is not None:
-        log = log_path(c.recording.folder, f"{plan.name}-row-{number}", None if str(log) == "." else log)
+        log = log_path(c.recording.folder, f"{plan.name}-row-{number}", None if log == Path() else log)
     measured = Measurement(travels=job.subject.rests)
     with collector_paused(), np.errstate(all="ignore"):
         ended, faults = run(c, job, measured)

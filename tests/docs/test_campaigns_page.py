@@ -1,0 +1,31 @@
+"""The campaign that the page on campaigns begins with runs, and makes what the page says."""
+
+import re
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from hil.app.campaign import parquet
+from hil.app.campaign.figures import METRICS
+from hil.cli import main
+
+PAGE = (Path(__file__).parents[2] / "docs/guides/campaigns.md").read_text()
+
+
+def test_the_first_campaign_of_the_page_runs(tmp_path, monkeypatch):
+    example = re.search(r"Write `first.yaml`:\n\n```yaml\n(.*?)```", PAGE, re.DOTALL)
+    assert example is not None
+    monkeypatch.chdir(tmp_path)
+    Path("first.yaml").write_text(example[1])
+    result = CliRunner().invoke(main, ["campaign", "first.yaml", "--out", "first", "--jobs", "1"])
+    assert result.exit_code in (0, 1), result.output
+    rows = parquet.read(Path("first/table.parquet"))
+    assert [row["law"] for row in rows] == ["own", "soft"] * 4
+    assert len({row["friction_N"] for row in rows}) == 4
+    assert (result.exit_code == 0) == all(row["passed"] for row in rows)
+    assert Path("first/report.html").is_file()
+
+
+def test_the_page_names_every_metric():
+    section = PAGE.partition("## What is measured")[2].partition("\n## ")[0]
+    assert set(re.findall(r"`([a-zA-Z_]+)`", section)) >= set(METRICS)

@@ -25,28 +25,26 @@ class Metric(NamedTuple):
 
     unit: str
     meaning: str
-    grows: bool = True
-    """Whether more ticks can only make it larger: past its limit the run need not go on."""
 
 
 METRICS: dict[str, Metric] = {
     "faulted": Metric("1", "whether a fault was latched, 0 or 1"),
-    "tracked_s": Metric("s", "time along the reference", grows=False),
+    "tracked_s": Metric("s", "time along the reference"),
     "peak_leg_error_mm": Metric("mm", "largest q_d - q of a leg while tracking, as measured"),
-    "rms_leg_error_mm": Metric("mm", "its root of the mean square over legs and ticks", grows=False),
+    "rms_leg_error_mm": Metric("mm", "its root of the mean square over legs and ticks"),
     "peak_true_leg_error_mm": Metric("mm", "largest q_d - true length of a leg while tracking"),
-    "rms_true_leg_error_mm": Metric("mm", "its root of the mean square over legs and ticks", grows=False),
+    "rms_true_leg_error_mm": Metric("mm", "its root of the mean square over legs and ticks"),
     "peak_position_error_mm": Metric("mm", "largest distance of the measured pose from its reference"),
-    "rms_position_error_mm": Metric("mm", "its root of the mean square", grows=False),
+    "rms_position_error_mm": Metric("mm", "its root of the mean square"),
     "peak_rotation_error_deg": Metric("deg", "largest angle of the measured pose to its reference"),
-    "rms_rotation_error_deg": Metric("deg", "its root of the mean square", grows=False),
+    "rms_rotation_error_deg": Metric("deg", "its root of the mean square"),
     "peak_force_N": Metric("N", "largest force sent to a leg in the whole run"),
     "force_variation_N": Metric("N", "sum of |changes| of the leg whose force varies most, while tracking"),
     "peak_leg_rate_m_s": Metric("m/s", "largest measured rate of a leg while tracking"),
     "limited_ticks": Metric("1", "ticks at which a limit of the force acted"),
     "stale_ticks": Metric("1", "powered ticks without a fresh feedback of every leg"),
     "certificate_percent": Metric("%", "largest share of its bound that the certificate's V took"),
-    "travel_mm": Metric("mm", "largest true travel of a leg after a fault; after_fault: rest", grows=False),
+    "travel_mm": Metric("mm", "largest true travel of a leg after a fault; after_fault: rest"),
 }
 """Name -> what it is, in the order of the table. None in a row: it was not measured."""
 COUNTS = frozenset({"faulted", "limited_ticks", "stale_ticks"})
@@ -105,13 +103,11 @@ class Measurement:
         return found
 
     def passed_limit(self, limits: dict[str, Limit]) -> bool:
-        """Tell whether a metric that only grows is past its limit; `faulted` says more at the run's end."""
+        """Tell whether a peak or a count is past its limit: more ticks do not mend it."""
         found = self._peaks | self._counts
         return any(
-            limit.max is not None and name != "faulted" and METRICS[name].grows
-            and found.get(name, limit.max) > limit.max
-            for name, limit in limits.items()
-        )  # fmt: skip
+            limit.max is not None and found.get(name, limit.max) > limit.max for name, limit in limits.items()
+        )
 
     def _block(self) -> None:
         rows, lengths = np.array(self._rows, ROW), np.array(self._lengths)

@@ -27,6 +27,7 @@ from hil.app.campaign.show import rerun_command
 from hil.cli import main
 from hil.record.figures import figures
 from hil.record.log import Log
+from plant_fmu.stewart.build import build
 from tests.hil.app.campaign.campaigns import SMALL, written
 
 ROOT = Path(__file__).parents[4]
@@ -278,3 +279,27 @@ def _gone(group, within_s):
         time.sleep(0.1)
     os.killpg(group, signal.SIGKILL)
     return False
+
+
+@pytest.mark.long
+def test_a_foreign_fmu_in_its_child_is_an_option_and_its_failure_is_a_row(tmp_path):
+    """Our FMU as a stranger with the same physics: the figures are those of our own plant, nearly."""
+    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
+    text = f"""
+    kind: campaign
+    duration_s: 0.1
+    grid:
+      plant:
+        options:
+          own: {{}}
+          foreign: {{plant: {{model: {{type: fmu, path: "{build("3.0")}", step_us: 100, {names}}}}}}}
+      fault: {{faults: {{none: [], crash: [plant_crash mode=TRACKING]}}}}
+    """
+    plan = read_plan(written(tmp_path, text))
+    summary = run_campaign(plan, tmp_path / "results", jobs=2)
+    own, own_crash, foreign, crash = summary["matrix"]
+    assert foreign["plant"] == "foreign"
+    assert foreign["passed"]
+    assert foreign["peak_force_N"] == pytest.approx(own["peak_force_N"], rel=0.02)
+    assert [row["ended"] for row in (own_crash, crash)] == ["plant", "plant"]
+    assert {row["passed"] for row in (own_crash, crash)} == {False}

@@ -83,7 +83,7 @@ def test_travel_counts_from_the_first_latched_fault_where_a_run_goes_on():
     rows, lengths = ticks()
     lengths[:50, 0] = 5.0
     rows["faults"][50:] = Fault.DRIVE
-    lengths[50:, 0] = 1.5
+    lengths[50:BLOCK, 0], lengths[BLOCK:, 0] = 1.5, 1.51
     lengths[BLOCK + 9, 0] = 1.52
     assert figures(rows, lengths, travels=True)["travel_mm"] == pytest.approx(20.0)
     found = figures(rows, lengths)

@@ -1,11 +1,15 @@
 """`hil campaign FILE`, and `hil campaign rerun FILE ROW`: a row of it again."""
 
+import time
+from datetime import timedelta
 from pathlib import Path
 
 import click
 
 from hil.cli.shared import FILE, finish, reporting
 
+SAY_S = 20.0
+"""Where there is no terminal for a bar, a line of progress comes that often."""
 FOLDER = click.Path(file_okay=False, path_type=Path)
 
 
@@ -136,9 +140,16 @@ def command(
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=len(plan), rate="")
 
+        said = time.monotonic()
+
         def progress(done: int, of: int) -> None:
+            nonlocal said
             speed = bar.tasks[0].speed
             bar.update(task, completed=done, total=of, rate="" if speed is None else f"{speed:.2g} rows/s,")
+            if not console.is_terminal and speed and time.monotonic() - said >= SAY_S:
+                said = time.monotonic()
+                left = timedelta(seconds=round((of - done) / speed))
+                click.echo(f"row {done} of {of}, {speed:.2g} rows/s, {left} left", err=True)
 
         summary = run_campaign(plan, folder, jobs=jobs, scheduler=scheduler, fresh=fresh, progress=progress)
     show(plan, summary, out)

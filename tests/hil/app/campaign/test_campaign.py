@@ -165,7 +165,7 @@ def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
     plan = read_plan(written(tmp_path, text))
     parked, stopped = run_row(plan.job(0)), run_row(plan.job(1))
     assert (parked["passed"], parked["ended"], parked["travel_mm"]) == (True, "complete", None)
-    assert parked["ended_s"] > 1.5
+    assert 1.5 < parked["ended_s"] < 5.0  # the whole path takes 20 s
     assert stopped["ended"] == "fault"
     assert 0.0 < stopped["travel_mm"] < 10.0
 

@@ -75,7 +75,12 @@ class _OrRerun(click.Command):
     help="Run on the workers of a Dask cluster instead, as tcp://10.0.0.5:8786.",
 )
 @click.option("--fresh", is_flag=True, help="Discard the rows that are there, and begin anew.")
-@click.option("--page", type=FILE, metavar="FILE", help="HTML page; default report.html in the folder.")
+@click.option(
+    "--page",
+    type=FILE,
+    metavar="FILE",
+    help="HTML page, an existing one is refused; default: report.html in the folder.",
+)
 @click.option(
     "--junit", type=FILE, metavar="FILE", help="Write a case a row as JUnit XML; an earlier one goes."
 )
@@ -123,10 +128,13 @@ def command(
     from hil.app.campaign.plan import read_plan
     from hil.app.campaign.show import show, summary_lines
     from hil.app.faults.report import check_junit_path
+    from hil.app.files import new_file
     from hil.app.output import console
 
     if junit is not None:
         check_junit_path(junit)
+    if page is not None:
+        new_file(page, force=False, option="--page")
     plan = read_plan(file)
     folder = plan.folder if out is None else out
     columns = (

@@ -44,7 +44,7 @@ METRICS: dict[str, Metric] = {
     "limited_ticks": Metric("1", "ticks at which a limit of the force acted"),
     "stale_ticks": Metric("1", "powered ticks without a fresh feedback of every leg"),
     "certificate_percent": Metric("%", "largest share of its bound that the certificate's V took"),
-    "travel_mm": Metric("mm", "largest true travel of a leg after a fault; after_fault: rest"),
+    "travel_mm": Metric("mm", "largest true travel of a leg after a fault, 0 without; after_fault: rest"),
 }
 """Name -> what it is, in the order of the table. None in a row: it was not measured."""
 COUNTS = frozenset({"faulted", "limited_ticks", "stale_ticks"})
@@ -98,6 +98,8 @@ class Measurement:
         found |= {name: float(value) for name, value in self._peaks.items() if np.isfinite(value)}
         found |= {name: float(np.sqrt(total / n)) for name, (total, n) in self._squares.items()}
         found |= self._counts
+        if self._travels:
+            found["travel_mm"] = self._peaks.get("travel_mm", 0.0)
         if self._tracked_s is not None:
             found |= {"tracked_s": self._tracked_s, "force_variation_N": float(self._variation.max())}
         return found

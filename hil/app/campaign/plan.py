@@ -84,7 +84,7 @@ def read_plan(path: Path) -> Plan:
     """
     file = campaign_file(path)
     settings, document = read_section(file, CampaignSettings)
-    found = [*_named_twice(settings), *_unknown_metrics(settings)]
+    found = [*_named_twice(settings), *_swept_twice(settings), *_unknown_metrics(settings)]
     if found:
         raise ConfigurationError(*lines(_placed(document, found), str(file)))
     subject = _subject(file, settings, document)
@@ -125,12 +125,28 @@ def _named_twice(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
             seen.add(name)
 
 
+def _swept_twice(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
+    owners: dict[str, str] = {}
+    for place, axes in _sections(settings):
+        for name, axis in axes.items():
+            for key in keys(axis):
+                if key in owners:
+                    message = f"{key} is swept by {owners[key]}, too, allowed: one axis for each key"
+                    yield (*place, name), message
+                owners.setdefault(key, name)
+
+
 def _unknown_metrics(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
     for name in settings.limits:
         if name not in METRICS:
             near = get_close_matches(name, METRICS, 1, 0.6)
             guess = f"did you mean {near[0]}? " if near else ""
             yield ("limits", name), f"unknown metric, {guess}allowed: {', '.join(METRICS)}"
+        elif name == "travel_mm" and settings.after_fault == "end":
+            yield (
+                ("limits", name),
+                "not measured in runs that end with their fault, allowed: with after_fault: rest",
+            )
 
 
 def _sections(settings: CampaignSettings) -> Iterator[tuple[Place, dict[str, ListedAxis]]]:

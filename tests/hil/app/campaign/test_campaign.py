@@ -164,7 +164,7 @@ def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
     text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
     plan = read_plan(written(tmp_path, text))
     parked, stopped = run_row(plan.job(0)), run_row(plan.job(1))
-    assert (parked["passed"], parked["ended"], parked["travel_mm"]) == (True, "complete", None)
+    assert (parked["passed"], parked["ended"], parked["travel_mm"]) == (True, "complete", 0.0)
     assert 1.5 < parked["ended_s"] < 5.0  # the whole path takes 20 s
     assert stopped["ended"] == "fault"
     assert 0.0 < stopped["travel_mm"] < 10.0
@@ -208,6 +208,8 @@ def test_the_command_line(small, tmp_path, monkeypatch):
     changed = written(tmp_path, SMALL.replace("seed: 3", "seed: 4"))
     result = CliRunner().invoke(main, ["campaign", str(changed), *out])
     assert (result.exit_code, "changed since: campaign, values of the rows" in result.stderr) == (2, True)
+    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(plan.path)])
+    assert (result.exit_code, "exists and is not overwritten" in result.stderr) == (2, True)
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, ["campaign", "nosuch"])
     assert (result.exit_code, "shipped campaigns are: payload" in result.stderr) == (2, True)

@@ -168,6 +168,14 @@ WRONG = [
         "kind: campaign\nchanges: {loop: {rate: 5}}\ngrid: {a: {key: seed, values: [1]}}\n",
         ":2:1: changes: loop.rate: ",
     ),
+    (
+        "kind: campaign\ngrid:\n  a: {key: x.y, values: [1]}\n  b: {key: [x.z, x.y], values: [1]}\n",
+        ":4:3: grid.b: x.y is swept by a, too, allowed: one axis for each key",
+    ),
+    (
+        "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {travel_mm: {max: 1}}\n",
+        ":3:10: limits.travel_mm: not measured in runs that end with their fault, allowed: with after_fault: rest",
+    ),
     ("kind: campaign\ngrid: {a: {key: seed, values: [x]}}\n", "seed: allowed: whole numbers of at least 0"),
     ("kind: campaing\ngrid: {}\n", "is of kind 'campaing'; allowed: a file with `kind: campaign`"),
 ]

@@ -20,8 +20,8 @@ def test_the_first_campaign_of_the_page_runs(tmp_path, monkeypatch):
     result = CliRunner().invoke(main, ["campaign", "first.yaml", "--out", "first", "--jobs", "1"])
     assert result.exit_code in (0, 1), result.output
     rows = parquet.read(Path("first/table.parquet"))
-    assert [row["law"] for row in rows] == ["own", "soft"] * 4
-    assert len({row["friction_N"] for row in rows}) == 4
+    assert [row["law"] for row in rows] == ["own", "soft"] * 2
+    assert len({row["friction_N"] for row in rows}) == 2
     assert (result.exit_code == 0) == all(row["passed"] for row in rows)
     assert Path("first/report.html").is_file()
 

@@ -22,14 +22,19 @@ HEAD_LINES = 10
 
 def schema() -> dict[str, Any]:
     """Return the schema, JSON Schema draft 2020-12, with the docstrings of the keys as descriptions."""
-    whole = deepcopy(json_schema())
+    return described("Configuration", json_schema(), "hexapod-hil configuration")
+
+
+def described(name: str, plain: dict[str, Any], title: str) -> dict[str, Any]:
+    """Return the schema of the section class `name` as pydantic has it, with the docstrings of the keys."""
+    whole = deepcopy(plain)
     models = {model.__name__: model for model in _sections(Section)}
-    for name, section in (("Configuration", whole), *whole["$defs"].items()):
-        for key, words in _docstrings(models[name]).items():
+    for section_name, section in ((name, whole), *whole["$defs"].items()):
+        for key, words in _docstrings(models[section_name]).items():
             section["properties"][key]["description"] = words
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "hexapod-hil configuration",
+        "title": title,
         **{key: value for key, value in whole.items() if key != "title"},
     }
 

@@ -1,15 +1,21 @@
 """The campaign file: which rows it means, and what is wrong with one, each with its place."""
 
+import json
+from pathlib import Path
+
+import jsonschema  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
 from drivers.errors import ConfigurationError
+from hil.app.campaign import schema
 from hil.app.campaign.plan import identity, read_plan, shipped
 from hil.app.campaign.row import row_configuration
 from hil.app.campaign.sampling import draw, value_at
 from hil.app.campaign.settings import Sample, SampledAxis
 from hil.app.configuration.configuration import load
+from hil.app.configuration.yaml_positions import parse
 from tests.broad import broad
 from tests.hil.app.campaign.campaigns import SMALL, written
 
@@ -224,3 +230,16 @@ def test_a_file_that_a_configuration_names_is_part_of_the_identity(tmp_path):
         found.append(identity(read_plan(written(tmp_path, text))))
     one, other = found
     assert {name for name in one if one[name] != other[name]} == {"file path.csv"}
+
+
+def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campaign():
+    """Else: python -c 'from hil.app.campaign.schema import text; print(text(), end="")' > its file."""
+    folder = Path(__file__).parents[4] / "configs/campaigns"
+    committed = (folder / "campaign.schema.json").read_text()
+    assert committed == schema.text()
+    shipped_text = (folder / "payload.yaml").read_text()
+    assert shipped_text.startswith("# yaml-language-server: $schema=campaign.schema.json\n")
+    check = jsonschema.Draft202012Validator(json.loads(committed))
+    check.validate(parse(shipped_text).value)
+    with pytest.raises(jsonschema.ValidationError, match="sobl"):
+        check.validate(parse(shipped_text.replace("method: sobol", "method: sobl")).value)

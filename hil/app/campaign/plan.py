@@ -202,13 +202,22 @@ def _try(plan: Plan, document: Document, file: Path) -> None:
     """Refuse values that the configuration cannot have, with all that is wrong with them."""
     found: dict[tuple[Place, str], None] = {}
     for place, values in _tries(plan):
-        try:
-            row_configuration(Job(plan.subject, 0, values, _seed(plan.subject, values)))
-        except ConfigurationError as error:
-            for problem in error.problems:
-                found.setdefault((place, _bare(problem)))
+        own = list(plan.settings.list or {}) if place == ("list",) else [str(place[-1])]
+        alone = plan.subject._replace(axes={name: plan.subject.axes[name] for name in own})
+        problems = _problems(alone, values)
+        if problems and _problems(plan.subject, values):  # it may need what another axis brings
+            found |= dict.fromkeys((place, problem) for problem in problems)
     if found:
         raise ConfigurationError(*lines(_placed(document, list(found)), str(file)))
+
+
+def _problems(subject: Subject, values: Values) -> list[str]:
+    """Return what is wrong with a row of these axes."""
+    try:
+        row_configuration(Job(subject, 0, values, _seed(subject, values)))
+    except ConfigurationError as error:
+        return [_bare(problem) for problem in error.problems]
+    return []
 
 
 def _bare(problem: str) -> str:

@@ -197,6 +197,32 @@ def test_what_is_wrong_has_its_place_and_what_is_allowed(tmp_path, text, message
     assert "row 0" not in str(error.value)  # rows are not the user's yet
 
 
+def test_what_is_wrong_with_one_axis_is_not_said_of_another(tmp_path):
+    text = """
+    kind: campaign
+    grid:
+      a: {key: plant.drives.encoder_resolution, values: [1]}
+      b: {key: loop.rate_Hz, values: [1000]}
+      c: {faults: {x: [encoder_jmp leg=1]}}
+    """
+    with pytest.raises(ConfigurationError) as error:
+        read_plan(written(tmp_path, text))
+    first, second = error.value.problems
+    assert "grid.a: plant.drives.encoder_resolution: unknown key" in first
+    assert "grid.c: --fault" in second
+
+
+def test_an_axis_may_reach_into_what_another_brings(tmp_path):
+    text = """
+    kind: campaign
+    grid:
+      law: {options: {pd: {controller: {law: pd, kp_N_m: 1e6, kv_N_s_m: 1e5}}}}
+      kp_N_m: {key: controller.kp_N_m, values: [1e6, 2e6]}
+    """
+    plan = read_plan(written(tmp_path, text))
+    assert [row_configuration(plan.job(k)).controller.model_dump()["kp_N_m"] for k in range(2)] == [1e6, 2e6]
+
+
 def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
     with pytest.raises(ConfigurationError, match=r"no such file; shipped campaigns are: payload$"):
         read_plan(tmp_path / "no.yaml")

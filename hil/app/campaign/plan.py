@@ -202,13 +202,17 @@ def _try(plan: Plan, document: Document, file: Path) -> None:
     """Refuse values that the configuration cannot have, with all that is wrong with them."""
     found: dict[tuple[Place, str], None] = {}
     for place, values in _tries(plan):
-        own = list(plan.settings.list or {}) if place == ("list",) else [str(place[-1])]
-        alone = plan.subject._replace(axes={name: plan.subject.axes[name] for name in own})
-        problems = _problems(alone, values)
+        problems = _problems(_alone(plan, place), values)
         if problems and _problems(plan.subject, values):  # it may need what another axis brings
             found |= dict.fromkeys((place, problem) for problem in problems)
     if found:
         raise ConfigurationError(*lines(_placed(document, list(found)), str(file)))
+
+
+def _alone(plan: Plan, place: Place) -> Subject:
+    """Return the campaign with one axis, or those of the list, and no other."""
+    own = list(plan.settings.list or {}) if place == ("list",) else [str(place[-1])]
+    return plan.subject._replace(axes={name: plan.subject.axes[name] for name in own})
 
 
 def _problems(subject: Subject, values: Values) -> list[str]:
@@ -246,8 +250,10 @@ def identity(plan: Plan) -> dict[str, str]:
         "values of the rows": drawn.hexdigest(),
         "version of hexapod-hil": version("hexapod-hil"),
     }
-    for _, values in _tries(plan):
-        c = row_configuration(Job(plan.subject, 0, values, 0))
+    for place, values in _tries(plan):
+        # alone where the first values of the others do not go with it: such a row is refused, others run
+        subject = plan.subject if not _problems(plan.subject, values) else _alone(plan, place)
+        c = row_configuration(Job(subject, 0, values, 0))
         for file in _named_files(c):
             found[f"file {file}"] = _content(c.folder / file)
     return found

@@ -20,7 +20,7 @@ from hil.app.campaign import parquet
 from hil.app.campaign.command import run_campaign
 from hil.app.campaign.figures import METRICS
 from hil.app.campaign.page import write_page
-from hil.app.campaign.plan import read_plan
+from hil.app.campaign.plan import identity, read_plan
 from hil.app.campaign.rerun import rerun
 from hil.app.campaign.row import run_row
 from hil.app.campaign.show import rerun_command
@@ -153,6 +153,8 @@ def test_a_combination_that_cannot_run_is_a_failed_row_that_says_why(tmp_path):
       margin_m: {key: limits.stroke_margin_m, values: [0.02, 0.08]}
     """
     row = run_row(read_plan(written(tmp_path, text)).job(3))
+    first = read_plan(written(tmp_path, text.replace("[0.75, 0.82]", "[0.82, 0.75]")))
+    assert identity(first) != {}  # although margin_m 0.08 does not go with the first value of least_m
     assert (row["passed"], row["ended"]) == (False, "refused")
     assert "out of reach, allowed leg lengths: 0.9 to" in row["trouble"]
     assert {row[name] for name in METRICS} == {None}

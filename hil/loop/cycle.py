@@ -124,11 +124,10 @@ class Cycle:
         self._last_wrench = last["wrench"]
         buffer: Any = tick.base
         _put_input(
-            buffer.data, 0,
-            number, inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns,
-            inp.sends_failed, inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state,
-            inp.recorder_alive, inp.recorder_dropped, inp.compute_ns, *inp.latch_ns,
-            len(inp.frames), zlib.crc32(run),
+            buffer.data, 0, number,
+            inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns, inp.sends_failed,
+            inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state, inp.recorder_alive,
+            inp.recorder_dropped, inp.compute_ns, *inp.latch_ns, len(inp.frames), zlib.crc32(run),
         )  # fmt: skip
         began_ns, reported = inp.t_ns + inp.lateness_ns, self.homing.before(last)
         self.dialogue = parts.protocol.decode(self.dialogue, run, reported, tick, began_ns)

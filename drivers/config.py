@@ -199,8 +199,8 @@ class DriveSettings(Section):
     brake_after_ms: Annotated[float, Field(gt=0)] = 1000.0
     """A drive that damps or holds by itself shuts its brake this long after its fault. No frame of `legs`
     carries it: a real drive has it in its own set-up."""
-    heartbeat_ms: Annotated[float, Field(gt=0)] = 100.0
-    """Period of each drive's status message."""
+    heartbeat_ms: Annotated[float, Field(ge=1, le=60_000)] = 100.0
+    """Period of each drive's status message. The bus budget counts those that no tick is without."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0
     """Rated force: the controller never asks for more and the drive clips there. Short force fields of `legs`
     count in 1/16000 of it, and a drive of another rating is refused."""

@@ -69,13 +69,26 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
             number += 1
     if os.path.lexists(path):
         raise LogError(f"{path}: exists and is not overwritten; name another file with --log")
-    try:
-        made_folder(path.parent)
-    except OSError as error:
-        raise LogError(f"{path.parent}: cannot be made: {error.strerror}") from None
+    elsewhere = "name another file with --log" + (", or set recording.folder" if given is None else "")
+    trouble = _no_folder(path.parent)
+    if trouble:
+        raise LogError(f"{path.parent}: {trouble}; {elsewhere}")
     if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise LogError(f"{path.parent}: no right to write there; name another file with --log")
+        raise LogError(f"{path.parent}: no right to write there; {elsewhere}")
     return path
+
+
+def _no_folder(path: Path) -> str:
+    """Make a folder where there is none; say why that cannot be, or nothing."""
+    try:
+        made_folder(path)
+    except FileExistsError:
+        return (
+            "is a link to nothing" if path.is_symlink() and not path.exists() else "is a file and no folder"
+        )
+    except OSError as error:
+        return f"cannot be made: {error.strerror}"
+    return ""
 
 
 def picture_path(folder: str, stem: str, given: Path | None) -> Path:
@@ -91,9 +104,11 @@ def picture_path(folder: str, stem: str, given: Path | None) -> Path:
     try:
         if path.exists() and path.stat().st_size and not path.read_bytes().startswith(PNG):
             raise LogError(f"--picture {path}: exists, is no PNG picture and is not overwritten")
-        made_folder(path.parent)
     except OSError as error:
         raise LogError(f"--picture {path}: {error.strerror}") from None
+    trouble = _no_folder(path.parent)
+    if trouble:
+        raise LogError(f"--picture {path}: {path.parent} {trouble}; name another file with --picture")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise LogError(f"--picture {path}: no right to write there; name another file")
     return path

@@ -138,6 +138,9 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             from drivers.compiled.cache import before_compiling
 
             before_compiling(_announce)
+            from hil.app.picture_folder import choose_picture_folder
+
+            choose_picture_folder()
             if kwargs["json_file"] is not None:
                 from hil.app.output import check_json_path
 

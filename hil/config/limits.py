@@ -36,12 +36,12 @@ class LimitSettings(Section):
     """Residual of forward kinematics that faults."""
     condition: Positive = 50.0
     """Condition number of J (lengths made comparable) that faults."""
-    stale_warn_ticks: Annotated[int, Field(ge=1)] = 2
-    stale_fault_ticks: Annotated[int, Field(ge=1)] = 5
+    stale_warn_ticks: Annotated[int, Field(ge=1, le=1000)] = 2
+    stale_fault_ticks: Annotated[int, Field(ge=1, le=1000)] = 5
     sync_skew_us: Positive | None = None
     """Several buses: a tick whose SYNCs are farther apart counts as late, for its legs are not read at one
     instant. Default: a tenth of the period."""
-    missed_stop_ticks: Annotated[int, Field(ge=1)] = 5
+    missed_stop_ticks: Annotated[int, Field(ge=1, le=1000)] = 5
     """Periods missed in a row that ask for a controlled stop."""
     stretch_percent: Annotated[float, Field(ge=0, le=100)] = 5.0
     """Share of the run for which the time of a virtual bench may stand still in stretches of 4 ms and more,

@@ -5,20 +5,20 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from drivers.section import Section
-from hil.config.values import NonNegative, Positive
+from hil.config.values import Positive
 
 
 class LoopSettings(Section):
     """The fixed-rate loop."""
 
-    rate_Hz: Positive = 1000.0
+    rate_Hz: Annotated[float, Field(ge=1, le=100_000)] = 1000.0
     feedback_window_us: Positive | None = None
     """Longest wait for the six feedbacks after SYNC; default 75 % of the period."""
-    cpu: int | None = None
+    cpu: Annotated[int, Field(ge=0, le=1023)] | None = None
     """CPU to pin the loop to (only together with SCHED_FIFO)."""
     priority: Annotated[int, Field(ge=1, le=99)] = 80
     """SCHED_FIFO priority."""
-    spin_us: NonNegative = 100.0
+    spin_us: Annotated[float, Field(ge=0, le=10_000)] = 100.0
     """Busy-wait this long before each deadline."""
     without_realtime: Literal["slow", "refuse"] = "slow"
     """Without SCHED_FIFO, or where `--plant` finds it not kept: drop to a rate that holds, or refuse."""

@@ -5,7 +5,19 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from drivers.section import Section
-from hil.config.values import Axis, NonNegative, Pose, Positive, Vector3
+from hil.config.values import Axis, Pose, Positive, Vector3
+
+LONGEST_S = 86_400.0
+"""Of what does not repeat: it is looked at from end to end before it runs."""
+MOST_PERIODS = 1_000_000
+MOST_POINTS = 10_000
+"""Of a path in the configuration; a longer one is for a CSV file."""
+MOST_PLANNED = 1000
+"""Poses between which the shortest time is looked for."""
+MOST_LINES = 1000
+"""Sinusoids of a sum: each is evaluated at each tick."""
+MOST_AXES = 24
+"""Groups of lines of a multisine."""
 
 
 class Evaluated(Section):
@@ -28,7 +40,7 @@ class HoldReference(Evaluated):
 class Waypoint(Section):
     """One way-point: pose at a time after the start."""
 
-    t_s: NonNegative
+    t_s: Annotated[float, Field(ge=0, le=LONGEST_S)]
     position_m: Vector3
     rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
 
@@ -39,8 +51,8 @@ class WaypointReference(Evaluated):
     type: Literal["waypoints"]
     interpolation: Literal["cubic", "quintic", "minimum_jerk"] = "quintic"
     """cubic and quintic rest at every point, minimum_jerk at the first and the last one."""
-    points: Annotated[list[Waypoint], Field(min_length=2)]
-    periods: Annotated[int, Field(ge=1)] | None = 1
+    points: Annotated[list[Waypoint], Field(min_length=2, max_length=MOST_POINTS)]
+    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] | None = 1
     """How many times the list is run through; null is for ever."""
 
 
@@ -63,9 +75,9 @@ class TimeOptimalReference(Evaluated):
     """From pose to pose in the shortest time within limits, at rest at each; the times follow."""
 
     type: Literal["time_optimal"]
-    points: Annotated[list[Pose], Field(min_length=2)]
+    points: Annotated[list[Pose], Field(min_length=2, max_length=MOST_PLANNED)]
     limits: AxisLimits
-    periods: Annotated[int, Field(ge=1)] | None = 1
+    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] | None = 1
     """How many times the list is run through; null is for ever."""
 
 
@@ -85,9 +97,9 @@ class SinusoidReference(Evaluated):
     type: Literal["sinusoids"]
     centre: Pose | None = None
     """Default: home."""
-    components: Annotated[list[Sinusoid], Field(min_length=1)]
-    ramp_s: NonNegative = 1.0
-    duration_s: Positive
+    components: Annotated[list[Sinusoid], Field(min_length=1, max_length=MOST_LINES)]
+    ramp_s: Annotated[float, Field(ge=0, le=LONGEST_S)] = 1.0
+    duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)]
 
 
 class MultisineAxis(Section):
@@ -96,7 +108,7 @@ class MultisineAxis(Section):
     axis: Axis
     band_Hz: tuple[Positive, Positive]
     """The lines are spread evenly from the first to the second frequency."""
-    lines: Annotated[int, Field(ge=1)]
+    lines: Annotated[int, Field(ge=1, le=MOST_LINES)]
     amplitude: Positive
     """Largest deviation from the centre, in the axis' unit."""
     phases: Literal["schroeder", "random"] = "schroeder"
@@ -110,12 +122,12 @@ class MultisineReference(Evaluated):
     type: Literal["multisine"]
     centre: Pose | None = None
     """Default: home."""
-    axes: Annotated[list[MultisineAxis], Field(min_length=1)]
+    axes: Annotated[list[MultisineAxis], Field(min_length=1, max_length=MOST_AXES)]
     """No two of them share a frequency."""
-    period_s: Positive
-    periods: Annotated[int, Field(ge=1)] = 1
+    period_s: Annotated[float, Field(gt=0, le=LONGEST_S)]
+    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] = 1
     """Whole periods between the ramps."""
-    ramp_s: NonNegative = 1.0
+    ramp_s: Annotated[float, Field(ge=0, le=LONGEST_S)] = 1.0
 
 
 class SampledReference(Evaluated):
@@ -124,7 +136,7 @@ class SampledReference(Evaluated):
     type: Literal["sampled"]
     path: str
     """Relative to the configuration file."""
-    periods: Annotated[int, Field(ge=1)] = 1
+    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] = 1
 
 
 class LiveReference(Section):

@@ -5,24 +5,26 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from drivers.section import Section
-from hil.config.values import NonNegative, Positive
+from hil.config.values import Positive
+
+UpToAMinute = Annotated[float, Field(ge=0, le=60)]
 
 
 class EngageSettings(Section):
     """From rest to the first reference sample, without a bump."""
 
-    force_ramp_s: NonNegative = 0.3
+    force_ramp_s: UpToAMinute = 0.3
     """Time in which the static holding force builds up against the closed brakes, or fades out; the brake
     test at the start takes as long. 0 starts with the law at once, without brake tests."""
-    brake_release_s: NonNegative = 0.1
+    brake_release_s: UpToAMinute = 0.1
     """Time given to the brakes to open."""
-    brake_close_s: NonNegative | None = None
+    brake_close_s: UpToAMinute | None = None
     """Time given to the brakes to close and to stop the legs; default: as `brake_release_s`."""
     approach_speed_m_s: Positive = 0.2
     """Mean leg speed of the quintic move from the measured pose to the reference's start."""
-    stop_s: Positive = 0.5
+    stop_s: Annotated[float, Field(gt=0, le=60)] = 0.5
     """Time in which a controlled stop comes to rest along the path."""
-    blend_s: NonNegative = 0.5
+    blend_s: UpToAMinute = 0.5
     """Time over which the holding-force offset fades into the law."""
 
     @property
@@ -45,8 +47,8 @@ class RecordingSettings(Section):
     folder: str = "runs"
     on_recorder_loss: Literal["continue", "stop"] = "continue"
     """What the daemon does when the recorder dies."""
-    ring_ticks: Annotated[int, Field(ge=256)] = 8192
-    """Length of the shared-memory ring."""
+    ring_ticks: Annotated[int, Field(ge=256, le=131_072)] = 8192
+    """Length of the shared-memory ring: all of it is memory that is taken, some 3 kB a tick."""
     websocket: WebsocketSettings | None = None
     """In real time: the messages of the log to viewers as they are written (extra `viewers`)."""
     budget_GB: Positive | None = None

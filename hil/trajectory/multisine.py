@@ -18,6 +18,8 @@ from hil.trajectory.sinusoids import SinusoidTrajectory
 
 POINTS_PER_CYCLE = 64
 """Of the highest line, where the peak is looked for: between two points it is at most 0.12 % higher."""
+SEARCHED = 2_000_000
+"""Most lines times highest multiple of 1/period_s: the search for the peak takes some seconds then."""
 _TURN = 2.0 * math.pi
 
 
@@ -68,6 +70,12 @@ def pick_lines(axis: MultisineAxis, period_s: float, taken: set[int], where: str
     Lines of their own tell the responses to several axes apart in one run. Raises ConfigurationError.
     """
     low, high = axis.band_Hz
+    if high * period_s * axis.lines > SEARCHED:
+        raise ConfigurationError(
+            f"{where}.band_Hz: {axis.lines} lines up to {high * period_s:.3g} times 1/period_s take too long "
+            f"to add up, allowed: up to {SEARCHED / axis.lines / period_s:g} Hz. Shorten period_s, "
+            "lower the band, or take fewer lines."
+        )
     first, last = math.ceil(low * period_s - 1e-9), math.floor(high * period_s + 1e-9)
     free = [k for k in range(first, last + 1) if k not in taken]
     if low > high or len(free) < axis.lines:

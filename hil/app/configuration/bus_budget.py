@@ -1,12 +1,15 @@
 """The bus time that a configuration's frames take."""
 
+from math import floor
+
 from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import DriveProtocol, DriveSetup
+from drivers.protocol import DriveProtocol, DriveSetup, Frame, Status
 from drivers.sensors import SensorProtocol
 from drivers.several_buses import off_bus
+from drivers.signals import LEGS, DriveFault, DriveState
 
 
 def bus_budgets(
@@ -30,7 +33,7 @@ def bus_budgets(
         )
     if bus.layout == "ideal":
         return ()
-    frames += nodes.cyclic_frames(rate_Hz)
+    frames += nodes.cyclic_frames(rate_Hz) + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
     return tuple(
         check(
             [off_bus(frame) for frame in frames if frame.bus == index],
@@ -42,6 +45,20 @@ def bus_budgets(
         )
         for index, each in enumerate(bus.buses)
     )
+
+
+def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
+    """Return one example of every heartbeat that no tick is without, as the six drives take turns.
+
+    Rarer ones, and what sets a drive up, one frame a tick before it is powered, are left to the free part of
+    the bus.
+    """
+    found: list[Frame] = []
+    for turn in range(floor(LEGS / (heartbeat_s * rate_Hz) * (1 + 1e-9))):
+        status = Status(turn % LEGS, DriveState.OFF, DriveFault.NONE)
+        booted, _ = protocol.report(protocol.power_up(), status)  # some say once that they have started
+        found += protocol.report(booted, status)[1]
+    return tuple(found)
 
 
 def bus_budget(

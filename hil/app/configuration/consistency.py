@@ -8,7 +8,6 @@ import contextlib
 import re
 from collections.abc import Callable, Iterator
 from inspect import signature
-from math import ceil
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -21,8 +20,9 @@ from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable
 from hil.app.configuration.drive_rules import homing, own_reaction, reported_stroke
 from hil.app.configuration.fault_rules import faulty_buses, platform_loads
-from hil.app.configuration.plant_step import step_key
+from hil.app.configuration.plant_step import plant_steps
 from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.reference_rules import frequencies
 from hil.app.configuration.yaml_positions import Path
 from hil.config.estimation import EstimationSettings
 from hil.config.limits import LimitSettings
@@ -314,23 +314,6 @@ def standstill(plant: PlantSettings | None, limits: LimitSettings, _: Folder) ->
         yield ("limits", "standstill_m"), message
 
 
-def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: Folder) -> Iterator[Finding]:
-    """Refuse a period that is no whole number of the plant's steps."""
-    if plant is None:
-        return
-    key = step_key(plant)
-    step_us: float = getattr(plant.model, key)
-    steps = 1e6 / loop.rate_Hz / step_us
-    if steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps:
-        period_us = 1e6 / loop.rate_Hz
-        message = (
-            f"the period is no whole number of steps, allowed: {period_us:g} us (loop.rate_Hz "
-            f"{loop.rate_Hz:g}) divided by a whole number, as {period_us / ceil(steps):.12g}, given: "
-            f"{step_us:g}"
-        )
-        yield ("plant", "model", key), message
-
-
 def plant_lag(plant: PlantSettings | None, _: Folder) -> Iterator[Finding]:
     """Refuse the drives' lag twice: our FMU has one of its own."""
     if plant is not None and isinstance(plant.model, StewartPlant) and plant.drives.force_bandwidth_Hz > 0:
@@ -381,7 +364,7 @@ RULES: tuple[Rule, ...] = (
     fusion_sources, measured_wrench, live_preview, geometry, stroke, reference_poses, reference_path,
     endless_reference, designed_controllers, certified_law, plant_steps, emulated_sensors, plant_lag,
     brake_times, standstill, fmu_file, bench_rest, platform_loads, faulty_buses, own_reaction,
-    reported_stroke, homing,
+    reported_stroke, homing, frequencies,
 )  # fmt: skip
 """A parameter has the name of its section; the last one is the folder."""
 

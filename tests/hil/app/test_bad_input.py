@@ -294,11 +294,14 @@ def test_an_existing_log_is_not_overwritten(refused, tmp_path, command):
 
 
 @pytest.mark.parametrize("command", ["sim", "run", "plant"])
-@pytest.mark.parametrize("folder", ["file", "/proc/nowhere"])
-def test_a_log_where_no_folder_can_be_made(refused, tmp_path, command, folder):
+@pytest.mark.parametrize(
+    ("folder", "why"), [("file", "is a file and no folder"), ("/proc/nowhere", "cannot be made")]
+)
+def test_a_log_where_no_folder_can_be_made(refused, tmp_path, command, folder, why):
     (tmp_path / "file").touch()
     said = refused(command, *consent(command), "--log", f"{folder}/run.mcap")
-    assert f"{folder}: cannot be made" in said
+    assert f"{folder}: {why}" in said
+    assert "; name another file with --log" in said
 
 
 def test_a_log_with_a_name_too_long(refused):

@@ -35,6 +35,7 @@ _IMPORT = re.compile(
 _COMMENT = re.compile(r"#[^\n]*")
 _NAME = re.compile(r"(?:^|[,(])[\s\\]*([\w.]+)")
 _announcement: list[Callable[[], None]] = []
+_counting: list[Callable[[Path], None]] = []
 
 
 def cache_folder() -> Path:
@@ -82,7 +83,8 @@ CACHE_FOLDER = cache_folder()
 
 
 @functools.cache
-def _file_of(module: str) -> Path | None:
+def file_of(module: str) -> Path | None:
+    """Return the file of a module of this project."""
     path = _ROOT.joinpath(*module.split("."))
     for candidate in (path.with_suffix(".py"), path / "__init__.py"):
         if module.partition(".")[0] in _PACKAGES and candidate.is_file():
@@ -101,7 +103,7 @@ def _imports(source: Path) -> frozenset[Path]:
         for name in _NAME.findall(plain):
             packages = name.split(".")
             modules |= {".".join(packages[: n + 1]) for n in range(len(packages))}
-    return frozenset(path for path in map(_file_of, modules) if path is not None)
+    return frozenset(path for path in map(file_of, modules) if path is not None)
 
 
 def _absolute(module: str, source: Path) -> str:
@@ -180,6 +182,17 @@ def announce() -> None:
     """Say that a kernel is compiled, once."""
     if _announcement:
         _announcement.pop()()
+
+
+def while_compiling(count: Callable[[Path], None]) -> None:
+    """Have `count` called after each kernel that was compiled instead of loaded, with its file."""
+    _counting[:] = [count]
+
+
+def compiled(source: Path) -> None:
+    """Say that a kernel of a file was compiled."""
+    for count in _counting:
+        count(source)
 
 
 class Locator:

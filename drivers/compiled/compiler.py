@@ -16,6 +16,7 @@ from numba.np import linalg
 
 from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
 from drivers.compiled.cache import Locator, announce, is_as_imported
+from drivers.compiled.cache import compiled as count_compiled
 from drivers.compiled.lean_library import lean_libraries
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -76,7 +77,8 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """
 
     def decorate(function: F) -> F:
-        kept = is_as_imported(Path(function.__code__.co_filename).resolve())
+        source = Path(function.__code__.co_filename).resolve()
+        kept = is_as_imported(source)
         if not kept:
             announce()
         settings = vars(numba.config)
@@ -87,6 +89,8 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
                 compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **_OPTIONS)(function)
         finally:
             settings["CACHE_LOCATOR_CLASSES"] = elsewhere
+        if hasattr(compiled, "stats") and (not kept or compiled.stats.cache_misses):
+            count_compiled(source)
         return cast("F", compiled)
 
     return decorate

@@ -66,7 +66,8 @@ class Interrupts:
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            for number in (signal.SIGINT, signal.SIGALRM):  # a press that is repeated would end Python's end
+                signal.signal(number, signal.SIG_IGN)
 
 
 OF_THIS_PROCESS = Interrupts()
@@ -103,5 +104,6 @@ def one_line_of_interrupt() -> Iterator[None]:
 def _leave(there: str) -> None:
     from hil.app.terminal import visible
 
-    click.echo(visible(f"hil: interrupted{there and ' '}{there}"), err=True)
+    below = "\n" if sys.stderr.isatty() else ""  # of a terminal's ^C, and of what counts before it
+    click.echo(visible(f"{below}hil: interrupted{there and ' '}{there}"), err=True)
     sys.exit(INTERRUPTED)

@@ -67,6 +67,8 @@ force_option = click.option("--force", is_flag=True, help="Write over an existin
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
+_RAN = 1
+"""Exit code of what had begun."""
 _REPORTED = frozenset({"run", "sim"})
 """Kinds of summary whose log `hil report` shows."""
 
@@ -135,9 +137,9 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         from hil.app.terminal import one_line
 
         try:
-            from drivers.compiled.cache import before_compiling
+            from hil.app.compiling import show_compilation
 
-            before_compiling(_announce)
+            show_compilation(command)
             from hil.app.picture_folder import choose_picture_folder
 
             choose_picture_folder()
@@ -150,9 +152,17 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             _refuse(one_line(str(error)))
         except HilError as error:
             _refuse(str(error))
+        except MemoryError:
+            _refuse(_no_memory(), _RAN)
+        except ImportError as error:
+            if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
+                raise
+            _refuse(f"{_no_memory()} ({one_line(str(error))})")
         except OSError as error:
             if reader_gone():
                 raise
+            if error.errno is None and "llvmlite" in str(error):
+                _refuse(f"Numba cannot be loaded: {_no_memory()}")
             if error.errno == errno.EMFILE:
                 most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
                 _refuse(f"a process may open {most} files here, and that is too few: raise `ulimit -n`")
@@ -168,22 +178,18 @@ def _other_files(arguments: dict[str, Any]) -> list[Path]:
     return [Path(each) for file in given for each in (file if isinstance(file, tuple) else (file,))]
 
 
-def _refuse(message: str) -> None:
+def _refuse(message: str, code: int = 2) -> None:
     from hil.app.terminal import visible
 
     click.echo(visible(f"hil: {message}"), err=True)
-    sys.exit(2)
+    sys.exit(code)
 
 
-def _announce() -> None:
-    from drivers.compiled.cache import elsewhere
-
-    if elsewhere():
-        click.echo(f"hil: {elsewhere()}", err=True)
-    click.echo(
-        "compiling the mathematics, once: about a minute of processor time; Ctrl-C loses little of it ...",
-        err=True,
-    )
+def _no_memory() -> str:
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most == resource.RLIM_INFINITY:
+        return "no memory is left on this machine: end what takes it"
+    return f"a process may have {most / 1e6:.0f} MB here, and that is too little: raise `ulimit -v`"
 
 
 def load(configuration: str, command: Literal["run", "plant", "sim"] | None = None) -> Configuration:

@@ -113,7 +113,7 @@ def project(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
     monkeypatch.setattr(cache, "CACHE_FOLDER", tmp_path / "cache")
-    monkeypatch.setattr(cache, "_file_of", file_of)
+    monkeypatch.setattr(cache, "file_of", file_of)
     monkeypatch.setattr(cache, "_announcement", [])
     return folder
 

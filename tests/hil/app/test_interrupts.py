@@ -96,6 +96,12 @@ def test_a_press_that_python_drops_is_repeated(process, monkeypatch):
     assert process("check") == (130, "hil: interrupted\n")
 
 
+def test_after_a_command_nothing_that_repeats_a_press_ends_the_interpreter(process, monkeypatch):
+    interrupted_in(monkeypatch, press)
+    process("check")
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGALRM)] == [signal.SIG_IGN] * 2
+
+
 def test_a_press_after_the_result_changes_nothing(monkeypatch):
     interrupts = Interrupts()
     interrupts.settle()

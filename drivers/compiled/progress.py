@@ -1,0 +1,115 @@
+"""How far the first compilation is: which kernel of how many, and the time left.
+
+How many follows from the sources: the kernels of all files that a program imports, less those in the cache.
+What a function imports counts for the program's own file only; where more comes, the total grows.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.compiled import cache
+
+_KERNEL = re.compile(r"^@(?:kernel|direct)\(", re.MULTILINE)
+
+
+class Progress(NamedTuple):
+    """Where a compilation is."""
+
+    done: int
+    """Kernels compiled by this process."""
+    total: int
+    """Kernels that it compiles, as far as that is known."""
+    elapsed_s: float
+    left_s: float
+    """By the sizes of the sources to come and the pace until now; nan before the first kernel."""
+
+
+class Compilation:
+    """Counts the kernels that a process compiles.
+
+    Mutable state: what is to come by file, when it began, how many are compiled.
+    """
+
+    def __init__(self, programs: Iterable[Path], tell: Callable[[Progress], None]) -> None:
+        self._programs, self._tell = tuple(programs), tell
+        self._left: dict[Path, int] = {}
+        self._begun = self._done = 0
+        self._worked = 0.0
+        self._announced = False
+
+    def begin(self) -> None:
+        """Find what is to come, once, and tell."""
+        if self._announced:
+            return
+        self._announced = True
+        self._left = to_compile(self._programs)
+        self._begun = time.monotonic_ns()
+        self._tell(self._progress())
+
+    def compiled(self, source: Path) -> None:
+        """Count a kernel of a file."""
+        self.begin()
+        self._done += 1
+        self._worked += _work(source)
+        self._left[source] = max(0, self._left.get(source, 0) - 1)
+        self._tell(self._progress())
+
+    def _progress(self) -> Progress:
+        elapsed_s = 1e-9 * (time.monotonic_ns() - self._begun)
+        to_do = sum(count * _work(source) for source, count in self._left.items())
+        left_s = elapsed_s * to_do / self._worked if self._worked else float("nan")
+        return Progress(self._done, self._done + sum(self._left.values()), elapsed_s, left_s)
+
+
+def to_compile(programs: Iterable[Path]) -> dict[Path, int]:
+    """Return the files with kernels that programs import, each with how many the cache has not."""
+    found = {}
+    for source in _imported(programs):
+        kernels = len(_KERNEL.findall(source.read_text(encoding="utf-8")))
+        if kernels:
+            kept = sum(1 for _ in cache.folder_of(source).glob("*.nbi"))
+            found[source] = max(0, kernels - kept)
+    return found
+
+
+def _work(source: Path) -> float:
+    """Return what a kernel of a file costs, in some unit: its share of the source, and a least one."""
+    text = source.read_text(encoding="utf-8")
+    return 2000.0 + len(text) / max(1, len(_KERNEL.findall(text)))
+
+
+def _imported(programs: Iterable[Path]) -> set[Path]:
+    """Return the project's files that programs import, anywhere, and what these import as modules."""
+    todo: list[Path] = []
+    for program in programs:
+        tree = ast.parse(program.read_text(encoding="utf-8"))
+        todo += [program, *_files(ast.walk(tree))]
+    seen: set[Path] = set()
+    while todo:
+        source = todo.pop()
+        if source not in seen:
+            seen.add(source)
+            todo += _files(ast.parse(source.read_text(encoding="utf-8")).body)
+    return seen
+
+
+def _files(nodes: Iterable[ast.AST]) -> list[Path]:
+    """Return the project's files that these statements import, packages on the way included."""
+    modules: list[str] = []
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            modules += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+    found = []
+    for module in modules:
+        words = module.split(".")
+        packages = (cache.file_of(".".join(words[: n + 1])) for n in range(len(words)))
+        found += [path for path in packages if path is not None]
+    return found

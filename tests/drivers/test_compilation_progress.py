@@ -1,0 +1,97 @@
+"""The first compilation counts: kernels of what a program imports, one after the other, and the time left."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from drivers.compiled import cache, progress
+from drivers.compiled.progress import Compilation, Progress, to_compile
+from hil.app.compiling import Display, line
+
+KERNEL = "@kernel(REAL)\ndef {}(x):\n    return x\n\n\n"
+FILES = {
+    "program.py": "import project_p.first\n\n\ndef late():\n    from project_p import second\n",
+    "first.py": "def unused():\n    import project_p.third\n\n\n" + KERNEL.format("a") + KERNEL.format("b"),
+    "second.py": KERNEL.format("c"),
+    "third.py": KERNEL.format("d"),
+    "__init__.py": "",
+}
+
+
+@pytest.fixture
+def project(monkeypatch, tmp_path):
+    """A program that imports two files with kernels; one of them imports a third in a function."""
+    folder = tmp_path / "project_p"
+    folder.mkdir()
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+
+    def file_of(module):
+        path = tmp_path.joinpath(*module.split("."))
+        found = [path.with_suffix(".py"), path / "__init__.py"]
+        return next((each for each in found if each.is_file()), None)
+
+    monkeypatch.setattr(cache, "file_of", file_of)
+    monkeypatch.setattr(cache, "CACHE_FOLDER", tmp_path / "cache")
+    for remembered in (cache._imports, cache.sources_of, cache._content, cache.folder_of):
+        remembered.cache_clear()
+    return folder
+
+
+def counts(project: Path) -> dict[str, int]:
+    return {source.name: count for source, count in to_compile([project / "program.py"]).items()}
+
+
+def test_what_is_to_come_is_what_the_program_imports_anywhere_and_its_imports_as_modules(project):
+    assert counts(project) == {"first.py": 2, "second.py": 1}
+
+
+def test_what_the_cache_has_is_not_to_come(project):
+    kept = cache.folder_of(project / "first.py")
+    kept.mkdir(parents=True)
+    (kept / "a-1.py311.nbi").touch()
+    assert counts(project) == {"first.py": 1, "second.py": 1}
+
+
+def test_each_kernel_counts_and_more_than_was_known_lets_the_total_grow(project):
+    told: list[Progress] = []
+    compilation = Compilation([project / "program.py"], told.append)
+    compilation.begin()
+    compilation.begin()
+    for name in ("first.py", "first.py", "third.py", "second.py"):
+        compilation.compiled(project / name)
+    assert [(at.done, at.total) for at in told] == [(0, 3), (1, 3), (2, 3), (3, 4), (4, 4)]
+    assert math.isnan(told[0].left_s)
+    assert told[-1].left_s == 0.0
+
+
+def test_the_time_left_follows_from_the_pace(project, monkeypatch):
+    told: list[Progress] = []
+    now = iter([0, 0, 4_000_000_000])
+    monkeypatch.setattr("time.monotonic_ns", lambda: next(now))
+    monkeypatch.setattr(progress, "_work", lambda _: 1.0)
+    compilation = Compilation([project / "program.py"], told.append)
+    compilation.begin()
+    compilation.compiled(project / "first.py")
+    assert (told[-1].elapsed_s, told[-1].left_s) == (4.0, 8.0)  # one in 4 s, two to come
+
+
+@pytest.mark.parametrize(("terminal", "lines"), [(False, 3), (True, 5)])
+def test_a_pipe_gets_a_line_now_and_then_and_a_terminal_each_kernel(terminal, lines, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: terminal, raising=False)
+    monkeypatch.setattr("hil.app.compiling.elsewhere", lambda: "")
+    display = Display()
+    for done, elapsed_s in ((0, 0.0), (1, 9.0), (2, 10.0), (3, 19.0), (4, 21.0)):
+        display.show(Progress(done, 4, elapsed_s, float(4 - done)))
+    said = capsys.readouterr().err
+    assert said.count("\r" if terminal else "\n") == lines
+    assert said.endswith("\r\x1b[K" if terminal else f"{line(Progress(4, 4, 21.0, 0.0))}\n")
+
+
+def test_the_line_says_which_of_how_many_and_how_long():
+    assert line(Progress(3, 79, 10.0, 61.4)) == (
+        "compiling the mathematics, once: 3 of 79 kernels, about 61 s left; Ctrl-C loses little of it ..."
+    )

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Flags
+from drivers.arrays import Array, Flags, Ints
 from hil.app.walk_kernels import ACCELERATION, CONDITION, FORCE, LENGTH, RATE, SAMPLE, walk_kernel
 from hil.config.limits import LimitSettings
 from hil.config.platform import PlatformSettings
@@ -17,6 +17,10 @@ from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
 SAMPLES = 20_000
 """Most samples of a walk; a longer path is walked in longer steps."""
+FEWEST = 5
+"""Samples within WINDOW_S that show what forces change by meanwhile."""
+PAIRS = 5_000
+"""Ticks of a longer path, evenly spread, at which the change of forces is looked at beside its knots."""
 OTHER_UNIT = 50.0
 """Legs that would be so many times as long as the longest: no path of this robot, whatever was meant."""
 
@@ -41,9 +45,11 @@ class Walk(NamedTuple):
     sign: Array
     """(n,) sign of det J: where it changes, the path has gone through a singularity."""
     every_tick: bool
-    """Whether the step is one period of the loop: only then jumps of force are seen."""
+    """Whether the step is one period of the loop."""
     repeats: bool
     """Whether the path goes on where the walk ends, with its beginning."""
+    jumps: tuple[Array, Array] | None = None
+    """Where not every tick is there: instants (m,) s, what forces (m, 6) N change by until the next tick."""
 
     def forces(self) -> tuple[Array, Array]:
         """Return instants (n,) s and forces (n, 6) N from rest to rest; two passes of a path that repeats."""
@@ -51,6 +57,27 @@ class Walk(NamedTuple):
         t = np.concatenate([self.t + k * self.t[-1] for k in range(passes)])
         tau = np.vstack([self.rest[:1], *[self.tau] * passes, self.rest[1:]])
         return np.concatenate([t[:1], t, t[-1:]]), tau
+
+    def steps(self) -> tuple[Array, Array]:
+        """Return instants (n,) s and what forces (n, 6) N change by there from one tick to the next.
+
+        Of a longer path at its ends, its knots, where accelerations may jump, and at `PAIRS` ticks between.
+        """
+        t, forces = self.forces()
+        changes = np.vstack([np.zeros((1, 6)), np.diff(forces, axis=0)])
+        if self.jumps is None:
+            return t, changes
+        n = len(self.t)
+        sudden = [1, n + 1, 2 * n + 1] if self.repeats else [1, n + 1]
+        instants = np.concatenate([t[sudden], self.jumps[0]])
+        order = np.argsort(instants, kind="stable")
+        return instants[order], np.vstack([changes[sudden], self.jumps[1]])[order]
+
+    def swings(self, period: float) -> Array | None:
+        """Return (n, 6) N, what forces change by within WINDOW_S; None where samples are too far apart."""
+        step = period if self.every_tick or len(self.t) < 2 else float(self.t[1] - self.t[0])
+        ticks = max(1, round(WINDOW_S / step))
+        return window_swing(self.forces()[1], ticks) if ticks >= FEWEST or self.every_tick else None
 
 
 class Violation(NamedTuple):
@@ -86,22 +113,48 @@ def walk(
     steps = round(span / period)
     n = min(steps, SAMPLES) + 1
     t = np.linspace(0.0, steps * period, n) if steps else np.zeros(1)
-    samples, found, Js = np.empty((n, SAMPLE)), np.empty((n, CONDITION + 1)), np.empty((n, 36))
-    for k in range(n):
-        # Just inside the end, where the path still moves: outside it rests.
-        p, R, twist, dtwist = trajectory.sample(min(t[k], span * (1 - 1e-12)))
-        row = samples[k]
-        row[:3], row[3:12], row[12:18], row[18:] = p, R.ravel(), twist, dtwist
-    joints = platform.base_joints, platform.platform_joints
-    walk_kernel(*joints, model.constants, model.code, platform.radius, samples, found, Js)
-    q, dq, ddq, tau = (found[:, at : at + 6] for at in (LENGTH, RATE, ACCELERATION, FORCE))
+    # Just inside the end, where the path still moves: outside it rests.
+    inside = span * (1 - 1e-12)
+    q, dq, ddq, tau, condition, Js = _sampled(platform, model, trajectory, np.minimum(t, inside))
     still = np.zeros(6)
     ends = (trajectory.sample(0.0), trajectory.sample(span))
     rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
     forces = drive_forces(plant, q, dq, ddq, tau, rest)
     repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
-    sign = np.linalg.slogdet(Js.reshape(n, 6, 6))[0]
-    return Walk(t, q, dq, ddq, *forces, found[:, CONDITION], sign, steps == n - 1, repeats)
+    jumps: tuple[Array, Array] | None = None
+    if steps > n - 1:
+        at = np.asarray(period * _looked_at(trajectory, period, steps), float)
+        parts = [
+            _sampled(platform, model, trajectory, np.minimum(each, inside)) for each in (at, at + period)
+        ]
+        before, after = (drive_forces(plant, *part[:4], rest)[0] for part in parts)
+        jumps = at, after - before
+    return Walk(t, q, dq, ddq, *forces, condition, np.linalg.slogdet(Js)[0], steps == n - 1, repeats, jumps)
+
+
+def _sampled(
+    platform: Platform, model: Model, trajectory: Trajectory, t: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return q, dq, ddq, tau, each (n, 6), condition (n,) and J (n, 6, 6) at instants (n,) s."""
+    n = len(t)
+    samples, found, Js = np.empty((n, SAMPLE)), np.empty((n, CONDITION + 1)), np.empty((n, 36))
+    for k in range(n):
+        p, R, twist, dtwist = trajectory.sample(t[k])
+        row = samples[k]
+        row[:3], row[3:12], row[12:18], row[18:] = p, R.ravel(), twist, dtwist
+    joints = platform.base_joints, platform.platform_joints
+    walk_kernel(*joints, model.constants, model.code, platform.radius, samples, found, Js)
+    q, dq, ddq, tau = (found[:, at : at + 6] for at in (LENGTH, RATE, ACCELERATION, FORCE))
+    return q, dq, ddq, tau, found[:, CONDITION], Js.reshape(n, 6, 6)
+
+
+def _looked_at(trajectory: Trajectory, period: float, steps: int) -> Ints:
+    """Return ticks from which to the next one forces are compared: around knots, and evenly spread."""
+    ticks = np.linspace(0, steps - 1, PAIRS).astype(np.int64)
+    if isinstance(trajectory, PiecewisePolynomial):
+        knots = np.floor(trajectory.knots / period * (1 + 1e-12)).astype(np.int64)
+        ticks = np.concatenate([ticks, knots - 1, knots])
+    return np.unique(np.clip(ticks, 0, steps - 1))
 
 
 def drive_forces(
@@ -152,15 +205,13 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
     if limits.acceleration_m_s2 is not None:
         text = f"acceleration above limits.acceleration_m_s2 {limits.acceleration_m_s2:g}"
         found.append(_first(w, np.abs(w.ddq) > limits.acceleration_m_s2, w.ddq, text, "m/s^2"))
-    if w.every_tick:
-        t, forces = w.forces()
-        jumps = w._replace(t=t)
-        step = np.vstack([np.zeros((1, 6)), np.diff(forces, axis=0)])
-        text = f"force changes by more than limits.force_step_N {limits.force_step_N:g} in one tick, by"
-        found.append(_first(jumps, np.abs(step) > limits.force_step_N, step, text, "N"))
-        swing = window_swing(forces, max(1, round(WINDOW_S / period)))
+    t, step = w.steps()
+    text = f"force changes by more than limits.force_step_N {limits.force_step_N:g} in one tick, by"
+    found.append(_first(w._replace(t=t), np.abs(step) > limits.force_step_N, step, text, "N"))
+    swing = w.swings(period)
+    if swing is not None:
         text = f"force changes by more than limits.force_window_N {limits.force_window_N:g} within 250 ms, by"
-        found.append(_first(jumps, swing > limits.force_window_N, swing, text, "N"))
+        found.append(_first(w._replace(t=w.forces()[0]), swing > limits.force_window_N, swing, text, "N"))
     return sorted(v for v in found if v is not None)
 
 

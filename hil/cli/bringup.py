@@ -59,6 +59,9 @@ def command(
         raise click.UsageError(
             "--mistake is for a rehearsal: add --rehearse, or give it to `hil plant --bench`."
         )
+    from hil.app.early import refuse_log_folder
+
+    refuse_log_folder(configuration, log)
     loaded = load(configuration)
     from hil.app.bringup.command import run_bringup
 

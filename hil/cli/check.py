@@ -31,12 +31,12 @@ def command(configuration: str, json_file: Path | None) -> None:
 
     try:
         loaded = load(configuration)
-        from hil.app.output import console
+        from hil.app.check.progress import shown
 
-        with console.status("along the reference, with all that may ride on it"):
+        with shown() as tell:
             from hil.app.check.command import inspect
 
-            report = inspect(loaded)
+            report = inspect(loaded, tell)
     except ConfigurationError as error:
         if json_file is not None:
             from hil.app.output import write_json

@@ -59,6 +59,11 @@ def command(
       1  written as far as the log goes: it is cut
       2  not begun: no log, a file that exists, an unknown ending or column; the message says what
     """
+    from hil.app.early import refuse_folder
+
+    for each in out:
+        if each.parent.is_dir():
+            refuse_folder(each.parent, "name another file")
     from hil.app.export.command import export_log
 
     finish("export", export_log(log, out, start=start, columns=columns, overwrite=force), json_file)

@@ -32,6 +32,10 @@ def command(log: Path, out: Path | None, force: bool, json_file: Path | None) ->
       0  written, whatever it has to say of the run
       2  not begun: no such log, a log of another kind, or the file exists and --force is not given
     """
+    from hil.app.files import new_file
+
+    if log.exists():
+        new_file(log.with_suffix(".html") if out is None else out, force=force)
     from hil.app.report.command import report
 
     finish("report", report(log, out=out, force=force), json_file)

@@ -73,6 +73,9 @@ def command(
       1  a latched fault, or the replay differs
       2  not begun: configuration, FMU or log file; the message says what
     """
+    from hil.app.early import refuse_log_folder
+
+    refuse_log_folder(configuration, log)
     loaded = load(configuration, "sim")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.sim.command import simulate

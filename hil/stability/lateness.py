@@ -11,7 +11,7 @@ which is known, so its response is computed, not bounded: a jump of tau counts b
 When the jump comes between two measurements t_k decides on its age: several such instants are looked at.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -65,27 +65,32 @@ def late(
     axis: Axis,
     loops: Sequence[Sampled],
     ahead_s: float,
+    tell: Callable[[float, float], None] = lambda *_: None,
 ) -> Late:
     """Return what being late costs along stretches of a reference, by the response of each axis' loop.
 
     stretches: begin and end in s, each from a start without error, and looked at until its end has settled.
-    ahead_s: how far the law looks ahead.
+    ahead_s: how far the law looks ahead. tell: called now and then with the s looked at, and of how many.
     """
     T = axis.period_s
     worst = np.zeros((3, 6))
     responses = of_each(loops, Sampled.impulse_responses)
+    remembered = max(len(h) for h in responses) - 1
+    at_once = int(np.ceil(_BLOCK_s / T))
     for begin, end in stretches:
         settled = end + min(max(loop.steps for loop in loops) * T, end - begin + 1.0)
         count = int(np.ceil((settled - begin) / T)) + 1
-        at_once = int(np.ceil(_BLOCK_s / T))
-        blocks = [
-            _disturbances(linearised, reference, begin, (k, min(k + at_once, count)), axis, ahead_s)
-            for k in range(0, count, at_once)
-        ]
-        for d in np.concatenate(blocks, axis=1):
-            for i, h in enumerate(responses):
-                answers = fftconvolve(d[:, i, None], h, axes=0)[: len(d)]
-                worst[:, i] = np.maximum(worst[:, i], np.abs(answers).max(axis=0))
+        past = np.zeros((len(_PHASES), 0, 6))
+        for k in range(0, count, at_once):
+            block = k, min(k + at_once, count)
+            d = _disturbances(linearised, reference, begin, block, axis, ahead_s)
+            d, known = np.concatenate([past, d], axis=1), past.shape[1]
+            for phase in d:
+                for i, h in enumerate(responses):
+                    answers = fftconvolve(phase[:, i, None], h, axes=0)[known : len(phase)]
+                    worst[:, i] = np.maximum(worst[:, i], np.abs(answers).max(axis=0))
+            past = d[:, max(0, d.shape[1] - remembered) :]
+            tell(block[1] * T, count * T)
     return Late(worst[0], worst[1], worst[2], stale_s(axis, ahead_s))
 
 

@@ -66,6 +66,11 @@ class PiecewisePolynomial:
         self.duration_s = None if periods is None else periods * self.period_s
         self.sample(0.0)
 
+    @property
+    def knots(self) -> Array:
+        """(n + 1,) s, between which the path is a polynomial: its acceleration may jump there."""
+        return self._knots.copy()
+
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""
         sample = blank()

@@ -1,5 +1,6 @@
 """`hil check CONFIG`: what bus, legs and limits say about a configuration before anything moves."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from hil.app.configuration.schema import named_schema, schema_is_there
 from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.encoder_limits import encoder_limits
 from hil.app.force_steps import force_steps_N, stepped_error_m
-from hil.app.reachability import Walk, span_s, violations, walk, window_swing
+from hil.app.reachability import Walk, span_s, violations, walk
 from hil.config.reference import LiveReference
 from hil.loop.clock import real_time_rights
 from hil.loop.unheard import KEPT
@@ -33,15 +34,15 @@ from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import condition, jacobian, leg_lengths
-from hil.safety.guard import WINDOW_S
 from hil.signals import explain
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.path import axis_limits, six_words
 
 
-def inspect(c: Configuration) -> Report:
+def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Report:
     """Return the report on a configuration and its whole reference.
 
+    tell: called now and then with the s of the reference that were looked at, and of how many.
     Raises ConfigurationError with the limits that the reference breaks, each with its first instant.
     """
     report = Report(c.name)
@@ -50,7 +51,7 @@ def inspect(c: Configuration) -> Report:
     _robot(report, c, platform, model)
     report_bus(report, c)
     _drives(report, c)
-    report_controller(report, c)
+    report_controller(report, c, tell)
     report_monitor(report, c)
     report_encoders(report, c)
     report_fusion(report, c)
@@ -189,12 +190,11 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
     w, whole = _walk_within_limits(c, platform, model)
     step, swing = _changes(w, 1 / c.loop.rate_Hz)
     peak, silence = float(np.abs(w.tau).max()), silence_of(c, w)
-    change = f"not seen: {len(w.t)} samples are fewer than ticks"
-    if w.every_tick:
-        change = (
-            f"{step:.0f} N from tick to tick (limit {c.limits.force_step_N:g}), "
-            f"{swing:.0f} N within 250 ms (limit {c.limits.force_window_N:g})"
-        )
+    within = "not looked at on so long a path" if swing is None else f"{swing:.0f} N"
+    change = (
+        f"{step:.0f} N from tick to tick (limit {c.limits.force_step_N:g}), "
+        f"{within} within 250 ms (limit {c.limits.force_window_N:g})"
+    )
     report.sections[
         f"reference {c.reference.type}, {'until stopped' if whole is None else f'{whole:g} s'}"
     ] = [
@@ -217,8 +217,8 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
         "acceleration_max_m_s2": float(np.abs(w.ddq).max()),
         "force_min_N": float(w.tau.min()),
         "force_max_N": float(w.tau.max()),
-        "force_step_N": step if w.every_tick else None,
-        "force_window_N": swing if w.every_tick else None,
+        "force_step_N": step,
+        "force_window_N": swing,
         "condition_max": float(w.condition.max()),
     }
     report.warnings += dangers(c, w, silence)
@@ -267,10 +267,9 @@ def _live(report: Report, c: Configuration, reference: LiveReference, platform: 
         )
 
 
-def _changes(w: Walk, period: float) -> tuple[float, float]:
-    _, forces = w.forces()
-    ticks = max(1, round(WINDOW_S / period))
-    return float(np.abs(np.diff(forces, axis=0)).max()), float(window_swing(forces, ticks).max())
+def _changes(w: Walk, period: float) -> tuple[float, float | None]:
+    swings = w.swings(period)
+    return float(np.abs(w.steps()[1]).max()), None if swings is None else float(swings.max())
 
 
 def _permissions(report: Report, c: Configuration) -> None:

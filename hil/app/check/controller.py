@@ -1,5 +1,7 @@
 """What `hil check` says of the controller: model, margins, and what is proven."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from hil.app.check.findings import Report
@@ -11,8 +13,10 @@ from hil.control.margin import cross_over, phase_margin_deg
 from hil.control.state_space import StateSpaceSettings
 
 
-def report_controller(report: Report, c: Configuration) -> None:
-    """Add law, model, margins and stability to the report."""
+def report_controller(
+    report: Report, c: Configuration, tell: Callable[[float, float], None] = lambda *_: None
+) -> None:
+    """Add law, model, margins and stability to the report; tell as for `hil.app.stability.command.judge`."""
     law = c.controller
     report.sections["controller"] = lines = [f"law {law.law}"]
     if law.axes is not None and law.believed is not None:
@@ -26,14 +30,14 @@ def report_controller(report: Report, c: Configuration) -> None:
     if isinstance(law, StateSpaceSettings):
         lines += _designed(report, c, law)
     lines += law.described()
-    _stability(report, c)
+    _stability(report, c, tell)
 
 
-def _stability(report: Report, c: Configuration) -> None:
+def _stability(report: Report, c: Configuration, tell: Callable[[float, float], None]) -> None:
     """Say in one line what is proven of the law."""
     from hil.app.stability.command import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
 
-    found = judge(c, quick=True)
+    found = judge(c, quick=True, tell=tell)
     report.sections["controller"].append(f"stability {found.line}")
     report.figures["stability"] = {
         "status": found.status,

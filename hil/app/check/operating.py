@@ -114,7 +114,7 @@ def _beyond(c: Configuration, w: Walk, found: SpeedChange) -> Iterator[str]:
             f"a change of speed along the reference may take {found.force_N:.0f} N of a leg, "
             f"limits.force_N is {c.limits.force_N:g}; {mend}"
         )
-    own = float(np.abs(np.diff(w.forces()[1], axis=0)).max()) if w.every_tick else 0.0
+    own = float(np.abs(w.steps()[1]).max())
     if own + found.step_N > c.limits.force_step_N:
         yield (
             f"a change of speed along the reference may change a force by {own + found.step_N:.0f} N in "

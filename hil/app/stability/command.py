@@ -31,14 +31,21 @@ SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
 WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
 
 
-def judge(c: Configuration, stated: Stated | None = None, *, quick: bool = False) -> Assessment:
+def judge(
+    c: Configuration,
+    stated: Stated | None = None,
+    *,
+    quick: bool = False,
+    tell: Callable[[float, float], None] = lambda *_: None,
+) -> Assessment:
     """Return the assessment of a configuration's law.
 
-    quick: without the search for the largest sublevel set, which costs seconds. Raises ConfigurationError
-    where the reference cannot be followed.
+    quick: without the search for the largest sublevel set, which costs seconds. tell: called now and then
+    with the s of the reference that were looked at, and of how many. Raises ConfigurationError where the
+    reference cannot be followed.
     """
     stated = Stated() if stated is None else stated
-    subject = Subject(c, stated)
+    subject = Subject(c, stated, tell)
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
         if stated.payload.mass_kg:
             return Assessment("not proven", "six uncoupled legs carry no payload", [], [], {})

@@ -137,9 +137,13 @@ class Stated:
 class Subject:
     """A configuration as the theorems see it."""
 
-    def __init__(self, c: Configuration, stated: Stated) -> None:
+    def __init__(
+        self, c: Configuration, stated: Stated, tell: Callable[[float, float], None] = lambda *_: None
+    ) -> None:
+        """Take a configuration and what is stated beside it; tell as for `hil.stability.lateness.late`."""
         self.c = c
         self.stated = stated
+        self.tell = tell
         self.platform = build_platform(c.platform)
         plant = c.plant.model if c.plant is not None else None
         self.plant = plant if isinstance(plant, StewartPlant) else None
@@ -286,7 +290,7 @@ class Subject:
         stretches = [(0.0, span)]
         if whole is not None and whole > span:
             stretches.append((max(0.0, whole - 2.0 * span), whole))
-        return late(linearised, trajectory, stretches, self.axis, loops, ahead_s)
+        return late(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
 
     def _least(
         self, linearised: Linearised, loops: list[Sampled], late: Late, unknown: Unknown, found: list[Local]

@@ -83,7 +83,8 @@ class FmuPlant(Section):
     """Take an FMU that needs the tool that made it at run time. That tool has to be on this machine; only in
     a child process."""
     memory_GB: Annotated[float, Field(ge=0.25, le=1024)] = 4.0
-    """Most that its child process may have of its own, in 10^9 bytes."""
+    """Most private memory that its child process may have, in 10^9 bytes; what is shared does not count, and
+    processes that it starts have as much again."""
     step_us: Annotated[float, Field(gt=0)] = 1000.0
     """Communication steps are whole multiples of this. Default: the longest whole part of the loop's period
     up to 1000 us."""

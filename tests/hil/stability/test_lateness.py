@@ -95,6 +95,14 @@ def test_a_long_stretch_costs_what_a_short_one_does():
     assert robot.asked < 3e5
 
 
+def test_what_a_jump_costs_goes_on_where_the_look_at_the_next_ten_seconds_begins():
+    """9.744 s later, 6 ms before the tenth second, the same jump at the same phase costs the same."""
+    early, _ = cost(step, (0.0, 1.0))
+    late_in_the_block, _ = cost(lambda t: step(t - 9.744), (0.0, 10.5))
+    assert late_in_the_block.error == pytest.approx(early.error, rel=1e-3)
+    assert late_in_the_block.rate == pytest.approx(early.rate, rel=1e-3)
+
+
 def test_every_stretch_counts():
     quiet, _ = cost(step, (10.0, 10.1))
     loud, _ = cost(step, (10.0, 10.1), (0.2, 0.3))

@@ -23,7 +23,10 @@ def refuse_folder(folder: Path, mend: str) -> None:
         )
         raise LogError(f"{above}: {why}; {mend}")
     if not os.access(above, os.W_OK | os.X_OK):
-        raise LogError(f"{above}: no right to write there; {mend}")
+        why = "no right to write there"
+        if above != folder:
+            why = f"cannot be made, as there is no right to write in {above.absolute()}"
+        raise LogError(f"{folder}: {why}; {mend}")
 
 
 def refuse_log_folder(configuration: str, log: Path | None) -> None:

@@ -84,6 +84,11 @@ class _Table(click.Group):
         with quiet_pipe(), one_line_of_interrupt():
             try:
                 return super().invoke(ctx)
+            except (MemoryError, OSError) as error:  # of what only lists a command's options
+                from hil.cli.shared import refuse_without_memory
+
+                refuse_without_memory(error)
+                raise
             finally:
                 OF_THIS_PROCESS.settle()
 

@@ -152,8 +152,8 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             _refuse(one_line(str(error)))
         except HilError as error:
             _refuse(str(error))
-        except MemoryError:
-            _refuse(_no_memory(), _RAN)
+        except MemoryError as error:
+            refuse_without_memory(error)
         except ImportError as error:
             if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
                 raise
@@ -161,8 +161,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         except OSError as error:
             if reader_gone():
                 raise
-            if error.errno is None and "llvmlite" in str(error):
-                _refuse(f"Numba cannot be loaded: {_no_memory()}")
+            refuse_without_memory(error)
             if error.errno == errno.EMFILE:
                 most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
                 _refuse(f"a process may open {most} files here, and that is too few: raise `ulimit -n`")
@@ -183,6 +182,14 @@ def _refuse(message: str, code: int = 2) -> None:
 
     click.echo(visible(f"hil: {message}"), err=True)
     sys.exit(code)
+
+
+def refuse_without_memory(error: MemoryError | OSError) -> None:
+    """Say in one line that there is too little memory, and exit, where that is what an error means."""
+    if isinstance(error, MemoryError):
+        _refuse(_no_memory(), _RAN)
+    elif error.errno is None and "llvmlite" in str(error):
+        _refuse(f"Numba cannot be loaded: {_no_memory()}")
 
 
 def _no_memory() -> str:

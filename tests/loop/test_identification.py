@@ -84,7 +84,6 @@ def measured(axis):
     return np.array(axis.frequency_Hz), G, np.array(axis.coherence)
 
 
-@pytest.mark.long
 def test_all_six_axes_are_within_two_percent_and_two_degrees_of_the_truth(either, capsys):
     worst = np.zeros(2)
     for axis in either.model.measured:

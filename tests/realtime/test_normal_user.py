@@ -125,6 +125,7 @@ def test_on_a_bench_whose_time_may_stand_still_it_keeps_the_rate(
     assert summary["replay"]["exact"]
 
 
+@pytest.mark.long
 @pytest.mark.realtime(patient=True)
 def test_refuse_refuses_before_anything_starts(folder: Path, start: Start, ordinary: dict[str, Any]) -> None:
     file = configuration(folder, {"without_realtime: slow": "without_realtime: refuse"}, short=True)

@@ -269,6 +269,7 @@ def test_the_phase_margin_of_a_boundary_layer_is_that_of_its_linear_law(law, mar
     assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
 
 
+@pytest.mark.long
 def test_a_boundary_layer_says_what_error_it_lets_through():
     """k = (13 + 0.1 12 + 1) / 0.9 = 16.9 m/s^2, phi = k / 92 = 0.184 m/s, k / 92^2 = 2.00 mm."""
     lines = with_law(SLIDING + "  lambda_rad_s: 92\n").sections["controller"]

@@ -11,7 +11,8 @@ from pathlib import Path
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new file beside `path`; give it that name at the end, or remove it where something failed.
 
-    An earlier file is replaced; what is there and no file, as a pipe, is yielded itself. Raises OSError.
+    An earlier file is replaced; what is there and no file, as a pipe, is yielded itself.
+    Raises OSError, which names `path`: a full disk names none, and nobody knows the new file's name.
     """
     target = path.resolve()
     if target.exists() and not target.is_file():
@@ -25,5 +26,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(target)
+    except OSError as error:
+        if error.filename not in (None, str(temporary)):
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)

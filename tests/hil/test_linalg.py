@@ -127,6 +127,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.long
 def test_the_same_bits_under_other_blas_and_libm_variants():
     variants = [
         {},

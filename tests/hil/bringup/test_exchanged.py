@@ -17,6 +17,7 @@ from hil.app.bringup.store import refuse_malformed
 from hil.app.compose import build_protocol
 from hil.bringup.procedure import STEPS
 from plant_fmu.rehearsal.wiring import Wiring
+from tests.broad import broad
 from tests.hil.bringup.families import FAMILIES, family
 from tests.hil.bringup.kit import Rehearsal
 
@@ -39,7 +40,8 @@ def with_another(monkeypatch, node, key, value):
 
 
 @pytest.mark.parametrize(
-    ("key", "told"), [(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")]
+    ("key", "told"),
+    broad([(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")], quick=1),
 )
 def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_no_other(
     monkeypatch, key, told

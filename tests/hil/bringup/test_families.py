@@ -5,6 +5,7 @@ import pytest
 from drivers.signals import DriveMode, DriveState
 from hil.bringup.procedure import STEPS
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.broad import broad
 from tests.hil.bringup.families import FAMILIES
 from tests.hil.bringup.kit import Rehearsal, named
 from tests.hil.bringup.test_mistakes import CASES
@@ -92,7 +93,7 @@ FIRST = {
 """Mistake, leg, and how many steps it takes to name it."""
 
 
-@pytest.mark.parametrize("family", FIRST)
+@pytest.mark.parametrize("family", broad(FIRST, quick=3))
 def test_one_mistake_of_each_family_is_named(family):
     mistake, leg, steps = FIRST[family]
     other = {"other": 4} if mistake == "encoder_counts_another" else {}

@@ -345,6 +345,8 @@ def push_legs(tau: Array, limits: Any, memory: Any) -> None:
     for i in range(6):
         rise, ticks = limits.rise_ticks, limits.push_ticks
         force = push_of(memory.push[i], ticks, limits.push_N[i], limits.sticks != 0, rise)
-        fall = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
-        memory.pushed_N[i] = eased(memory.pushed_N[i], force, fall)
+        most = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
+        if limits.sticks != 0 and memory.push[i] != 0:
+            most = max(most, 2.0 * limits.push_N[i] / (2 * rise - 1))
+        memory.pushed_N[i] = eased(memory.pushed_N[i], force, most)
         tau[i] += memory.pushed_N[i]

@@ -68,10 +68,9 @@ def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> f
 
 
 @helper
-def eased(last: float, force: float, fall: float) -> float:
-    """Return what is added to a leg, N: the force, or what is left of the last one, which falls by `fall`."""
-    left = max(abs(last) - fall, 0.0)
-    return force if abs(force) >= left else math.copysign(left, last)
+def eased(last: float, force: float, most: float) -> float:
+    """Return what is added to a leg, N: the force, or what is nearest to it within `most` of the last one."""
+    return min(max(force, last - most), last + most)
 
 
 @helper

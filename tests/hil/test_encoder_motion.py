@@ -274,16 +274,52 @@ def test_encoders_nothing_is_pushed_or_remembered_to_stand_before_the_brakes_are
     assert tick["tau"][2] == 0.0
 
 
+@pytest.mark.parametrize("sticks", [0, 1])
 @pytest.mark.parametrize(
     ("ticks", "rise", "fall"), [(0, 1, 600.0), (1, 1, 600.0), (4, 1, 150.0), (4, 9, 150.0)]
 )
-def test_encoders_a_push_ends_as_fast_as_it_turns_however_slowly_it_rose(ticks, rise, fall):
-    limits = SimpleNamespace(push_ticks=ticks + 2 * (rise - 1), push_N=six(300.0), sticks=0, rise_ticks=rise)
+def test_encoders_a_push_ends_as_fast_as_it_turns_however_slowly_it_rose(ticks, rise, fall, sticks):
+    limits = SimpleNamespace(
+        push_ticks=ticks + 2 * (rise - 1), push_N=six(300.0), sticks=sticks, rise_ticks=rise
+    )
     memory = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(900.0))
     tau = six(7.0)
     plain(encoder_kernels.push_legs)(tau, limits, memory)
     assert tau == pytest.approx(six(907.0 - fall))
     assert memory.pushed_N == pytest.approx(six(900.0 - fall))
+
+
+def forces(limits, pushes, left_N=0.0):
+    """Return what is added to leg 2 while its push goes on by these ticks."""
+    memory, found = SimpleNamespace(push=six(0), pushed_N=six(left_N, 2)), []
+    for push in pushes:
+        memory.push[2], tau = push, six(0.0)
+        plain(encoder_kernels.push_legs)(tau, limits, memory)
+        found.append(float(tau[2]))
+    return found
+
+
+@BOTH_SIGNS
+def test_encoders_a_push_that_rises_turns_round_as_steeply(sign):
+    """At once, from one way to the other, a leg that comes free would leap: also where it rises in 2 of 14."""
+    limits = SimpleNamespace(push_ticks=16, push_N=six(300.0), sticks=1, rise_ticks=2)
+    found = forces(limits, [sign * k for k in (1, 2, 3, 15, 16, 17, 18, 19, 20, 32)])
+    expected = [150.0, 300.0, 300.0, 300.0, 300.0, 100.0, -100.0, -300.0, -300.0, -300.0]
+    assert found == pytest.approx([sign * force for force in expected])
+
+
+@BOTH_SIGNS
+def test_encoders_what_is_left_of_a_push_goes_before_the_other_way_as_steeply_as_one_that_rises(sign):
+    limits = SimpleNamespace(push_ticks=16, push_N=six(300.0), sticks=1, rise_ticks=2)
+    found = forces(limits, [sign * k for k in (1, 2, 3, 4)], left_N=-300.0 * sign)
+    assert found == pytest.approx([sign * force for force in (-100.0, 100.0, 300.0, 300.0)])
+
+
+@BOTH_SIGNS
+def test_encoders_a_push_of_a_leg_that_sticks_turns_at_once_where_it_comes_at_once(sign):
+    limits = SimpleNamespace(push_ticks=8, push_N=six(300.0), sticks=1, rise_ticks=1)
+    found = forces(limits, [sign * k for k in (1, 2, 8, 9, 16)])
+    assert found == pytest.approx([sign * force for force in (300.0, 300.0, 300.0, -300.0, -300.0)])
 
 
 def plain(function):

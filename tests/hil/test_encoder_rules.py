@@ -302,15 +302,16 @@ def test_stillness_a_slow_push_never_leaps_and_is_whole_for_as_long_as_one_at_on
 
 
 @BOTH_SIGNS
-def test_stillness_a_push_ends_as_gently_as_it_began(sign):
+def test_stillness_a_push_begins_turns_and_ends_by_no_more_than_allowed(sign):
     assert stillness.eased(sign * 4.0, sign * 6.0, 2.0) == sign * 6.0
     assert stillness.eased(sign * 6.0, 0.0, 2.0) == sign * 4.0
     assert stillness.eased(sign * 2.5, 0.0, 2.0) == sign * 0.5
     assert stillness.eased(sign * 2.0, 0.0, 2.0) == 0.0
     assert stillness.eased(sign * 6.0, sign * 4.5, 2.0) == sign * 4.5
-    assert stillness.eased(0.0, sign * 3.0, 2.0) == sign * 3.0
-    assert stillness.eased(sign * 6.0, -sign * 4.0, 2.0) == -sign * 4.0
-    assert stillness.eased(sign * 6.0, -sign * 3.5, 2.0) == sign * 4.0
+    assert stillness.eased(0.0, sign * 3.0, 2.0) == sign * 2.0
+    assert stillness.eased(sign * 6.0, -sign * 4.0, 2.0) == sign * 4.0
+    assert stillness.eased(sign * 1.0, -sign * 4.0, 2.0) == -sign * 1.0
+    assert stillness.eased(sign * 6.0, -sign * 6.0, 12.0) == -sign * 6.0
 
 
 @BOTH_SIGNS

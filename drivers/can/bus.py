@@ -156,6 +156,11 @@ class Bus:
         self._overflow_seen = overflow
         return events
 
+    @property
+    def virtual(self) -> bool:
+        """Whether frames are there as soon as they are sent: no wire takes its time."""
+        return self._link.virtual
+
     def skew_ns(self) -> int:
         """Return the time between the first frames of the last `send` on the buses; 0 of a single bus."""
         return self._link.skew_ns() if isinstance(self._link, LinkGroup) else 0

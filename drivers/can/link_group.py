@@ -32,6 +32,10 @@ class Link(Source, Protocol):
         """What was read of the interface, in one line; empty where there is nothing to read."""
 
     @property
+    def virtual(self) -> bool:
+        """Frames are there as soon as they are sent."""
+
+    @property
     def off(self) -> bool:
         """The interface says that the bus is off or down."""
 
@@ -93,6 +97,11 @@ class LinkGroup:
     def facts(self) -> str:
         """What was read of the interfaces; empty where there is nothing to read."""
         return "; ".join(link.facts for link in self._links if link.facts)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether frames of a bus are there as soon as they are sent."""
+        return any(link.virtual for link in self._links)
 
     @property
     def off_bits(self) -> int:

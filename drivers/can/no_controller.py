@@ -9,6 +9,9 @@ class NoController:
     facts = ""
     """What was read of the interface, in one line; empty where there is nothing to read."""
 
+    virtual = False
+    """Whether frames are there as soon as they are sent."""
+
     def worst_state(self) -> BusState:
         """Return the worst state since the last call: none is known."""
         return BusState.UNKNOWN

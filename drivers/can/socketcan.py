@@ -39,6 +39,8 @@ STUCK_NS = 50_000_000
 """A bus that has not emptied our transmit queue once in so long is dead, ..."""
 STUCK_LOOKS = 5
 """... if we have looked so often: a machine that stood still has not."""
+_NO_WIRE = ("vcan", "vxcan")
+"""Kinds of interfaces without one."""
 _CLOCK_LOOKS, _CLOSE_NS = 5, 10_000
 """At most so many looks at both clocks, until they are so close."""
 _LOOK_NS = 100_000_000
@@ -82,6 +84,11 @@ class SocketCan:
             else ("; without the right CAP_NET_ADMIN frames that wait on a dead bus stay in its queue")
         )
         return f"bus socketcan:{self._interface.facts}{stale}"
+
+    @property
+    def virtual(self) -> bool:
+        """Whether the interface has no wire: frames are there as soon as they are sent."""
+        return self._interface.kind in _NO_WIRE
 
     def _no_can(self, error: Exception) -> BusError:
         return BusError(

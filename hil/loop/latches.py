@@ -2,7 +2,8 @@
 
 A drive latches when its SYNC or poll has ended on the bus. The clock at wake-up does not tell that: a stall
 before the frame is written makes it late. A stall after it makes the clock read late instead; then the
-answer tells, as it cannot come sooner than its own time on the wire after the SYNC.
+answer tells, as it cannot come sooner than its own time on the wire after the SYNC. Answers that name an
+older SYNC, and damaged ones, tell nothing.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import LEGS
 
 PROMPT_NS = 100_000
-"""A send that took less has no stall in it, and is not checked against its answers."""
+"""A send that took less, and less than an answer takes, is not checked against its answers."""
 
 
 def latch_ns(
@@ -35,6 +36,7 @@ def checked(
     opening: Sequence[Frame],
     sent_ns: Sequence[int | None],
     answers: Sequence[Received],
+    tick: int,
     begun_ns: int,
     given_ns: int,
     answer_ns: int,
@@ -42,26 +44,19 @@ def checked(
     """Return when each frame of `opening` was out, where its answers say so: sooner than the clock.
 
     begun_ns, given_ns: just before the frames were given to the bus, and just after; answers: what came
-    since; answer_ns: what a feedback takes on the wire at least. Feedback that came within that time answers
-    an older frame.
+    since; answer_ns: what a feedback takes on the wire at least, 0 where there is no wire. Feedback that came
+    within that time answers an older frame.
     """
-    if given_ns - begun_ns < PROMPT_NS:
+    if given_ns - begun_ns < min(PROMPT_NS, answer_ns):
         return sent_ns
+    own = [each for each in answers if protocol.fresh(each, tick, begun_ns + answer_ns)]
     return [
-        t_ns if t_ns is None else min([t_ns, *_soonest(protocol, frame, answers, begun_ns, answer_ns)])
+        t_ns if t_ns is None else min([t_ns, *_soonest(protocol, frame, own, answer_ns)])
         for frame, t_ns in zip(opening, sent_ns, strict=False)
     ]
 
 
-def _soonest(
-    protocol: DriveProtocol, frame: Frame, answers: Sequence[Received], begun_ns: int, answer_ns: int
-) -> list[int]:
+def _soonest(protocol: DriveProtocol, frame: Frame, answers: Sequence[Received], answer_ns: int) -> list[int]:
     """Return when a frame must have been out for each feedback to it, ns."""
-    legs, wanted = protocol.addressed(frame), protocol.feedback_ids
-    return [
-        t_ns - answer_ns
-        for t_ns, answer in answers
-        if t_ns - answer_ns >= begun_ns
-        and protocol.awaited(answer) in wanted
-        and protocol.sender(answer) in legs
-    ]
+    legs = protocol.addressed(frame)
+    return [t_ns - answer_ns for t_ns, answer in answers if protocol.sender(answer) in legs]

@@ -254,6 +254,13 @@ class FakeLink(NoController):
         self.blocked.append(set(missing))
 
 
+def test_buses_are_virtual_where_one_is():
+    links = [FakeLink(Still()), FakeLink(Still())]
+    assert not LinkGroup(links).virtual  # type: ignore[arg-type]
+    links[1].virtual = True
+    assert LinkGroup(links).virtual  # type: ignore[arg-type]
+
+
 def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
     links = [FakeLink(Still()), FakeLink(Still())]
     group = LinkGroup(links)  # type: ignore[arg-type]

@@ -148,6 +148,12 @@ def test_a_frame_is_out_when_the_kernel_has_taken_it(made, clock):
     assert can.sent_ns() == [begun_ns + 3_000_000]
 
 
+@pytest.mark.parametrize(("kind", "virtual"), [("can", False), ("vcan", True), ("vxcan", True), ("", False)])
+def test_an_interface_without_a_wire_is_told_from_others(monkeypatch, kind, virtual):
+    monkeypatch.setattr(SocketCan, "_open", lambda _: (MadeSocket(), CAN0._replace(kind=kind)))
+    assert SocketCan(SETTINGS).virtual == virtual
+
+
 def test_losses_in_the_kernel_are_counted_once_and_over_the_wrap(made):
     can, sock = made
     for lost in (3, 3, 10, 0xFFFFFFFF, 1):

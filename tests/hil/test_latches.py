@@ -61,7 +61,7 @@ def test_a_clock_that_was_read_late_is_set_right_by_the_first_answer(first):
         Received(1_000_000 + 190_000 + 135_000 * n, TPDO[leg])
         for n, leg in enumerate(np.roll(range(6), -first))
     ]
-    found = checked(protocol("virtual-cia402"), [SYNC], [2_500_000], answers, 1_000_000, 2_500_000, ANSWER)
+    found = checked(protocol("virtual-cia402"), [SYNC], [2_500_000], answers, 0, 1_000_000, 2_500_000, ANSWER)
     assert found == [1_055_000]
 
 
@@ -72,21 +72,62 @@ def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
         Received(1_200_000, Frame(0x701, b"\x05")),
         Received(3_000_000, TPDO[1]),  # later than the clock says, too
     ]
-    assert checked(family, [SYNC], [late_ns], wrong, 1_000_000, late_ns, ANSWER) == [late_ns]
+    assert checked(family, [SYNC], [late_ns], wrong, 0, 1_000_000, late_ns, ANSWER) == [late_ns]
     two = protocol("two_buses")
-    other = [Received(1_200_000, Frame(0x281, bytes(12), 6))]
+    other = [answer_of_two(0)]
     opening = [SYNC, Frame(0x80, b"", BUS)]
-    assert checked(two, opening, [1_010_000, late_ns], other, 1_000_000, late_ns, ANSWER) == [
+    assert checked(two, opening, [1_010_000, late_ns], other, 0, 1_000_000, late_ns, ANSWER) == [
         1_010_000,
         late_ns,
     ]
-    assert checked(two, opening, [late_ns, None], other, 1_000_000, late_ns, ANSWER) == [1_065_000, None]
+    assert checked(two, opening, [late_ns, None], other, 0, 1_000_000, late_ns, ANSWER) == [1_065_000, None]
+
+
+def answer_of_two(tick):
+    """The feedback of leg 0 to the SYNC of a tick, 0.2 ms after it was given to the bus."""
+    two = protocol("two_buses")
+    memory = two.power_up()
+    opening = two.begin(two.start(DriveSetup(0.01, Reaction.BRAKE, 1000.0)), tick)
+    memory, (sync,) = two.parse(memory, opening[0])
+    zeros, states = np.zeros(6), np.zeros(6, dtype=np.int64)
+    _, answers = two.answer(memory, sync, zeros, zeros, zeros, states)
+    return Received(1_200_000, dict(answers)[0])
+
+
+def test_an_answer_that_names_an_older_sync_or_is_damaged_sets_no_clock_right():
+    """A stall of 1.5 ms before SYNC, and what a drive still owed comes meanwhile."""
+    two, late_ns, opening = protocol("two_buses"), 2_500_000, [SYNC, Frame(0x80, b"", BUS)]
+    for tick, answer, expected in [
+        (5, answer_of_two(5), 1_065_000),
+        (5, answer_of_two(4), late_ns),
+        (5, flipped(answer_of_two(5)), late_ns),
+    ]:
+        found = checked(two, opening, [late_ns, late_ns], [answer], tick, 1_000_000, late_ns, ANSWER)
+        assert found == [expected, late_ns]
+    short = [Received(1_200_000, Frame(0x181, bytes(7)))]
+    assert checked(protocol("virtual-cia402"), [SYNC], [late_ns], short, 0, 1_000_000, late_ns, ANSWER) == [
+        late_ns
+    ]
+
+
+def flipped(answer):
+    """An answer with one bit of its last byte the other way round."""
+    t_ns, (identifier, data, flags) = answer
+    return Received(t_ns, Frame(identifier, data[:-1] + bytes((data[-1] ^ 1,)), flags))
+
+
+@pytest.mark.parametrize("given_ns", [1_000_090, 1_000_900])
+def test_without_a_wire_the_first_answer_may_come_before_the_clock_is_read(given_ns):
+    """On vcan it is there at once: it was taken for one to an older SYNC, and its leg for stale."""
+    answers = [Received(1_000_050 + leg, TPDO[leg]) for leg in range(6)]
+    found = checked(protocol("virtual-cia402"), [SYNC], [given_ns], answers, 0, 1_000_000, given_ns, 0)
+    assert found == [1_000_050]
 
 
 def test_a_prompt_send_is_not_held_against_its_answers():
     answers = [Received(1_000_000 + ANSWER, TPDO[0])]
     assert checked(
-        protocol("virtual-cia402"), [SYNC], [1_099_999], answers, 1_000_000, 1_099_999, ANSWER
+        protocol("virtual-cia402"), [SYNC], [1_099_999], answers, 0, 1_000_000, 1_099_999, ANSWER
     ) == [1_099_999]
 
 

@@ -157,6 +157,11 @@ class Bus:
         return events
 
     @property
+    def knows_ends(self) -> bool:
+        """Whether `sent_ns` says when frames ended on the wire."""
+        return self._link.knows_ends
+
+    @property
     def virtual(self) -> bool:
         """Whether frames are there as soon as they are sent: no wire takes its time."""
         return self._link.virtual

@@ -32,6 +32,10 @@ class Link(Source, Protocol):
         """What was read of the interface, in one line; empty where there is nothing to read."""
 
     @property
+    def knows_ends(self) -> bool:
+        """The interface knows when a frame ended on the wire."""
+
+    @property
     def virtual(self) -> bool:
         """Frames are there as soon as they are sent."""
 
@@ -97,6 +101,11 @@ class LinkGroup:
     def facts(self) -> str:
         """What was read of the interfaces; empty where there is nothing to read."""
         return "; ".join(link.facts for link in self._links if link.facts)
+
+    @property
+    def knows_ends(self) -> bool:
+        """Whether each bus knows when a frame ended on its wire."""
+        return all(link.knows_ends for link in self._links)
 
     @property
     def virtual(self) -> bool:

@@ -9,6 +9,8 @@ class NoController:
     facts = ""
     """What was read of the interface, in one line; empty where there is nothing to read."""
 
+    knows_ends = False
+    """Whether it knows when a frame ended on the wire."""
     virtual = False
     """Whether frames are there as soon as they are sent."""
 

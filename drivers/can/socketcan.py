@@ -86,6 +86,11 @@ class SocketCan:
         return f"bus socketcan:{self._interface.facts}{stale}"
 
     @property
+    def knows_ends(self) -> bool:
+        """Whether it knows when a frame ended on the wire: nobody asks the kernel."""
+        return False
+
+    @property
     def virtual(self) -> bool:
         """Whether the interface has no wire: frames are there as soon as they are sent."""
         return self._interface.kind in _NO_WIRE

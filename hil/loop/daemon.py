@@ -53,8 +53,9 @@ class Shell(NamedTuple):
     or comes over `channel`."""
     say: Callable[[str], None] = lambda _: None
     """Tells the operator what the run waits for, or why it goes on after a fault."""
-    answer_ns: int = 0
-    """A feedback takes at least so long on the bus; 0 where none takes any."""
+    answer_ns: int | None = None
+    """A feedback takes at least so long on the bus, 0 where none takes any; None: the bus knows when its
+    frames were out, and no answer has to tell."""
 
 
 def run(course: Course, shell: Shell) -> Ending:
@@ -198,7 +199,9 @@ def _ask(
     refused = bus.send(opening)
     given_ns = bus.clock.now()
     answers = _answers(cycle, bus, tick, begun_ns, t_ns + shell.feedback_window_ns)
-    sent_ns = checked(protocol, opening, bus.sent_ns(), answers, tick, begun_ns, given_ns, shell.answer_ns)
+    sent_ns, answer_ns = bus.sent_ns(), shell.answer_ns
+    if answer_ns is not None:
+        sent_ns = checked(protocol, opening, sent_ns, answers, tick, begun_ns, given_ns, answer_ns)
     return frames + answers, latch_ns(protocol, opening, sent_ns, t_ns + lateness_ns), refused
 
 

@@ -91,6 +91,7 @@ def test_a_frame_is_out_at_its_end_and_until_that_is_seen_when_it_was_taken(join
     (received,) = collect(b, soon())
     a.receive()
     assert a.sent_ns() == [received.t_ns]
+    assert a.knows_ends
 
 
 @pytest.mark.realtime(patient=True)

@@ -261,6 +261,14 @@ def test_buses_are_virtual_where_one_is():
     assert LinkGroup(links).virtual  # type: ignore[arg-type]
 
 
+def test_buses_know_when_their_frames_ended_where_each_does():
+    links = [FakeLink(Still()), FakeLink(Still())]
+    links[0].knows_ends = True
+    assert not LinkGroup(links).knows_ends  # type: ignore[arg-type]
+    links[1].knows_ends = True
+    assert LinkGroup(links).knows_ends  # type: ignore[arg-type]
+
+
 def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
     links = [FakeLink(Still()), FakeLink(Still())]
     group = LinkGroup(links)  # type: ignore[arg-type]

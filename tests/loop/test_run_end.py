@@ -401,10 +401,45 @@ class Stamped(Wire):
         return [self.tick * self.period_ns + 123_000]
 
 
+class Stalled(Stamped):
+    """Giving a SYNC to the bus takes 0.3 ms; the answers are there after 45 us."""
+
+    def __init__(self, nodes, period_ns):
+        super().__init__(nodes, period_ns)
+        self.given = False
+        stands = SimpleNamespace(stretched=lambda: 0, working=lambda _: None, now=self.now)
+        self.clock = stands  # type: ignore[assignment]
+
+    def now(self):
+        return self.tick * self.period_ns + 300_000 * self.given
+
+    def send(self, frames):
+        self.given = True
+        return super().send(frames)
+
+    def drain_now(self):
+        self.given = False
+        return super().drain_now()
+
+    def drain(self, deadline_ns, wanted):
+        came_ns = self.tick * self.period_ns + 45_000
+        return [answer._replace(t_ns=came_ns) for answer in super().drain(deadline_ns, wanted)]
+
+
+@pytest.mark.parametrize(("answer_ns", "delay_ns"), [(None, 123_000), (0, 45_000)])
+def test_answers_are_asked_where_the_bus_does_not_know_when_its_frames_were_out(answer_ns, delay_ns):
+    assert latched(Stalled, answer_ns) == [[delay_ns] * 6] * 3
+
+
 def test_the_daemon_records_when_each_drive_latched():
+    assert latched(Stamped, None) == [[123_000] * 6] * 3
+
+
+def latched(kind, answer_ns):
+    """Return the latches that three ticks on such a wire are recorded with, ns."""
     c = load("ideal")
     nodes, plant = build_nodes(c)
-    wire, rows = Stamped(nodes, round(1e9 / c.loop.rate_Hz)), []
+    wire, rows = kind(nodes, round(1e9 / c.loop.rate_Hz)), []
 
     def tick(row, *_, **__):
         rows.append(row)
@@ -412,10 +447,10 @@ def test_the_daemon_records_when_each_drive_latched():
             raise RuntimeError("enough")
 
     recording = SimpleNamespace(alive=True, dropped=0, tick=tick)
-    shell = Shell(wire, wire, recording, OperatorPanel(), 0)  # type: ignore[arg-type]
+    shell = Shell(wire, wire, recording, OperatorPanel(), 0, answer_ns=answer_ns)  # type: ignore[arg-type]
     run(Course(build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)), shell)
     plant.close()
-    assert [row["latch_ns"].tolist() for row in rows] == [[123_000] * 6] * 3
+    return [row["latch_ns"].tolist() for row in rows]
 
 
 def test_what_the_plant_says_of_itself_comes_before_what_the_controller_saw_of_it():

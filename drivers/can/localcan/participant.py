@@ -66,6 +66,7 @@ class Participant(NoController):
 
     off = False
     """This bus cannot go off."""
+    knows_ends = True
 
     def __init__(
         self,

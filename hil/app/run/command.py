@@ -105,7 +105,8 @@ def run_daemon(
             if clock is not None:
                 begin(clock, c, cycle, window_ns)
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
-            answer_ns = 0 if bus.virtual else shortest_answer_ns(c.bus, cycle.parts.protocol)
+            shortest_ns = 0 if bus.virtual else shortest_answer_ns(c.bus, cycle.parts.protocol)
+            answer_ns = None if bus.knows_ends else shortest_ns
             shell = Shell(bus, deadlines, recording, panel, window_ns, channel, consent, _say, answer_ns)
             try:
                 course = Course(

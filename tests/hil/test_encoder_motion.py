@@ -316,6 +316,13 @@ def test_encoders_what_is_left_of_a_push_goes_before_the_other_way_as_steeply_as
 
 
 @BOTH_SIGNS
+def test_encoders_what_is_left_of_a_push_that_nobody_feels_goes_as_slowly_before_the_other_way(sign):
+    limits = SimpleNamespace(push_ticks=16, push_N=six(300.0), sticks=0, rise_ticks=1)
+    found = forces(limits, [sign * k for k in (1, 2, 3)], left_N=-300.0 * sign)
+    assert found == pytest.approx([sign * force for force in (-262.5, -225.0, -187.5)])
+
+
+@BOTH_SIGNS
 def test_encoders_a_push_of_a_leg_that_sticks_turns_at_once_where_it_comes_at_once(sign):
     limits = SimpleNamespace(push_ticks=8, push_N=six(300.0), sticks=1, rise_ticks=1)
     found = forces(limits, [sign * k for k in (1, 2, 8, 9, 16)])

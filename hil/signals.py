@@ -126,7 +126,8 @@ class TickInput(NamedTuple):
     compute_ns: int = 0
     """Time that the previous step took: recorded, decides nothing."""
     latch_ns: tuple[int, ...] = (0,) * LEGS
-    """From the wake-up to the end of the SYNC or poll on which the drive of each leg latched its encoder."""
+    """From the wake-up to the end of the SYNC or poll on which the drive of each leg latched its encoder; 0:
+    none went out."""
     setpoints: tuple[SetPoint, ...] = ()
     """For a live reference, in the order received."""
     orders: tuple[Order, ...] = ()

@@ -135,7 +135,7 @@ class Cycle:
         self.tick = tick
         if parts.sensors is not None:
             self.sight.hear(parts.sensors, inp, tick)
-        self.sight.estimate(tick, last, began_ns + min(inp.latch_ns))
+        self.sight.estimate(tick, last, began_ns + min(filter(None, inp.latch_ns), default=0))
         parts.wrench.fill(tick, fusing=self.sight.fusing)
 
         self.operating.step(inp.orders, number, self.mode, self.motion)

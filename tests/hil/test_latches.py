@@ -137,11 +137,20 @@ def test_the_shortest_answer_is_that_of_the_feedback_on_the_fastest_bus():
     assert shortest_answer_ns(two.bus, protocol("two_buses")) == 64_600
 
 
-def test_the_pose_is_estimated_as_of_the_first_latch(monkeypatch):
+@pytest.mark.parametrize(
+    ("latch_ns", "expected"),
+    [
+        ((7, 9, 5, 6, 8, 5), 1_025),
+        ((7, 0, 5, 6, 8, 0), 1_025),
+        ((0, 0, 0, 0, 0, 9), 1_029),
+        ((0,) * 6, 1_020),
+    ],
+)
+def test_the_pose_is_estimated_as_of_the_first_latch_that_there_was(monkeypatch, latch_ns, expected):
     cycle, seen = build_cycle(load("virtual"), 1000.0, 0.013), []
     monkeypatch.setattr(cycle.sight, "estimate", lambda _tick, _last, latched_ns: seen.append(latched_ns))
-    cycle.step(TickInput(0, 1_000, 20, latch_ns=(7, 9, 5, 6, 8, 5)))
-    assert seen == [1_025]
+    cycle.step(TickInput(0, 1_000, 20, latch_ns=latch_ns))
+    assert seen == [expected]
 
 
 def test_a_replay_is_given_the_latch_of_every_leg():

@@ -91,18 +91,17 @@ class Measurement:
         return True
 
     def figures(self) -> dict[str, Any]:
-        """Return all METRICS as they are by now, None where nothing was measured. Closes the block."""
+        """Return all METRICS as they are by now, None where no number was measured. Closes the block."""
         if self._rows:
             self._block()
-        found: dict[str, Any] = dict.fromkeys(METRICS)
-        found |= {name: float(value) for name, value in self._peaks.items() if np.isfinite(value)}
+        found = dict(self._peaks)
         found |= {name: float(np.sqrt(total / n)) for name, (total, n) in self._squares.items()}
-        found |= self._counts
         if self._travels:
-            found["travel_mm"] = self._peaks.get("travel_mm", 0.0)
+            found.setdefault("travel_mm", 0.0)
         if self._tracked_s is not None:
             found |= {"tracked_s": self._tracked_s, "force_variation_N": float(self._variation.max())}
-        return found
+        measured = {name: float(value) for name, value in found.items() if np.isfinite(value)}
+        return dict.fromkeys(METRICS) | measured | self._counts
 
     def passed_limit(self, limits: dict[str, Limit]) -> bool:
         """Tell whether a peak or a count is past its limit: more ticks do not mend it."""
@@ -135,6 +134,7 @@ class Measurement:
         if self._stood is not None and len(faulted):
             self._peak("travel_mm", 1e3 * np.abs(lengths[faulted] - self._stood))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def _tracking(self, rows: Rows, lengths: Array) -> None:
         measured, true = 1e3 * (rows["q_d"] - rows["q"]), 1e3 * (rows["q_d"] - lengths)
         p_mm, r_deg = (np.linalg.norm(e, axis=1) for e in pose_errors(rows))

@@ -1,5 +1,6 @@
 """Keys of a configuration as words, `plant.faults[0].mass_kg`, and what an axis puts there."""
 
+import copy
 import re
 from typing import Any
 
@@ -46,7 +47,7 @@ def put(value: dict[str, Any], key: str, given: Any) -> None:
         else:
             place = place[item]
         _fits(place, below, key, done)
-    place[last] = given
+    place[last] = copy.deepcopy(given)  # another axis may reach into it
 
 
 def apply(value: dict[str, Any], axes: dict[str, ListedAxis], values: dict[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import hashlib
 import importlib.resources
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,7 +15,7 @@ from drivers.errors import ConfigurationError
 from drivers.regular_file import open_regular
 from hil.app.campaign.figures import METRICS
 from hil.app.campaign.keys import SEED, keys
-from hil.app.campaign.row import Job, Subject, row_configuration, row_seed
+from hil.app.campaign.row import Job, Subject, bare, row_configuration, row_seed
 from hil.app.campaign.sampling import draw, ends
 from hil.app.campaign.settings import CampaignSettings, Limit, ListedAxis, SampledAxis, entries
 from hil.app.check.command import refuse_unreachable
@@ -171,7 +170,7 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         refuse_unreachable(loads(text_of(base), name, file.parent))
     except ConfigurationError as error:
         place: Place = ("changes",) if settings.changes else ("configuration",)
-        found = [(place, _bare(problem)) for problem in error.problems]
+        found = [(place, bare(problem)) for problem in error.problems]
         raise ConfigurationError(*lines(_placed(document, found), str(path))) from None
     return Subject(
         base=base,
@@ -220,13 +219,8 @@ def _problems(subject: Subject, values: Values) -> list[str]:
     try:
         row_configuration(Job(subject, 0, values, _seed(subject, values)))
     except ConfigurationError as error:
-        return [_bare(problem) for problem in error.problems]
+        return [bare(problem) for problem in error.problems]
     return []
-
-
-def _bare(problem: str) -> str:
-    """Return a problem of a text that was made here without its place there: nobody has that text."""
-    return re.sub(r"^.* with the changes of (the campaign|row 0):([0-9]+:[0-9]+:)? ?", "", problem)
 
 
 def _seed(subject: Subject, values: Values) -> int:

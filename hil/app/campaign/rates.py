@@ -54,7 +54,8 @@ def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
     numbers = all(isinstance(value, int | float) for value in there)
     if not numbers or len(there) <= MOST:
         listed = [cell(Column(name, kind(axis), "", ""), value) for value in entries(axis)]
-        ordered = [value for value in listed if value in there] or sorted(there)
+        # once each: in a list of axes that go together a value may stand in several rows
+        ordered = [value for value in dict.fromkeys(listed) if value in there] or sorted(there)
         return [rate(shown(value), [row for row in rows if row[name] == value]) for value in ordered]
     ordered_rows = sorted(rows, key=lambda row: (row[name], row["row"]))
     found = []

@@ -8,18 +8,16 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, LogError
-from drivers.signals import Fault
 from hil.app.campaign import parquet
 from hil.app.campaign.command import line
 from hil.app.campaign.figures import METRICS, Measurement
 from hil.app.campaign.parquet import Row
 from hil.app.campaign.plan import Plan, identity
-from hil.app.campaign.row import Ended, Job, not_run, outcome, row_configuration, run
+from hil.app.campaign.row import Ended, Job, Ran, not_run, outcome, performed, row_configuration
 from hil.app.campaign.store import Store
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import log_path
 from hil.app.sim.command import simulate
-from hil.loop.clock import collector_paused
 from hil.record.log import Log
 from plant_fmu.faults.plan import FaultPlan
 
@@ -32,7 +30,8 @@ def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, 
     What is compared: with the row in `folder`, where the campaign has come so far; the run without a log with
     that from its log.
 
-    Raises ConfigurationError: no such row, or one that cannot run; LogError: other campaign, log exists.
+    Raises ConfigurationError: no such row, or one that has no run to record; LogError: other campaign, log
+    exists.
     """
     parquet.require()
     if not 0 <= number < len(plan):
@@ -40,35 +39,36 @@ def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, 
     columns = parquet.columns(plan)
     stored = _stored(plan, folder, number)
     job = plan.job(number)
-    c = row_configuration(job)
     if log is not None:
-        log = log_path(c.recording.folder, f"{plan.name}-row-{number}", None if log == Path() else log)
-    measured = Measurement(travels=job.subject.rests)
-    with collector_paused(), np.errstate(all="ignore"):
-        ended, faults = run(c, job, measured)
-    found = {"run again": line(plan, outcome(job, c.loop.rate_Hz, ended, faults, measured), columns)}
+        log_folder = row_configuration(job).recording.folder
+        log = log_path(log_folder, f"{plan.name}-row-{number}", None if log == Path() else log)
+    again = performed(job)
+    row = line(plan, again.outcome, columns)
+    found = {"run again": row}
     if log is not None:
-        _simulate(c, job, ended, log)
-        found["its log"] = line(plan, _from_log(c, job, ended, faults, log), columns)
-    against = stored or found["run again"]
+        if again.ended is None:
+            raise ConfigurationError(f"row {number}: {again.outcome['trouble']}; it has no run to record")
+        c = row_configuration(job)
+        _simulate(c, job, again.ended, log)
+        found["its log"] = line(plan, _from_log(c, job, again, log), columns)
+    against = stored or row
     different = [
-        f"{name} of {what}: {row[name]!r}, {'stored' if stored else 'run again'}: {against[name]!r}"
-        for what, row in found.items()
-        for name in row
-        if not _same(row[name], against[name])
+        f"{name} of {what}: {cells[name]!r}, {'stored' if stored else 'run again'}: {against[name]!r}"
+        for what, cells in found.items()
+        for name in cells
+        if not _same(cells[name], against[name])
     ]
-    again = found["run again"]
     return {
         "success": not different,
         "kind": "campaign_row",
         "trouble": None if not different else f"the figures differ: {'; '.join(different)}",
         "campaign": str(plan.path),
         "row": number,
-        "values": {name: again[name] for name in job.values},
-        "passed": again["passed"],
-        "ended": again["ended"],
-        "faults": again["faults"] or None,
-        "metrics": {name: again[name] for name in METRICS},
+        "values": {name: row[name] for name in job.values},
+        "passed": row["passed"],
+        "ended": row["ended"],
+        "faults": row["faults"] or None,
+        "metrics": {name: row[name] for name in METRICS},
         "compared_with": "the stored row" if stored else "no stored row",
         "different": len(different),
         "log": None if log is None else str(log),
@@ -103,8 +103,10 @@ def _simulate(c: Configuration, job: Job, ended: Ended, log: Path) -> None:
     )
 
 
-def _from_log(c: Configuration, job: Job, ended: Ended, faults: Fault, log: Path) -> dict[str, Any]:
+def _from_log(c: Configuration, job: Job, again: Ran, log: Path) -> dict[str, Any]:
     """Return the outcome of a row by the ticks of its log. Raises LogError: it is shorter than the row."""
+    ended = again.ended
+    assert ended is not None
     measured = Measurement(travels=job.subject.rests)
     ticks = 0
     with np.errstate(all="ignore"):
@@ -115,7 +117,7 @@ def _from_log(c: Configuration, job: Job, ended: Ended, faults: Fault, log: Path
             ticks += 1
     if ticks < ended.ticks and ended.how != "plant":
         return not_run(job, "log", f"its log has {ticks} ticks, the row {ended.ticks}")
-    return outcome(job, c.loop.rate_Hz, ended, faults, measured)
+    return outcome(job, c.loop.rate_Hz, ended, again.faults, measured)
 
 
 def _ticks(log: Path) -> Iterator[tuple[Any, Array]]:

@@ -1,6 +1,7 @@
 """One row of a campaign: its configuration, its run in lockstep, its figures. No disk, no clock."""
 
 import copy
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,26 +70,54 @@ def row_configuration(job: Job) -> Configuration:
         emulated = value.get("plant", {}).get("sensors", {})
         seed = emulated.get("seed", 1) + job.seed
         value["plant"] = value["plant"] | {"sensors": emulated | {"seed": seed}}
+    if isinstance(
+        value.get("plant"), dict
+    ):  # rows begin where the plant does: a file would tie them together
+        value["plant"].pop("homing_file", None)
     name = f"{subject.source} with the changes of row {job.number}"
     c = loads(text_of(value), name, subject.folder)
     c.require("sim")
     return c
 
 
+class Ran(NamedTuple):
+    """A row that was tried: its outcome, and how its run ended, None where it has not begun or not ended."""
+
+    outcome: dict[str, Any]
+    ended: Ended | None
+    faults: Fault
+
+
 def run_row(job: Job) -> dict[str, Any]:
     """Run a row; return `passed`, `ended`, `ended_s`, `faults`, `trouble` and METRICS as plain values.
 
-    What goes wrong is in the outcome: it never raises for it.
+    What goes wrong with it is in the outcome. Raises MemoryError, OSError: that is the machine's trouble, and
+    the row may run later.
     """
+    return performed(job).outcome
+
+
+def performed(job: Job) -> Ran:
+    """Run a row. Raises as `run_row`."""
     try:
         c = row_configuration(job)
         with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
             measured = Measurement(travels=job.subject.rests)
             ended, faults = run(c, job, measured)
-    except (HilError, ArithmeticError, np.linalg.LinAlgError) as error:
-        how = "refused" if isinstance(error, ConfigurationError) else "error"
-        return not_run(job, how, str(error) or type(error).__name__)
-    return outcome(job, c.loop.rate_Hz, ended, faults, measured)
+    except (MemoryError, OSError):
+        raise
+    except ConfigurationError as error:
+        return Ran(not_run(job, "refused", "\n".join(map(bare, error.problems))), None, Fault(0))
+    except HilError as error:
+        return Ran(not_run(job, "error", str(error)), None, Fault(0))
+    except Exception as error:  # noqa: BLE001 - whatever a law raises that diverges ends its row and no other
+        return Ran(not_run(job, "error", f"{type(error).__name__}: {error}"), None, Fault(0))
+    return Ran(outcome(job, c.loop.rate_Hz, ended, faults, measured), ended, faults)
+
+
+def bare(problem: str) -> str:
+    """Return a problem of a text that was made here without its place there: nobody has that text."""
+    return re.sub(r"^.* with the changes of (the campaign|row [0-9]+):([0-9]+:[0-9]+:)? ?", "", problem)
 
 
 def not_run(job: Job, how: str = "died", why: str = "its process died, twice") -> dict[str, Any]:

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError
 from hil.app.campaign import parquet
+from hil.app.campaign import row as row_of
 from hil.app.campaign.command import run_campaign
 from hil.app.campaign.figures import METRICS
 from hil.app.campaign.page import write_page
@@ -157,7 +158,31 @@ def test_a_combination_that_cannot_run_is_a_failed_row_that_says_why(tmp_path):
     assert identity(first) != {}  # although margin_m 0.08 does not go with the first value of least_m
     assert (row["passed"], row["ended"]) == (False, "refused")
     assert "out of reach, allowed leg lengths: 0.9 to" in row["trouble"]
+    assert "with the changes of" not in row["trouble"]  # a place in a text that nobody has, and where it lies
     assert {row[name] for name in METRICS} == {None}
+
+
+def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small, tmp_path, monkeypatch):
+    def diverging(*_):
+        raise ValueError("array must not contain infs or NaNs")
+
+    monkeypatch.setattr(row_of, "run", diverging)
+    plan = small[0]
+    row = run_campaign(plan, tmp_path, jobs=1)["matrix"][2]
+    assert (row["passed"], row["ended"]) == (False, "error")
+    assert row["trouble"] == "ValueError: array must not contain infs or NaNs"
+    assert rerun(plan, tmp_path, 2, None)["success"]
+    with pytest.raises(ConfigurationError, match=r"row 2: ValueError: .* no run to record"):
+        rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
+
+
+def test_too_little_memory_is_no_figure_of_a_row(small, tmp_path, monkeypatch):
+    def short(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(row_of, "run", short)
+    with pytest.raises(MemoryError):
+        run_campaign(small[0], tmp_path, jobs=1)
 
 
 def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):

@@ -118,3 +118,16 @@ def test_a_run_need_not_go_on_past_a_limit_of_what_only_grows():
     assert not measured.passed_limit({"peak_force_N": Limit(max=10.0)})
     assert not measured.passed_limit({"peak_force_N": Limit(min=50.0)})
     assert not measured.passed_limit({"rms_leg_error_mm": Limit(max=-1.0)})  # it may fall again
+
+
+def test_what_is_no_finite_number_is_not_measured_and_keeps_no_limit():
+    """A peak, a mean and a sum: in the table none of them may pass for a figure, or stop the page."""
+    rows, lengths = ticks()
+    rows["q"][20, 3] = np.nan
+    lengths[30, 1] = 1e200  # its square is infinite
+    rows["tau"][40, 2] = np.inf
+    found = figures(rows, lengths)
+    names = ("peak_leg_error_mm", "rms_leg_error_mm", "rms_true_leg_error_mm", "force_variation_N")
+    assert [found[name] for name in names] == [None] * 4
+    assert found["peak_true_leg_error_mm"] > 1e199
+    assert broken({"rms_leg_error_mm": Limit(max=1.0)}, found) == ["rms_leg_error_mm"]

@@ -223,6 +223,33 @@ def test_an_axis_may_reach_into_what_another_brings(tmp_path):
     assert [row_configuration(plan.job(k)).controller.model_dump()["kp_N_m"] for k in range(2)] == [1e6, 2e6]
 
 
+def emulated(plan, row):
+    """Return section `plant` of a row's configuration."""
+    plant = row_configuration(plan.job(row)).plant
+    assert plant is not None
+    return plant
+
+
+def test_an_axis_that_reaches_into_the_value_of_another_changes_its_own_row_alone(tmp_path):
+    text = """
+    kind: campaign
+    duration_s: 0.05
+    changes: {plant: {faults: [{kind: payload_step, mass_kg: 10, position_m: [0, 0, 0]}]}}
+    grid:
+      place: {key: "plant.faults[0].position_m", values: [[0, 0, 0], [0, 0, 0.1]]}
+      x_m: {key: "plant.faults[0].position_m[0]", values: [0.2, 0.3]}
+    """
+    plan = read_plan(written(tmp_path, text))
+    places = [emulated(plan, k).faults[0].model_dump()["position_m"] for k in range(4)]
+    assert places == [(0.2, 0, 0), (0.3, 0, 0), (0.2, 0, 0.1), (0.3, 0, 0.1)]
+    assert [plan.values(k)["place"] for k in (1, 3)] == [[0, 0, 0], [0, 0, 0.1]]
+
+
+def test_rows_begin_where_the_plant_does_and_share_no_homing_file(tmp_path):
+    text = SMALL + "changes: {plant: {homing_file: parked.yaml}}\n"
+    assert emulated(read_plan(written(tmp_path, text)), 0).homing_file is None
+
+
 def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
     with pytest.raises(ConfigurationError, match=r"no such file; shipped campaigns are: payload$"):
         read_plan(tmp_path / "no.yaml")

@@ -44,6 +44,12 @@ def test_options_are_in_the_order_of_the_file_each_with_its_rows():
     assert [(r.label, r.rows, r.passed) for r in found] == [("pd", 1, 0), ("inverse", 2, 2)]
 
 
+def test_a_value_that_stands_in_several_rows_of_a_list_is_one_line():
+    axis = ListedAxis(key="x.y", values=[1, 1, 2])
+    found = by_value("mass", axis, [row(k, mass=mass) for k, mass in enumerate((1, 1, 2))])
+    assert [(r.label, r.rows) for r in found] == [("1", 2), ("2", 1)]
+
+
 def test_many_numbers_are_quarters_by_value_not_by_row():
     axis = SampledAxis(key="x.y", uniform=(0.0, 20.0))
     rows = [row(k, mass=float(19 - k), passed=k >= 5) for k in range(20)]

@@ -3,9 +3,10 @@
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.forkserver import ensure_running
 from multiprocessing.resource_tracker import ensure_running as ensure_tracker
@@ -16,6 +17,8 @@ Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")
 Progress = Callable[[int, int], None]
 """Called with how many jobs are done, and of how many."""
+AHEAD = 4
+"""Jobs for each process that are under way at once: the next one is there when the last one is done."""
 
 
 def perform(
@@ -41,29 +44,60 @@ def perform(
 def _in_processes(
     work: Sequence[Job], function: Callable[[Job], Outcome], died: Callable[[Job], Outcome], count: int
 ) -> Iterator[Outcome]:
-    """Yield every outcome of `count` processes; if one dies, the lost jobs run again, each by itself."""
-    lost = []
-    with _pool(count, function) as pool:
-        try:
-            with _undisturbed():
-                waiting = {pool.submit(function, job): job for job in work}
-            for future in as_completed(waiting):
-                try:
-                    yield future.result()
-                except BrokenProcessPool:
-                    lost.append(waiting[future])
-                del waiting[future]  # its outcome is the caller's; of a hundred thousand none is kept
-        except BaseException:
-            for process in active_children():  # they would finish their jobs first, for nobody
-                process.kill()
-            pool.shutdown(cancel_futures=True)
-            raise
-    for job in lost:
-        with _pool(1, function) as pool:
+    """Yield every outcome of `count` processes; the jobs that were under way when one died run again, alone.
+
+    Only some jobs are under way at once: of a million none is made before its turn, and a process that dies
+    takes few with it. The others go on in new processes.
+    """
+    rest = iter(work)
+    while True:
+        lost: list[Job] = []
+        with _pool(count, function) as pool:
             try:
-                yield pool.submit(function, job).result()
+                yield from _until_one_dies(pool, rest, function, AHEAD * count, lost)
+            except BaseException:
+                for process in active_children():  # they would finish their jobs first, for nobody
+                    process.kill()
+                pool.shutdown(cancel_futures=True)
+                raise
+        if not lost:
+            return
+        for job in lost:
+            with _pool(1, function) as pool:
+                try:
+                    yield pool.submit(function, job).result()
+                except BrokenProcessPool:
+                    yield died(job)
+
+
+def _until_one_dies(
+    pool: ProcessPoolExecutor,
+    rest: Iterator[Job],
+    function: Callable[[Job], Outcome],
+    ahead: int,
+    lost: list[Job],
+) -> Iterator[Outcome]:
+    """Yield outcomes of jobs from `rest`, until it is empty or a process dies; `lost` gets what that took."""
+    waiting: dict[Future[Outcome], Job] = {}
+    broken = False
+    while True:
+        for job in () if broken else islice(rest, ahead - len(waiting)):
+            try:
+                with _undisturbed():
+                    waiting[pool.submit(function, job)] = job
             except BrokenProcessPool:
-                yield died(job)
+                lost.append(job)
+                broken = True
+                break
+        if not waiting:
+            return
+        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+            job = waiting.pop(future)
+            try:
+                yield future.result()
+            except BrokenProcessPool:
+                lost.append(job)
+                broken = True
 
 
 def _pool(count: int, function: Callable[[Job], Outcome]) -> ProcessPoolExecutor:

@@ -54,7 +54,9 @@ def perform(
                 found = future.result()
             except KilledWorker as error:
                 found = not_run(job, why=f"its workers died: {error}")
-            except Exception as error:  # `run_row` raises nothing: it is the cluster
+            except ConfigurationError as error:
+                raise ConfigurationError(f"--scheduler {address}: at a worker: {error}") from error
+            except Exception as error:  # `run_row` raises little else: it is the cluster
                 raise ConfigurationError(
                     f"--scheduler {address}: a worker cannot run row {job.number}: {error!r}; allowed: "
                     "workers with the same versions of Python and hexapod-hil as here"

@@ -4,7 +4,8 @@ import hashlib
 import importlib.resources
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.metadata import version
 from itertools import product
@@ -12,24 +13,20 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError
-from drivers.regular_file import open_regular
 from hil.app.campaign.figures import METRICS
 from hil.app.campaign.keys import SEED, keys
+from hil.app.campaign.named_files import digests, find_beside
 from hil.app.campaign.row import Job, Subject, bare, row_configuration, row_seed
 from hil.app.campaign.sampling import draw, ends
 from hil.app.campaign.settings import CampaignSettings, Limit, ListedAxis, SampledAxis, entries
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import merged, text_of
-from hil.app.configuration.configuration import Configuration, loads, short_name
-from hil.app.configuration.controller_file import controller_path
+from hil.app.configuration.configuration import loads, short_name
 from hil.app.configuration.section_file import read_section
 from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Problem, lines, parse
 from hil.app.configuration.yaml_positions import Path as Place
-from hil.config.reference import SampledReference
 from hil.config.running import RecordingSettings
-from hil.control.state_space import StateSpaceSettings
-from plant_fmu.config import FmuPlant
 
 Values = dict[str, Any]
 OWN_COLUMNS = ("row", "seed", "passed", "ended", "ended_s", "faults", "trouble")
@@ -96,7 +93,8 @@ def read_plan(path: Path) -> Plan:
         list(product(*(entries(axis) for axis in (settings.grid or {}).values()))),
     )
     _try(plan, document, file)
-    return plan
+    files = digests(subject.base, subject.axes, subject.folder, subject.campaign_folder)
+    return replace(plan, subject=subject._replace(files=files))
 
 
 def shipped() -> tuple[str, ...]:
@@ -167,7 +165,10 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         loads(text, str(file), file.parent)
         base = merged({"name": short_name(file)} | (parse(text).value or {}), settings.changes)
         name = f"{file} with the changes of the campaign"
-        refuse_unreachable(loads(text_of(base), name, file.parent))
+        folder, campaign_folder = file.parent.absolute(), path.parent.absolute()
+        whole = deepcopy(base)
+        find_beside(whole, folder, campaign_folder)
+        refuse_unreachable(loads(text_of(whole), name, folder))
     except ConfigurationError as error:
         place: Place = ("changes",) if settings.changes else ("configuration",)
         found = [(place, bare(problem)) for problem in error.problems]
@@ -175,7 +176,8 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
     return Subject(
         base=base,
         source=str(file),
-        folder=file.parent,
+        folder=folder,
+        campaign_folder=campaign_folder,
         axes={name: axis for _, axes in _sections(settings) for name, axis in axes.items()},
         limits={"faulted": Limit(max=0.0)} | settings.limits,
         duration_s=settings.duration_s,
@@ -244,36 +246,11 @@ def identity(plan: Plan) -> dict[str, str]:
         "values of the rows": drawn.hexdigest(),
         "version of hexapod-hil": version("hexapod-hil"),
     }
-    for place, values in _tries(plan):
-        # alone where the first values of the others do not go with it: such a row is refused, others run
-        subject = plan.subject if not _problems(plan.subject, values) else _alone(plan, place)
-        c = row_configuration(Job(subject, 0, values, 0))
-        for file in _named_files(c):
-            found[f"file {file}"] = _content(c.folder / file)
+    for file, digest in plan.subject.files.items():
+        name = f"file {Path(file).name}"  # wherever it lies; files of one name are told by their order
+        found[name] = " ".join(filter(None, (found.get(name), digest)))
     return found
-
-
-def _content(path: Path) -> str:
-    """Return the digest of a file, of whatever size. Raises ConfigurationError: it cannot be read."""
-    found = hashlib.sha256()
-    try:
-        with open_regular(path) as file:
-            while block := file.read(1 << 20):
-                found.update(block)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    return found.hexdigest()
 
 
 def _digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value).encode()).hexdigest()
-
-
-def _named_files(c: Configuration) -> Iterator[str]:
-    """Return the files that a configuration reads beside itself."""
-    if isinstance(c.reference, SampledReference):
-        yield c.reference.path
-    if isinstance(c.controller, StateSpaceSettings):
-        yield str(controller_path(c.controller, c.folder))
-    if c.plant is not None and isinstance(c.plant.model, FmuPlant):
-        yield c.plant.model.path

@@ -1,4 +1,4 @@
-"""One row of a campaign: its configuration, its run in lockstep, its figures. No disk, no clock."""
+"""One row of a campaign: its configuration, its run in lockstep, its figures; it reads files, no clock."""
 
 import copy
 import re
@@ -11,6 +11,7 @@ from drivers.errors import ConfigurationError, HilError, PlantError
 from drivers.signals import Fault, Mode
 from hil.app.campaign.figures import METRICS, Measurement, broken
 from hil.app.campaign.keys import SEED, apply, keys
+from hil.app.campaign.named_files import find_beside, refuse_changed
 from hil.app.campaign.settings import Limit, ListedAxis
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.changes import text_of
@@ -32,7 +33,9 @@ class Subject(NamedTuple):
     """The configuration with the campaign's changes, plain data."""
     source: str
     folder: Path
-    """Of the configuration: base of relative paths in it."""
+    """Of the configuration, absolute: base of relative paths in it."""
+    campaign_folder: Path
+    """Of the campaign file, absolute: where they are looked for next."""
     axes: dict[str, ListedAxis]
     limits: dict[str, Limit]
     duration_s: float | None
@@ -40,6 +43,8 @@ class Subject(NamedTuple):
     parks: bool
     rests: bool
     """Whether a run goes on after a fault until the platform rests."""
+    files: dict[str, str] = {}
+    """Digest of each file that a row may name, by its path."""
 
 
 class Job(NamedTuple):
@@ -74,6 +79,7 @@ def row_configuration(job: Job) -> Configuration:
         value.get("plant"), dict
     ):  # rows begin where the plant does: a file would tie them together
         value["plant"].pop("homing_file", None)
+    find_beside(value, subject.folder, subject.campaign_folder)
     name = f"{subject.source} with the changes of row {job.number}"
     c = loads(text_of(value), name, subject.folder)
     c.require("sim")
@@ -92,13 +98,20 @@ def run_row(job: Job) -> dict[str, Any]:
     """Run a row; return `passed`, `ended`, `ended_s`, `faults`, `trouble` and METRICS as plain values.
 
     What goes wrong with it is in the outcome. Raises MemoryError, OSError: that is the machine's trouble, and
-    the row may run later.
+    the row may run later; ConfigurationError: a file that rows name is no more what it was.
     """
     return performed(job).outcome
 
 
 def performed(job: Job) -> Ran:
     """Run a row. Raises as `run_row`."""
+    refuse_changed(job.subject.files)
+    ran = _performed(job)
+    refuse_changed(job.subject.files)  # nor while it ran
+    return ran
+
+
+def _performed(job: Job) -> Ran:
     try:
         c = row_configuration(job)
         with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault

@@ -11,7 +11,7 @@ from scipy.stats import truncnorm
 from drivers.errors import ConfigurationError
 from hil.app.campaign import schema
 from hil.app.campaign.plan import identity, read_plan, shipped
-from hil.app.campaign.row import row_configuration
+from hil.app.campaign.row import row_configuration, run_row
 from hil.app.campaign.sampling import draw, value_at
 from hil.app.campaign.settings import Sample, SampledAxis
 from hil.app.configuration.configuration import load
@@ -270,19 +270,70 @@ def test_the_identity_changes_with_what_makes_the_rows_and_with_nothing_else(tmp
     assert {name for name in own if own[name] != other[name]} == {"campaign", "configuration"}
 
 
-def test_a_file_that_a_configuration_names_is_part_of_the_identity(tmp_path):
+def path_csv(end_m):
+    """Return a path along z as CSV, which ends so high."""
+    rows = [f"{t},0,0,{1 + (end_m - 1) * (t > 1)},0,0,0" for t in range(4)]
+    return "\n".join(("t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows))
+
+
+SAMPLED = SMALL + "changes: {reference: {type: sampled, path: path.csv}}\n"
+
+
+def test_a_file_that_a_configuration_names_is_part_of_the_identity_wherever_it_lies(tmp_path):
+    """Beside the configuration; or beside the campaign, as the shipped configuration's folder is nobody's."""
     (tmp_path / "own.yaml").write_text(load("virtual").text)
-    rows = [f"{t},0,0,{1 + 1e-3 * (t > 1)},0,0,0" for t in range(4)]
-    samples = "\n".join(("t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows))
-    text = SMALL.replace("configuration: virtual", "configuration: own.yaml") + (
-        "changes: {reference: {type: sampled, path: path.csv}}\n"
-    )
-    found = []
-    for content in (samples, samples.replace("1.001", "1.0011")):
-        (tmp_path / "path.csv").write_text(content)
-        found.append(identity(read_plan(written(tmp_path, text))))
-    one, other = found
-    assert {name for name in one if one[name] != other[name]} == {"file path.csv"}
+    for text in (SAMPLED, SAMPLED.replace("configuration: virtual", "configuration: own.yaml")):
+        found = []
+        for folder, end_m in (("a", 1.001), ("a", 1.0011), ("b", 1.0011)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            (tmp_path / folder / "own.yaml").write_text(load("virtual").text)
+            (tmp_path / folder / "path.csv").write_text(path_csv(end_m))
+            found.append(identity(read_plan(written(tmp_path / folder, text))))
+        one, other, elsewhere = found
+        assert {name for name in one if one[name] != other[name]} == {"file path.csv"}
+        assert other == elsewhere
+
+
+def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign(tmp_path):
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "own.yaml").write_text(load("virtual").text)
+    (tmp_path / "path.csv").write_text(path_csv(1.001))
+    text = SAMPLED.replace("configuration: virtual", "configuration: robot/own.yaml")
+    found = row_configuration(read_plan(written(tmp_path, text)).job(0)).reference
+    assert found.model_dump()["path"] == str(tmp_path / "path.csv")
+    (tmp_path / "robot" / "path.csv").write_text(path_csv(1.0011))
+    found = row_configuration(read_plan(written(tmp_path, text)).job(0)).reference
+    assert found.model_dump()["path"] == "path.csv"
+
+
+def test_the_identity_has_files_that_only_some_combination_reads(tmp_path):
+    """Neither value of `which` fits the path of the configuration; with the second option both do."""
+    text = """
+    kind: campaign
+    duration_s: 0.05
+    grid:
+      path: {options: {sampled: {reference: {type: sampled, path: c.csv}}, own: {}}}
+      which: {key: reference.path, values: [a.csv, b.csv]}
+    """
+    for name in ("a.csv", "b.csv", "c.csv"):
+        (tmp_path / name).write_text(path_csv(1.001))
+    found = identity(read_plan(written(tmp_path, text)))
+    assert [name for name in found if name.startswith("file")] == ["file c.csv", "file a.csv", "file b.csv"]
+
+
+@pytest.mark.parametrize("change", ["other", "gone"])
+def test_a_file_that_changes_while_a_campaign_runs_gives_no_row(tmp_path, change):
+    file = tmp_path / "path.csv"
+    file.write_text(path_csv(1.001))
+    plan = read_plan(written(tmp_path, SAMPLED))
+    if change == "gone":
+        file.unlink()
+    else:
+        file.write_text(path_csv(1.002))
+    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since .* Restore it and repeat"):
+        run_row(plan.job(0))
+    file.write_text(path_csv(1.001))
+    assert run_row(plan.job(0))["passed"]
 
 
 def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campaign():

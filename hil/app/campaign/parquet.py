@@ -110,11 +110,23 @@ def write(path: Path, columns: Sequence[Column], rows: Sequence[Row], marks: dic
     )
 
 
-def read(path: Path) -> list[Row]:
-    """Return the rows of a file that `write` has made. Raises LogError: it is damaged or another's."""
+def read(path: Path, marks: dict[str, str] | None = None) -> list[Row]:
+    """Return the rows of a file that `write` has made, with these marks unless they are None.
+
+    Raises LogError: it is damaged or another's; FileNotFoundError.
+    """
     pa, parquet = _arrow()
     try:
-        found: list[Row] = parquet.read_table(path).to_pylist()
+        table = parquet.read_table(path)
+        there = table.schema.metadata or {}
+        if marks is not None and any(there.get(k.encode()) != v.encode() for k, v in marks.items()):
+            raise LogError(
+                f"{path}: its rows are of another campaign than its folder, or of an earlier state of it; "
+                "remove it to run them again"
+            )
+        found: list[Row] = table.to_pylist()
+    except FileNotFoundError:
+        raise
     except (pa.ArrowException, OSError) as error:
         raise LogError(
             f"{path}: cannot be read as rows of a campaign: {error}; remove it to run them again"

@@ -105,7 +105,7 @@ def shipped() -> tuple[str, ...]:
 
 def campaign_file(path: Path) -> Path:
     """Return the file of a campaign, or of a shipped one by its name. Raises ConfigurationError: no file."""
-    if path.exists():
+    if path.exists() and not (path.is_dir() and str(path) in shipped()):
         return path
     if str(path) not in shipped():
         raise ConfigurationError(f"{path}: no such file; shipped campaigns are: {', '.join(shipped())}")

@@ -11,10 +11,9 @@ from drivers.errors import ConfigurationError, LogError
 from hil.app.campaign import parquet
 from hil.app.campaign.command import line
 from hil.app.campaign.figures import METRICS, Measurement
-from hil.app.campaign.parquet import Row
 from hil.app.campaign.plan import Plan, identity
 from hil.app.campaign.row import Ended, Job, Ran, not_run, outcome, performed, row_configuration
-from hil.app.campaign.store import Store
+from hil.app.campaign.store import stored_rows
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import log_path
 from hil.app.sim.command import simulate
@@ -37,7 +36,7 @@ def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, 
     if not 0 <= number < len(plan):
         raise ConfigurationError(f"row {number}: allowed: 0 to {len(plan) - 1}, the rows of {plan.path}")
     columns = parquet.columns(plan)
-    stored = _stored(plan, folder, number)
+    stored = stored_rows(folder, identity(plan)).get(number)
     job = plan.job(number)
     if log is not None:
         log_folder = row_configuration(job).recording.folder
@@ -73,14 +72,6 @@ def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, 
         "different": len(different),
         "log": None if log is None else str(log),
     }
-
-
-def _stored(plan: Plan, folder: Path, number: int) -> Row | None:
-    """Return the row that the campaign has, None where it has not come so far or has not run."""
-    if not (folder / "campaign.json").is_file():
-        return None
-    with Store(folder, parquet.columns(plan), identity(plan)) as store:
-        return store.rows().get(number)
 
 
 def _same(a: Any, b: Any) -> bool:

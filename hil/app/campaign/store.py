@@ -7,6 +7,7 @@ table.parquet        all rows by number, once all are there; the parts are gone 
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -59,7 +60,7 @@ class Store:
                 raise
         except OSError as error:
             raise LogError(f"{folder}: cannot be used: {error.strerror or error}") from None
-        self._next = 1 + max((int(p.stem.removeprefix("part-")) for p in self._parts()), default=-1)
+        self._next = 1 + max((int(p.stem.removeprefix("part-")) for p in _parts(self.folder)), default=-1)
 
     def __enter__(self) -> Self:
         return self
@@ -73,12 +74,8 @@ class Store:
             self._lock.close()
 
     def rows(self) -> dict[int, Row]:
-        """Return the rows that are there, by number. Raises LogError: a file is damaged."""
-        table = self.folder / TABLE
-        found = {row["row"]: row for part in self._parts() for row in parquet.read(part)}
-        if table.exists():
-            found |= {row["row"]: row for row in parquet.read(table)}
-        return found
+        """Return the rows that are there, by number. Raises LogError: a file is damaged or another's."""
+        return _rows(self.folder, self._identity)
 
     def add(self, row: Row) -> None:
         """Take a row in; now and then write what has come. Raises LogError."""
@@ -100,27 +97,29 @@ class Store:
         """Write the table of all rows by number, and remove the parts. Raises LogError."""
         self.flush()
         table = self.folder / TABLE
-        if self._parts() or not table.exists():
+        if _parts(self.folder) or not table.exists():
             self._write(table, [rows[number] for number in sorted(rows)])
-            for part in self._parts():
+            for part in _parts(self.folder):
                 part.unlink()
         return table
 
     def _write(self, path: Path, rows: list[Row]) -> None:
         try:
             with _durable(path) as temporary:
-                parquet.write(temporary, self._columns, rows, {"campaign": json.dumps(self._identity)})
+                parquet.write(temporary, self._columns, rows, _marks(self._identity))
         except OSError as error:
             raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-    def _parts(self) -> list[Path]:
-        return sorted((self.folder / "parts").glob("part-" + 6 * "[0-9]" + ".parquet"))
 
     def _refuse_strange(self) -> None:
         """Refuse a folder that holds something, and no campaign: nothing of it is touched."""
         if self.folder.exists() and not self.folder.is_dir():
             raise LogError(f"{self.folder}: is a file; name a folder with --out")
-        if self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / "parts").is_dir():
+        if not self.folder.is_dir():
+            return
+        there = {file.name for file in self.folder.iterdir()}
+        # a crash may leave `parts` before there is a lock in it; others have folders of that name, too
+        begun = there == {"parts"} and not any((self.folder / "parts").iterdir())
+        if there and not begun and not (self.folder / "parts" / "lock").is_file():
             raise LogError(
                 f"{self.folder}: holds no results of a campaign; name an empty or new folder with --out"
             )
@@ -140,7 +139,7 @@ class Store:
     def _clear(self, *, fresh: bool) -> None:
         """Remove what a crash has left half written; `fresh`: the rows, too."""
         halves = [*(self.folder / "parts").glob("tmp*.parquet"), *self.folder.glob("tmp*.parquet")]
-        rows = [*self._parts(), self.folder / TABLE, self.folder / MANIFEST] if fresh else []
+        rows = [*_parts(self.folder), self.folder / TABLE, self.folder / MANIFEST] if fresh else []
         for file in (*halves, *rows):
             file.unlink(missing_ok=True)
 
@@ -151,21 +150,55 @@ class Store:
         if not manifest.exists():
             write_whole(manifest, json.dumps(mine, indent=1) + "\n")
             return
-        try:
-            there = json.loads(manifest.read_text("utf-8"))
-            made_of = dict(there["made_of"]) | {"format": there["format"]}
-        except (ValueError, TypeError, KeyError):
-            raise LogError(
-                f"{manifest}: is no manifest of a campaign; name another folder with --out"
-            ) from None
-        now = self._identity | {"format": _FORMAT}
-        changed = [name for name in {**now, **made_of} if now.get(name) != made_of.get(name)]
-        if changed:
-            raise LogError(
-                f"{self.folder}: its rows are of another campaign, changed since: {', '.join(changed)}; "
-                "allowed: to go on with the same ones. Restore them, name another folder with --out, or "
-                "discard these rows with --fresh"
-            )
+        _refuse_other(self.folder, self._identity)
+
+
+def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
+    """Return the rows of a campaign that are on the disk, while another process adds to them, too.
+
+    Nothing is written: the folder may be read-only. Raises LogError: another campaign's, or damaged.
+    """
+    if not (folder / MANIFEST).is_file():
+        return {}
+    _refuse_other(folder, identity)
+    return _rows(folder, identity)
+
+
+def _refuse_other(folder: Path, identity: dict[str, str]) -> None:
+    """Refuse to take the rows of another campaign for those of this one."""
+    manifest = folder / MANIFEST
+    try:
+        there = json.loads(manifest.read_text("utf-8"))
+        made_of = dict(there["made_of"]) | {"format": there["format"]}
+    except OSError as error:
+        raise LogError(f"{manifest}: cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError):
+        raise LogError(f"{manifest}: is no manifest of a campaign; name another folder with --out") from None
+    now = identity | {"format": _FORMAT}
+    changed = [name for name in {**now, **made_of} if now.get(name) != made_of.get(name)]
+    if changed:
+        raise LogError(
+            f"{folder}: its rows are of another campaign, changed since: {', '.join(changed)}; "
+            "allowed: to go on with the same ones. Restore them, name another folder with --out, or "
+            "discard these rows with --fresh"
+        )
+
+
+def _rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
+    found: dict[int, Row] = {}
+    for file in (*_parts(folder), folder / TABLE):  # parts go only when the table is there
+        with contextlib.suppress(FileNotFoundError):
+            found |= {row["row"]: row for row in parquet.read(file, _marks(identity))}
+    return found
+
+
+def _parts(folder: Path) -> list[Path]:
+    return sorted((folder / "parts").glob("part-" + 6 * "[0-9]" + ".parquet"))
+
+
+def _marks(identity: dict[str, str]) -> dict[str, str]:
+    """Return what a file of rows says of the campaign that they are of."""
+    return {"campaign": json.dumps(identity)}
 
 
 @contextmanager

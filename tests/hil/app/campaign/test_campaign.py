@@ -25,6 +25,7 @@ from hil.app.campaign.plan import identity, read_plan
 from hil.app.campaign.rerun import rerun
 from hil.app.campaign.row import run_row
 from hil.app.campaign.show import rerun_command
+from hil.app.campaign.store import Store
 from hil.cli import main
 from hil.record.figures import figures
 from hil.record.log import Log
@@ -120,11 +121,11 @@ def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
     rows = [dict(row) for row in summary["matrix"]]
     rows[2]["peak_force_N"] = float(np.nextafter(rows[2]["peak_force_N"], np.inf))
     columns = parquet.columns(plan)
-    run_like = tmp_path / "parts"
-    run_like.mkdir()
-    parquet.write(run_like / "part-000000.parquet", columns, rows, {})
-    (tmp_path / "campaign.json").write_text((small[1] / "campaign.json").read_text())
-    found = rerun(plan, tmp_path, 2, None)
+    with Store(tmp_path, columns, identity(plan)) as running:
+        for row in rows:
+            running.add(row)
+        running.flush()
+        found = rerun(plan, tmp_path, 2, None)  # while the campaign is running
     assert (found["success"], found["different"]) == (False, 1)
     assert "peak_force_N of run again" in found["trouble"]
 
@@ -236,6 +237,8 @@ def test_the_command_line(small, tmp_path, monkeypatch):
     result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(plan.path)])
     assert (result.exit_code, "exists and is not overwritten" in result.stderr) == (2, True)
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "payload").mkdir()
+    assert len(read_plan(Path("payload"))) == 500  # the shipped one, whatever folder has that name
     result = CliRunner().invoke(main, ["campaign", "nosuch"])
     assert (result.exit_code, "shipped campaigns are: payload" in result.stderr) == (2, True)
 

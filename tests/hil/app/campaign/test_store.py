@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import LogError
 from hil.app.campaign import store as store_of
 from hil.app.campaign.parquet import Column, read
-from hil.app.campaign.store import Store
+from hil.app.campaign.store import Store, stored_rows
 
 COLUMNS = [
     Column("row", "int64", "", "number"),
@@ -115,6 +115,45 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path):
     part.write_bytes(part.read_bytes()[:-9])
     with opened(tmp_path) as store, pytest.raises(LogError, match=r"part-000000\.parquet: .* remove it"):
         store.rows()
+
+
+def test_rows_that_say_they_are_of_another_campaign_are_refused_wherever_they_come_from(tmp_path):
+    """Whoever lost or exchanged the manifest, or copied a part here, mixes nothing."""
+    for folder, made_of in (("one", MADE_OF), ("two", MADE_OF | {"configuration": "c"})):
+        with opened(tmp_path / folder, made_of) as store:
+            store.add(ROWS[0])
+    (tmp_path / "one" / "campaign.json").unlink()
+    refused = pytest.raises(
+        LogError, match=r"part-000000\.parquet: its rows are of another campaign .* remove"
+    )
+    with opened(tmp_path / "one", MADE_OF | {"configuration": "c"}) as store, refused:
+        store.rows()
+    with pytest.raises(LogError, match="its rows are of another campaign, changed since: configuration;"):
+        stored_rows(tmp_path / "two", MADE_OF)
+    assert list(stored_rows(tmp_path / "two", MADE_OF | {"configuration": "c"})) == [0]
+
+
+def test_rows_are_read_while_another_process_has_the_folder_and_where_nothing_may_be_written(tmp_path):
+    assert stored_rows(tmp_path, MADE_OF) == {}
+    with opened(tmp_path) as running:
+        running.add(ROWS[0])
+        running.flush()
+        running.add(ROWS[1])
+        before = sorted(tmp_path.rglob("*"))
+        assert stored_rows(tmp_path, MADE_OF) == {0: ROWS[0]}
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_folder_called_parts_makes_no_campaign_and_a_crash_right_after_it_was_made_does_no_harm(tmp_path):
+    (tmp_path / "robot" / "parts").mkdir(parents=True)
+    drawing = tmp_path / "robot" / "tmp_bolts.parquet"
+    drawing.write_bytes(b"of somebody else")
+    with pytest.raises(LogError, match="holds no results of a campaign"):
+        opened(tmp_path / "robot", fresh=True)
+    assert drawing.exists()
+    (tmp_path / "begun" / "parts").mkdir(parents=True)
+    with opened(tmp_path / "begun") as store:
+        assert store.rows() == {}
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):

@@ -28,7 +28,7 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
     verdict = tag(
         "p",
         f"{summary['failed']} of {summary['rows']} rows failed: {summary['failed_percent']:.3g} %, "
-        f"95 % interval {low:.2g} to {high:.2g} %",
+        f"95 % interval {low:.3g} to {high:.3g} %",
         class_="verdict good" if summary["success"] else "verdict bad",
     )
     head = tag("header", tag("h1", f"Campaign {plan.name}"), tag("p", plan.settings.description))

@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from drivers.errors import ConfigurationError
 from hil.app.campaign.figures import METRICS
@@ -186,34 +186,40 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
     )
 
 
-def _tries(plan: Plan) -> Iterator[tuple[Place, Values]]:
-    """Return the place of an axis and a row in which it takes a value while the others keep their first."""
+class _Try(NamedTuple):
+    """A row in which some axes take a value while the others keep their first."""
+
+    place: Place
+    axes: list[str]
+    values: Values
+
+
+def _tries(plan: Plan) -> Iterator[_Try]:
+    """Yield a row for each value of each axis, for both ends of a range, for each row of the list."""
     first = plan.values(0)
     for place, axes in _sections(plan.settings):
         if place == ("list",) and axes:
             for given in plan.listed:
-                yield place, first | dict(zip(axes, given, strict=True))
+                yield _Try(place, list(axes), first | dict(zip(axes, given, strict=True)))
             continue
         for name, axis in axes.items():
             for value in ends(axis) if isinstance(axis, SampledAxis) else entries(axis):
-                yield (*place, name), first | {name: value}
+                own: Place = (*place, name)
+                if axis.values is None and entries(axis):  # these have names, and places of their own
+                    own = (*own, "faults" if axis.options is None else "options", value)
+                yield _Try(own, [name], first | {name: value})
 
 
 def _try(plan: Plan, document: Document, file: Path) -> None:
     """Refuse values that the configuration cannot have, with all that is wrong with them."""
     found: dict[tuple[Place, str], None] = {}
-    for place, values in _tries(plan):
-        problems = _problems(_alone(plan, place), values)
+    for place, own, values in _tries(plan):
+        alone = plan.subject._replace(axes={name: plan.subject.axes[name] for name in own})
+        problems = _problems(alone, values)
         if problems and _problems(plan.subject, values):  # it may need what another axis brings
             found |= dict.fromkeys((place, problem) for problem in problems)
     if found:
         raise ConfigurationError(*lines(_placed(document, list(found)), str(file)))
-
-
-def _alone(plan: Plan, place: Place) -> Subject:
-    """Return the campaign with one axis, or those of the list, and no other."""
-    own = list(plan.settings.list or {}) if place == ("list",) else [str(place[-1])]
-    return plan.subject._replace(axes={name: plan.subject.axes[name] for name in own})
 
 
 def _problems(subject: Subject, values: Values) -> list[str]:

@@ -65,4 +65,4 @@ def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
         for name in judged(plan.subject.limits)
         for limit in (plan.subject.limits[name],)
     ]  # fmt: skip
-    return found | {"limits": limits, "failed_interval_percent": f"{low:.2g} to {high:.2g}"}
+    return found | {"limits": limits, "failed_interval_percent": f"{low:.3g} to {high:.3g}"}

@@ -24,7 +24,7 @@ from hil.app.campaign.page import write_page
 from hil.app.campaign.plan import identity, read_plan
 from hil.app.campaign.rerun import rerun
 from hil.app.campaign.row import run_row
-from hil.app.campaign.show import rerun_command
+from hil.app.campaign.show import rerun_command, summary_lines
 from hil.app.campaign.store import Store
 from hil.cli import main
 from hil.record.figures import figures
@@ -208,6 +208,12 @@ def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(sm
     command = rerun_command(plan, 1, tmp_path / "<out>")
     assert command.startswith("hil campaign rerun ")
     assert command.replace("<", "&lt;").replace(">", "&gt;").replace("'", "&#x27;") in text
+
+
+def test_an_interval_up_to_all_rows_is_said_in_figures_that_one_reads(small):
+    plan, _, summary = small
+    lines = summary_lines(plan, summary | {"failed_interval_percent": [43.85, 100.0]})
+    assert lines["failed_interval_percent"] == "43.9 to 100"
 
 
 def test_the_command_line(small, tmp_path, monkeypatch):

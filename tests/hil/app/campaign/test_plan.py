@@ -209,7 +209,7 @@ def test_what_is_wrong_with_one_axis_is_not_said_of_another(tmp_path):
         read_plan(written(tmp_path, text))
     first, second = error.value.problems
     assert "grid.a: plant.drives.encoder_resolution: unknown key" in first
-    assert "grid.c: --fault" in second
+    assert "grid.c.faults.x: --fault" in second  # which of the options or faults, too
 
 
 def test_an_axis_may_reach_into_what_another_brings(tmp_path):

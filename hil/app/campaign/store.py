@@ -23,11 +23,12 @@ from drivers.own_folder import made_folder
 from drivers.whole_file import whole_file
 from hil.app.campaign import parquet
 from hil.app.campaign.parquet import Column, Row
-from hil.app.files import write_whole
 
 TABLE = "table.parquet"
 MANIFEST = "campaign.json"
 _FORMAT = 1
+_HALF, _OWN = "tmp" + 8 * "[a-z0-9_]", ("json", "parquet", "html")
+"""Names of files that were never finished, and of which kinds they are in the campaign's folder."""
 _ROWS, _SECONDS = 1000, 2.0
 """A part is written after so many rows, or so long after its first one."""
 
@@ -138,7 +139,11 @@ class Store:
 
     def _clear(self, *, fresh: bool) -> None:
         """Remove what a crash has left half written; `fresh`: the rows, too."""
-        halves = [*(self.folder / "parts").glob("tmp*.parquet"), *self.folder.glob("tmp*.parquet")]
+        parts = self.folder / "parts"
+        halves = [
+            *parts.glob(f"{_HALF}.parquet"),
+            *(f for k in _OWN for f in self.folder.glob(f"{_HALF}.{k}")),
+        ]
         rows = [*_parts(self.folder), self.folder / TABLE, self.folder / MANIFEST] if fresh else []
         for file in (*halves, *rows):
             file.unlink(missing_ok=True)
@@ -148,7 +153,8 @@ class Store:
         manifest = self.folder / MANIFEST
         mine = {"kind": "campaign", "format": _FORMAT, "made_of": self._identity}
         if not manifest.exists():
-            write_whole(manifest, json.dumps(mine, indent=1) + "\n")
+            with _durable(manifest) as temporary:
+                temporary.write_text(json.dumps(mine, indent=1) + "\n", "utf-8")
             return
         _refuse_other(self.folder, self._identity)
 
@@ -173,7 +179,10 @@ def _refuse_other(folder: Path, identity: dict[str, str]) -> None:
     except OSError as error:
         raise LogError(f"{manifest}: cannot be read: {error.strerror}") from None
     except (ValueError, TypeError, KeyError):
-        raise LogError(f"{manifest}: is no manifest of a campaign; name another folder with --out") from None
+        raise LogError(
+            f"{manifest}: is no manifest of a campaign, or damaged; remove it (files of rows say whose they "
+            "are, too), or name another folder with --out"
+        ) from None
     now = identity | {"format": _FORMAT}
     changed = [name for name in {**now, **made_of} if now.get(name) != made_of.get(name)]
     if changed:

@@ -60,12 +60,17 @@ def test_after_a_crash_the_parts_are_there_and_what_was_half_written_is_gone(tmp
         first.add(row)
     first.flush()
     first.add(ROWS[5])  # on no disk yet
-    half = tmp_path / "parts" / "tmpabc.parquet"
+    half = tmp_path / "parts" / "tmpab_c0123.parquet"
     half.write_bytes(b"PAR1")
+    half_manifest = tmp_path / "tmpabcdefg1.json"
+    half_manifest.write_bytes(b"{")
+    (tmp_path / "tmp.json").write_text("of the user")
     crash(first)
     with opened(tmp_path) as second:
         assert second.rows() == {k: ROWS[k] for k in range(4)}
         assert not half.exists()
+        assert not half_manifest.exists()
+        assert (tmp_path / "tmp.json").exists()
         second.add(ROWS[5])
     with opened(tmp_path) as third:
         assert sorted(third.rows()) == [0, 1, 2, 3, 5]
@@ -101,6 +106,22 @@ def test_rows_of_another_campaign_are_refused_with_what_has_changed_and_how_to_g
     with opened(tmp_path, MADE_OF | {"configuration": "c"}, fresh=True) as store:
         assert store.rows() == {}
     assert json.loads((tmp_path / "campaign.json").read_text())["made_of"]["configuration"] == "c"
+
+
+def test_the_manifest_is_on_the_disk_before_any_row_and_one_that_is_damaged_costs_no_row(
+    tmp_path, monkeypatch
+):
+    synced = []
+    monkeypatch.setattr(store_of, "_sync", lambda path: synced.append(path.suffix))
+    with opened(tmp_path) as store:
+        assert synced == [".json", ""]
+        store.add(ROWS[0])
+    (tmp_path / "campaign.json").write_text("")
+    with pytest.raises(LogError, match=r"campaign\.json: is no manifest .* remove it"):
+        opened(tmp_path)
+    (tmp_path / "campaign.json").unlink()
+    with opened(tmp_path) as store:
+        assert sorted(store.rows()) == [0]
 
 
 def test_two_processes_do_not_share_a_folder(tmp_path):

@@ -116,7 +116,8 @@ def command(
     Exit code:
       0  every row is within the limits
       1  some are not; the tables say which
-      2  not begun: campaign file, configuration, folder or cluster; the message says what
+      2  not begun, or ended before all rows: campaign file, configuration, a file that it names, folder or
+         cluster; the message says what
     """
     if jobs is not None and scheduler is not None:
         raise click.UsageError("--jobs counts processes here, --scheduler runs elsewhere: give one of them.")

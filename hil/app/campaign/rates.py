@@ -101,7 +101,7 @@ def why(row: Row, limits: dict[str, Limit]) -> str:
         words = [f"{row['ended']}: {row['trouble'].partition(chr(10))[0]}"]
     for name, limit in limits.items():
         value = row[name]
-        if name == "faulted" or value is None:
+        if value is None or (name == "faulted" and row["ended"] == "fault"):
             continue
         if limit.max is not None and not value <= limit.max:
             words.append(f"{name} {value:.6g}, allowed: at most {limit.max:g}")

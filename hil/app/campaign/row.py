@@ -24,6 +24,12 @@ from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 3600.0
 """A run that has not ended by then has failed, simulated s."""
+_NOT_IN_ROWS = (
+    ("plant", "homing_file"),  # rows begin where the plant does: a file would tie them together
+    ("operator", "start"),  # nobody is there: a platform that waits would track nothing, and fail no limit
+    ("operator", "deadman_s"),
+    ("operator", "stays"),
+)
 
 
 class Subject(NamedTuple):
@@ -75,10 +81,9 @@ def row_configuration(job: Job) -> Configuration:
         emulated = value.get("plant", {}).get("sensors", {})
         seed = emulated.get("seed", 1) + job.seed
         value["plant"] = value["plant"] | {"sensors": emulated | {"seed": seed}}
-    if isinstance(
-        value.get("plant"), dict
-    ):  # rows begin where the plant does: a file would tie them together
-        value["plant"].pop("homing_file", None)
+    for section, key in _NOT_IN_ROWS:
+        if isinstance(value.get(section), dict):
+            value[section].pop(key, None)
     find_beside(value, subject.folder, subject.campaign_folder)
     name = f"{subject.source} with the changes of row {job.number}"
     c = loads(text_of(value), name, subject.folder)
@@ -108,6 +113,8 @@ def performed(job: Job) -> Ran:
     refuse_changed(job.subject.files)
     ran = _performed(job)
     refuse_changed(job.subject.files)  # nor while it ran
+    for folder in (job.subject.campaign_folder, job.subject.folder):  # where they lie makes no difference
+        ran.outcome["trouble"] = ran.outcome["trouble"].replace(f"{folder}/", "")
     return ran
 
 

@@ -186,6 +186,20 @@ def test_too_little_memory_is_no_figure_of_a_row(small, tmp_path, monkeypatch):
         run_campaign(small[0], tmp_path, jobs=1)
 
 
+def test_what_went_wrong_says_no_folder_of_this_machine(tmp_path):
+    (tmp_path / "own.fmu").write_text("no archive")
+    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
+    text = f"""
+    kind: campaign
+    duration_s: 0.05
+    changes: {{plant: {{model: {{type: fmu, path: own.fmu, step_us: 100, {names}}}}}}}
+    grid: {{wn: {{key: controller.wn_rad_s, values: [20]}}}}
+    """
+    row = run_row(read_plan(written(tmp_path, text)).job(0))
+    assert (row["passed"], row["ended"]) == (False, "error")
+    assert row["trouble"].startswith("own.fmu: not an FMU")
+
+
 def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
     text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
     plan = read_plan(written(tmp_path, text))

@@ -250,6 +250,13 @@ def test_rows_begin_where_the_plant_does_and_share_no_homing_file(tmp_path):
     assert emulated(read_plan(written(tmp_path, text)), 0).homing_file is None
 
 
+def test_no_row_waits_for_an_operator(tmp_path):
+    """It would stand at the start of its path, without an error, and pass."""
+    text = SMALL + "changes: {operator: {start: asked, deadman_s: 0.2, stays: true}}\n"
+    operator = row_configuration(read_plan(written(tmp_path, text)).job(0)).operator
+    assert (operator.start, operator.deadman_s, operator.stays) == ("automatic", None, False)
+
+
 def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
     with pytest.raises(ConfigurationError, match=r"no such file; shipped campaigns are: payload$"):
         read_plan(tmp_path / "no.yaml")

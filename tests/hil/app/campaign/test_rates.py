@@ -78,3 +78,7 @@ def test_why_a_row_has_failed_names_value_and_limit():
     ended = row(0, passed=False, ended="plant", trouble="the FMU failed\nfar away", peak_force_N=1.0)
     assert why(ended, LIMITS) == "plant: the FMU failed"
     assert why(row(0, passed=False), LIMITS) == "not measured: peak_force_N"
+
+
+def test_a_row_without_the_fault_that_has_to_come_says_so():
+    assert why(row(0, passed=False), {"faulted": Limit(min=1.0)}) == "faulted 0, allowed: at least 1"

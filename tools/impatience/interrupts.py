@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -62,14 +63,16 @@ class Moment(NamedTuple):
 def interrupted(command: str, stock: Path, scratch: Path, moments: int) -> Iterator[Moment]:
     """Yield a command's ends: first its own, then with interrupts at `moments` moments spread over it.
 
-    Every third of them is followed by a second one.
+    Every third of them is followed by a second one. The start of the interpreter itself, before any line of
+    ours, is left out: an interrupt there is answered by Python.
     """
     case = COMMANDS[command]
     own = _perform(case, stock, scratch / f"{command}-0", ())
     wrong = found_wrong(own, scratch / f"{command}-0", {0})
     yield Moment(command, (), own, wrong)
+    ours_s = 2.0 * max(perform((sys.executable, "-c", "pass"), scratch).wall_s for _ in range(3))
     for n in range(moments):
-        first_s = own.wall_s * (n + 0.5) / moments
+        first_s = ours_s + (own.wall_s - ours_s) * (n + 0.5) / moments
         moments_s = (first_s, first_s + SECOND_S) if n % 3 == 2 else (first_s,)
         folder = scratch / f"{command}-{n + 1}"
         outcome = _perform(case, stock, folder, moments_s)

@@ -200,6 +200,14 @@ RECORDED = (
     _("verdict", "doubt", Doubt, "", "why the first of them is"),
     _("verdict", "doubt_value", float, "m, m/s", "what showed it: a length, or the rate of a LEAP"),
     _("verdict", "doubt_limit", float, "m, m/s", "what noise, forces and disturbance explain of that"),
+    _(
+        "verdict",
+        "encoder_share",
+        float,
+        "1",
+        "by what length and rate of each encoder contradict each other, over what is allowed",
+        *PER_LEG,
+    ),
     _("verdict", "lyapunov", float, "(m/s^2)^2", "V of the law's error dynamics over all axes"),
     _("verdict", "lyapunov_rate", float, "(m/s^2)^2/s", "change of V since the last tick"),
     _("verdict", "lyapunov_bound", float, "(m/s^2)^2", "the largest V that the law's certificate allows"),
@@ -261,7 +269,7 @@ def _first() -> Record:
     record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
     record["tick"] = -1
     record["age"] = NEVER
-    for name in ("t_d", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
+    for name in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
         record[name] = np.nan
     return record
 

@@ -124,12 +124,11 @@ def command(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from hil.app.campaign.command import run_campaign
-    from hil.app.campaign.junit import write_junit
     from hil.app.campaign.page import write_page
     from hil.app.campaign.plan import read_plan
-    from hil.app.campaign.show import show, summary_lines
-    from hil.app.faults.report import check_junit_path
+    from hil.app.campaign.show import show, summary_lines, verdicts
     from hil.app.files import new_file
+    from hil.app.junit import check_junit_path, write_junit
     from hil.app.output import console
 
     if junit is not None:
@@ -166,5 +165,5 @@ def command(
     write_page(target, plan, summary, out)
     summary["page"] = str(target)
     if junit is not None:
-        write_junit(junit, plan, summary, out)
+        write_junit(junit, f"hil campaign {plan.name}", verdicts(plan, summary, out))
     finish("campaign", summary, json_file, summary_lines(plan, summary))

@@ -77,7 +77,8 @@ def command(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from hil.app.faults.command import run_matrix
-    from hil.app.faults.report import check_junit_path, show, shown, write_junit
+    from hil.app.faults.report import show, shown, verdicts
+    from hil.app.junit import check_junit_path, write_junit
     from hil.app.output import console
 
     if junit is not None:
@@ -95,5 +96,6 @@ def command(
         )
     show(summary)
     if junit is not None:
-        write_junit(junit, summary)
+        name = f"hil faults {summary['configuration']}"
+        write_junit(junit, name, verdicts(summary), summary["wall_s"])
     finish("faults", summary, json_file, shown(summary))

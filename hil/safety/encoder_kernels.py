@@ -229,6 +229,8 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
         memory.excused[i] = excused(left, memory.gaps[i], calm, T, period)
         if abs(memory.gaps[i]) > bound:
             doubt_leg(tick, limits, memory, i, _SLIP, memory.gaps[i], bound)
+        if limits.watched_legs >> i & 1:
+            tick.encoder_share[i] = max(abs(gap) / x[_BOUND, i], abs(memory.gaps[i]) / bound)
 
 
 @helper
@@ -305,6 +307,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
     and the law moves the platform; rates and standstill count once the brakes have had their time to open.
     """
     tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, _NO_DOUBT, 0.0, 0.0
+    tick.encoder_share[:] = np.nan
     if limits.watched_legs == 0:
         return 0
     memory.open_for = memory.open_for + 1 if is_open else 0

@@ -43,6 +43,24 @@ def test_encoders_a_gap_that_is_its_bound_to_the_last_bit_is_allowed():
     bench.ticks(1, jump=six(bound, 3))
 
 
+def test_encoders_the_share_of_a_gap_is_that_of_its_bound_and_nothing_of_a_leg_that_is_not_watched():
+    bench = Bench(length_noise_m=0.25, watched_legs=0b010111)
+    assert np.isnan(bench.tick()["encoder_share"]).all()
+    assert np.array_equal(bench.tick()["encoder_share"], [0.0, 0.0, 0.0, np.nan, 0.0, np.nan], equal_nan=True)
+    shares = bench.tick(jump=six(-0.125, 2))["encoder_share"]
+    assert shares[2] == pytest.approx(0.125 / (0.5 + CREEP), rel=1e-9)
+    assert np.array_equal(np.delete(shares, 2), [0.0, 0.0, np.nan, 0.0, np.nan], equal_nan=True)
+    assert bench.tick(jump=six(3.0, 4))["encoder_share"][4] == pytest.approx(3.0 / (0.5 + CREEP), rel=1e-9)
+    assert np.isnan(bench.tick()["encoder_share"]).all(), "once one is doubted nothing is judged"
+
+
+def test_encoders_the_share_of_a_sum_that_creeps_counts_where_it_is_larger():
+    bench = Bench(length_noise_m=0.25)
+    bench.ticks(2)
+    shares = [bench.tick(jump=six(0.125, 1))["encoder_share"][1] for _ in range(3)]
+    assert shares[0] < shares[1] < shares[2] < 1.0
+
+
 def test_encoders_the_second_reading_is_the_first_that_is_compared():
     assert calm(Bench().tick(jump=9.0))
     bench = Bench()

@@ -70,7 +70,7 @@ SAFETY_READS = (
     *(*STATE, "fk_residual", "hop", "condition", "unseen", "fusion_faults", "fusion_warnings"),
     *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
 )
-MOVED_OR_DOUBTED = ("legs_moved", "legs_doubted", "doubt", "doubt_value", "doubt_limit")
+MOVED_OR_DOUBTED = ("legs_moved", "legs_doubted", "doubt", "doubt_value", "doubt_limit", "encoder_share")
 LYAPUNOV = ("lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share")
 
 

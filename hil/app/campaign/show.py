@@ -1,6 +1,7 @@
 """A campaign on the terminal: pass rates by every swept value, and the worst rows with their commands."""
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from rich.text import Text
 
 from hil.app.campaign.plan import Plan
 from hil.app.campaign.rates import Rate, by_value, causes, judged, shown, why, worst
+from hil.app.junit import Verdict
 from hil.app.output import print_table
 
 WORST = 10
@@ -53,6 +55,18 @@ def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
     """Return the command line that repeats a row with its log."""
     out = [] if folder is None else ["--out", str(folder)]
     return shlex.join(["hil", "campaign", "rerun", str(plan.path), str(row), *out, "--log"])
+
+
+def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterator[Verdict]:
+    """Yield a case of JUnit for each row, named by its values."""
+    for row in summary["matrix"]:
+        values = " ".join(f"{name}={shown(row[name])}" for name in plan.subject.axes)
+        yield Verdict(
+            group=plan.name,
+            name=f"row {row['row']} {values}",
+            failure=None if row["passed"] else why(row, plan.subject.limits),
+            detail="\n".join(filter(None, (row["trouble"], rerun_command(plan, row["row"], folder)))),
+        )
 
 
 def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:

@@ -1,15 +1,13 @@
 """The matrix as a table and as JUnit XML."""
 
 from collections import Counter
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
-from xml.etree import ElementTree as ET
 
 from rich.table import Table
 from rich.text import Text
 
-from drivers.errors import LogError
-from hil.app.files import write_whole
+from hil.app.junit import Verdict
 from hil.app.output import print_table
 
 
@@ -52,40 +50,16 @@ def shown(summary: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in summary.items() if key != "matrix"}
 
 
-def check_junit_path(path: Path) -> None:
-    """Refuse a file that could not be written in the end. Raises LogError."""
-    where = f"--junit {path}"
-    if not path.parent.is_dir():
-        raise LogError(f"{where}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise LogError(f"{where}: is a folder; name a file")
-    if path.exists() and b"<testsuite" not in path.read_bytes()[:1000]:
-        raise LogError(f"{where}: exists, is no JUnit report and is not overwritten; name another file")
-
-
-def write_junit(path: Path, summary: dict[str, Any]) -> None:
-    """Write the matrix as JUnit XML. Raises LogError if the file cannot be written."""
-    suite = ET.Element(
-        "testsuite",
-        name=f"hil faults {summary['configuration']}",
-        tests=str(summary["cases"]),
-        failures=str(summary["failed"]),
-        time=f"{summary['wall_s']:.3f}",
-    )
+def verdicts(summary: dict[str, Any]) -> Iterator[Verdict]:
+    """Yield a case of JUnit for each fault of the matrix."""
     places = Counter((case["kind"], case["when"]) for case in summary["matrix"])
     for case in summary["matrix"]:
         alone = places[case["kind"], case["when"]] == 1
-        name = case["when"] if alone else f"{case['when']} {case['given']}"
-        entry = ET.SubElement(
-            suite, "testcase", classname=case["kind"], name=name, time=f"{case['wall_s']:.3f}"
+        yield Verdict(
+            group=case["kind"],
+            name=case["when"] if alone else f"{case['when']} {case['given']}",
+            failure=None if case["success"] else case["verdict"],
+            detail=f"{case['fault']}: {reaction(case)}. {case.get('reason', '')}".rstrip(),
+            output=case["verdict"],
+            wall_s=case["wall_s"],
         )
-        if not case["success"]:
-            failure = ET.SubElement(entry, "failure", message=case["verdict"])
-            failure.text = f"{case['fault']}: {reaction(case)}. {case.get('reason', '')}".rstrip()
-        ET.SubElement(entry, "system-out").text = case["verdict"]
-    ET.indent(suite)
-    text = ET.tostring(suite, encoding="unicode", xml_declaration=False)
-    try:
-        write_whole(path, f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n')
-    except OSError as error:
-        raise LogError(f"--junit {path}: cannot be written: {error.strerror}") from None

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -150,13 +151,13 @@ def _scheduled(log: Log) -> dict[str, str]:
 
 
 def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> str:
-    started = np.datetime64(log.epoch_ns + int(rows["t_ns"][0]), "ns").astype("datetime64[s]")
+    started = datetime.fromtimestamp((log.epoch_ns + int(rows["t_ns"][0])) // 1_000_000_000, UTC)
     words = [
         f"hil {log.metadata[IDENTITY]['kind']}",
         "" if c is None else c.name,
         "" if c is None else f"law {c.controller.law}",
         f"{rate_Hz:g} Hz",
-        "simulated time" if log.lockstep else f"real time, begun {started}Z",
+        "simulated time" if log.lockstep else f"real time, begun {started:%Y-%m-%dT%H:%M:%SZ}",
     ]
     return ", ".join(filter(None, words))
 

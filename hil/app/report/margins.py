@@ -77,6 +77,8 @@ def _all(rows: Rows, c: Configuration, rate_Hz: float) -> Iterator[Margin | None
     yield nearest(
         "age of a leg's feedback", "limits.stale_fault_ticks", age, limits.stale_fault_ticks, ticks, powered
     )
+    name, share = "length of an encoder against its rate, of what is allowed", rows["encoder_share"]
+    yield nearest(name, "monitor.length_noise_m", share, 1.0, "1", (mode >= Mode.IDLE) & (well | struck))
     confirm = c.monitor.confirm_ticks
     name = f"Lyapunov function, sqrt(V) of an axis over what is allowed, {confirm} ticks in a row"
     share = rows["lyapunov_share"]

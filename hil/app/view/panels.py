@@ -15,7 +15,10 @@ TABS: dict[str, dict[str, tuple[str, ...]]] = {
     "Errors": {"Leg error": ("q_d - q",), "Position error": ("p_d - p",), "Innovation": ("innovation_q",)},
     "Forces": {"Leg force": ("tau", "drive_force"), "Load on the platform": ("wrench",)},
     "Motion": {"Leg length": ("q_d", "q"), "Leg rate": ("dq_d", "dq"), "Position": ("p_d", "p")},
-    "Certificate": {"Lyapunov function": ("lyapunov", "lyapunov_bound"), "Share": ("lyapunov_share",)},
+    "Certificate": {
+        "Lyapunov function": ("lyapunov", "lyapunov_bound"),
+        "Share": ("lyapunov_share", "encoder_share"),
+    },
     "Timing": {
         "Lateness and computing time": ("lateness_ns", "compute_ns"),
         "Skipped periods, frames received": ("skipped", "frames_received"),

@@ -203,6 +203,31 @@ def test_the_certificate_is_used_up_by_what_lasts_and_not_by_one_tick():
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor"]
 
 
+def test_the_page_of_a_log_whose_clock_is_at_its_end_is_written(logs, tmp_path, monkeypatch):
+    plain = Log.rows
+
+    def rows(log):
+        found = plain(log)
+        found["t_ns"][0] = 2**63 - 1
+        return found
+
+    monkeypatch.setattr(Log, "rows", rows)
+    report(logs / "bad.mcap", out=tmp_path / "late.html")
+    assert "1000 Hz, simulated time" in (tmp_path / "late.html").read_text()
+
+
+def test_the_margin_of_an_encoder_names_its_leg_and_counts_at_rest_too():
+    rows = rows_of(40)
+    rows["encoder_share"] = np.nan
+    assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor.length_noise_m"]
+    rows["encoder_share"][:] = 0.25
+    rows["encoder_share"][[5, 9], [2, 4]] = 0.5, 0.75
+    rows["mode"][:8] = Mode.IDLE
+    rows["mode"][9] = Mode.WAITING
+    found = margin(rows, "monitor.length_noise_m")
+    assert (found.row, found.leg, found.value, found.limit) == (5, 2, 0.5, 1.0)
+
+
 # -- a fused pose --------------------------------------------------------------------------------------------
 
 

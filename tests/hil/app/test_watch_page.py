@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 
 import numpy as np
@@ -14,28 +13,9 @@ from hil.app.sim.command import simulate
 from hil.record.log import Log
 from tests.broad import broad
 from tests.browser import Browser, needs_chromium
-from tests.live_run import Listening, LiveRun, Watch, operating
+from tests.live_run import Listening, LiveRun, Watch
 
-pytestmark = needs_chromium
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _meeting_place():
-    with tempfile.TemporaryDirectory(dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_RUNTIME_DIR", folder)  # a socket's path is short
-        yield
-
-
-@pytest.fixture(scope="module")
-def watch(_meeting_place):
-    with Watch("virtual") as watching:
-        yield watching
-
-
-@pytest.fixture(scope="module")
-def operated(_meeting_place, tmp_path_factory):
-    with Watch(operating(tmp_path_factory.mktemp("operated"))) as watching:
-        yield watching
+pytestmark = [needs_chromium, pytest.mark.usefixtures("meeting_place")]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import json
 import socket
-import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +23,9 @@ from hil.app.watch.operating import Operating
 from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Server, Watcher
 from hil.record.mirror import FIGURES, Mirror, MirrorReader
 from hil.record.row import TICKS, describe
-from tests.live_run import Listening, LiveRun, Watch, operating
+from tests.live_run import Listening, LiveRun, Watch
+
+pytestmark = pytest.mark.usefixtures("meeting_place")
 
 ASSETS = (
     "/",
@@ -37,25 +38,6 @@ ASSETS = (
     "/uPlot.css",
     "/stream",
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _meeting_place():
-    with tempfile.TemporaryDirectory(dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_RUNTIME_DIR", folder)  # a socket's path is short
-        yield
-
-
-@pytest.fixture(scope="module")
-def watch(_meeting_place):
-    with Watch("virtual") as watching:
-        yield watching
-
-
-@pytest.fixture(scope="module")
-def operated(_meeting_place, tmp_path_factory):
-    with Watch(operating(tmp_path_factory.mktemp("operated"))) as watching:
-        yield watching
 
 
 @pytest.fixture

@@ -1,0 +1,29 @@
+"""Servers of `hil watch`, one for each module that asks for them."""
+
+from __future__ import annotations
+
+import tempfile
+
+import pytest
+
+from tests.live_run import Watch, operating
+
+
+@pytest.fixture(scope="module")
+def meeting_place():
+    """A folder for sockets and mirrors of its own: a socket's path is short."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+@pytest.fixture(scope="module")
+def watch(meeting_place):
+    with Watch("virtual") as watching:
+        yield watching
+
+
+@pytest.fixture(scope="module")
+def operated(meeting_place, tmp_path_factory):
+    with Watch(operating(tmp_path_factory.mktemp("operated"))) as watching:
+        yield watching

@@ -260,7 +260,7 @@ def test_the_command_line(small, tmp_path, monkeypatch):
     (tmp_path / "payload").mkdir()
     assert len(read_plan(Path("payload"))) == 500  # the shipped one, whatever folder has that name
     result = CliRunner().invoke(main, ["campaign", "nosuch"])
-    assert (result.exit_code, "shipped campaigns are: payload" in result.stderr) == (2, True)
+    assert (result.exit_code, "shipped campaigns are: builds, payload, wear" in result.stderr) == (2, True)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="Dask is installed")

@@ -258,9 +258,9 @@ def test_no_row_waits_for_an_operator(tmp_path):
 
 
 def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"no such file; shipped campaigns are: payload$"):
+    with pytest.raises(ConfigurationError, match=r"no such file; shipped campaigns are: builds, payload, wear$"):
         read_plan(tmp_path / "no.yaml")
-    assert shipped() == ("payload",)
+    assert shipped() == ("builds", "payload", "wear")
 
 
 def test_the_identity_changes_with_what_makes_the_rows_and_with_nothing_else(tmp_path):
@@ -348,9 +348,13 @@ def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campa
     folder = Path(__file__).parents[4] / "configs/campaigns"
     committed = (folder / "campaign.schema.json").read_text()
     assert committed == schema.text()
-    shipped_text = (folder / "payload.yaml").read_text()
-    assert shipped_text.startswith("# yaml-language-server: $schema=campaign.schema.json\n")
     check = jsonschema.Draft202012Validator(json.loads(committed))
-    check.validate(parse(shipped_text).value)
+    shipped = sorted(folder.glob("*.yaml"))
+    assert len(shipped) == 3
+    for path in shipped:
+        shipped_text = path.read_text()
+        assert shipped_text.startswith("# yaml-language-server: $schema=campaign.schema.json\n")
+        check.validate(parse(shipped_text).value)
+        assert (len(read_plan(path)), read_plan(path).name) == (500, path.stem)
     with pytest.raises(jsonschema.ValidationError, match="sobl"):
         check.validate(parse(shipped_text.replace("method: sobol", "method: sobl")).value)

@@ -18,6 +18,8 @@ from hil.record import environment
 from hil.record.log import Log
 from hil.record.schema import ENVIRONMENT, SUMMARY
 
+WHAT_IF = "what-if"
+"""Kind of a log that holds what another controller would have answered: no run."""
 MOST = {"rate_Hz": 1e5, "watchdog_s": 3600.0}
 """Of what a log says of its run."""
 
@@ -38,6 +40,11 @@ def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
 def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     log = Log.open(path)
     run: dict[str, Any] = dict(log.metadata.get("hil", {}))
+    if run.get("kind") == WHAT_IF:
+        raise LogError(
+            f"{path}: holds a what-if on {run.get('what_if_of', 'a log')!r:.200}, no run: its measurements "
+            "did not follow its forces; allowed: that log itself"
+        )
     if run.get("kind") not in {"run", "sim"}:
         raise LogError(
             f"{path}: holds a log of kind {run.get('kind')!r}, allowed: one of `hil run` or `hil sim`"
@@ -56,14 +63,11 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     return log, run
 
 
-def replay_log(
-    path: Path, progress: Callable[[int], None] | None = None
-) -> tuple[Comparison, dict[str, Any]]:
-    """Replay a log of `hil run` or `hil sim`; return the comparison and its summary.
+def open_replayable(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
+    """Return a log that this version can replay, what it says of the run, and its configuration.
 
-    `progress` is called with the number of ticks done, every thousand.
-
-    Raises LogError for a file that is no such log, and for one of other columns or another protocol.
+    Raises LogError for a file that is no log of `hil run` or `hil sim`, and for one of other columns or
+    another protocol.
     """
     log, run = _open(path)
     difference = other_columns(log.columns)
@@ -74,6 +78,19 @@ def replay_log(
     if changed:
         name, text = changed[0]
         raise _other_version(log, f"{_versions(log, name, text)}it was made with another {name}", "replay")
+    return log, run, configuration
+
+
+def replay_log(
+    path: Path, progress: Callable[[int], None] | None = None
+) -> tuple[Comparison, dict[str, Any]]:
+    """Replay a log of `hil run` or `hil sim`; return the comparison and its summary.
+
+    `progress` is called with the number of ticks done, every thousand.
+
+    Raises LogError for a file that is no such log, and for one of other columns or another protocol.
+    """
+    log, run, configuration = open_replayable(path)
     with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
         configuration = with_attachments(configuration, log.attachments, Path(folder))
         plan = log.attachments.get(REFERENCE_PLAN)

@@ -1,65 +1,139 @@
 """`hil replay`."""
 
-import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, finish, reporting
+from hil.cli import replay_forms
+from hil.cli.shared import FILE, complete_configuration, finish, reporting
 
 
 @click.command()
-@click.argument("log", type=FILE)
+@click.argument("log", type=FILE, required=False)
 @click.option(
     "--salvage",
     type=FILE,
     metavar="OUT",
     help="Recover a log cut by power loss into the new file OUT first, and replay that.",
 )
+@click.option(
+    "--what-if",
+    metavar="CONFIG",
+    shell_complete=complete_configuration,
+    help="What the controller of CONFIG would have sent on the recorded measurements.",
+)
+@click.option(
+    "--set",
+    "words",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="The same with a key changed, as controller.wn_rad_s=25: of the log's own configuration, or of "
+    "CONFIG; may be repeated.",
+)
+@click.option(
+    "--plot", "picture", type=FILE, metavar="FILE", help="With a what-if: PNG or SVG of the forces."
+)
+@click.option("--log", "out", type=FILE, metavar="OUT", help="With a what-if: write it as a log, too.")
+@click.option(
+    "--against", type=FILE, metavar="OTHER", help="Compare LOG with the log OTHER, column by column."
+)
+@click.option(
+    "--tolerance",
+    "tolerances",
+    multiple=True,
+    metavar="COLUMN=VALUE",
+    help="With --against: allowed in the column's unit, inf: not judged; or one number, relative, for all.",
+)
+@click.option(
+    "--align",
+    type=click.Choice(["tick", "motion"]),
+    help="With --against: rows of one number (default), or counted from the first motion.",
+)
+@click.option(
+    "--suite",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Replay every *.mcap in the folder DIR and below.",
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --suite: processes at once; default: one a processor.",
+)
+@click.option(
+    "--junit", type=FILE, metavar="FILE", help="With --suite: a case a log as JUnit XML; an earlier one goes."
+)
 @reporting
-def command(log: Path, salvage: Path | None, json_file: Path | None) -> None:
+def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
     LOG comes from `hil run` or `hil sim`; its configuration is inside. Only reads: nothing is sent, LOG
     stays as it is. Names the first tick and each column that differs there, with both values.
 
+    With --what-if or --set another controller is given the same inputs. The measurements do not follow its
+    forces: the figures say what it would have answered, not how the robot would have moved.
+
     \b
     Examples:
       hil replay runs/virtual-20260131T120000.mcap
       hil replay cut.mcap --salvage whole.mcap
+      hil replay run.mcap --set controller.wn_rad_s=25 --plot forces.png
+      hil replay run.mcap --what-if new.yaml --log answer.mcap
+      hil replay run.mcap --against golden.mcap --tolerance 1e-9 --tolerance tau=0.5
+      hil replay --suite runs --jobs 4 --junit replay.xml
 
     \b
     Exit code:
-      0  all ticks identical to the bit (on another CPU: all frames, columns to 1e-9)
-      1  differences, or ticks missing from the log
-      2  not begun: no such file, no log, made by another version, cut (then use --salvage)
+      0  all ticks identical to the bit (on another CPU: all frames, columns to 1e-9); two logs the same
+         within the tolerances; all logs of a folder; a what-if: answered, whatever differs
+      1  differences, or ticks missing from the log; a what-if: the log could not be read to its end
+      2  not begun: no such file, no log, made by another version, cut (then use --salvage), or a
+         configuration to which its inputs mean something else
     """
+    form = replay_forms.chosen_form(log, given)
+    if form == "--suite":
+        replay_forms.suite(given["suite"], given, json_file)
+        return
+    assert log is not None  # else it was refused
+    if form == "--against":
+        replay_forms.against(log, given, json_file)
+        return
+    log = _whole(log, given["salvage"])
+    if form == "--what-if":
+        replay_forms.what_if(log, given, json_file)
+    else:
+        _replay(log, json_file)
+
+
+def _whole(log: Path, salvage: Path | None) -> Path:
+    """Return the log to replay: itself, refused where it is damaged, or what is left of it."""
     from hil.record.log import Log
 
     if salvage is None:
         Log.open(log)
-    from hil.app.replay import replay_log
+        return log
     from hil.app.terminal import one_line
     from hil.record.salvage import salvage as recover
 
-    if salvage is not None:
-        report = recover(log, salvage)
-        lost = f", {report.ticks_lost} ticks of damaged chunks lost" if report.ticks_lost else ""
-        click.echo(
-            f"salvaged {report.ticks} ticks into {report.out}, {report.bytes_lost} bytes unreadable{lost}",
-            err=True,
-        )
-        for remark in report.remarks:
-            click.echo(one_line(f"  {remark}"), err=True)
-        log = salvage
+    report = recover(log, salvage)
+    lost = f", {report.ticks_lost} ticks of damaged chunks lost" if report.ticks_lost else ""
+    click.echo(
+        f"salvaged {report.ticks} ticks into {report.out}, {report.bytes_lost} bytes unreadable{lost}",
+        err=True,
+    )
+    for remark in report.remarks:
+        click.echo(one_line(f"  {remark}"), err=True)
+    return salvage
 
-    def tell(ticks: int) -> None:
-        click.echo(f"\r{ticks} ticks", err=True, nl=False)
 
-    shown = sys.stderr.isatty()
-    comparison, summary = replay_log(log, tell if shown else None)
-    if shown:
-        click.echo("\r\x1b[K", err=True, nl=False)
+def _replay(log: Path, json_file: Path | None) -> None:
+    from hil.app.replay import replay_log
+    from hil.app.terminal import one_line
+
+    with replay_forms.counted() as progress:
+        comparison, summary = replay_log(log, progress)
     for difference in comparison.first:
         click.echo(one_line(f"hil: {difference}"), err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}

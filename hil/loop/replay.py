@@ -5,11 +5,12 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.protocol import Frame
 from drivers.signals import BusState
 from drivers.tick_columns import (
     COLUMNS,
@@ -126,6 +127,44 @@ def recorded_input(entry: Tick) -> TickInput:
     )
 
 
+class Stepped(NamedTuple):
+    """One recorded tick, and what a cycle makes of its inputs."""
+
+    entry: Tick
+    """What was recorded."""
+    inp: TickInput
+    """What the cycle was given: the recorded inputs."""
+    sent: tuple[Frame, ...]
+    """What it sends, the frames that start the tick first."""
+    row: Rows
+    """What it records, one element of ROW."""
+
+
+def stepped(
+    log: Recorded, cycle: Cycle, gaps: list[tuple[int, int]], progress: Callable[[int], None] | None = None
+) -> Iterator[Stepped]:
+    """Give `cycle`, which was reset, the recorded inputs of each tick of a log; yield what it makes of them.
+
+    Ends at the first gap, which is added to `gaps`: the first missing tick, and how many. Raises LogError
+    where the log cannot be read.
+    """
+    expected: int | None = None
+    for done, entry in enumerate(log.ticks()):
+        inp = recorded_input(entry)
+        tick, skipped = inp.tick, inp.skipped
+        if expected is None:
+            expected = skipped
+        if tick != expected + (skipped if done else 0):
+            gaps.append((expected, tick - expected - skipped))
+            return
+        expected = tick + 1
+        sent = cycle.begin(tick)
+        out = cycle.step(inp)
+        yield Stepped(entry, inp, sent + out.frames, out.row)
+        if progress is not None and (done + 1) % 1000 == 0:
+            progress(done + 1)
+
+
 def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Comparison:
     """Run `cycle` from its initial state over all ticks of a log and compare what it sends and computes.
 
@@ -133,35 +172,21 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     """
     cycle.reset()
     comparison, narrator = Comparison(), Narrator(cycle)
-    expected: int | None = None
-    for entry in log.ticks():
-        inp = recorded_input(entry)
-        tick, skipped = inp.tick, inp.skipped
-        if expected is None:
-            expected = skipped
-        if tick != expected + (skipped if comparison.ticks else 0):
-            comparison.gaps.append((expected, tick - expected - skipped))
-            break
-        expected = tick + 1
-        sent = cycle.begin(tick)
-        out = cycle.step(inp)
+    for entry, inp, sent, row in stepped(log, cycle, comparison.gaps, progress):
         narrator.look(inp.operator)
-        sent += out.frames
         comparison.ticks += 1
         comparison.frames += len(sent)
         wire = sent != entry.sent
-        columns = out.row.tobytes() != entry.row.tobytes()
+        columns = row.tobytes() != entry.row.tobytes()
         if wire or columns:
             comparison.different_ticks += 1
             comparison.wire_different_ticks += wire
             if columns:
-                comparison.largest = max(comparison.largest, _largest(out.row, entry.row))
+                comparison.largest = max(comparison.largest, _largest(row, entry.row))
             if not comparison.first:
-                comparison.first = _differences(tick, out.row, entry.row)
+                comparison.first = _differences(inp.tick, row, entry.row)
                 if wire:
-                    comparison.first.append(Difference(tick, "sent frames", entry.sent, sent))
-        if progress is not None and comparison.ticks % 1000 == 0:
-            progress(comparison.ticks)
+                    comparison.first.append(Difference(inp.tick, "sent frames", entry.sent, sent))
     comparison.story = narrator.story()
     return comparison
 

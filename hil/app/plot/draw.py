@@ -28,10 +28,17 @@ class Curve(NamedTuple):
     signal: Signal
 
 
-def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, title: str) -> None:
+def draw(
+    titles: Sequence[str],
+    panels: Sequence[Sequence[Curve]],
+    path: Path,
+    title: str,
+    *,
+    option: str = "--out",
+) -> None:
     """Draw one panel above the other; the ending of the path says which format.
 
-    Raises LogError where the file cannot be written.
+    option: what the file was named with. Raises LogError where the file cannot be written.
     """
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -52,7 +59,7 @@ def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, t
             warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name: boxes stand for it
             figure.savefig(temporary, dpi=110, metadata=dated)
     except OSError as error:
-        raise LogError(f"--out {path}: cannot be written: {error.strerror}") from None
+        raise LogError(f"{option} {path}: cannot be written: {error.strerror}") from None
 
 
 def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:

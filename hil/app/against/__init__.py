@@ -1,0 +1,1 @@
+"""`hil replay --against`: two logs, and where they part."""

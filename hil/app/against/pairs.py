@@ -1,0 +1,100 @@
+"""Rows of two logs in pairs, read as they are needed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.arrays import Ints, Rows
+from drivers.errors import LogError
+from drivers.signals import Mode
+from hil.record.log import Log
+
+AT_REST = frozenset({Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING})
+"""Modes before the first motion."""
+
+
+@dataclass
+class Unpaired:
+    """Ticks that one log has and the other not. Mutable while the pairs come."""
+
+    count: int = 0
+    first: int | None = None
+    """Its number in the log that has it."""
+
+    def add(self, ticks: Ints) -> None:
+        """Take in ticks, in their order."""
+        if len(ticks) and self.first is None:
+            self.first = int(ticks[0])
+        self.count += len(ticks)
+
+
+@dataclass
+class Alone:
+    """Of both logs what the other one lacks."""
+
+    one: Unpaired = field(default_factory=Unpaired)
+    other: Unpaired = field(default_factory=Unpaired)
+
+
+def first_motion(log: Log) -> tuple[int, int]:
+    """Return tick and t_ns of the first tick in which the platform moves. Raises LogError: it never does."""
+    for rows in log.blocks("tick", "t_ns", "mode"):
+        moving = np.flatnonzero(~np.isin(rows["mode"], [int(mode) for mode in AT_REST]))
+        if len(moving):
+            return int(rows["tick"][moving[0]]), int(rows["t_ns"][moving[0]])
+    raise LogError(f"{log.path}: its platform never moves, and --align motion asks when; use --align tick")
+
+
+def paired(
+    one: Log, other: Log, names: tuple[str, ...], starts: tuple[int, int], alone: Alone
+) -> Iterator[tuple[Rows, Rows]]:
+    """Yield rows of the same number in both logs, counted from a tick in each; `alone` gets the others.
+
+    names : columns, `tick` among them; starts : the ticks from which on each log counts.
+
+    Raises LogError: a log is damaged.
+    """
+    blocks = [_from(log, names, start) for log, start in zip((one, other), starts, strict=True)]
+    held = [next(each, None) for each in blocks]
+    lacking = (alone.one, alone.other)
+    while True:
+        for n in (0, 1):
+            rows = held[n]
+            if rows is not None and not len(rows):
+                held[n] = next(blocks[n], None)
+        a, b = held
+        if a is None or b is None:
+            break
+        if not (len(a) and len(b)):
+            continue
+        counts = _count(a, starts[0]), _count(b, starts[1])
+        end = min(int(counts[0][-1]), int(counts[1][-1]))
+        cuts = [int(np.searchsorted(count, end, side="right")) for count in counts]
+        heads, rests = (
+            [rows[:cut] for rows, cut in zip((a, b), cuts, strict=True)],
+            [a[cuts[0] :], b[cuts[1] :]],
+        )
+        common, i, j = np.intersect1d(counts[0][: cuts[0]], counts[1][: cuts[1]], return_indices=True)
+        for n, kept in ((0, i), (1, j)):
+            lacking[n].add(np.delete(heads[n]["tick"], kept))
+        if len(common):
+            yield heads[0][i], heads[1][j]
+        held = [rests[0], rests[1]]
+    for n in (0, 1):
+        rest = held[n]
+        while rest is not None:
+            lacking[n].add(rest["tick"])
+            rest = next(blocks[n], None)
+
+
+def _from(log: Log, names: tuple[str, ...], start: int) -> Iterator[Rows]:
+    for rows in log.blocks(*names):
+        kept = rows[rows["tick"] >= start]
+        if len(kept):
+            yield kept
+
+
+def _count(rows: Rows, start: int) -> Ints:
+    found: Ints = rows["tick"] - start
+    return found

@@ -1,0 +1,69 @@
+"""`--tolerance`: how far two logs may be apart, in the words of the command line."""
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from math import inf, isnan
+from typing import NamedTuple
+
+from drivers.errors import ConfigurationError
+from drivers.tick_columns import Column
+
+
+class Tolerances(NamedTuple):
+    """What is allowed."""
+
+    relative: float
+    """Of every column of floats without a tolerance of its own: of |b|, and of 1 where that is less."""
+    absolute: dict[str, float]
+    """By column, in its unit; inf: it is not judged."""
+
+
+def read_tolerances(words: Sequence[str], columns: Sequence[Column]) -> Tolerances:
+    """Return tolerances of words: `tau=0.5`, `compute_ns=inf`, or `1e-9` for all columns of floats.
+
+    columns : of the two logs.
+
+    Raises ConfigurationError for words of another form, for a column that neither log has, and for one whose
+    values have names and no distance.
+    """
+    known = {column.name: column for column in columns}
+    relative: float | None = None
+    absolute: dict[str, float] = {}
+    for each in words:
+        name, equals, text = each.rpartition("=")
+        value = _number(text, each)
+        if not equals:
+            if value == inf or relative is not None:
+                why = "must be finite" if value == inf else "is given twice"
+                raise ConfigurationError(f"--tolerance {each}: the relative tolerance of all columns {why}")
+            relative = value
+            continue
+        column = known.get(name)
+        if column is None:
+            near = get_close_matches(name, known, n=3)
+            hint = f"did you mean {', '.join(near)}?" if near else "docs/guides/columns.md lists the columns"
+            raise ConfigurationError(f"--tolerance {each}: neither log has a column {name!r}; {hint}")
+        if name in absolute:
+            raise ConfigurationError(
+                f"--tolerance {each}: column {name} has a tolerance already; allowed: one"
+            )
+        if column.names and value not in (0.0, inf):
+            raise ConfigurationError(
+                f"--tolerance {each}: the values of {name} have names and no distance, allowed: {name}=0 for "
+                f"the same, {name}=inf for any"
+            )
+        absolute[name] = value
+    return Tolerances(relative or 0.0, absolute)
+
+
+def _number(text: str, words: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if isnan(value) or value < 0.0:
+        raise ConfigurationError(
+            f"--tolerance {words}: allowed: COLUMN=VALUE in the column's unit, as tau=0.5, or one number, "
+            "the relative tolerance of all columns of floats; >= 0, COLUMN=inf: not judged"
+        )
+    return value

@@ -1,0 +1,64 @@
+"""`--set KEY=VALUE`: changes to a configuration, in the words of the command line."""
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.yaml_positions import parse
+
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)+")
+_PLACE = re.compile(r"^.*?:\d+:\d+: ")
+
+
+def read_changes(words: Sequence[str]) -> dict[str, Any]:
+    """Return changes as `hil.app.configuration.changes` takes them, of words as `controller.wn_rad_s=25`.
+
+    A value is YAML; an empty one takes the key away. Raises ConfigurationError for words of another form, and
+    for a key that is given twice.
+    """
+    found: dict[str, Any] = {}
+    for each in words:
+        key, equals, text = each.partition("=")
+        if not equals or _KEY.fullmatch(key) is None:
+            raise ConfigurationError(
+                f"--set {each}: allowed: section.key=value, as controller.wn_rad_s=25; a list is given as a "
+                "whole, as 'limits.key=[1, 2]'"
+            )
+        document = parse(f"value: {text}")
+        if document.value is None or set(document.value) != {"value"} or document.problems:
+            raise ConfigurationError(f"--set {each}: {text!r} is no YAML value")
+        _put(found, key, document.value["value"], each)
+    return found
+
+
+def _put(found: dict[str, Any], key: str, value: Any, words: str) -> None:
+    *sections, last = key.split(".")
+    place = found
+    for name in sections:
+        place = place.setdefault(name, {})
+        if not isinstance(place, dict):
+            break
+    if not isinstance(place, dict) or last in place:
+        raise ConfigurationError(f"--set {words}: the same key is set twice; allowed: once")
+    place[last] = value
+
+
+def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configuration:
+    """Return a configuration with changes.
+
+    own : it is the configuration in a log, whose folder nobody looks into.
+
+    Raises ConfigurationError as `read_changes`; and for what the changed configuration has wrong.
+    """
+    if not words:
+        return c
+    text = with_changes(c.text, {"name": c.name} | read_changes(words))
+    try:
+        return loads(text, f"{c.source} with --set", None if own else c.folder)
+    except ConfigurationError as error:  # nobody has the text in which it is wrong
+        raise ConfigurationError(
+            *(_PLACE.sub(f"{c.source} with --set: ", problem) for problem in error.problems)
+        ) from None

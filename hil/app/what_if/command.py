@@ -1,0 +1,171 @@
+"""`hil replay --what-if CONFIG LOG`: another controller on the recorded measurements."""
+
+import contextlib
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConfigurationError, LogError
+from hil.app.compose import REFERENCE_PLAN, build_cycle
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.files import new_file
+from hil.app.homing.last_pose import HOMING_JSON, recorded
+from hil.app.output import PNG, log_path
+from hil.app.plot.command import SUFFIXES
+from hil.app.recorded_files import with_attachments
+from hil.app.replay import open_replayable
+from hil.app.what_if import show
+from hil.app.what_if.allowed import changes, refuse_other_inputs
+from hil.app.what_if.changes import changed
+from hil.app.what_if.picture import Forces
+from hil.app.what_if.recorded import record
+from hil.config.reference import LiveReference, SampledReference
+from hil.control.state_space import StateSpaceSettings
+from hil.loop.clock import collector_paused
+from hil.loop.cycle import Cycle
+from hil.loop.what_if import Answer, what_if
+from hil.record import LogSummary, environment
+from hil.record.log import Log
+from hil.record.schema import ENVIRONMENT, SUMMARY
+
+
+def what_if_log(
+    path: Path,
+    config: str | None = None,
+    words: Sequence[str] = (),
+    *,
+    picture: Path | None = None,
+    out: Path | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, Any]:
+    """Give the controller of another configuration the inputs of a log, and return what it answers.
+
+    config : a file or the name of a shipped configuration, None: the log's own; words : changes to it, as
+    `controller.wn_rad_s=25`; picture : PNG or SVG of the forces; out : a log of what it answers. Key
+    `success` tells whether the log could be read to its end: differences are no failure.
+
+    Raises ConfigurationError: a configuration that cannot be used, or to which the inputs mean something
+    else; LogError: as `hil.app.replay.open_replayable`, or a file that exists.
+    """
+    if picture is not None:
+        new_picture(picture)
+    if out is not None:
+        log_path("", "", out)
+    log, run, own = open_replayable(path)
+    here = changed(own if config is None else load(config), words, own=config is None)
+    refuse_other_inputs(own, here, run["rate_Hz"])
+    forces = None if picture is None else Forces()
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-what-if-")))
+        cycle = _cycle(log, run, own, here, None if config is not None else folder)
+        recording = None if out is None else stack.enter_context(record(here, cycle, out, log))
+        stack.enter_context(collector_paused())
+        begun = time.perf_counter()
+        answer = what_if(
+            log,
+            cycle,
+            observe=None
+            if recording is None
+            else lambda inp, sent, row: recording.tick(
+                row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders
+            ),
+            keep=None if forces is None else forces.keep,
+            progress=progress,
+        )
+        wall_s = time.perf_counter() - begun
+        written = None if recording is None else recording.close(show.closing(answer))
+    result = show.summary(answer, run["rate_Hz"])
+    result |= {
+        "success": answer.whole and (written is None or written.complete),
+        "trouble": _trouble(answer, written),
+        "log": str(path),
+        "configuration": here.source,
+        "changed": changes(own, here),
+        "remarks": _remarks(log, here, answer, cycle),
+        "wall_s": wall_s,
+        "times_real_time": answer.ticks / run["rate_Hz"] / wall_s if wall_s > 0 else 0.0,
+        "answer_log": None if out is None else str(out),
+        "picture": None,
+    }
+    if forces is not None and picture is not None and answer.ticks:
+        forces.draw(picture, f"{path.name}: what {here.source} would have sent")
+        result["picture"] = str(picture)
+    return result
+
+
+def new_picture(path: Path) -> None:
+    """Refuse a picture that could not be drawn; an earlier one is replaced. Raises LogError."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise LogError(f"--plot {path}: allowed are the endings {' and '.join(SUFFIXES)}")
+    new_file(path, force=False, option="--plot", own=PNG if path.suffix.lower() == ".png" else b"<?xml")
+
+
+def _cycle(
+    log: Log, run: dict[str, Any], own: Configuration, here: Configuration, attached_to: Path | None
+) -> Cycle:
+    """Return the controller of `here`, as the run of a log would have begun with it.
+
+    Where the reference is the log's, so is its plan. attached_to : where the files of the log go, None: the
+    configuration has files of its own.
+    """
+    if attached_to is not None:
+        _refuse_new_files(own, here)
+        here = with_attachments(here, log.attachments, attached_to)
+    plan = log.attachments.get(REFERENCE_PLAN) if here.reference == own.reference else None
+    last_pose = recorded(log.path, log.attachments.get(HOMING_JSON))
+    return build_cycle(here, run["rate_Hz"], run["watchdog_s"], plan, last_pose=last_pose)
+
+
+def _refuse_new_files(own: Configuration, here: Configuration) -> None:
+    """Refuse changes to a log's own configuration that name a file: it has a folder no more."""
+    for section, key, kind in (
+        ("reference", "path", SampledReference),
+        ("controller", "controller_file", StateSpaceSettings),
+    ):
+        there, given = getattr(own, section), getattr(here, section)
+        if not isinstance(given, kind):
+            continue
+        if not isinstance(there, kind) or getattr(there, key) != getattr(given, key):
+            raise ConfigurationError(
+                f"--set {section}.{key}={getattr(given, key)}: the configuration in a log names no file on "
+                "this disk; write a configuration that does, and name it with --what-if"
+            )
+
+
+def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
+    found = [answer.damage] if answer.damage else []
+    found += [
+        f"{count} ticks missing from tick {tick}: nothing after is answered" for tick, count in answer.gaps
+    ]
+    if not answer.ticks and not found:
+        found.append("the log has no tick")
+    if written is not None and written.error:
+        found.append(written.error)
+    return "; ".join(found) or None
+
+
+def _remarks(log: Log, here: Configuration, answer: Answer, cycle: Cycle) -> list[str]:
+    """Return what else is to be known of the figures."""
+    found: list[str] = []
+    closed = log.metadata.get(SUMMARY, {}).get("closed", "unknown")
+    if closed != "clean":
+        found.append(f"the log was not closed by its run ({closed}): it may end before the run did")
+    there, own = log.metadata.get(ENVIRONMENT, {}), environment()
+    other = [key for key in ("version", "git", "cpu") if there.get(key) != own.get(key)]
+    if other:
+        found.append(
+            f"the log was made with another {', '.join(other)}: `hil replay` without --what-if says how much "
+            "of the differences comes of that"
+        )
+    if answer.setpoints and not isinstance(here.reference, LiveReference):
+        found.append(
+            f"the {answer.setpoints} set-points of the log are not followed: reference.type "
+            f"{here.reference.type} takes none"
+        )
+    if cycle.mode.name != answer.last_mode:
+        found.append(
+            f"at the end of the log it is in {cycle.mode.name}, the recorded one in {answer.last_mode}"
+        )
+    return found

@@ -1,0 +1,122 @@
+"""What `hil replay` does beside a replay: a what-if, a comparison of two logs, a folder of logs."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hil.cli.shared import finish
+
+OF_FORM = {
+    "--set": "--what-if",
+    "--plot": "--what-if",
+    "--log": "--what-if",
+    "--tolerance": "--against",
+    "--align": "--against",
+    "--jobs": "--suite",
+    "--junit": "--suite",
+}
+"""Options that belong to one form."""
+_KEYS = {
+    "--what-if": "what_if", "--against": "against", "--suite": "suite", "--salvage": "salvage",
+    "--set": "words", "--plot": "picture", "--log": "out", "--tolerance": "tolerances", "--align": "align",
+    "--jobs": "jobs", "--junit": "junit",
+}  # fmt: skip
+
+
+def chosen_form(log: Path | None, given: dict[str, Any]) -> str:
+    """Return which form is asked for: its option, or nothing. Raises UsageError for what excludes another."""
+    there = [option for option, key in _KEYS.items() if given[key] not in (None, ())]
+    forms = [option for option in ("--what-if", "--against", "--suite") if option in there]
+    if len(forms) > 1:
+        raise click.UsageError(f"{' and '.join(forms)} are answers to different questions: give one of them.")
+    form = forms[0] if forms else "--what-if" if "--set" in there else ""
+    for option in there:
+        wanted = OF_FORM.get(option, form)
+        if wanted != form:
+            needed = "--what-if CONFIG or --set KEY=VALUE" if wanted == "--what-if" else wanted
+            raise click.UsageError(f"{option} belongs to {needed}, which is not given.")
+    if "--salvage" in there and form in ("--against", "--suite"):
+        raise click.UsageError(f"--salvage recovers one log before its replay: it does not go with {form}.")
+    if form == "--suite" and log is not None:
+        raise click.UsageError(f"--suite takes a folder, and no LOG beside it: {log}.")
+    if form != "--suite" and log is None:
+        raise click.UsageError("Missing argument 'LOG'.")
+    return form
+
+
+@contextmanager
+def counted() -> Iterator[Callable[[int], None] | None]:
+    """Yield what counts ticks on a terminal, over itself; None elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    yield lambda ticks: click.echo(f"\r{ticks} ticks", err=True, nl=False)
+    click.echo("\r\x1b[K", err=True, nl=False)
+
+
+def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
+    """Answer what another controller would have sent."""
+    from hil.app.output import show_lines
+    from hil.app.what_if import show
+    from hil.app.what_if.command import what_if_log
+
+    with counted() as progress:
+        result = what_if_log(
+            log,
+            given["what_if"],
+            given["words"],
+            picture=given["picture"],
+            out=given["out"],
+            progress=progress,
+        )
+    show.tables(result)
+    show_lines(show.story(result))
+    finish("what-if", result, json_file, show.shown(result))
+
+
+def against(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
+    """Say where two logs part."""
+    from hil.app.against.command import against
+    from hil.app.against.show import show, shown
+
+    result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
+    show(result)
+    finish("compared", result, json_file, shown(result))
+
+
+def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
+    """Replay every log of a folder."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from hil.app.junit import check_junit_path, write_junit
+    from hil.app.output import console
+    from hil.app.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
+
+    if given["junit"] is not None:
+        check_junit_path(given["junit"])
+    paths = logs_in(folder)
+    cases: list[Case] = []
+    begun = time.perf_counter()
+    columns = (TextColumn("replaying"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            task = bar.add_task("", total=len(paths))
+            for case in run_suite(
+                paths, given["jobs"], lambda done, of: bar.update(task, completed=done, total=of)
+            ):
+                cases.append(case)  # noqa: PERF402 - one by one: an interrupt shows those that are done
+    except KeyboardInterrupt:
+        show(folder, cases)
+        raise KeyboardInterrupt(f"with {len(cases)} of {len(paths)} logs replayed") from None
+    wall_s = time.perf_counter() - begun
+    show(folder, cases)
+    result = summary(folder, cases, wall_s)
+    if given["junit"] is not None:
+        write_junit(given["junit"], f"hil replay {folder}", verdicts(folder, cases), wall_s)
+    shown = {key: value for key, value in result.items() if key != "cases"}
+    finish("replay of a folder", result, json_file, shown)

@@ -1,0 +1,166 @@
+"""Where rows of two logs part: by column the first tick, and the largest difference. Pure, block by block."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Flags, Rows
+from drivers.tick_columns import Column
+
+
+class Tolerance(NamedTuple):
+    """How far two values may be apart: |a - b| <= absolute + relative * max(1, |b|)."""
+
+    absolute: float = 0.0
+    """In the unit of the column; inf: the column is not judged."""
+    relative: float = 0.0
+
+    @property
+    def judged(self) -> bool:
+        """Whether any difference is too large."""
+        return self.absolute != np.inf
+
+
+EXACT = Tolerance()
+
+
+class Place(NamedTuple):
+    """One element of a column in one tick, with its value on either side."""
+
+    tick: int
+    time_s: float
+    """As who compares counts it."""
+    label: str
+    """`tau.leg_3`."""
+    unit: str
+    one: int | float
+    other: int | float
+
+    def values(self, column: Column) -> tuple[str, str]:
+        """Return both values in words: by name where the column has names."""
+        return named(column, self.one), named(column, self.other)
+
+
+@dataclass
+class ColumnDivergence:
+    """What was found of one column. Mutable state: all below the tolerance."""
+
+    column: Column
+    tolerance: Tolerance = EXACT
+    ticks: int = 0
+    """Ticks in which an element is beyond the tolerance."""
+    first: Place | None = None
+    """The first of them, and its worst element."""
+    largest: float = 0.0
+    """|one - other|, in the unit of the column; inf where one is not a number."""
+    at: Place | None = None
+    """Where that is."""
+
+    @property
+    def diverges(self) -> bool:
+        """Whether it is beyond its tolerance somewhere."""
+        return self.ticks > 0
+
+    def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
+        """Compare n rows with n rows and return which differ too much; time_s is (n,).
+
+        Both have this column, the first has `tick`.
+        """
+        column = self.column
+        size = max(column.size, 1)
+        a, b = (np.ascontiguousarray(rows[column.name]).reshape(len(rows), size) for rows in (one, other))
+        if a.tobytes() == b.tobytes():
+            return np.zeros(len(a), bool)
+        difference = _difference(a, b)
+        size_of_b = np.where(np.isfinite(b), np.maximum(1.0, np.abs(b.astype(np.float64))), 0.0)
+        beyond = difference > self.tolerance.absolute + self.tolerance.relative * size_of_b
+
+        def place(row: int, element: int) -> Place:
+            values = a[row, element].item(), b[row, element].item()
+            label, unit = column.labels[element], column.units[element]
+            return Place(int(one["tick"][row]), float(time_s[row]), label, unit, *values)
+
+        worst = int(difference.argmax())
+        if difference.flat[worst] > self.largest:
+            self.largest = float(difference.flat[worst])
+            self.at = place(*divmod(worst, size))
+        rows: Flags = np.any(beyond, axis=1)
+        if rows.any():
+            self.ticks += int(rows.sum())
+            if self.first is None:
+                row = int(rows.argmax())
+                self.first = place(row, int(np.where(beyond[row], difference[row], -1.0).argmax()))
+        return rows
+
+
+class Divergence:
+    """What was found of all columns. Mutable state: that of each column.
+
+    tolerances : by column; those that are not named are exact. relative : of every column of floats.
+    """
+
+    def __init__(
+        self, columns: Sequence[Column], tolerances: Mapping[str, float] | None = None, relative: float = 0.0
+    ) -> None:
+        given = tolerances or {}
+        self.columns = [
+            ColumnDivergence(c, Tolerance(given.get(c.name, 0.0), _relative(c, given, relative)))
+            for c in columns
+        ]
+
+    def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
+        """Compare n rows with n rows, tick for tick, and return which differ too much; time_s is (n,)."""
+        found: Flags = np.zeros(len(one), bool)
+        for each in self.columns:
+            found |= each.take(one, other, time_s)
+        return found
+
+    @property
+    def diverging(self) -> list[ColumnDivergence]:
+        """Columns that diverge, the earliest first; of one tick in the order of the row."""
+        found = [each for each in self.columns if each.diverges]
+        return sorted(found, key=lambda each: each.first.tick if each.first else 0)
+
+    @property
+    def different(self) -> list[ColumnDivergence]:
+        """Columns with any difference, within their tolerance or not, in the order of the row."""
+        return [each for each in self.columns if each.largest > 0.0]
+
+    @property
+    def first(self) -> list[ColumnDivergence]:
+        """Columns that diverge in the first tick in which any does."""
+        found = self.diverging
+        return [
+            each for each in found if each.first and found[0].first and each.first.tick == found[0].first.tick
+        ]
+
+
+def _relative(column: Column, given: Mapping[str, float], relative: float) -> float:
+    """Return the relative tolerance of a column: none of whole numbers, nor where it has one of its own."""
+    return relative if column.type is float and column.name not in given else 0.0
+
+
+def _difference(a: Array, b: Array) -> Array:
+    """Return |a - b| of (n, m) values: 0 where both are the same or not a number, inf where one is not."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        difference = np.abs(a.astype(np.float64) - b.astype(np.float64))
+    if a.dtype.kind == "f":
+        same = (a == b) | (np.isnan(a) & np.isnan(b))
+    else:
+        same = a == b
+        difference = np.maximum(difference, 1.0)  # of large whole numbers that one float64 stands for
+    found: Array = np.where(same, 0.0, np.nan_to_num(difference, nan=np.inf, posinf=np.inf))
+    return found
+
+
+def named(column: Column, value: float) -> str:
+    """Return a value as text: by its name, flags joined, where the column has names."""
+    if not column.names:
+        return repr(value)
+    if issubclass(column.type, IntFlag):
+        bits = [name for name, bit in column.names.items() if bit and int(value) & bit]
+        return "|".join(bits) or "NONE"
+    return next((name for name, number in column.names.items() if number == value), str(value))

@@ -9,23 +9,23 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.yaml_positions import parse
 
-_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)+")
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 _PLACE = re.compile(r"^.*?:\d+:\d+: ")
 
 
 def read_changes(words: Sequence[str]) -> dict[str, Any]:
     """Return changes as `hil.app.configuration.changes` takes them, of words as `controller.wn_rad_s=25`.
 
-    A value is YAML; an empty one takes the key away. Raises ConfigurationError for words of another form, and
-    for a key that is given twice.
+    A value is YAML; an empty one takes a key or a section away, and its default holds. Raises
+    ConfigurationError for words of another form, and for a key that is given twice.
     """
     found: dict[str, Any] = {}
     for each in words:
         key, equals, text = each.partition("=")
         if not equals or _KEY.fullmatch(key) is None:
             raise ConfigurationError(
-                f"--set {each}: allowed: section.key=value, as controller.wn_rad_s=25; a list is given as a "
-                "whole, as 'limits.key=[1, 2]'"
+                f"--set {each}: allowed: section.key=value, as controller.wn_rad_s=25; a list or a section "
+                "is given as a whole, as 'monitor={action: warn}'"
             )
         document = parse(f"value: {text}")
         if document.value is None or set(document.value) != {"value"} or document.problems:

@@ -7,8 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
-from hil.app.compose import REFERENCE_PLAN, build_cycle
+from drivers.protocol import Frame
+from hil.app.compose import CONTROLLER_FILE, REFERENCE_CSV, REFERENCE_PLAN, attachments, build_cycle
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.files import new_file
 from hil.app.homing.last_pose import HOMING_JSON, recorded
@@ -26,9 +28,10 @@ from hil.control.state_space import StateSpaceSettings
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.what_if import Answer, what_if
-from hil.record import LogSummary, environment
+from hil.record import LogSummary, Recording, environment
 from hil.record.log import Log
 from hil.record.schema import ENVIRONMENT, SUMMARY
+from hil.signals import TickInput
 
 
 def what_if_log(
@@ -59,21 +62,13 @@ def what_if_log(
     forces = None if picture is None else Forces()
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-what-if-")))
-        cycle = _cycle(log, run, own, here, None if config is not None else folder)
+        given = _with_files(own, here, log, None if config is not None else folder)
+        cycle = _cycle(log, run, own, given)
+        other_files = _other_files(given, log)
         recording = None if out is None else stack.enter_context(record(here, cycle, out, log))
         stack.enter_context(collector_paused())
         begun = time.perf_counter()
-        answer = what_if(
-            log,
-            cycle,
-            observe=None
-            if recording is None
-            else lambda inp, sent, row: recording.tick(
-                row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders
-            ),
-            keep=None if forces is None else forces.keep,
-            progress=progress,
-        )
+        answer = _answer(log, cycle, recording, forces, progress)
         wall_s = time.perf_counter() - begun
         written = None if recording is None else recording.close(show.closing(answer))
     result = show.summary(answer, run["rate_Hz"])
@@ -82,7 +77,7 @@ def what_if_log(
         "trouble": _trouble(answer, written),
         "log": str(path),
         "configuration": here.source,
-        "changed": changes(own, here),
+        "changed": [*changes(own, here), *other_files],
         "remarks": _remarks(log, here, answer, cycle),
         "wall_s": wall_s,
         "times_real_time": answer.ticks / run["rate_Hz"] / wall_s if wall_s > 0 else 0.0,
@@ -102,17 +97,53 @@ def new_picture(path: Path) -> None:
     new_file(path, force=False, option="--plot", own=PNG if path.suffix.lower() == ".png" else b"<?xml")
 
 
-def _cycle(
-    log: Log, run: dict[str, Any], own: Configuration, here: Configuration, attached_to: Path | None
-) -> Cycle:
+def _answer(
+    log: Log,
+    cycle: Cycle,
+    recording: Recording | None,
+    forces: Forces | None,
+    progress: Callable[[int], None] | None,
+) -> Answer:
+    def observe(inp: TickInput, sent: tuple[Frame, ...], row: Rows) -> None:
+        assert recording is not None
+        recording.tick(row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
+
+    keep = None if forces is None else forces.keep
+    try:
+        return what_if(log, cycle, observe=observe if recording else None, keep=keep, progress=progress)
+    except KeyboardInterrupt:
+        if recording is None:
+            raise
+        recording.close({"reason": "interrupted"})
+        raise KeyboardInterrupt(f"what it answered until then: {recording.path}") from None
+
+
+def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path | None) -> Configuration:
+    """Return a configuration whose files are there: changes of the log's own one take those of the log.
+
+    folder : where these go, None: the configuration has a folder of its own.
+    """
+    if folder is None:
+        return here
+    _refuse_new_files(own, here)
+    return with_attachments(here, log.attachments, folder)
+
+
+def _other_files(here: Configuration, log: Log) -> list[str]:
+    """Return which files of a configuration have another content than those of the log."""
+    there = log.attachments
+    return [
+        f"{key}: the file has another content than that of the log"
+        for name, key in ((REFERENCE_CSV, "reference.path"), (CONTROLLER_FILE, "controller.controller_file"))
+        if name in there and there[name] != dict(attachments(here)).get(name, there[name])
+    ]
+
+
+def _cycle(log: Log, run: dict[str, Any], own: Configuration, here: Configuration) -> Cycle:
     """Return the controller of `here`, as the run of a log would have begun with it.
 
-    Where the reference is the log's, so is its plan. attached_to : where the files of the log go, None: the
-    configuration has files of its own.
+    Where the reference is the log's, so is its plan.
     """
-    if attached_to is not None:
-        _refuse_new_files(own, here)
-        here = with_attachments(here, log.attachments, attached_to)
     plan = log.attachments.get(REFERENCE_PLAN) if here.reference == own.reference else None
     last_pose = recorded(log.path, log.attachments.get(HOMING_JSON))
     return build_cycle(here, run["rate_Hz"], run["watchdog_s"], plan, last_pose=last_pose)
@@ -163,6 +194,12 @@ def _remarks(log: Log, here: Configuration, answer: Answer, cycle: Cycle) -> lis
         found.append(
             f"the {answer.setpoints} set-points of the log are not followed: reference.type "
             f"{here.reference.type} takes none"
+        )
+    frames = answer.first_frames
+    if frames is not None and any(each["tick"] > frames.tick for each in answer.answered_faults):
+        found.append(
+            f"a fault after tick {frames.tick} may come of the open loop alone: encoders, brakes, following "
+            "error and certificate are judged by the motion that the forces sent should bring about"
         )
     if cycle.mode.name != answer.last_mode:
         found.append(

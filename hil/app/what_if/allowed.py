@@ -16,20 +16,8 @@ FREE_OF_DRIVES = {"brake_after_ms"}
 """Keys of `drives` that neither a frame nor the controller has."""
 FREE_OF_HOMING = {"file"}
 """Where the legs stood is in the log."""
-SECTIONS = (
-    "platform",
-    "sensors",
-    "loop",
-    "estimation",
-    "controller",
-    "monitor",
-    "engage",
-    "operator",
-    "reference",
-    "limits",
-    "reactions",
-)
-"""Whose changes are named: those that the controller is made of."""
+UNNAMED = {"name", "description", "compare", "watch"}
+"""Sections whose changes are not named: no controller has them."""
 
 
 def refuse_other_inputs(there: Configuration, here: Configuration, rate_Hz: float) -> None:
@@ -57,9 +45,11 @@ def refuse_other_inputs(there: Configuration, here: Configuration, rate_Hz: floa
 
 
 def changes(there: Configuration, here: Configuration) -> list[str]:
-    """Return which keys of the controller's sections differ, each with both values."""
+    """Return which keys of two configurations differ, each with both values."""
     found: list[str] = []
-    for section in SECTIONS:
+    for section in Configuration.model_fields:
+        if section in UNNAMED:
+            continue
         pair = (_plain(getattr(each, section)) for each in (there, here))
         found += _changed(section, *pair)
     return found

@@ -7,12 +7,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
 from drivers.protocol import Frame
 from hil.app.compose import CONTROLLER_FILE, REFERENCE_CSV, REFERENCE_PLAN, attachments, build_cycle
 from hil.app.configuration.configuration import Configuration, load
-from hil.app.files import new_file
+from hil.app.files import new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import PNG, log_path
 from hil.app.plot.command import SUFFIXES
@@ -85,9 +87,16 @@ def what_if_log(
         "picture": None,
     }
     if forces is not None and picture is not None and answer.ticks:
-        forces.draw(picture, f"{path.name}: what {here.source} would have sent")
+        forces.draw(
+            picture, f"{printable(path.name)}: recorded, and what {_named(here, words)} would have sent"
+        )
         result["picture"] = str(picture)
     return result
+
+
+def _named(here: Configuration, words: Sequence[str]) -> str:
+    """Return what a controller is called in a picture."""
+    return printable(" ".join((here.name, *words)))
 
 
 def new_picture(path: Path) -> None:
@@ -110,7 +119,8 @@ def _answer(
 
     keep = None if forces is None else forces.keep
     try:
-        return what_if(log, cycle, observe=observe if recording else None, keep=keep, progress=progress)
+        with np.errstate(all="ignore"):  # a law that diverges says so by its fault
+            return what_if(log, cycle, observe=observe if recording else None, keep=keep, progress=progress)
     except KeyboardInterrupt:
         if recording is None:
             raise
@@ -184,7 +194,8 @@ def _remarks(log: Log, here: Configuration, answer: Answer, cycle: Cycle) -> lis
     if closed != "clean":
         found.append(f"the log was not closed by its run ({closed}): it may end before the run did")
     there, own = log.metadata.get(ENVIRONMENT, {}), environment()
-    other = [key for key in ("version", "git", "cpu") if there.get(key) != own.get(key)]
+    names = {"version": "version", "git": "state of the sources", "cpu": "CPU"}
+    other = [name for key, name in names.items() if there.get(key) != own.get(key)]
     if other:
         found.append(
             f"the log was made with another {', '.join(other)}: `hil replay` without --what-if says how much "

@@ -67,7 +67,7 @@ def shown(result: dict[str, Any]) -> dict[str, Any]:
         "success": result["success"],
         "log": result["log"],
         "configuration": result["configuration"],
-        "changed": [*changed[:SHOWN], *more] or "nothing that the controller is made of",
+        "changed": [*changed[:SHOWN], *more] or "nothing",
         "ticks": result["ticks"],
         "different ticks": result["different_ticks"],
         "first difference": first[:3] + ([f"{len(first) - 3} more columns"] if len(first) > 3 else []),

@@ -1,0 +1,322 @@
+"""What another controller would have answered to recorded measurements."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import ConfigurationError, LogError
+from drivers.signals import Fault, Mode, Warn
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load
+from hil.app.what_if.allowed import changes, refuse_other_inputs
+from hil.app.what_if.changes import changed, read_changes
+from hil.app.what_if.command import what_if_log
+from hil.app.what_if.recorded import OPEN_LOOP
+from hil.cli import main
+from hil.loop import what_if as kernel
+from hil.record.log import Log
+from hil.trajectory.time_optimal import plan
+from tests.broad import broad
+from tests.hil.rewrite import rewrite_log
+from tests.replay.moving import moved
+
+LIMIT_N = 5000.0
+"""Below the largest forces of the run, and above those at rest."""
+VIRTUAL = load("virtual")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return moved(tmp_path_factory.mktemp("what-if") / "run.mcap")
+
+
+@pytest.fixture(scope="module")
+def rows(log):
+    return Log(log).rows()
+
+
+@pytest.fixture(scope="module")
+def entries(log):
+    return list(Log(log).ticks())
+
+
+class Edited:
+    """Recorded ticks, some of which are missing, and an end where the file cannot be read."""
+
+    def __init__(self, entries, without=(), readable=None):
+        self.entries, self.without, self.readable = entries, without, readable
+
+    def ticks(self):
+        for n, entry in enumerate(self.entries):
+            if n == self.readable:
+                raise LogError("damaged at byte 4711")
+            if n not in self.without:
+                yield entry
+
+
+def cycle(*words):
+    c = changed(VIRTUAL, words, own=False)
+    return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
+
+
+@pytest.mark.parametrize(
+    "config", broad(["virtual", "virtual-cia402", "lab", "lab-cia402", "desktop", "ideal", "bench"], quick=1)
+)
+def test_the_same_configuration_has_no_differences(config, log, tmp_path):
+    path = log if config == "virtual" else moved(tmp_path / "run.mcap", config)
+    found = what_if_log(path)
+    assert (found["success"], found["different_ticks"], found["different_frames_ticks"]) == (True, 0, 0)
+    assert found["ticks"] == len(Log(path).rows()) > 300
+    assert found["first"] == found["columns"] == found["changed"] == found["what_if_faults"] == []
+    assert found["first_frames"] is found["first_tick"] is None
+
+
+def test_a_lower_limit_cuts_each_force_and_nothing_else(log, rows, monkeypatch):
+    monkeypatch.setattr(kernel, "BLOCK", 100)  # the figures are sums over blocks
+    found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"])
+    over = np.maximum(np.abs(rows["tau"]) - LIMIT_N, 0.0)
+    first, leg = np.argwhere(over > 0.0)[0]
+    assert 0 < first < len(rows) - 1
+    assert found["success"]
+    assert found["changed"] == [f"limits.force_N: {VIRTUAL.limits.force_N} -> {LIMIT_N}"]
+    assert found["first_tick"] == rows["tick"][first]
+    (tau,) = [each for each in found["first"] if each["column"].startswith("tau.")]
+    assert tau["time_s"] == pytest.approx(1e-9 * (rows["t_ns"][first] - rows["t_ns"][0]), abs=1e-12)
+    worst = int(over[first].argmax())
+    assert (tau["leg"], tau["unit"]) == (worst, "N")
+    assert float(tau["recorded"]) == rows["tau"][first, worst]
+    assert float(tau["what_if"]) == np.sign(rows["tau"][first, worst]) * LIMIT_N
+    forces = found["forces"]
+    assert forces["ticks"] == len(rows)
+    assert forces["largest_N"] == pytest.approx(over.max(axis=0), rel=1e-12)
+    assert forces["rms_N"] == pytest.approx(np.sqrt((over**2).mean(axis=0)), rel=1e-12)
+    expected = [None if not column.any() else int(rows["tick"][column.argmax()]) for column in over.T]
+    assert forces["at_tick"] == expected
+    assert leg in [n for n, at in enumerate(expected) if at is not None]
+    acted = over.any(axis=1)
+    limit = found["limits"]["FORCE_LIMIT"]
+    assert limit == {"recorded": 0, "answered": int(acted.sum()), "first_tick": int(rows["tick"][first])}
+    assert not (rows["warnings"] & Warn.FORCE_LIMIT).any()
+    assert {each["column"] for each in found["columns"]} >= {"tau", "warnings"}
+    assert "tau_law" not in {each["column"] for each in found["columns"]}, "the law is the same"
+
+
+def test_the_first_other_command_is_named_with_both_frames(log, rows, entries):
+    found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"])
+    first = int(np.flatnonzero((np.abs(rows["tau"]) > LIMIT_N).any(axis=1))[0])
+    frames = found["first_frames"]
+    assert frames["tick"] == rows["tick"][first]
+    assert frames["legs"] == [0, 1, 2, 3, 4, 5], "one command frame is for all"
+    sent = [f"0x{frame.id:X} {frame.data.hex(' ')}" for frame in entries[first].sent]
+    assert frames["recorded"] in sent
+    assert frames["what_if"] not in sent
+    assert frames["what_if"].split()[0] == frames["recorded"].split()[0], "the same identifier"
+
+
+def test_a_fault_of_its_own_is_named_and_the_figures_count_until_it(log, rows):
+    limit = 0.6 * np.abs(rows["dq"]).max()
+    strikes = int(np.flatnonzero((np.abs(rows["dq"]) > limit).any(axis=1))[0])
+    found = what_if_log(log, None, [f"limits.speed_m_s={limit}"])
+    (fault,) = [each for each in found["what_if_faults"] if each["fault"] == "SPEED"][:1]
+    assert fault["tick"] == found["faults_part_at_tick"] == rows["tick"][strikes]
+    assert found["forces"]["ticks"] == strikes
+    assert found["forces"]["largest_N"] == [0.0] * 6
+    assert found["recorded_faults"] == []
+    assert found["what_if_story"]["findings"][0]["fault"] == "SPEED"
+    assert found["ticks"] == len(rows), "it goes on"
+    assert found["success"], "differences are the answer"
+
+
+def test_a_fault_that_only_the_log_has_is_named_with_its_tick(tmp_path):
+    path = moved(tmp_path / "fault.mcap", limits={"following_error_m": 2e-6})
+    there = Log(path).rows()
+    struck = int(there["tick"][np.flatnonzero(there["faults"] & Fault.FOLLOWING)[0]])
+    found = what_if_log(path, None, [f"limits.following_error_m={VIRTUAL.limits.following_error_m}"])
+    first = found["recorded_faults"][0]
+    assert (first["fault"], first["tick"], found["faults_part_at_tick"]) == ("FOLLOWING", struck, struck)
+    assert struck not in [each["tick"] for each in found["what_if_faults"]]
+
+
+def test_a_gap_and_damage_on_the_way_end_the_answer_and_are_no_success(entries):
+    gap = kernel.what_if(Edited(entries, without=(300,)), cycle())
+    assert (gap.ticks, gap.gaps, gap.whole) == (300, [(300, 1)], False)
+    damaged = kernel.what_if(Edited(entries, readable=200), cycle())
+    assert (damaged.ticks, damaged.damage, damaged.whole) == (200, "damaged at byte 4711", False)
+    assert kernel.what_if(Edited(entries[:50]), cycle()).whole
+    assert not kernel.what_if(Edited([]), cycle()).whole
+
+
+def test_the_command_exits_1_for_a_log_with_a_gap_and_0_for_differences(log, tmp_path):
+    gap = tmp_path / "gap.mcap"
+    rewrite_log(log, gap, lambda topic, data, number: None if (topic, number) == ("/tick", 500) else data)
+    words = ["--set", f"limits.force_N={LIMIT_N}", "--json", str(tmp_path / "a.json")]
+    cut = CliRunner().invoke(main, ["replay", str(gap), *words])
+    assert cut.exit_code == 1, cut.output
+    assert "1 ticks missing from tick 500" in cut.stderr
+    whole = CliRunner().invoke(main, ["replay", str(log), *words])
+    assert whole.exit_code == 0, whole.output
+    result = json.loads((tmp_path / "a.json").read_text())
+    assert (result["success"], result["kind"], result["note"]) == (True, "what_if", OPEN_LOOP)
+    said = " ".join(whole.stdout.split())
+    assert OPEN_LOOP in said
+    assert f"tick {result['first_tick']} " in said
+
+
+def test_what_it_answers_is_a_log_that_says_that_it_is_no_run(log, rows, tmp_path):
+    out = tmp_path / "answer.mcap"
+    found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"], out=out)
+    assert found["success"]
+    answer = Log.open(out)
+    assert answer.metadata["hil"]["kind"] == "what-if"
+    assert answer.metadata["hil"]["what_if_of"] == "run.mcap"
+    assert answer.metadata["hil"]["open_loop"] == OPEN_LOOP
+    assert any(OPEN_LOOP in event.text for event in answer.events())
+    np.testing.assert_array_equal(answer.rows()["tau"], np.clip(rows["tau"], -LIMIT_N, LIMIT_N))
+    given, there = (next(iter(Log(each).ticks())) for each in (out, log))
+    assert (given.received, given.operator) == (there.received, there.operator)
+    result = CliRunner().invoke(main, ["replay", str(out)])
+    assert result.exit_code == 2
+    assert "answer.mcap: holds a what-if on 'run.mcap', no run" in result.stderr
+    with pytest.raises(LogError, match=r"answer\.mcap: exists"):
+        what_if_log(log, out=out)
+
+
+def test_the_picture_has_each_legs_forces_and_their_differences(log, tmp_path):
+    picture = tmp_path / "forces.svg"
+    found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"], picture=picture)
+    assert found["picture"] == str(picture)
+    said = re.findall(r">([^<>\n]+)</text>", picture.read_text())
+    assert [each for each in said if each.startswith("tau.leg_")] == [f"tau.leg_{n}" for n in range(6)]
+    assert (said.count("recorded"), said.count("what-if")) == (6, 6)
+    assert "tau: what-if - recorded" in said
+    with pytest.raises(LogError, match=r"--plot .*notes\.txt: allowed are the endings"):
+        what_if_log(log, picture=tmp_path / "notes.txt")
+
+
+@pytest.mark.parametrize(
+    ("config", "words", "key"),
+    [
+        ("virtual", ("bus.layout=ideal",), "bus.layout: ideal, allowed: fd"),
+        ("virtual", ("loop.rate_Hz=500",), "loop.rate_Hz: 500.0, allowed: 1000.0"),
+        ("virtual", ("drives.watchdog_ms=20",), "drives.watchdog_ms: 20.0, allowed: 10.0"),
+        ("virtual", ("drives.node_ids=[2,1,3,4,5,6]",), "drives.node_ids"),
+        ("virtual", ("drives.force_limit_N=40000",), "limits.force_N"),
+        ("virtual", ("reactions.silence=damp",), "reactions.silence: damp, allowed: brake"),
+        ("virtual", ("sensors.wrench={node_id: 9}", "bus.max_load_percent=90"), "sensors.wrench"),
+        ("virtual-cia402", (), "drives.protocol: cia402, allowed: legs"),
+        ("two_buses", (), "bus.channels"),
+    ],
+)
+def test_a_configuration_to_which_the_frames_mean_something_else_is_refused(config, words, key):
+    here = changed(load(config), words, own=False)
+    with pytest.raises(ConfigurationError) as refused:
+        refuse_other_inputs(VIRTUAL, here, VIRTUAL.loop.rate_Hz)
+    assert key in str(refused.value)
+    assert "as in the log" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("controller={law: pd, kp_N_m: 1e6, kv_N_s_m: 1e4}",),
+        ("platform.platform.mass_kg=500", "limits.speed_m_s=1", "monitor.action=warn"),
+        ("reference={type: hold}", "engage.stop_s=1", "operator.stays=true"),
+        ("bus.channel=other", "bus.max_load_percent=90", "drives.brake_after_ms=500", "recording.folder=x"),
+        ("reactions.encoder=sto", "estimation.wrench={source: observer}"),
+    ],
+)
+def test_what_the_controller_decides_may_differ_and_is_named(words):
+    here = changed(VIRTUAL, words, own=False)
+    refuse_other_inputs(VIRTUAL, here, VIRTUAL.loop.rate_Hz)
+    named = " ".join(changes(VIRTUAL, here))
+    assert all(word.partition("=")[0] in named for word in words)
+    assert changes(VIRTUAL, changed(VIRTUAL, ["description=x"], own=False)) == []
+
+
+def test_a_log_that_ran_slower_than_configured_takes_either_rate():
+    slow = changed(VIRTUAL, ["loop.rate_Hz=500"], own=False)
+    refuse_other_inputs(VIRTUAL, slow, 500.0)
+    refuse_other_inputs(VIRTUAL, VIRTUAL, 500.0)
+    with pytest.raises(ConfigurationError, match="its ticks are 2 ms apart"):
+        refuse_other_inputs(VIRTUAL, changed(VIRTUAL, ["loop.rate_Hz=400"], own=False), 500.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["controller.wn_rad_s"], r"--set controller\.wn_rad_s: allowed: section\.key=value"),
+        (["=3"], "allowed: section.key=value"),
+        (["limits.x[0]=3"], "allowed: section.key=value"),
+        (["limits.x=]"], "is no YAML value"),
+        (["limits.x=1", "limits.x=2"], r"limits\.x=2: the same key is set twice"),
+        (["limits.x=1", "limits.x.y=2"], "the same key is set twice"),
+        (["limits.x.y=1", "limits.x=2"], "the same key is set twice"),
+    ],
+)
+def test_words_that_are_no_change_are_refused(words, message):
+    with pytest.raises(ConfigurationError, match=message):
+        read_changes(words)
+
+
+def test_a_change_is_read_as_yaml_and_an_empty_one_takes_the_key_away():
+    words = ["a.b=1e3", "a.c=[1, 2]", "a.d={e: x}", "f=", "a.g.h=true"]
+    expected = {"a": {"b": 1000.0, "c": [1, 2], "d": {"e": "x"}, "g": {"h": True}}, "f": None}
+    assert read_changes(words) == expected
+
+
+def test_a_wrong_key_is_named_without_a_place_in_a_text_that_nobody_has(log):
+    with pytest.raises(ConfigurationError) as refused:
+        what_if_log(log, None, ["controller.wn_rads=25"])
+    assert re.search(r"with --set: controller\.wn_rads: unknown key, allowed: .*wn_rad_s", str(refused.value))
+    assert not re.search(r":\d+:\d+:", str(refused.value))
+
+
+def test_a_change_to_the_logs_own_configuration_opens_no_file(log, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "path.csv").write_text("t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n")
+    for words in (
+        ["reference={type: sampled, path: path.csv}"],
+        ["controller={law: state_space, controller_file: hinf}"],
+    ):
+        with pytest.raises(ConfigurationError, match="names no file on this disk"):
+            what_if_log(log, None, words)
+
+
+def test_the_plan_of_a_reference_is_the_logs_and_another_reference_is_planned_anew(tmp_path, monkeypatch):
+    limits = {"velocity_m_s": 0.3, "velocity_deg_s": 20, "acceleration_m_s2": 1, "acceleration_deg_s2": 60}
+    points = [{"position_m": [0, 0, z]} for z in (1.0, 1.05, 1.0)]
+    reference = {
+        "type": "time_optimal",
+        "limits": limits | {"jerk_m_s3": 10, "jerk_deg_s3": 600},
+        "points": points,
+    }
+    path = moved(tmp_path / "planned.mcap", reference=reference)
+    slower = changed(VIRTUAL, ["reference=" + json.dumps(reference).replace(": 10", ": 5")], own=True)
+    monkeypatch.setattr("hil.trajectory.build.plan", lambda settings: plan(slower.reference))
+    assert what_if_log(path, None, ["controller.wn_rad_s=20"])["different_ticks"] == 0
+    other = what_if_log(path, None, ["reference.limits.jerk_m_s3=9"])
+    rows = Log(path).rows()
+    tracking = int(rows["tick"][np.flatnonzero(rows["mode"] == Mode.TRACKING)[0]])
+    (first,) = [each["first"]["tick"] for each in other["columns"] if each["column"] == "p_d"]
+    assert tracking <= first <= tracking + 100
+
+
+def test_files_of_another_content_are_named_where_the_text_is_the_same(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = ["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", "0,0,0,1,0,0,0", "1,0.02,0,1,0,0,0", "2,0,0,1,0,0,0"]
+    (tmp_path / "path.csv").write_text("\n".join(lines))
+    c = changed(VIRTUAL, ["reference={type: sampled, path: path.csv}"], own=True)
+    (tmp_path / "own.yaml").write_text(c.text)
+    path = moved(tmp_path / "run.mcap", "own.yaml")
+    (tmp_path / "own.yaml").write_text(Log(path).configuration)
+    assert what_if_log(path, "own.yaml")["changed"] == what_if_log(path)["changed"] == []
+    (tmp_path / "path.csv").write_text("\n".join(lines).replace("0.02", "0.03"))
+    found = what_if_log(path, "own.yaml")
+    assert found["changed"] == ["reference.path: the file has another content than that of the log"]
+    assert found["different_ticks"] > 0
+    assert what_if_log(path)["different_ticks"] == 0

@@ -1,0 +1,107 @@
+"""Where rows of two logs part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.signals import Mode, Warn
+from drivers.tick_columns import COLUMNS, ROW
+from hil.record.divergence import EXACT, ColumnDivergence, Divergence, Tolerance, named
+
+
+def rows(count=4, **columns):
+    found = np.zeros(count, ROW)
+    found["tick"] = np.arange(10, 10 + count)
+    for name, values in columns.items():
+        found[name] = values
+    return found
+
+
+def compared(one, other, name, tolerance=EXACT):
+    found = ColumnDivergence(COLUMNS[name], tolerance)
+    beyond = found.take(one, other, np.arange(len(one), dtype=np.float64) / 2.0)
+    assert found.ticks == beyond.sum()
+    return found, beyond.tolist()
+
+
+def test_the_first_tick_and_the_largest_difference_are_two_places():
+    tau = np.zeros((4, 6))
+    tau[1, 2], tau[1, 5], tau[3, 4] = 0.5, -2.0, 7.0
+    found, beyond = compared(rows(tau=tau), rows(), "tau")
+    assert beyond == [False, True, False, True]
+    assert found.first is not None
+    assert found.at is not None
+    first, at = found.first, found.at
+    assert (first.tick, first.time_s, first.label, first.unit) == (11, 0.5, "tau.leg_5", "N")
+    assert (first.one, first.other) == (-2.0, 0.0)
+    assert (found.largest, at.tick, at.label) == (7.0, 13, "tau.leg_4")
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "tolerance", "beyond"),
+    [
+        (1.0, 1.5, Tolerance(0.5), False),
+        (1.0, 1.5, Tolerance(0.499), True),
+        (1e6, 1e6 + 1.0, Tolerance(0.0, 1e-6), False),  # relative to the size
+        (1e6, 1e6 + 2.0, Tolerance(0.0, 1e-6), True),
+        (1e-3, 1e-3 + 2e-6, Tolerance(0.0, 1e-6), True),  # and to 1 where that is less
+        (1e-3, 1e-3 + 5e-7, Tolerance(0.0, 1e-6), False),
+        (np.nan, np.nan, Tolerance(), False),
+        (np.nan, 1.0, Tolerance(1e9, 1e9), True),
+        (1.0, np.nan, Tolerance(1e9, 1e9), True),
+        (np.nan, 1.0, Tolerance(np.inf), False),
+        (np.inf, np.inf, Tolerance(), False),
+        (1.0, np.inf, Tolerance(1.0, 1.0), True),
+        (np.inf, -np.inf, Tolerance(1.0, 1.0), True),
+        (-0.0, 0.0, Tolerance(), False),
+    ],
+)
+def test_a_value_is_within_its_tolerance(one, other, tolerance, beyond):
+    _, found = compared(rows(1, condition=one), rows(1, condition=other), "condition", tolerance)
+    assert found == [beyond]
+
+
+def test_whole_numbers_that_one_float_stands_for_differ():
+    found, beyond = compared(rows(1, t_ns=2**60 + 1), rows(1, t_ns=2**60), "t_ns")
+    assert (beyond, found.largest) == ([True], 1.0)
+
+
+def test_a_column_is_followed_from_block_to_block():
+    found = Divergence([COLUMNS["mode"], COLUMNS["tau"]], {"tau": 3.0})
+    for tau, mode in ((1.0, 0), (5.0, 0), (9.0, 5), (4.0, 5)):
+        found.take(rows(1, tau=tau, mode=mode), rows(1), np.zeros(1))
+    modes, forces = found.columns
+    assert (forces.ticks, forces.largest, modes.ticks) == (3, 9.0, 2)
+    assert forces.first is not None
+    assert forces.first.one == 5.0
+
+
+def test_columns_come_in_the_order_in_which_they_part_and_then_in_that_of_the_row():
+    mode, tau, q = np.array([0, 0, 1, 1]), np.zeros((4, 6)), np.zeros((4, 6))
+    tau[1, 0], q[2, 0] = 1.0, 1.0
+    found = Divergence([COLUMNS[name] for name in ("mode", "q", "tau", "dq")])
+    found.take(rows(mode=mode, tau=tau, q=q), rows(), np.zeros(4))
+    assert [each.column.name for each in found.diverging] == ["tau", "mode", "q"]
+    assert [each.column.name for each in found.first] == ["tau"]
+    assert [each.column.name for each in found.different] == ["mode", "q", "tau"]
+
+
+def test_a_relative_tolerance_is_for_floats_without_one_of_their_own():
+    found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, 1e-3)
+    relative = [(each.tolerance.absolute, each.tolerance.relative) for each in found.columns]
+    assert relative == [(0.0, 0.0), (0.0, 1e-3), (0.5, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "text"),
+    [
+        ("mode", Mode.TRACKING, "TRACKING"),
+        ("mode", 99, "99"),
+        ("warnings", Warn.LATE | Warn.BUS, "LATE|BUS"),
+        ("warnings", 0, "NONE"),
+        ("condition", 1.5, "1.5"),
+    ],
+)
+def test_values_have_their_names(column, value, text):
+    assert named(COLUMNS[column], value) == text

@@ -1,0 +1,208 @@
+"""Two logs: where they part, under stated tolerances."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import ConfigurationError, LogError
+from drivers.signals import Mode
+from drivers.tick_columns import COLUMNS, RECORDED, ROW
+from hil.app.against.command import against
+from hil.app.against.pairs import Alone, first_motion, paired
+from hil.app.against.tolerances import read_tolerances
+from hil.cli import main
+from hil.record.log import Log
+from tests.hil.rewrite import rewrite_log
+from tests.replay.moving import moved
+
+NAMES = ("tick", "t_ns", "mode", "tau")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return moved(tmp_path_factory.mktemp("against") / "run.mcap")
+
+
+class MadeUp:
+    """A log of made-up rows, which it gives in blocks. Its names and metadata are those of a run."""
+
+    path = "made.mcap"
+    topic = "/tick"
+    metadata = {"hil": {"rate_Hz": "1000"}}
+    columns = tuple(COLUMNS[name] for name in NAMES)
+
+    def __init__(self, ticks, size=3, tau=0.0, mode=0, zero_ns=0):
+        self.rows = np.zeros(len(ticks), ROW)
+        self.rows["tick"], self.rows["tau"], self.rows["mode"] = ticks, tau, mode
+        self.rows["t_ns"] = zero_ns + 1_000_000 * np.asarray(ticks, np.int64)
+        self.size = size
+        self.origin_ns = int(self.rows["t_ns"][0]) if len(ticks) else 0
+
+    def blocks(self, *names):
+        for n in range(0, len(self.rows), self.size):
+            yield self.rows[n : n + self.size].copy()
+
+
+Made: Any = MadeUp
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Let `against` compare made-up logs."""
+
+    def compare(one, other, *words, align="tick"):
+        logs = {"one": one, "other": other}
+        monkeypatch.setattr(Log, "open", lambda path: logs[path.name])
+        return against(Path("one"), Path("other"), words, align=align)
+
+    return compare
+
+
+@pytest.mark.parametrize("sizes", [(1, 1), (3, 7), (7, 3), (50, 2), (50, 50)])
+def test_rows_are_paired_by_their_number_whatever_the_blocks(sizes):
+    rng = np.random.default_rng(1)
+    for starts in ((0, 0), (3, 8)):
+        a, b = (np.flatnonzero(rng.random(40) < 0.7) for _ in range(2))
+        alone = Alone()
+        pairs = list(paired(Made(a, sizes[0]), Made(b, sizes[1]), NAMES, starts, alone))
+        found = [
+            (int(x["tick"]), int(y["tick"])) for one, other in pairs for x, y in zip(one, other, strict=True)
+        ]
+        counts = [
+            {int(t) - start for t in ticks if t >= start} for ticks, start in zip((a, b), starts, strict=True)
+        ]
+        both = sorted(counts[0] & counts[1])
+        assert found == [(n + starts[0], n + starts[1]) for n in both]
+        for lacking, own, start in zip((alone.one, alone.other), counts, starts, strict=True):
+            rest = sorted(own - set(both))
+            assert (lacking.count, lacking.first) == (len(rest), rest[0] + start if rest else None)
+
+
+def test_a_log_is_the_same_as_itself_and_as_one_whose_clock_began_elsewhere(log, made):
+    result = CliRunner().invoke(main, ["replay", str(log), "--against", str(log)])
+    assert result.exit_code == 0, result.output
+    assert "diverging columns  0" in result.stdout
+    found = made(Made(range(9)), Made(range(9), zero_ns=10**15))
+    assert (found["success"], found["ticks_compared"], found["diverging"]) == (True, 9, [])
+
+
+def test_the_first_tick_of_a_column_is_named_with_both_values(log, tmp_path):
+    other = moved(tmp_path / "other.mcap", controller={"wn_rad_s": 25})
+    words = ["replay", str(log), "--against", str(other), "--json", str(tmp_path / "a.json")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 1, result.output
+    found = json.loads((tmp_path / "a.json").read_text())
+    one, two = (Log(path).rows() for path in (log, other))
+    count = min(len(one), len(two))
+    differs = (one["tau"][:count] != two["tau"][:count]).any(axis=1)
+    tick = int(one["tick"][:count][differs][0])
+    (tau,) = [each for each in found["columns"] if each["column"] == "tau"]
+    assert (tau["first"]["tick"], tau["ticks"], tau["unit"]) == (tick, int(differs.sum()), "N")
+    assert tau["largest"] == pytest.approx(np.abs(one["tau"][:count] - two["tau"][:count]).max(), rel=1e-12)
+    leg = int(tau["first"]["element"].removeprefix("tau.leg_"))
+    row = int(np.flatnonzero(one["tick"] == tick)[0])
+    assert (tau["first"]["log"], tau["first"]["other"]) == (
+        repr(one["tau"][row, leg].item()),
+        repr(two["tau"][row, leg].item()),
+    )
+    assert "tau.leg_" in result.stdout
+
+
+def test_a_tolerance_is_of_its_column_and_inf_judges_nothing(made):
+    one, other = Made(range(9), tau=1.0, mode=5), Made(range(9), tau=1.4, mode=6)
+    assert made(one, other)["diverging"] == ["mode", "tau"]
+    assert made(one, other, "tau=0.5")["diverging"] == ["mode"]
+    assert made(one, other, "tau=0.3", "mode=inf")["diverging"] == ["tau"]
+    found = made(one, other, "0.5", "mode=inf")
+    assert (found["success"], found["diverging"]) == (True, [])
+    shown = {each["column"]: (each["largest"], each["tolerance"]) for each in found["columns"]}
+    assert shown == {"mode": (None, "not judged"), "tau": (pytest.approx(0.4), 0.0)}
+
+
+def test_a_run_that_ends_sooner_or_lacks_a_tick_diverges(made):
+    found = made(Made(range(9)), Made(range(7)))
+    assert (found["success"], found["only_in_log"]) == (False, {"ticks": 2, "first": 7})
+    found = made(Made([0, 1, 3]), Made(range(4)))
+    assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 2})
+
+
+def test_motions_are_aligned_by_the_first_tick_in_which_the_platform_moves(made):
+    modes = [Mode.LOADING] * 4 + [Mode.RELEASING] * 2 + [Mode.APPROACH] * 2 + [Mode.TRACKING] * 4
+    tau = np.arange(12.0)[:, None] * np.ones(6)
+    early, late = Made(range(12), tau=tau, mode=modes), Made(range(15), zero_ns=50)
+    late.rows[["tau", "mode"]][:3] = 0
+    late.rows["tau"][3:], late.rows["mode"][3:] = tau, modes
+    assert first_motion(early) == (6, 6_000_000)
+    assert first_motion(late) == (9, 9_000_050)
+    assert not made(early, late)["success"]
+    found = made(early, late, align="motion")
+    assert (found["success"], found["ticks_compared"]) == (True, 6)
+    late.rows["tau"][12, 2] += 1.0
+    found = made(early, late, align="motion")
+    (column,) = found["columns"]
+    assert (column["column"], column["first"]["tick"], column["first"]["time_s"]) == ("tau", 9, 0.003)
+    with pytest.raises(LogError, match=r"never moves, .* --align tick"):
+        made(early, Made(range(5)), align="motion")
+
+
+def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
+    one, other = Made(range(4)), Made(range(4))
+    one.columns = (*one.columns, COLUMNS["age"])
+    other.columns = (COLUMNS["condition"], *other.columns[:-1], COLUMNS["tau"]._replace(type=int))
+    found = made(one, other)
+    assert found["success"]
+    assert (found["columns_only_in_log"], found["columns_only_in_other"]) == (["age"], ["condition"])
+    assert found["columns_of_another_type"] == ["tau"]
+    assert found["columns_compared"] == 3
+
+
+def test_what_cannot_be_compared_is_refused(made):
+    plant, slow = Made(range(3)), Made(range(3))
+    plant.topic, slow.metadata = "/plant", {"hil": {"rate_Hz": "500"}}
+    with pytest.raises(LogError, match=r"holds /tick, made\.mcap: /plant"):
+        made(Made(range(3)), plant)
+    with pytest.raises(LogError, match=r"ran at 1000 Hz, that of made\.mcap at 500 Hz"):
+        made(Made(range(3)), slow)
+    with pytest.raises(LogError, match="no tick in common"):
+        made(Made(range(3)), Made(range(3, 5)))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["tua=1"], r"neither log has a column 'tua'; did you mean tau\?"),
+        (["=1"], "neither log has a column ''"),
+        (["tau=-1"], "allowed: COLUMN=VALUE"),
+        (["tau=nan"], "allowed: COLUMN=VALUE"),
+        (["much"], "allowed: COLUMN=VALUE"),
+        (["tau=1", "tau=2"], "column tau has a tolerance already"),
+        (["1e-9", "1e-6"], "is given twice"),
+        (["inf"], "must be finite"),
+        (["mode=1"], "have names and no distance, allowed: mode=0"),
+    ],
+)
+def test_words_that_are_no_tolerance_are_refused(words, message):
+    with pytest.raises(ConfigurationError, match=message):
+        read_tolerances(words, RECORDED)
+
+
+def test_a_damaged_log_on_either_side_is_one_line_and_2(log, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[:-5000])
+    for words in ([str(cut), "--against", str(log)], [str(log), "--against", str(cut)]):
+        result = CliRunner().invoke(main, ["replay", *words])
+        assert (result.exit_code, len(result.stderr.splitlines())) == (2, 1)
+        assert f"{cut}: cut at " in result.stderr
+
+
+def test_a_tick_that_is_missing_from_the_file_is_found(log, tmp_path):
+    gap = tmp_path / "gap.mcap"
+    rewrite_log(log, gap, lambda topic, data, number: None if (topic, number) == ("/tick", 300) else data)
+    found = against(gap, log)
+    assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 300})

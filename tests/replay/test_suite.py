@@ -1,0 +1,150 @@
+"""A folder of logs, replayed as one suite; and options that exclude each other."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from xml.etree import ElementTree as ET
+
+import pytest
+from click.testing import CliRunner
+
+import hil
+from hil.app import replay_suite
+from hil.app.replay_suite import logs_in, replay_case, run_suite
+from hil.cli import main
+from tests.hil.rewrite import rewrite_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("suite") / "run.mcap"
+    hil.sim("virtual", duration_s=0.1, log=path, check_replay=False)
+    return path
+
+
+@pytest.fixture
+def folder(log, tmp_path):
+    """Logs of every sort: whole, of a plant, cut, with a frame that is gone; one in a folder below."""
+    there = tmp_path / "runs"
+    (there / "below").mkdir(parents=True)
+    shutil.copy(log, there / "below" / "good.mcap")
+    shutil.copy(log.with_name("run-plant.mcap"), there / "good-plant.mcap")
+    (there / "cut.mcap").write_bytes(log.read_bytes()[:-3000])
+    rewrite_log(
+        log, there / "other.mcap", lambda topic, data, n: None if (topic, n) == ("/can", 40) else data
+    )
+    (there / "notes.txt").write_text("no log")
+    return there
+
+
+def suite(folder, *words):
+    return CliRunner().invoke(main, ["replay", "--suite", str(folder), "--jobs", "1", *map(str, words)])
+
+
+def test_every_log_is_a_case_and_one_bad_log_is_not_the_end(folder, tmp_path):
+    result = suite(folder, "--json", tmp_path / "a.json", "--junit", tmp_path / "a.xml")
+    assert result.exit_code == 1, result.output
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert (found["logs"], found["passed"], found["failed"], found["skipped"]) == (4, 1, 2, 1)
+    cases = {case["log"].removeprefix(f"{folder}/"): case for case in found["cases"]}
+    assert {name: case["verdict"] for name, case in cases.items()} == {
+        "below/good.mcap": "pass",
+        "cut.mcap": "fail",
+        "good-plant.mcap": "skipped",
+        "other.mcap": "fail",
+    }
+    assert cases["cut.mcap"]["text"].startswith("cut at ")
+    assert "'plant'" in cases["good-plant.mcap"]["text"]
+    assert cases["other.mcap"]["summary"]["different_ticks"] >= 1
+    for name, case in cases.items():
+        assert name in result.stdout
+        assert case["text"][:40] in result.stdout
+    root = ET.parse(tmp_path / "a.xml").getroot()
+    assert (root.get("tests"), root.get("failures")) == ("4", "2")
+    failed = {case.get("name"): case.find("failure") is not None for case in root}
+    assert failed == {"good.mcap": False, "cut.mcap": True, "good-plant.mcap": False, "other.mcap": True}
+    (good,) = [case for case in root if case.get("name") == "good.mcap"]
+    assert good.get("classname") == "below"
+
+
+def test_a_folder_of_good_logs_succeeds(folder):
+    result = suite(folder / "below")
+    assert result.exit_code == 0, result.output
+    assert "good.mcap" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("nowhere", "no such folder"),
+        ("notes.txt", "is a file and no folder"),
+        ("empty", "has no file *.mcap"),
+        ("plants", "has no log of `hil run` or `hil sim`, but 1 of other kinds"),
+    ],
+)
+def test_a_folder_with_nothing_to_replay_is_no_success(folder, place, message):
+    (folder / "empty" / "folder.mcap").mkdir(parents=True)
+    (folder / "plants").mkdir()
+    shutil.move(folder / "good-plant.mcap", folder / "plants")
+    result = suite(folder / place)
+    assert result.exit_code == 2, result.output
+    assert message in result.stderr
+
+
+def test_a_log_on_which_the_code_itself_fails_is_one_failed_case(folder, monkeypatch):
+    def fail(path):
+        raise ValueError("a bell \x07 in its name")
+
+    monkeypatch.setattr(replay_suite, "replay_log", fail)
+    case = replay_case(folder / "below" / "good.mcap")
+    assert (case.verdict, case.text) == ("fail", "ValueError: a bell \\x07 in its name")
+
+
+def test_an_interrupt_leaves_the_table_of_what_was_done(folder, monkeypatch):
+    def interrupted(path):
+        if path.name == "cut.mcap":
+            raise KeyboardInterrupt
+        return replay_case(path)
+
+    monkeypatch.setattr(replay_suite, "replay_case", interrupted)
+    result = suite(folder)
+    assert result.exit_code == 130, result.output
+    assert "below/good.mcap" in result.stdout
+    assert "cut.mcap" not in result.stdout
+    assert "interrupted with 1 of 4 logs replayed" in result.stderr
+
+
+@pytest.mark.long
+def test_two_processes_find_the_same(folder):
+    paths = logs_in(folder)
+    found = [
+        sorted((case.log, case.verdict, case.text) for case in run_suite(paths, jobs, None))
+        for jobs in (1, 2)
+    ]
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["a.mcap", "--what-if", "virtual", "--against", "b.mcap"], "--what-if and --against"),
+        (["--suite", ".", "--set", "limits.force_N=1"], "--set belongs to --what-if CONFIG"),
+        (["a.mcap", "--against", "b.mcap", "--suite", "."], "--against and --suite"),
+        (["a.mcap", "--tolerance", "tau=1"], "--tolerance belongs to --against"),
+        (["a.mcap", "--align", "motion"], "--align belongs to --against"),
+        (["a.mcap", "--jobs", "2"], "--jobs belongs to --suite"),
+        (["a.mcap", "--junit", "a.xml"], "--junit belongs to --suite"),
+        (["a.mcap", "--plot", "a.png"], "--plot belongs to --what-if CONFIG or --set KEY=VALUE"),
+        (["a.mcap", "--against", "b.mcap", "--log", "c.mcap"], "--log belongs to --what-if CONFIG"),
+        (["a.mcap", "--suite", "."], "--suite takes a folder, and no LOG beside it: a.mcap"),
+        (["a.mcap", "--against", "b.mcap", "--salvage", "c.mcap"], "does not go with --against"),
+        (["--suite", ".", "--salvage", "c.mcap"], "does not go with --suite"),
+        ([], "Missing argument 'LOG'"),
+        (["--what-if", "virtual"], "Missing argument 'LOG'"),
+    ],
+)
+def test_options_of_different_questions_refuse_each_other(words, message):
+    result = CliRunner().invoke(main, ["replay", *words])
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())

@@ -1,5 +1,6 @@
 """`hil replay --suite DIR`: every log of a folder replayed, each a case of its own."""
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -40,10 +41,17 @@ def logs_in(folder: Path) -> list[Path]:
         raise LogError(
             f"--suite {folder}: {'is a file and no folder' if folder.exists() else 'no such folder'}"
         )
-    found = sorted(path for path in folder.rglob("*.mcap") if not path.is_dir())
+    found = sorted(
+        Path(place) / name for place, _, names in os.walk(folder, onerror=_unreadable) for name in names
+    )
+    found = [path for path in found if path.suffix == ".mcap"]
     if not found:
         raise LogError(f"--suite {folder}: has no file *.mcap, nor has a folder in it: nothing to replay")
     return found
+
+
+def _unreadable(error: OSError) -> None:
+    raise LogError(f"--suite: folder {error.filename}: cannot be read: {error.strerror}")
 
 
 def run_suite(paths: Sequence[Path], jobs: int | None, progress: Progress | None) -> Iterator[Case]:

@@ -141,6 +141,8 @@ def test_a_fault_that_only_the_log_has_is_named_with_its_tick(tmp_path):
     first = found["recorded_faults"][0]
     assert (first["fault"], first["tick"], found["faults_part_at_tick"]) == ("FOLLOWING", struck, struck)
     assert struck not in [each["tick"] for each in found["what_if_faults"]]
+    named = [each["fault"] for each in found["recorded_faults"]]
+    assert sorted(named) == sorted(set(named)), "each once, when it latches"
 
 
 def test_a_gap_and_damage_on_the_way_end_the_answer_and_are_no_success(entries):
@@ -178,6 +180,8 @@ def test_what_it_answers_is_a_log_that_says_that_it_is_no_run(log, rows, tmp_pat
     assert answer.metadata["hil"]["open_loop"] == OPEN_LOOP
     assert any(OPEN_LOOP in event.text for event in answer.events())
     np.testing.assert_array_equal(answer.rows()["tau"], np.clip(rows["tau"], -LIMIT_N, LIMIT_N))
+    other = [a.tobytes() != b.tobytes() for a, b in zip(answer.rows(), rows, strict=True)]
+    assert found["different_ticks"] == sum(other) > found["different_frames_ticks"]
     given, there = (next(iter(Log(each).ticks())) for each in (out, log))
     assert (given.received, given.operator) == (there.received, there.operator)
     result = CliRunner().invoke(main, ["replay", str(out)])
@@ -215,6 +219,7 @@ def test_the_picture_has_each_legs_forces_and_their_differences(log, tmp_path):
 )
 def test_a_configuration_to_which_the_frames_mean_something_else_is_refused(config, words, key):
     here = changed(load(config), words, own=False)
+    refuse_other_inputs(here, here, here.loop.rate_Hz)
     with pytest.raises(ConfigurationError) as refused:
         refuse_other_inputs(VIRTUAL, here, VIRTUAL.loop.rate_Hz)
     assert key in str(refused.value)
@@ -237,6 +242,14 @@ def test_what_the_controller_decides_may_differ_and_is_named(words):
     named = " ".join(changes(VIRTUAL, here))
     assert all(word.partition("=")[0] in named for word in words)
     assert changes(VIRTUAL, changed(VIRTUAL, ["description=x"], own=False)) == []
+
+
+def test_the_command_refuses_it_before_anything_is_answered(log, tmp_path):
+    words = ["--set", "loop.rate_Hz=500", "--log", str(tmp_path / "a.mcap")]
+    result = CliRunner().invoke(main, ["replay", str(log), *words])
+    assert result.exit_code == 2
+    assert "loop.rate_Hz: 500.0, allowed: 1000.0, as in the log" in result.stderr
+    assert not (tmp_path / "a.mcap").exists()
 
 
 def test_a_log_that_ran_slower_than_configured_takes_either_rate():

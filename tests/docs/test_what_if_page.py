@@ -1,0 +1,26 @@
+"""The commands of the page on what-ifs, comparisons and folders of logs run in their order."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from hil.cli import main
+
+PAGE = (Path(__file__).parents[2] / "docs/guides/what-if.md").read_text()
+
+
+@pytest.mark.long
+def test_the_commands_of_the_page_run_in_their_order(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    lines = block.splitlines()
+    assert len(lines) == 6
+    for line in lines:
+        program, *words = shlex.split(line)
+        assert program == "hil"
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 0, (line, done.output)
+    assert {path.name for path in tmp_path.iterdir()} >= {"forces.png", "answer.mcap", "replay.xml"}

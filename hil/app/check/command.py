@@ -14,10 +14,12 @@ from hil.app.check.encoders import report_encoders
 from hil.app.check.findings import Report
 from hil.app.check.fmu import report_fmu
 from hil.app.check.fusion import report_fusion
+from hil.app.check.loose import loose_limits
 from hil.app.check.monitor import report_monitor
 from hil.app.check.operating import report_operating
 from hil.app.check.payload import broken_by, carried_along, report_payload
 from hil.app.check.pushes import clipped
+from hil.app.check.setpoints import report_setpoints
 from hil.app.check.silence import Silence, reacted_to, silence_of
 from hil.app.compose import build_admission, build_protocol
 from hil.app.configuration.configuration import Configuration
@@ -30,13 +32,12 @@ from hil.app.reachability import Walk, span_s, violations, walk
 from hil.config.reference import LiveReference
 from hil.loop.clock import real_time_rights
 from hil.loop.unheard import KEPT
-from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.robot.kinematics import condition, jacobian, leg_lengths
+from hil.robot.kinematics import condition, leg_lengths
 from hil.signals import explain
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.path import axis_limits, six_words
+from hil.trajectory.path import six_words
 
 
 def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Report:
@@ -223,9 +224,10 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
     }
     report.warnings += dangers(c, w, silence)
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
-    report_operating(report, c, w, trajectory, model)
+    slowed = report_operating(report, c, w, trajectory, model)
+    report.warnings += loose_limits(c, w, slowed)
     if isinstance(c.reference, LiveReference):
-        _live(report, c, c.reference, platform)
+        report_setpoints(report, c, c.reference)
     if peak > 0.9 * c.limits.force_N:
         report.warnings.append(
             f"the reference needs {peak:.0f} N of limits.force_N {c.limits.force_N:g}: less than 10 % "
@@ -244,27 +246,6 @@ def _silence(silence: Silence | None, w: Walk) -> tuple[str, str]:
         f"silence        a leg travels up to {1e3 * silence.travel_m(w):.0f} mm until it rests on its brake,",
         f"               in {1e3 * silence.T:.0f} ms: drives.watchdog_ms and engage.brake_close_s",
     )
-
-
-def _live(report: Report, c: Configuration, reference: LiveReference, platform: Platform) -> None:
-    """Say what the legs may have to do where all axes move at their limits at once, near the start."""
-    chi = six_words(reference.start or c.platform.home)
-    J = jacobian(platform, chi[:3], rotation_from_vector(chi[3:]))
-    legs = np.abs(J)
-    fastest, hardest = (float((legs @ words).max()) for words in axis_limits(reference.limits)[:2])
-    report.figures["reference"]["setpoint_rate_max_m_s"] = fastest
-    report.figures["reference"]["setpoint_acceleration_max_m_s2"] = hardest
-    if hardest > c.limits.deceleration_m_s2:
-        report.warnings.append(
-            f"set-points may brake a leg by {hardest:.2f} m/s^2 near the start, limits.deceleration_m_s2 is "
-            f"{c.limits.deceleration_m_s2:g}: before a soft end that is a fault; lower the accelerations of "
-            "reference.limits"
-        )
-    if fastest > c.limits.speed_m_s:
-        report.warnings.append(
-            f"set-points on all axes at once may ask for {fastest:.2f} m/s in a leg near the start, "
-            f"limits.speed_m_s is {c.limits.speed_m_s:g}: lower the velocities of reference.limits"
-        )
 
 
 def _changes(w: Walk, period: float) -> tuple[float, float | None]:

@@ -17,8 +17,6 @@ from hil.app.reachability import Walk
 from hil.safety.increments import gap_bound
 from hil.safety.stillness import SUSPECT
 
-FACTOR = 4.0
-"""A limit this many times above what the reference needs protects from little."""
 UNSTATED = 3.0
 """A rated force that nobody stated and that is this many times above the limit is a mistake."""
 JUMP_SHARE = 0.1
@@ -29,8 +27,6 @@ FASTEST_1_s = 500.0
 """Turns a second of a motor."""
 STRONGEST_N_m = 1000.0
 """Torque of a motor."""
-QUINTIC_PEAK = 1.875
-"""Peak over mean speed of the approach."""
 
 
 def dangers(c: Configuration, w: Walk, silence: Silence | None) -> Iterator[str]:
@@ -72,7 +68,6 @@ def dangers(c: Configuration, w: Walk, silence: Silence | None) -> Iterator[str]
             "compares it with where the legs were parked"
         )
     yield from _implausible(c)
-    yield from _loose(c, w)
     yield from _blind(c)
     yield from _coarse(c)
     yield from brake_dangers(c, w)
@@ -139,15 +134,3 @@ def _coarse(c: Configuration) -> Iterator[str]:
             f"at the leg, which alone may leave it {1e3 * error_m:.3g} mm from its reference; raise the "
             "travel a turn (drives.transmission), take a weaker model, or raise controller.wn_rad_s"
         )
-
-
-def _loose(c: Configuration, w: Walk) -> Iterator[str]:
-    """Yield the limits that are far beyond what the path and the way to it need."""
-    speed = max(float(np.abs(w.dq).max()), QUINTIC_PEAK * c.engage.approach_speed_m_s)
-    for name, limit, needed, unit in (
-        ("force_N", c.limits.force_N, float(np.abs(w.tau).max()), "N"),
-        ("speed_m_s", c.limits.speed_m_s, speed, "m/s"),
-    ):
-        if limit > FACTOR * needed:
-            times = limit / needed
-            yield f"limits.{name} {limit:g} is {times:.1f} times the {needed:.3g} {unit} that are needed"

@@ -79,8 +79,14 @@ def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model
     )
 
 
-def report_operating(report: Report, c: Configuration, w: Walk, trajectory: Trajectory, model: Model) -> None:
-    """Add what operating asks for, with a warning for each limit that it may break."""
+def report_operating(
+    report: Report, c: Configuration, w: Walk, trajectory: Trajectory, model: Model
+) -> SpeedChange | None:
+    """Add what operating asks for, with a warning for each limit that it may break.
+
+    Returns what a change of speed asks for; None where the reference is live.
+    """
+    found: SpeedChange | None = None
     lines = report.sections["operating"] = []
     if not isinstance(c.reference, LiveReference):
         found = speed_change(c, w, trajectory, model, span_s(trajectory))
@@ -98,6 +104,7 @@ def report_operating(report: Report, c: Configuration, w: Walk, trajectory: Traj
     lines.append(f"key              {held}")
     if deadman_s is not None:
         report.warnings += _key(c, deadman_s)
+    return found
 
 
 def _beyond(c: Configuration, w: Walk, found: SpeedChange) -> Iterator[str]:

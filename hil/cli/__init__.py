@@ -68,6 +68,9 @@ class _Table(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
+        from hil.cli.shared import require_memory
+
+        require_memory(cmd_name)
         command = import_module(f"hil.cli.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command

@@ -67,6 +67,11 @@ force_option = click.option("--force", is_flag=True, help="Write over an existin
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
+LEAST_BYTES = 768 * 2**20
+"""Of address space for Python, NumPy, SciPy and Numba: `hil check` takes 684 MB. With less, how a library ends
+depends on the byte: in one line, with a traceback, by a signal, or not at all."""
+_LIGHT = frozenset({"ctl", "plot"})
+"""Commands that load no Numba: 30 and 200 MB."""
 _RAN = 1
 """Exit code of what had begun."""
 _REPORTED = frozenset({"run", "sim"})
@@ -190,6 +195,17 @@ def refuse_without_memory(error: MemoryError | OSError) -> None:
         _refuse(_no_memory(), _RAN)
     elif error.errno is None and "llvmlite" in str(error):
         _refuse(f"Numba cannot be loaded: {_no_memory()}")
+
+
+def require_memory(command: str) -> None:
+    """Refuse an address space that is too small for a command, before a library that needs it is loaded."""
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if command in _LIGHT or most == resource.RLIM_INFINITY or most >= LEAST_BYTES:
+        return
+    _refuse(
+        f"a process may have {most / 1e6:.0f} MB of address space here, allowed: {LEAST_BYTES / 1e6:.0f} MB or "
+        f"more; raise `ulimit -v` to {LEAST_BYTES // 1024} or to unlimited"
+    )
 
 
 def _no_memory() -> str:

@@ -486,3 +486,13 @@ def test_the_log_decides_as_arbitration_does(runtime, monkeypatch, seed):
         assert [(r.t_ns, r.frame.id) for r in heard[me]] == expected
     for node in nodes:
         node.close()
+
+
+def test_memory_that_cannot_be_mapped_is_said_with_what_to_raise_and_leaves_no_file(monkeypatch):
+    def refused(*_):
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    monkeypatch.setattr("drivers.can.localcan.wire.mmap.mmap", refused)
+    with pytest.raises(BusError, match=r"localcan: .*: Cannot allocate memory: .* MB .*raise .*`ulimit -v`"):
+        Participant("unmapped", BitTiming(1_000_000, 5_000_000))
+    assert not list(runtime_folder().glob("*unmapped*"))

@@ -94,7 +94,10 @@ class Wire:
             os.close(self._fd)
             if isinstance(error, BusError):
                 raise
-            raise BusError(f"localcan: {path}: {error}") from error
+            raise BusError(
+                f"localcan: {path}: {error.strerror}: {SIZE / 1e6:.1f} MB of memory are mapped; "
+                "raise what a process may have (`ulimit -v`), or end what takes the memory"
+            ) from error
         self.words: Ints = np.frombuffer(self.memory, np.int64)
         if self.words[MAGIC_AT] != MAGIC:
             self.clear()

@@ -398,3 +398,21 @@ def test_a_summary_leaves_a_closed_pipe_to_its_command(print_it, capfd):
 def test_a_pipe_between_processes_that_breaks_is_no_reader_that_has_gone():
     with pytest.raises(BrokenPipeError), quiet_pipe():
         raise BrokenPipeError
+
+
+@pytest.mark.parametrize("words", [["report", "a.mcap"], ["new", "--help"], ["check"]])
+def test_too_little_address_space_is_refused_before_a_library_is_loaded_that_needs_it(words, monkeypatch):
+    monkeypatch.setattr("hil.cli.shared.resource.getrlimit", lambda _: (400 * 2**20, -1))
+    monkeypatch.setattr("hil.cli.import_module", lambda name: pytest.fail(f"{name} is imported"))
+    result = CliRunner().invoke(main, words)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == (
+        "hil: a process may have 419 MB of address space here, allowed: 805 MB or more; "
+        "raise `ulimit -v` to 786432 or to unlimited\n"
+    )
+
+
+@pytest.mark.parametrize(("words", "most"), [(["ctl", "--help"], 2**20), (["check", "--help"], 768 * 2**20)])
+def test_a_command_that_fits_the_address_space_begins(words, most, monkeypatch):
+    monkeypatch.setattr("hil.cli.shared.resource.getrlimit", lambda _: (most, -1))
+    assert CliRunner().invoke(main, words).exit_code == 0

@@ -68,8 +68,8 @@ configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
 LEAST_BYTES = 768 * 2**20
-"""Of address space for Python, NumPy, SciPy and Numba: `hil check` takes 684 MB. With less, how a library ends
-depends on the byte: in one line, with a traceback, by a signal, or not at all."""
+"""Of address space for Python, NumPy, SciPy and Numba: `hil check` takes 684 MB. With less, how a library
+ends depends on the byte: in one line, with a traceback, by a signal, or not at all."""
 _LIGHT = frozenset({"ctl", "plot"})
 """Commands that load no Numba: 30 and 200 MB."""
 _RAN = 1
@@ -203,8 +203,8 @@ def require_memory(command: str) -> None:
     if command in _LIGHT or most == resource.RLIM_INFINITY or most >= LEAST_BYTES:
         return
     _refuse(
-        f"a process may have {most / 1e6:.0f} MB of address space here, allowed: {LEAST_BYTES / 1e6:.0f} MB or "
-        f"more; raise `ulimit -v` to {LEAST_BYTES // 1024} or to unlimited"
+        f"a process may have {most / 1e6:.0f} MB of address space here, allowed: {LEAST_BYTES / 1e6:.0f} MB "
+        f"or more; raise `ulimit -v` to {LEAST_BYTES // 1024} or to unlimited"
     )
 
 

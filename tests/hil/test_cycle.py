@@ -168,7 +168,7 @@ def test_legs_that_are_silent_together_are_called_a_stall_with_what_to_change(be
         bench.step()
     text = fault_text(bench.cycle)
     assert "no leg heard for 5 ticks" in text
-    assert "stalled for 5 ms" in text
+    assert "stalled for 5 ms by then" in text
     assert "loop.rate_Hz" in text
 
 

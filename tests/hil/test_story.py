@@ -88,7 +88,7 @@ def legs(usual: float, **others: float) -> list[float]:
 RUN = int(DriveState.RUN)
 CASES = [
     Case(Fault.STALE, {"counted_age": legs(0, leg_1=7, leg_4=5)}, [(1, 7, 5), (4, 5, 5)]),
-    Case(Fault.STALE, {"counted_age": legs(6)}, [(None, 6, 5)], ("no leg heard", "stalled for 6 ms")),
+    Case(Fault.STALE, {"counted_age": legs(6)}, [(None, 6, 5)], ("no leg heard", "stalled for 6 ms by then")),
     Case(Fault.STALE, {"counted_age": legs(0, leg_4=5), "legs_slipped": 0b10}, [(4, 5, 5)]),
     Case(
         Fault.STALE,
@@ -125,7 +125,7 @@ CASES = [
         Fault.STALE,
         {"counted_age": legs(5)},
         [(None, 5, 5)],
-        ("stalled for 5 ms",),
+        ("stalled for 5 ms by then",),
         {"untrusted": 0b11100000},
     ),
     Case(

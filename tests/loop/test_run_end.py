@@ -231,7 +231,7 @@ def test_ends_a_quarter_of_a_second_after_a_fault_with_what_was_known_in_its_tic
         ([0, 7, 5, 0, 0, 0], f"(leg 1, 2 not heard for 7, 5 ticks, {STALE_LIMIT})"),
         (
             [5, 6, 5, 5, 5, 5],
-            f"(no leg heard for 5 ticks, {STALE_LIMIT}: the drives, the bus or this machine stalled for 50 ms;",
+            f"(no leg heard for 5 ticks, {STALE_LIMIT}: the drives, the bus or this machine had stalled for 50 ms by then;",
         ),
     ],
 )

@@ -103,8 +103,8 @@ def stale(m: Moment) -> Iterator[Seen]:
         watched = m.cycle.parts.protocol.has_watchdog
         lengthen = " and lengthen drives.watchdog_ms" if watched else ""
         text = (
-            "no leg heard for {value} ticks, {key} is {limit}: the drives, the bus or this machine stalled "
-            f"for {stall_ms:.0f} ms; if it was this machine, lower loop.rate_Hz{lengthen}"
+            "no leg heard for {value} ticks, {key} is {limit}: the drives, the bus or this machine had "
+            f"stalled for {stall_ms:.0f} ms by then; if it was this machine, lower loop.rate_Hz{lengthen}"
         )
         yield Seen(min(ages), limit, sentence=text, unit="ticks", key=key)
         return

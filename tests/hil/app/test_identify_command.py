@@ -1,5 +1,6 @@
 """`hil identify --delay` against the plant's own figures."""
 
+import inspect
 import json
 from math import pi
 from pathlib import Path
@@ -9,7 +10,9 @@ import yaml
 from click.testing import CliRunner
 
 from hil.app.configuration.configuration import load
+from hil.app.identify.axes import excited_axes
 from hil.app.identify.delay import excited
+from hil.app.run.command import run_daemon
 from hil.cli import main
 from tests.loop import laden
 
@@ -152,3 +155,32 @@ def test_options_of_a_run_have_no_meaning_for_a_log(measured):
     assert result.exit_code == 2
     assert "is a log" in result.stderr
     assert Path(measured[200.0][1]).exists()
+
+
+@pytest.mark.parametrize("excite", [excited, excited_axes])
+def test_a_run_that_identifies_has_the_limits_and_the_engage_times_of_any_other(excite):
+    """So a stall that ends it would have ended `hil run` as well: name and reference alone differ."""
+    c = load("virtual")
+    made = excite(c, None, None).configuration
+    differ = {key for key in type(c).model_fields if getattr(made, key) != getattr(c, key)}
+    assert differ == {"name", "reference"}
+
+
+def test_identify_run_starts_the_daemon_as_run_does(monkeypatch, tmp_path):
+    """Rate selection, drives' watchdog, consent, plant: the same call, but for picture and file."""
+    calls = []
+
+    def daemon(*arguments, **options):
+        bound = inspect.signature(run_daemon).bind(*arguments, **options)
+        bound.apply_defaults()
+        calls.append({k: v for k, v in bound.arguments.items() if k not in {"configuration", "draw", "log"}})
+        return {"success": False, "trouble": "not run", "faults": [], "log": "none"}
+
+    monkeypatch.setattr("hil.app.run.command.run_daemon", daemon)
+    monkeypatch.setattr("hil.app.identify.delay.run_daemon", daemon)
+    identify("virtual", "--delay", "--run", "--plant", "--arm", "--log", tmp_path / "a.mcap")
+    CliRunner().invoke(main, ["run", "virtual", "--plant", "--arm", "--log", str(tmp_path / "b.mcap")])
+    of_identify, of_run = calls
+    assert {k: v or None for k, v in of_identify.items()} == {k: v or None for k, v in of_run.items()}
+    assert of_run["with_plant"]
+    assert of_run["arm"]

@@ -200,6 +200,7 @@ def build_admission(c: Configuration, platform: Platform) -> Admission:
         length_max=c.platform.length_max_m,
         drive_force_limit=c.drives.force_limit_N,
         ddchi=ddchi,
+        stop_s=c.engage.stop_s,
     )
 
 

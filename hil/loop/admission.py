@@ -15,7 +15,9 @@ from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel, lengths_and_jacobian
 from hil.safety.finite import all_finite
+from hil.safety.guard import WINDOW_S
 from hil.safety.stroke import overspeed, too_fast_for_end
+from hil.trajectory.override import CURVATURE, PEAK
 from hil.trajectory.path import PoseSample
 
 CLEARANCE_M = 1e-3
@@ -82,6 +84,35 @@ def judge_moving(
     return 0
 
 
+@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
+def change_within(
+    constants: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, faster: float
+) -> float:
+    """Return the most, N, that a leg's force changes by within WINDOW_S; see `Admission.change_N`.
+
+    faster: largest d sigma/dt over sigma, 1/s. nan where it is no number.
+    """
+    still, turned, most = np.zeros(6), np.empty((3, 3)), 0.0
+    moved = p + WINDOW_S * twist[:3]
+    turn = rotation_motion_kernel(WINDOW_S * twist[3:], still[:3], still[:3])[0]
+    for i in range(3):
+        for j in range(3):
+            turned[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
+    rest = inverse_dynamics_kernel(constants, code, p, R, still, still, still)
+    going = inverse_dynamics_kernel(constants, code, p, R, twist, dtwist, still) - rest
+    inertia = inverse_dynamics_kernel(constants, code, p, R, still, twist, still) - rest
+    rest1 = inverse_dynamics_kernel(constants, code, moved, turned, still, still, still)
+    going1 = inverse_dynamics_kernel(constants, code, moved, turned, twist, dtwist, still) - rest1
+    inertia1 = inverse_dynamics_kernel(constants, code, moved, turned, still, twist, still) - rest1
+    for i in range(6):
+        by_speed = max(abs(going[i]), abs(going1[i]))
+        change = abs(rest1[i] - rest[i]) + by_speed + faster * (abs(inertia[i]) + abs(inertia1[i]))
+        if math.isnan(change):
+            return math.nan
+        most = max(most, change)
+    return most
+
+
 class Admission:
     """Refuses poses at or beyond a soft end of the stroke, near a singularity, or that take too much force.
 
@@ -98,7 +129,9 @@ class Admission:
         length_max: float,
         drive_force_limit: float,
         ddchi: Array,
+        stop_s: float,
     ) -> None:
+        """Take the largest accelerations of the axes, and in which time a jog comes to rest, s."""
         self._robot = (
             platform.base_joints,
             platform.platform_joints,
@@ -113,6 +146,7 @@ class Admission:
             limits.condition,
             min(limits.force_N, drive_force_limit),
         )
+        self._stop_s, self._window_N = stop_s, limits.force_window_N
         self._moving = np.array(
             [
                 length_min + limits.stroke_margin_m,
@@ -135,3 +169,19 @@ class Admission:
         """
         R = np.ascontiguousarray(s.R)
         return judge_moving(*self._robot, s.p, R, s.twist, s.dtwist, self._moving)
+
+    def change_N(self, s: PoseSample, sigma: float) -> float:
+        """Return the most, N, that the force of a leg changes by within 250 ms of a jog near a sample of it.
+
+        By weight over that way, by speed, and by the inertia that starts and stops it, each way with the
+        largest d sigma/dt on the way from 0 to sigma, the share of the sample's speed; see
+        `hil.trajectory.override`. nan where it is no number.
+        """
+        _, _, _, constants, code = self._robot
+        faster = min(PEAK, math.sqrt(CURVATURE * sigma)) / (self._stop_s * sigma) if sigma > 0.0 else 0.0
+        R, twist = np.ascontiguousarray(s.R), sigma * s.twist
+        return float(change_within(constants, code, s.p, R, twist, sigma * sigma * s.dtwist, faster))
+
+    def too_sudden(self, s: PoseSample, sigma: float) -> bool:
+        """Tell whether a jog near a sample of it could change a force by more than limits.force_window_N."""
+        return not self.change_N(s, sigma) <= self._window_N

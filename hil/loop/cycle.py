@@ -70,7 +70,11 @@ class Cycle:
         self.effort = Effort(parts, self.durations)
         self.obedience = Obedience(self.effort.model, parts.rate_Hz)
         jogging = Jogging(
-            parts.operator, parts.rate_Hz, parts.platform, parts.admission if parts.steering is None else None
+            parts.operator,
+            parts.rate_Hz,
+            parts.platform,
+            parts.admission if parts.steering is None else None,
+            parts.admission.too_sudden,
         )
         judge = partial(Inspection, parts.platform, parts.admission.on_the_way)
         self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging, judge)

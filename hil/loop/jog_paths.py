@@ -4,6 +4,8 @@ Path time is in seconds at set-up speed; `hil.trajectory.override` starts, slows
 does not come.
 """
 
+from math import hypot
+
 import numpy as np
 
 from drivers.arrays import Array
@@ -123,3 +125,25 @@ class LegJog:
 
 
 JogPath = AxisJog | LegJog
+
+
+def jog_path(
+    platform: Platform, here: PoseSample, axis: int, speeds: tuple[float, float], way: float
+) -> JogPath:
+    """Return what a jog follows from a pose at rest.
+
+    axis: index in JOG_NAMES; speeds: of set-up, m/s and rad/s; way: its sign is the direction.
+    """
+    rate = np.zeros(6)
+    if axis < 6:
+        rate[axis] = np.copysign(speeds[axis >= 3], way)
+        return AxisJog(here, rate)
+    rate[axis - 6] = np.copysign(speeds[0], way)
+    return LegJog(platform, here, rate)
+
+
+def setup_share(sample: PoseSample, speeds: tuple[float, float]) -> float:
+    """Return at which share of a sample's speed the platform is no faster than at set-up, m/s and rad/s."""
+    vx, vy, vz, wx, wy, wz = sample.twist.tolist()
+    v, w = hypot(vx, vy, vz), hypot(wx, wy, wz)
+    return min(1.0, speeds[0] / v if v else 1.0, speeds[1] / w if w else 1.0)

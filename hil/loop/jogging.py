@@ -6,7 +6,7 @@ tick before: so each pose on the way has been judged, and it stops inside.
 """
 
 from collections.abc import Callable
-from math import hypot, radians
+from math import radians
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.signals import Refusal
 from hil.config.operator import OperatorSettings
-from hil.loop.jog_paths import AxisJog, JogPath, LegJog
+from hil.loop.jog_paths import JogPath, jog_path, setup_share
 from hil.loop.motion import Motion
 from hil.mathematics.rotations import rotation_vector_kernel
 from hil.robot.geometry import Platform
@@ -26,6 +26,10 @@ WORD_S = 0.1
 ON_HOLD = "jog: only on hold, in mode TRACKING: say hold first"
 NOT_RESTING = "jog: the platform still comes to rest: wait for it"
 NO_KEY = "jog: the key is not held (operator.deadman_s): hold it while you jog"
+SUDDEN = (
+    "a leg's force could change by more than limits.force_window_N within 250 ms: lower the set-up speed, or "
+    "lengthen engage.stop_s"
+)
 LIVE = "jog: the reference is live, and moves to set-points alone: say start, then setpoint"
 
 
@@ -57,11 +61,15 @@ class Jogging:
         rate_Hz: float,
         platform: Platform,
         admission: Callable[[Array], int] | None,
+        too_sudden: Callable[[PoseSample, float], bool],
     ) -> None:
-        """Take the judge of poses (6,) m, rad: bits of Refusal; None: the reference is live."""
+        """Take the judge of poses (6,) m, rad: bits of Refusal; None: the reference is live.
+
+        too_sudden: the judge of samples at a share of their speed, by what forces change by.
+        """
         self._speeds = settings.setup_speed_m_s, radians(settings.setup_speed_deg_s)
         self._patience = max(1, int(WORD_S * rate_Hz + 1e-9))
-        self._platform, self._admission = platform, admission
+        self._platform, self._admission, self._too_sudden = platform, admission, too_sudden
         self.reset()
 
     def reset(self) -> None:
@@ -118,12 +126,7 @@ class Jogging:
             motion.aim(tick, speed, go=True)
 
     def _begun(self, word: Word, here: PoseSample) -> JogPath:
-        rate = np.zeros(6)
-        if word.axis < 6:
-            rate[word.axis] = np.copysign(self._speeds[word.axis >= 3], word.fraction)
-            return AxisJog(here, rate)
-        rate[word.axis - 6] = np.copysign(self._speeds[0], word.fraction)
-        return LegJog(self._platform, here, rate)
+        return jog_path(self._platform, here, word.axis, self._speeds, word.fraction)
 
     def _judged(self, path: JogPath, word: Word, tick: int, motion: Motion, zero_s: float) -> float:
         """Return the speed to go on at, 0 .. 1 of the path's; 0 where a limit is ahead, which is noted.
@@ -137,19 +140,16 @@ class Jogging:
         slower = min(speed, abs(word.fraction) * self._share(rest))
         if slower < speed:
             speed, rest = slower, path.ahead(motion.rests_at(tick, slower) - zero_s)
-        against = int(Refusal.CONDITION)
+        against = explain(Refusal.CONDITION)
         if rest is not None:
-            against = self._admission(np.concatenate([rest.p, rotation_vector_kernel(rest.R)]))
+            against = explain(self._admission(np.concatenate([rest.p, rotation_vector_kernel(rest.R)])))
+            if not against and self._too_sudden(rest, speed):
+                against = SUDDEN
         if not against:
             return speed
         self._word, self._stopped = None, word
-        self.refusal = f"jog {JOG_NAMES[word.axis]}: it stops, since beyond, {explain(against)}"
+        self.refusal = f"jog {JOG_NAMES[word.axis]}: it stops, since beyond, {against}"
         return 0.0
 
     def _share(self, sample: PoseSample | None) -> float:
-        """Return at which share of the path's speed the platform is no faster than at set-up."""
-        if sample is None:
-            return 1.0
-        vx, vy, vz, wx, wy, wz = sample.twist.tolist()
-        v, w = hypot(vx, vy, vz), hypot(wx, wy, wz)
-        return min(1.0, self._speeds[0] / v if v else 1.0, self._speeds[1] / w if w else 1.0)
+        return 1.0 if sample is None else setup_share(sample, self._speeds)

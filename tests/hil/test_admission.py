@@ -12,6 +12,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.admission import Admission
 from hil.robot.dynamics import Model
+from hil.trajectory.path import PoseSample
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())
 HOME = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -27,9 +28,9 @@ PLATFORM = build_cycle(VIRTUAL, 1000.0, 0.01).parts.platform
 STATIC = float(np.abs(BOOK["home_static"]["force"]).max())
 
 
-def admission(ddchi=(0, 0, 0, 0, 0, 0), low=0.75, high=2.2, rated=30_000.0, **limits):
+def admission(ddchi=(0, 0, 0, 0, 0, 0), low=0.75, high=2.2, rated=30_000.0, stop_s=0.5, **limits):
     settings = VIRTUAL.limits.model_copy(update=limits)
-    return Admission(PLATFORM, Model(PLATFORM), settings, low, high, rated, np.array(ddchi, float))
+    return Admission(PLATFORM, Model(PLATFORM), settings, low, high, rated, np.array(ddchi, float), stop_s)
 
 
 def lengths(chi):
@@ -92,3 +93,35 @@ def test_what_is_not_finite_is_no_pose(word, value):
 
 def test_more_than_half_a_turn_is_no_pose():
     assert admission()(off(0, 0, 0, 0, 3.2, 0)) == Refusal.NOT_A_POSE
+
+
+@pytest.mark.parametrize(
+    ("twist", "stop_s"),
+    [((0.2, 0, 0, 0, 0, 0), 0.5), ((0, 0, -0.3, 0, 0, 0), 2.0), ((0, 0, 0, 0, 0, 0.5), 0.1)],
+)
+def test_a_jogs_forces_change_within_250_ms_by_no_more_than_is_said_and_by_most_of_it(twist, stop_s):
+    """Forces of the motion itself: rest, sigma' = 1.5 / T, full speed, then sigma' = -1.5 / T, and 250 ms on."""
+    model, twist = Model(PLATFORM), np.array(twist)
+    here = PoseSample(HOME[:3], np.eye(3), twist, np.zeros(6))
+    said = admission(stop_s=stop_s).change_N(here, 1.0)
+    forces = []
+    for sigma, rate, t in [
+        (0, 0, 0),
+        (0, 1, 0),
+        (1, 1, 0),
+        (1, 0, 0),
+        (1, 0, 0.25),
+        (1, -1, 0.25),
+        (0, -1, 0.25),
+    ]:
+        R = Rotation.from_rotvec(t * twist[3:]).as_matrix()
+        motion = sigma * twist, rate * 1.5 / stop_s * twist
+        forces.append(model.inverse_dynamics(HOME[:3] + t * twist[:3], R, *motion))
+    seen = float(np.ptp(forces, axis=0).max())
+    assert 0.8 * said < seen <= said * (1 + 1e-9)
+    assert not admission(stop_s=stop_s, force_window_N=said * (1 + 1e-9)).too_sudden(here, 1.0)
+    assert admission(stop_s=stop_s, force_window_N=said * (1 - 1e-9)).too_sudden(here, 1.0)
+
+
+def test_a_change_of_force_that_is_no_number_is_too_sudden():
+    assert admission().too_sudden(PoseSample(HOME[:3], np.eye(3), np.full(6, np.nan), np.zeros(6)), 1.0)

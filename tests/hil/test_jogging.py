@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.signals import Mode, Refusal
+from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.config.operator import OperatorSettings
@@ -115,12 +116,12 @@ class Box:
 class Held:
     """A platform on hold at HERE, and what operating makes of orders."""
 
-    def __init__(self, admission, rate_Hz=1000.0, **settings):
+    def __init__(self, admission, rate_Hz=1000.0, too_sudden=lambda *_: False, **settings):
         self.settings = OperatorSettings(
             **{"setup_speed_m_s": SPEED, "setup_speed_deg_s": TURN_deg_s} | settings
         )
         self.rate_Hz, self.tick = rate_Hz, 0
-        jogging = Jogging(self.settings, rate_Hz, PLATFORM, admission)
+        jogging = Jogging(self.settings, rate_Hz, PLATFORM, admission, too_sudden)
         self.operating = Operating(self.settings, rate_Hz, STOP_S, jogging, free)
         self.motion = Motion(1.0 / rate_Hz, HERE.p, HERE.R, STOP_S)
         self.path = GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0)
@@ -303,6 +304,34 @@ def test_a_stop_ends_a_jog_for_good():
     assert held.operating.answers == [ON_HOLD]
     assert held.motion.finished(held.tick)
     assert 0.0 < held.motion.sample(held.tick).p[0] - p[0] < SPEED * STOP_S
+
+
+def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_and_one_that_comes_to_it_stops():
+    everywhere = Held(Box(1.0), too_sudden=lambda *_: True)
+    answers, samples = everywhere.run(600, jog("x"))
+    assert not np.array([s.twist for s in samples]).any()
+    assert "jog x: it stops, since beyond, a leg's force could change by more than" in answers[-1]
+    assert "limits.force_window_N within 250 ms" in answers[-1]
+    border = HERE.p[0] + 0.01
+    ahead = Held(Box(1.0), too_sudden=lambda s, _: s.p[0] > border)
+    _, samples = ahead.run(2000, jog("x"))
+    assert border - 3e-4 < samples[-1].p[0] <= border
+    assert not samples[-1].twist.any()
+
+
+@pytest.mark.parametrize(("window_N", "moves"), [(12000.0, True), (1.0, False)])
+def test_the_controller_judges_jogs_by_the_force_window_of_its_configuration(window_N, moves):
+    c = load("virtual")
+    tight = c.limits.model_copy(update={"force_window_N": window_N})
+    cycle = build_cycle(c.model_copy(update={"limits": tight}), 1000.0, 0.01)
+    held = Held(None)
+    held.operating = cycle.operating
+    held.motion = Motion(1e-3, cycle.parts.home_p, cycle.parts.home_R, STOP_S)
+    held.motion.settle(0, 0.0)
+    held.operating.go = False
+    answers, samples = held.run(100, jog("z"))
+    assert any(s.twist.any() for s in samples) == moves
+    assert ("limits.force_window_N" in answers[-1]) != moves
 
 
 def test_where_the_platform_rests_it_is_not_judged():

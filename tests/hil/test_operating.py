@@ -23,7 +23,7 @@ START, HOLD, PARK, KEY = (
 
 def no_jogging(rate_Hz):
     settings = OperatorSettings()
-    return Jogging(settings, rate_Hz, build_platform(load("lab").platform), None)
+    return Jogging(settings, rate_Hz, build_platform(load("lab").platform), None, lambda *_: False)
 
 
 def free(name, move):

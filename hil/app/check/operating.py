@@ -1,24 +1,32 @@
 """What `hil check` says of operating: what a change of speed asks for, and whether the held key is heard."""
 
 from collections.abc import Iterator
+from itertools import product
+from math import radians
 from typing import NamedTuple
 
 import numpy as np
 
 from hil.app.check.findings import Report
+from hil.app.compose import build_admission
 from hil.app.configuration.configuration import Configuration
 from hil.app.operate import REPEAT_S
 from hil.app.reachability import Walk, drive_forces, span_s
 from hil.config.reference import LiveReference
 from hil.control.uncertainty import UncertaintySettings
+from hil.loop.jog_paths import jog_path, setup_share
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel, mass_matrix_kernel
 from hil.robot.kinematics_kernels import jacobian_kernel
+from hil.signals import JOG_NAMES
 from hil.trajectory.override import CURVATURE, PEAK
-from hil.trajectory.path import Trajectory
+from hil.trajectory.path import PoseSample, Trajectory
+from plant_fmu.config import StewartPlant
 
 MOST = 500
 """Instants at which the forces of a change of speed are looked at."""
+JOGS = 25
+"""Instants of the reference from which jogs are looked at."""
 PAGE_REPEAT_S = 0.05
 """Between two key frames of the page of `hil watch`."""
 LEAST_TICKS = 3
@@ -79,6 +87,26 @@ def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model
     )
 
 
+def jog_change_N(c: Configuration, trajectory: Trajectory, model: Model, span: float) -> float:
+    """Return the most, N, that a force changes by within 250 ms of a jog from anywhere on the reference.
+
+    Along each axis and each leg, both ways, as the controller judges it; dry friction of our plant turns
+    round once. span: of the walk, s.
+    """
+    admission, still = build_admission(c, model.platform), np.zeros(6)
+    speeds = c.operator.setup_speed_m_s, radians(c.operator.setup_speed_deg_s)
+    plant = None if c.plant is None else c.plant.model
+    friction_N = plant.coulomb_friction_N if isinstance(plant, StewartPlant) else 0.0
+    most = 0.0
+    for t in np.linspace(0.0, span * (1 - 1e-12), JOGS).tolist():
+        p, R, *_ = trajectory.sample(t)
+        here = PoseSample(p, R, still, still)
+        for axis, way in product(range(len(JOG_NAMES)), (1.0, -1.0)):
+            start = jog_path(model.platform, here, axis, speeds, way).sample(0.0)
+            most = max(most, admission.change_N(start, setup_share(start, speeds)))
+    return most + 2.0 * friction_N
+
+
 def report_operating(
     report: Report, c: Configuration, w: Walk, trajectory: Trajectory, model: Model
 ) -> SpeedChange | None:
@@ -99,6 +127,19 @@ def report_operating(
         )
         report.figures["speed_change"] = found._asdict()
         report.warnings += _beyond(c, w, found)
+        jogged_N = jog_change_N(c, trajectory, model, span_s(trajectory))
+        window_N = c.limits.force_window_N
+        lines.append(
+            f"jog              changes a force by up to {jogged_N:.0f} N within 250 ms (limit {window_N:g})"
+        )
+        report.figures["jog_change_N"] = jogged_N
+        if jogged_N > window_N:
+            report.warnings.append(
+                f"a jog from the reference may change a force by {jogged_N:.0f} N within 250 ms, "
+                f"limits.force_window_N is {window_N:g}: it is refused there; lower operator.setup_speed_m_s "
+                f"{c.operator.setup_speed_m_s:g} and setup_speed_deg_s {c.operator.setup_speed_deg_s:g}, or "
+                f"make engage.stop_s {c.engage.stop_s:g} longer"
+            )
     deadman_s = c.operator.deadman_s
     held = "none is needed" if deadman_s is None else f"held, heard within {1e3 * deadman_s:g} ms"
     lines.append(f"key              {held}")

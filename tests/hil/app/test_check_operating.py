@@ -156,3 +156,24 @@ def test_the_intervals_are_those_of_the_clients():
     assert REPEAT_S == 0.02
     script = assets()["/operate.js"][0].decode()
     assert re.findall(r"HELD_MS = (\d+)", script) == [f"{1e3 * PAGE_REPEAT_S:g}"]
+
+
+def test_jogs_that_would_be_refused_for_their_change_of_force_are_warned_of():
+    """By hand: 1.5 x 0.5 m/s / 0.5 s each way are 3 m/s^2 in all, of 1150 kg and more on six legs."""
+    c = load("virtual")
+    quiet = inspect(c)
+    assert not [each for each in quiet.warnings if each.startswith("a jog")]
+    least_N = 3.0 * 1150.0 / 6.0
+    brisk = c.operator.model_copy(update={"setup_speed_m_s": 0.5})
+    found = inspect(c.model_copy(update={"operator": brisk}))
+    jogged_N = found.figures["jog_change_N"]
+    assert least_N < jogged_N < 12000.0
+    assert quiet.figures["jog_change_N"] < 0.5 * jogged_N
+    assert f"changes a force by up to {jogged_N:.0f} N within 250 ms (limit 12000)" in "\n".join(found.lines)
+    tight = c.limits.model_copy(update={"force_window_N": jogged_N - 1.0})
+    (warning,) = [
+        each
+        for each in inspect(c.model_copy(update={"operator": brisk, "limits": tight})).warnings
+        if each.startswith("a jog")
+    ]
+    assert f"limits.force_window_N is {jogged_N - 1.0:g}: it is refused there" in warning

@@ -241,6 +241,7 @@ class ProtocolContract:
         assert max(counts) == protocol.set_up_frames
         for frame in ends.set_up:
             frame_bits(len(frame.data), frame.flags)
+            assert len(frame.data) <= 8, "the bus time that `hil check` states counts on it"
 
     def test_a_drive_that_is_silent_is_not_set_up_and_does_not_hold_up_the_others(self, protocol):
         ends = Ends(protocol, DriveSilence(leg=3))

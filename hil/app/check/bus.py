@@ -4,7 +4,7 @@ from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.several_buses import off_bus
 from hil.app.check.findings import Report
 from hil.app.compose import build_protocol, drive_setup
-from hil.app.configuration.bus_budget import bus_budgets, bus_names
+from hil.app.configuration.bus_budget import bus_budgets, bus_names, set_up_ns
 from hil.app.configuration.configuration import Configuration
 
 
@@ -19,12 +19,20 @@ def report_bus(report: Report, c: Configuration) -> None:
         report.sections[titles[0]] = ["no bus time: exists only in lockstep (hil sim)"]
         return
     feedback_us = [1e-3 * ns for ns in answered_ns(c)]
+    set_up_us = [1e-3 * ns for ns in set_up_ns(c.bus, build_protocol(c))]
     window_us = c.loop.window_s(c.loop.rate_Hz) * 1e6
     figures = []
-    for title, budget, answered_us in zip(titles, budgets, feedback_us, strict=True):
+    rows = zip(titles, budgets, feedback_us, set_up_us, strict=True)
+    for title, budget, answered_us, more_us in rows:
         lines = budget.table().splitlines()
         lines.append(f"  highest rate at {budget.max_load_percent:g} %: {budget.allowed_rate_Hz:.0f} Hz")
         lines.append(f"  SYNC to last feedback {answered_us:.0f} us of a window of {window_us:.0f} us")
+        if more_us:
+            filled = 1e-4 * c.loop.rate_Hz * (1e-3 * budget.total_ns + more_us)
+            waits = "" if filled <= 100.0 else "; the rest waits for the next tick"
+            lines.append(
+                f"  set-up of the drives, on shut brakes: {more_us:.0f} us more, {filled:.1f} % in all{waits}"
+            )
         report.sections[title] = [line.removeprefix("  ") for line in lines]
         figures.append(
             {
@@ -32,6 +40,7 @@ def report_bus(report: Report, c: Configuration) -> None:
                 "total_us": budget.total_ns / 1e3,
                 "allowed_rate_Hz": budget.allowed_rate_Hz,
                 "feedback_us": answered_us,
+                "set_up_us": more_us,
             }
         )
     report.figures["bus"] = max(figures, key=lambda each: each["load_percent"])

@@ -6,10 +6,13 @@ from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import DriveProtocol, DriveSetup, Frame, Status
+from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, Status
 from drivers.sensors import SensorProtocol
 from drivers.several_buses import off_bus
 from drivers.signals import LEGS, DriveFault, DriveState
+
+_SET_UP_BYTES = 8
+"""Of a frame that sets up, in every family: CONFIG, an SDO, a parameter."""
 
 
 def bus_budgets(
@@ -50,8 +53,7 @@ def bus_budgets(
 def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
     """Return one example of every heartbeat that no tick is without, as the six drives take turns.
 
-    Rarer ones, and what sets a drive up, one frame a tick before it is powered, are left to the free part of
-    the bus.
+    Rarer ones are left to the free part of the bus, as is what sets the drives up: see `set_up_ns`.
     """
     found: list[Frame] = []
     for turn in range(floor(LEGS / (heartbeat_s * rate_Hz) * (1 + 1e-9))):
@@ -59,6 +61,19 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
         booted, _ = protocol.report(protocol.power_up(), status)  # some say once that they have started
         found += protocol.report(booted, status)[1]
     return tuple(found)
+
+
+def set_up_ns(bus: BusSettings, protocol: DriveProtocol) -> tuple[int, ...]:
+    """Return the bus time, ns, of what sets the drives up in one tick, bus by bus, as if it were all there.
+
+    As many frames as the protocol sends in a tick, of up to 8 bytes, and an answer to each. They go out in
+    modes WAITING and FAULT alone: what does not fit waits for the next tick.
+    """
+    extended = max((frame.flags & EXTENDED for frame in protocol.cyclic_frames()), default=0)
+    return tuple(
+        2 * protocol.set_up_frames * frame_time_ns(_SET_UP_BYTES, extended, BitTiming.of(each))
+        for each in bus.buses
+    )
 
 
 def bus_budget(

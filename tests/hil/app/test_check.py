@@ -69,6 +69,21 @@ def test_the_arithmetic_of_the_bus_is_shown():
     assert report.figures["bus"]["feedback_us"] == pytest.approx(75 + 6 * 64.6)
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("virtual", "270 us more, 83.8 % in all"),
+        ("lab-cia402", "810 us more, 89.8 % in all"),
+        ("two_buses", "270 us more, 122.3 % in all; the rest waits for the next tick"),
+    ],
+)
+def test_the_frames_that_set_the_drives_up_are_in_the_arithmetic_of_the_bus(name, said):
+    """By hand: 8 bytes take 135 us at 1 Mbit/s; one CONFIG, or three SDOs, and as many answers, in a tick."""
+    report = inspect(load(name))
+    assert f"set-up of the drives, on shut brakes: {said}" in "\n".join(report.lines)
+    assert report.figures["bus"]["set_up_us"] == pytest.approx(float(said.split()[0]))
+
+
 BROKEN = [
     ("force_N: 25000 ", "force_N: 15000 ", "force above limits.force_N 15000", "force", 15000),
     ("speed_m_s: 2 ", "speed_m_s: 1 ", "rate above limits.speed_m_s 1", "rate", 1),

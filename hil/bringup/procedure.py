@@ -5,6 +5,7 @@ Nothing later begins while a gate has findings. Facts that are known are not ask
 
 from typing import NamedTuple
 
+from drivers.signals import LEGS
 from hil.bringup.context import Context, Finding, Gap, RefusedError, Request, StoppedError
 from hil.bringup.step import Step
 from hil.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
@@ -90,7 +91,7 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
     """Do a step if it has not passed before; return whether it has, and its findings."""
     c.operator.tell(f"{step.name}: {step.title}")
-    known = step.kept and step.name in c.facts.get("passed", {})
+    known = step.kept_whole(c, len(c.machine.pose_lengths) if step is mounted.STEP else LEGS)
     if not known and not c.operator.consent(step.title, step.will, step.stop):
         raise RefusedError(f"ended before step {step.name}; what was found is kept")
     try:

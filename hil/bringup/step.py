@@ -33,7 +33,14 @@ class Step(NamedTuple):
     """It finds a fact of each drive."""
     gap: Callable[[Context], Gap | None] = no_gap
     """What it cannot prove with these drives, by the facts; it has not passed then."""
+    tables: tuple[str, ...] = ()
+    """Where it keeps its facts, if not under its own name."""
 
     def measured(self, c: Context) -> bool:
         """Tell whether all that the step is to find has been found."""
         return not self.by_drive or len(c.facts.get(self.name, {})) == LEGS
+
+    def kept_whole(self, c: Context, many: int) -> bool:
+        """Tell whether it has passed before, and none of its facts, `many` in each table, is lost since."""
+        passed = self.kept and self.name in c.facts.get("passed", {})
+        return passed and all(len(c.facts.get(table, {})) == many for table in self.tables or (self.name,))

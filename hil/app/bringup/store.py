@@ -99,11 +99,13 @@ def refuse_malformed(facts: Any) -> None:
 
 
 def _fits(value: Any, form: Any) -> bool:
-    """Tell whether a value has a form: a type or several, a list of so many, a table of keys, or of any."""
+    """Tell whether a value has a form: types, values, a list of so many, a table of keys, or of any."""
     if isinstance(form, dict) and _ANY in form:
         return isinstance(value, dict) and all(_fits(each, form[_ANY]) for each in value.values())
     if isinstance(form, dict):
         return isinstance(value, dict) and all(key in value and _fits(value[key], form[key]) for key in form)
+    if isinstance(form, frozenset):
+        return isinstance(value, (int, type(None))) and not isinstance(value, bool) and value in form
     if isinstance(form, list):
         many = (len(value) == form[1] if form[1] else True) if isinstance(value, list) else False
         return many and all(_fits(each, form[0]) for each in value)
@@ -120,10 +122,12 @@ _NAMES: dict[str, frozenset[str]] = {
     "platform": frozenset(("hung",)),
 }
 """Names of the facts of a step, where they are not the legs; empty: any."""
-_NUMBER, _MAYBE, _FLAG, _TEXT, _LEGS = (int, float), (int, float, type(None)), (bool,), (str,), [(int,), 0]
+_NUMBER, _MAYBE, _FLAG, _TEXT = (int, float), (int, float, type(None)), (bool,), (str,)
+_LEG, _WAYS = frozenset(range(LEGS)), frozenset((-1, 0, 1))
+_LEGS, _LEG_OR_NONE = [_LEG, 0], _LEG | {None}
 _ANY = "*"
 """In place of the keys of a table: whatever they are."""
-_WAY = {"force_N": _MAYBE, "leg": (int, type(None)), "way": (int,)}
+_WAY = {"force_N": _MAYBE, "leg": _LEG_OR_NONE, "way": _WAYS}
 _FORMS: dict[str, dict[str, Any]] = {
     "scan": {
         "": {
@@ -132,7 +136,7 @@ _FORMS: dict[str, dict[str, Any]] = {
             "state": _TEXT,
             "lacks": _TEXT,
             "fault": _TEXT,
-            "spoken": _LEGS,
+            "spoken": [(int,), 0],
         },
         "bus": {"foreign": (int,), "refused": (int,), "strange": [(int,), 0]},
     },
@@ -141,7 +145,7 @@ _FORMS: dict[str, dict[str, Any]] = {
     "ids": {"": {"drives": _LEGS, "changes_m": [_NUMBER, LEGS]}},
     "encoder": {
         "": {
-            "drive": (int, type(None)),
+            "drive": _LEG_OR_NONE,
             "tape_m": [_NUMBER, 2],
             "scale": _NUMBER,
             "offset_m": _NUMBER,

@@ -162,4 +162,5 @@ STEP = Step(
     find,
     judge,
     gate=False,
+    tables=("held", "opens"),
 )

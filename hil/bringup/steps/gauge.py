@@ -91,9 +91,9 @@ def judge(c: Context) -> list[Finding]:
             mend = "Set torque constant, current scale or rated force of the drive; look at friction."
             found.append(Finding("force_scale", (drive,), text, mend))
     for drive, (g, error) in gain.items():
-        leg, scale = read[drive]
-        if scale < 0.0:
-            continue  # the drive takes its losses the wrong way round
+        leg, scale = read.get(drive, (drive, 0.0))
+        if scale <= 0.0:
+            continue  # the drive takes its losses the wrong way round, or no encoder says how long its leg is
         low, high = c.known("encoder", leg)["tape_m"]
         off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
         right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)

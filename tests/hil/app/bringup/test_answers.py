@@ -13,6 +13,8 @@ from hil.app.bringup.words import wiring_of
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.bringup.context import RefusedError, Request
+from hil.bringup.procedure import STEPS
+from hil.bringup.steps import gauge
 from plant_fmu.rehearsal.wiring import MISTAKES, RANGES, Wiring
 from tests.hil.bringup.families import family
 from tests.hil.bringup.kit import Rehearsal
@@ -106,6 +108,18 @@ def state_with(facts: object, **changes: object) -> dict[str, object]:
     return {"version": 4, "identity": {}, "facts": facts, **changes}
 
 
+ENCODER = {"drive": 0, "tape_m": [0.55, 0.85], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
+WAY = {"force_N": 1.0, "leg": 0, "way": 1}
+
+
+def test_facts_of_a_step_are_a_state(tmp_path):
+    path = tmp_path / "state.json"
+    path.write_text(
+        json.dumps(state_with({"encoder": {"0": ENCODER}, "force": {"0": {"plus": WAY, "minus": WAY}}}))
+    )
+    assert Store(path, {}).facts["encoder"]["0"] == ENCODER
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -124,6 +138,11 @@ def state_with(facts: object, **changes: object) -> dict[str, object]:
         json.dumps(state_with({"ids": {"0": {"drives": [True], "changes_m": [0.0] * 6}}})),
         json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5}}})),
         json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5 + [float("nan")]}}})),
+        json.dumps(state_with({"opens": {"2": {"legs": [17], "hand_N": 1.0}}})),
+        json.dumps(state_with({"ids": {"0": {"drives": [-1], "changes_m": [0.0] * 6}}})),
+        json.dumps(state_with({"encoder": {"0": ENCODER | {"drive": 99}}})),
+        json.dumps(state_with({"force": {"0": {"plus": WAY | {"leg": 6}, "minus": WAY}}})),
+        json.dumps(state_with({"force": {"0": {"plus": WAY, "minus": WAY | {"way": 2}}}})),
         json.dumps(state_with({"nonsense": {}})),
     ],
     ids=lambda text: text[:40] or "empty",
@@ -139,7 +158,7 @@ def test_a_damaged_state_is_one_line_and_stays_as_it_is(tmp_path, text):
     assert path.read_text() == text
 
 
-def test_what_a_bring_up_has_kept_is_read_again(tmp_path):
+def test_what_a_bring_up_has_kept_is_read_again_and_a_fact_that_is_gone_is_measured(tmp_path):
     rehearsal = Rehearsal("virtual", Wiring())
     store = Store(tmp_path / "state.json", {})
     rehearsal.context.facts = store.facts
@@ -147,6 +166,16 @@ def test_what_a_bring_up_has_kept_is_read_again(tmp_path):
     store.save()
     assert Store(tmp_path / "state.json", {}).facts == store.facts
     assert set(store.facts) >= {"scan", "watchdog", "ids", "encoder", "held", "opens", "force", "gauge"}
+    del store.facts["gauge"]["1"], store.facts["held"]["2"]
+    again = Rehearsal("virtual", Wiring(), facts=store.facts)
+    assert again.run().passed == tuple(step.name for step in STEPS)
+    asked = [(request.act, request.leg) for request in again.hands.requests]
+    assert [each for each in asked if each[0] in {"read_gauge", "read_held"}] == [
+        ("read_held", 2),
+        *[("read_gauge", 1)] * 4,
+    ]
+    store.facts["encoder"]["3"]["scale"] = 0.0
+    assert gauge.judge(again.context) == [], "what no encoder counts has no lead"
 
 
 def test_a_new_beginning_still_knows_that_the_platform_hangs(tmp_path):

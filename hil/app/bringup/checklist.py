@@ -6,7 +6,7 @@ from typing import Any
 from drivers.signals import LEGS
 from hil.bringup.context import Context
 from hil.bringup.procedure import STEPS, Outcome
-from hil.bringup.steps.gauge import gains
+from hil.bringup.steps.gauge import WITHIN, gains
 
 
 def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
@@ -71,7 +71,10 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             return "; ".join(parts)
         case "gauge":
             g = gains(c).get(leg)
-            return "" if g is None else f"{g.value:.4f} +- {g.error:.2f} N a commanded N"
+            if g is None:
+                return ""
+            within = WITHIN + g.error + c.machine.losses
+            return f"{g.value:.3f} N a commanded N; what is right is within {100.0 * within:.2g} % of 1"
     return ""
 
 

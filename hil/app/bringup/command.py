@@ -82,9 +82,10 @@ def run_bringup(
     """
     rehearsal = mistakes is not None
     words = tuple(mistakes or ())
+    rehearsed = rehearsal or asked(hands_socket(c.bus.interface, c.bus.channel))
     if not rehearsal:
         c.require("run")
-        if yes and not asked(hands_socket(c.bus.interface, c.bus.channel)):
+        if yes and not rehearsed:
             raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
     wiring = wiring_of(words, build_protocol(c)) if rehearsal else None
     files = files_of(configuration, c, state, rehearsal=rehearsal)
@@ -100,21 +101,20 @@ def run_bringup(
             mark_moved(c, said)
         bench = build_bench(c, wiring) if wiring is not None else None
         outcome, context, reason = _proceed(c, bench, store, said, yes=yes)
-        text = found_text(c, context, outcome.findings)
+        text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
         together = Together(success=False, lines=[])
         if outcome.success and not reason:
             write_whole(files.found, text)
             together = _release(loads(text, str(files.found), c.folder), bench, context, said, yes=yes)
             if together.success:
-                write_whole(files.found, found_text(c, context, (), released=True))
+                text = found_text(c, context, (), released=True, rehearsed=rehearsed)
+                write_whole(files.found, text)
             if together.brake_failed:
                 store.forget_brakes()
-        elif outcome.findings:
-            with contextlib.suppress(ConfigurationError):
-                loads(text, str(files.found), c.folder)
-                write_whole(files.found, text)
         lines = checklist(context, outcome, together.lines)
-        write_whole(files.checklist, "\n".join([*_head(c, path), *lines]) + "\n")
+        if outcome.findings:
+            lines += _write_mended(c, files.found, text, said)
+        write_whole(files.checklist, "\n".join([*_head(c, path, rehearsed=rehearsed), *lines]) + "\n")
         for line in lines:
             said.event(line)
         store.forget(outcome.findings)
@@ -123,6 +123,19 @@ def run_bringup(
         cut = f"{closed.error}: {closed.dropped + closed.lost} ticks are not in the log"
         reason = "; ".join(filter(None, (reason, cut)))
     return _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
+
+
+def _write_mended(c: Configuration, file: Path, text: str, said: "_Said") -> list[str]:
+    """Write what was found with findings, where it can be loaded; else say why not, and return that."""
+    try:
+        loads(text, c.name, c.folder)
+    except ConfigurationError as error:
+        refusal = str(error).replace(f"{c.name}:", "line ", 1)
+        line = f"no configuration is written, since with what was found it is refused: {refusal}"
+        said(line)
+        return [line]
+    write_whole(file, text)
+    return []
 
 
 def _summary(
@@ -260,9 +273,10 @@ def _agreed(*_: str) -> bool:
     return True
 
 
-def _head(c: Configuration, log: Path) -> list[str]:
+def _head(c: Configuration, log: Path, *, rehearsed: bool) -> list[str]:
     stamp = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
-    return [f"bring-up of {c.name}, {stamp}", f"configuration {c.source}, log {log}", ""]
+    kind = "REHEARSAL on an emulated bench, no machine was measured: bring-up" if rehearsed else "bring-up"
+    return [f"{kind} of {c.name}, {stamp}", f"configuration {c.source}, log {log}", ""]
 
 
 @contextlib.contextmanager

@@ -20,11 +20,17 @@ FIRST_S, FIRST_M = 2.0, 2e-3
 
 
 def found_text(
-    c: Configuration, context: Context, findings: Sequence[Finding], *, released: bool = False
+    c: Configuration,
+    context: Context,
+    findings: Sequence[Finding],
+    *,
+    released: bool = False,
+    rehearsed: bool = False,
 ) -> str:
     """Return the given configuration with what was found, at reduced limits, and where it comes from.
 
-    released: the six legs have moved together; before, the text says that they have not.
+    released: the six legs have moved together; before, the text says that they have not. rehearsed: what was
+    measured is an emulated bench.
     """
     changes, comments = _changes(c, context, findings)
     text = with_changes(c.text, changes)
@@ -32,6 +38,8 @@ def found_text(
         f"# {c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs:",
         "# raise them as trust grows. Comments of the given file are not repeated.",
     ]
+    if rehearsed:
+        head.append("# REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
     if findings:
         head.append("# NOT RELEASED: mend what follows, and give this file to `hil bringup` again.")
         head += [f"#   {finding.line}" for finding in findings]

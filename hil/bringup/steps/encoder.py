@@ -84,8 +84,10 @@ def _encoder(c: Context, drive: int, fact: dict[str, Any], spread: float) -> lis
         mend = f"Multiply counts per m in the drive by {abs(scale):.4f}; look at lead and gear, too."
         found.append(Finding("encoder_scale", (drive,), text, mend))
     if not found and abs(offset) > max(ZERO_M, SIGMAS * c.machine.tape_m):
-        text = f"it reads {1e3 * offset:+.2f} mm more than the tape"
-        mend = f"Home the drive again, or take {1e3 * offset:.2f} mm off its zero."
+        way, mend = ("more", "take {} off its zero") if offset > 0.0 else ("less", "add {} to its zero")
+        off = f"{1e3 * abs(offset):.2f} mm"
+        text = f"it reads {off} {way} than the tape"
+        mend = f"Home the drive again, or {mend.format(off)}."
         found.append(Finding("offset", (drive,), text, mend))
     return found
 

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import socket
 import tempfile
 
@@ -84,11 +85,19 @@ def test_the_found_configuration_loads_with_comments_and_reduced_limits():
 def test_a_wrong_lead_a_reversed_drive_and_a_zero_are_found_for_motors():
     """The encoder then reads what the tape does: q = offset + sign lead n."""
     wiring = wired(
-        Mistake("wrong_lead", 1, value=1.25), Mistake("drive_reversed", 2), Mistake("offset", 4, value=5e-3)
+        Mistake("wrong_lead", 1, value=1.25),
+        Mistake("drive_reversed", 2),
+        Mistake("offset", 4, value=5e-3),
+        Mistake("offset", 5, value=-5e-3),
     )
     rehearsal = Rehearsal("desktop", wiring)
     outcome = rehearsal.run(FIRST)
     assert {f.name for f in outcome.findings} == {"encoder_scale", "encoder_sign", "offset"}
+    more, less = [f for f in outcome.findings if f.name == "offset"]
+    assert re.fullmatch(r"it reads [45]\.\d\d mm more than the tape", more.text)
+    assert re.search(r"take [45]\.\d\d mm off its zero", more.mend)
+    assert re.fullmatch(r"it reads [45]\.\d\d mm less than the tape", less.text)
+    assert re.search(r"add [45]\.\d\d mm to its zero", less.mend)
     findings = [
         Finding("wrong_lead", (1,), "", ""),
         Finding("drive_reversed", (2,), "", ""),
@@ -100,9 +109,9 @@ def test_a_wrong_lead_a_reversed_drive_and_a_zero_are_found_for_motors():
     assert was is not None
     assert gear.sign == [1, -1, -1, -1, 1, -1]
     assert gear.pulley_radius_m == pytest.approx([0.02, 0.016, 0.02, 0.02, 0.02, 0.02], rel=5e-3)
-    # the bench's encoders are right at the middle of the stroke, 0.325 m, where the offset is; but leg 4
+    # the bench's encoders are right at the middle of the stroke, 0.325 m, where the offset is; but legs 4, 5
     assert was.offset_m == 0.325
-    assert np.array(gear.offset_m) - 0.325 == pytest.approx([0, 0, 0, 0, -5e-3, 0], abs=1e-3)
+    assert np.array(gear.offset_m) - 0.325 == pytest.approx([0, 0, 0, 0, -5e-3, 5e-3], abs=1e-3)
 
 
 def test_comments_stand_above_their_keys():

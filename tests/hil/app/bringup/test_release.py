@@ -11,7 +11,7 @@ from hil.app.bringup import command
 from hil.app.bringup.store import Store
 from hil.app.bringup.terminal import Terminal
 from hil.app.configuration.configuration import load
-from hil.bringup.context import RefusedError
+from hil.bringup.context import Finding, RefusedError
 from hil.bringup.procedure import Outcome
 from hil.record.recording import LogSummary
 
@@ -38,15 +38,16 @@ def ended(tmp_path, monkeypatch):
     """A function that does a rehearsal whose steps have all passed, with another end; summary, texts, state."""
     monkeypatch.chdir(tmp_path)
 
-    def end(six_legs, *, yes=True, fails_at=0):
+    def end(six_legs, *, yes=True, fails_at=0, name="virtual", facts=None, findings=()):
         said: list[str] = []
 
         def steps(context):
             for step in ("held", "opens", "platform"):
                 context.keep(step, "hung" if step == "platform" else 0, _FACTS[step])
+            context.facts.update(facts or {})
             for _ in range(3):
                 context.operator.tell("a step")
-            return Outcome(("scan",), ())
+            return Outcome(("scan",), findings)
 
         @contextlib.contextmanager
         def log(_c, path, **_):
@@ -55,7 +56,7 @@ def ended(tmp_path, monkeypatch):
         monkeypatch.setattr(command, "bring_up", steps)
         monkeypatch.setattr(command, "six_legs", six_legs)
         monkeypatch.setattr(command, "_log", log)
-        summary = command.run_bringup("virtual", load("virtual"), mistakes=[], yes=yes, say=said.append)
+        summary = command.run_bringup(name, load(name), mistakes=[], yes=yes, say=said.append)
         return summary, said
 
     return end
@@ -75,6 +76,24 @@ def test_the_found_file_is_released_once_six_legs_have_moved(ended, tmp_path):
     assert summary["success"]
     assert not any("the log ends" in text for text in said)
     assert "NOT RELEASED" not in (tmp_path / FOUND).read_text()
+
+
+def test_what_a_rehearsal_has_written_says_that_no_machine_was_measured(ended, tmp_path):
+    summary, _ = ended(ran())
+    assert "REHEARSAL" in (tmp_path / FOUND).read_text().split("\nname:")[0]
+    assert (tmp_path / summary["checklist"]).read_text().startswith("REHEARSAL")
+
+
+def test_a_configuration_that_would_be_refused_is_not_written_and_why_is_said(ended, tmp_path):
+    """A lead five times as long takes five times the torque: more than these drives have."""
+    encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.2, "offset_m": 0.0, "bent_m": 0.0}
+    findings = (Finding("wrong_lead", (3,), "too long", "Shorten it."),)
+    summary, said = ended(ran(), name="desktop", facts={"encoder": {"3": encoder}}, findings=findings)
+    assert "found" not in summary
+    assert not (tmp_path / "desktop.rehearsal.yaml").exists()
+    (why,) = [text for text in said if text.startswith("no configuration is written")]
+    assert "drives.force_limit_N: " in why
+    assert why in (tmp_path / summary["checklist"]).read_text()
 
 
 def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):

@@ -14,8 +14,8 @@ from hil.record.log import Event
 EVENTS = 200
 """Shown at most, the first ones."""
 UNSEEN = (
-    "Not among them: what encoders may contradict each other by without a fused pose. A log has these "
-    "figures only from the moment at which they have raised a fault."
+    "Not among them: the leap of a rate, and a reading that stands still while its leg strays. A log has "
+    "these figures only from the moment at which they have raised a fault."
 )
 
 

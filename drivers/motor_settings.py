@@ -70,13 +70,14 @@ def required(settings: TransmissionSettings | None, protocol: str) -> Transmissi
 
 def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, protocol: str) -> None:
     """Raise ConfigurationError if the rated force needs more torque than the family's field carries."""
-    needed = float(np.abs(force_N / transmission.N_per_Nm / transmission.driving).max())
-    if needed > torque_Nm:
-        per = float(np.abs(transmission.N_per_Nm).min())
+    needed = np.abs(force_N / transmission.N_per_Nm / transmission.driving)
+    leg = int(needed.argmax())
+    if needed[leg] > torque_Nm:
+        per, of = abs(transmission.N_per_Nm[leg]), f" of leg {leg}" if np.ptp(needed) > 0.0 else ""
         raise ConfigurationError(
-            f"drives.force_limit_N: {force_N:g} N need {needed:.4g} N m of the motor ({per:.4g} N a N m "
-            f"without losses), {protocol} carries up to {torque_Nm:g} N m: lower it, or change gear_ratio or "
-            "lead_m"
+            f"drives.force_limit_N: {force_N:g} N need {needed[leg]:.4g} N m of the motor{of} "
+            f"({per:.4g} N a N m without losses), {protocol} carries up to {torque_Nm:g} N m: lower it, or "
+            "change gear_ratio or lead_m"
         )
 
 

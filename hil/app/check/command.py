@@ -21,6 +21,7 @@ from hil.app.check.payload import broken_by, carried_along, report_payload
 from hil.app.check.pushes import clipped
 from hil.app.check.setpoints import report_setpoints
 from hil.app.check.silence import Silence, reacted_to, silence_of
+from hil.app.check.transmission import report_transmission
 from hil.app.compose import build_admission, build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
@@ -52,6 +53,7 @@ def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: 
     _robot(report, c, platform, model)
     report_bus(report, c)
     _drives(report, c)
+    report_transmission(report, c, np.array(report.figures["home"]["static_forces_N"]))
     report_controller(report, c, tell)
     report_monitor(report, c)
     report_encoders(report, c)

@@ -9,12 +9,13 @@ from hil.app.check.command import inspect
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 
+EFFICIENCY = [0.9, 0.85, 0.8, 0.9, 1, 0.7]
 MIXED = {
     "lead_m": [0.1, 0.1, 0.16, 0.1, 0.12, 0.1],
     "pulley_radius_m": None,
     "gear_ratio": [1, 1.25, 2, 1, 1.5, 1],
     "sign": [1, -1, 1, -1, -1, 1],
-    "efficiency": [0.9, 0.85, 0.8, 0.9, 1, 0.7],
+    "efficiency": EFFICIENCY,
 }
 
 
@@ -33,8 +34,7 @@ def test_each_leg_has_what_its_motor_reads_turns_and_gives():
     held = [h * m / (2 * pi) for h, m in zip(home, figures["m_per_turn"], strict=True)]
     assert figures["holding_Nm"] == pytest.approx(held)
     rated = [
-        300 * m / (2 * pi) / e
-        for m, e in zip([0.1, 0.08, 0.08, 0.1, 0.08, 0.1], MIXED["efficiency"], strict=True)
+        300 * m / (2 * pi) / e for m, e in zip([0.1, 0.08, 0.08, 0.1, 0.08, 0.1], EFFICIENCY, strict=True)
     ]
     assert figures["rated_Nm"] == pytest.approx(rated)
     lines = report.sections["motor to leg"]

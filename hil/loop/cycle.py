@@ -69,13 +69,8 @@ class Cycle:
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
         self.effort = Effort(parts, self.durations)
         self.obedience = Obedience(self.effort.model, parts.rate_Hz)
-        jogging = Jogging(
-            parts.operator,
-            parts.rate_Hz,
-            parts.platform,
-            parts.admission if parts.steering is None else None,
-            parts.admission.too_sudden,
-        )
+        judged = parts.admission if parts.steering is None else None
+        jogging = Jogging(parts.operator, parts.rate_Hz, parts.platform, judged, parts.admission.too_sudden)
         judge = partial(Inspection, parts.platform, parts.admission.on_the_way)
         self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging, judge)
         self._under_control = parts.reactions.led_to("ss1")

@@ -258,7 +258,9 @@ def test_no_row_waits_for_an_operator(tmp_path):
 
 
 def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"no such file; shipped campaigns are: builds, payload, wear$"):
+    with pytest.raises(
+        ConfigurationError, match=r"no such file; shipped campaigns are: builds, payload, wear$"
+    ):
         read_plan(tmp_path / "no.yaml")
     assert shipped() == ("builds", "payload", "wear")
 

@@ -149,6 +149,9 @@ def test_motions_are_aligned_by_the_first_tick_in_which_the_platform_moves(made)
     assert (column["column"], column["first"]["tick"], column["first"]["time_s"]) == ("tau", 9, 0.003)
     with pytest.raises(LogError, match=r"never moves, .* --align tick"):
         made(early, Made(range(5)), align="motion")
+    late.columns = (COLUMNS["tick"], COLUMNS["t_ns"], COLUMNS["tau"]._replace(name="mode"))
+    with pytest.raises(LogError, match="has no column of modes"):
+        made(early, late, align="motion")
 
 
 def test_columns_that_only_one_has_are_named_and_decide_nothing(made):

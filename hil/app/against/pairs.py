@@ -38,7 +38,14 @@ class Alone:
 
 
 def first_motion(log: Log) -> tuple[int, int]:
-    """Return tick and t_ns of the first tick in which the platform moves. Raises LogError: it never does."""
+    """Return tick and t_ns of the first tick in which the platform moves.
+
+    Raises LogError: it never does, or the log has no modes.
+    """
+    if not any(column.name == "mode" and column.kind == "<i8" and not column.shape for column in log.columns):
+        raise LogError(
+            f"{log.path}: has no column of modes, and --align motion asks for one; use --align tick"
+        )
     for rows in log.blocks("tick", "t_ns", "mode"):
         moving = np.flatnonzero(~np.isin(rows["mode"], [int(mode) for mode in AT_REST]))
         if len(moving):

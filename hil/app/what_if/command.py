@@ -20,6 +20,7 @@ from hil.app.output import PNG, log_path
 from hil.app.plot.command import SUFFIXES
 from hil.app.recorded_files import with_attachments
 from hil.app.replay import open_replayable
+from hil.app.terminal import one_line
 from hil.app.what_if import show
 from hil.app.what_if.allowed import changes, refuse_other_inputs
 from hil.app.what_if.changes import changed
@@ -176,7 +177,7 @@ def _refuse_new_files(own: Configuration, here: Configuration) -> None:
 
 
 def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
-    found = [answer.damage] if answer.damage else []
+    found = [one_line(answer.damage)] if answer.damage else []
     found += [
         f"{count} ticks missing from tick {tick}: nothing after is answered" for tick, count in answer.gaps
     ]

@@ -145,6 +145,30 @@ def test_a_fault_that_only_the_log_has_is_named_with_its_tick(tmp_path):
     assert sorted(named) == sorted(set(named)), "each once, when it latches"
 
 
+def test_a_fault_that_the_open_loop_may_have_made_is_called_so(log):
+    found = what_if_log(log, None, ["reference={type: hold}"])
+    after = [each for each in found["what_if_faults"] if each["tick"] > found["first_frames"]["tick"]]
+    assert after
+    (remark,) = [each for each in found["remarks"] if "the open loop alone" in each]
+    assert f"after tick {found['first_frames']['tick']} " in remark
+    limit = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"])
+    assert not limit["what_if_faults"]
+    assert not [each for each in limit["remarks"] if "open loop" in each]
+
+
+@pytest.mark.long
+def test_set_points_that_the_other_reference_does_not_take_are_counted(tmp_path):
+    limits = {"velocity_m_s": 0.3, "velocity_deg_s": 20, "acceleration_m_s2": 1, "acceleration_deg_s2": 60}
+    live = {"type": "live", "limits": limits | {"jerk_m_s3": 10, "jerk_deg_s3": 600}}
+    head = "t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg"
+    (tmp_path / "poses.csv").write_text(f"{head}\n0,0.02,0,1,0,0,0\n0.1,0,0,1,0,0,0\n")
+    path = moved(tmp_path / "live.mcap", reference=live, setpoints=tmp_path / "poses.csv")
+    assert what_if_log(path)["different_ticks"] == 0
+    found = what_if_log(path, None, ["reference={type: hold}"])
+    (remark,) = [each for each in found["remarks"] if "set-points" in each]
+    assert remark == "the 2 set-points of the log are not followed: reference.type hold takes none"
+
+
 def test_a_gap_and_damage_on_the_way_end_the_answer_and_are_no_success(entries):
     gap = kernel.what_if(Edited(entries, without=(300,)), cycle())
     assert (gap.ticks, gap.gaps, gap.whole) == (300, [(300, 1)], False)

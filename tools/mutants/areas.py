@@ -128,8 +128,21 @@ AREAS = {
         ),
     ),
     "replay": Area(
-        ("hil/loop/replay.py", "hil/app/replay.py", "hil/app/recorded_files.py", "hil/cli/replay.py"),
         (
+            *("hil/loop/replay.py", "hil/app/replay.py", "hil/app/recorded_files.py", "hil/cli/replay*.py"),
+            *(
+                "hil/loop/what_if.py",
+                "hil/app/what_if/*.py",
+                "hil/app/against/*.py",
+                "hil/app/replay_suite.py",
+            ),
+            "hil/record/divergence.py",
+        ),
+        (
+            "tests/hil/test_divergence.py",
+            "tests/replay/test_against.py",
+            "tests/replay/test_suite.py",
+            "tests/replay/test_what_if.py",
             "tests/replay/test_comparison.py",
             "tests/replay/test_replay.py",
             "tests/replay/test_tampered_log.py",

@@ -43,7 +43,8 @@ from hil.cli.shared import FILE, complete_configuration, finish, reporting
     "tolerances",
     multiple=True,
     metavar="COLUMN=VALUE",
-    help="With --against: allowed in the column's unit, inf: not judged; or one number, relative, for all.",
+    help="With --against: allowed in the column's unit, inf: not judged; or one number, relative, for the "
+    "others.",
 )
 @click.option(
     "--align",

@@ -18,11 +18,6 @@ class Tolerance(NamedTuple):
     """In the unit of the column; inf: the column is not judged."""
     relative: float = 0.0
 
-    @property
-    def judged(self) -> bool:
-        """Whether any difference is too large."""
-        return self.absolute != np.inf
-
 
 EXACT = Tolerance()
 
@@ -99,17 +94,15 @@ class ColumnDivergence:
 class Divergence:
     """What was found of all columns. Mutable state: that of each column.
 
-    tolerances : by column; those that are not named are exact. relative : of every column of floats.
+    tolerances : by column; those that are not named are exact. relative : of every other column of floats;
+    inf: no other column is judged.
     """
 
     def __init__(
         self, columns: Sequence[Column], tolerances: Mapping[str, float] | None = None, relative: float = 0.0
     ) -> None:
         given = tolerances or {}
-        self.columns = [
-            ColumnDivergence(c, Tolerance(given.get(c.name, 0.0), _relative(c, given, relative)))
-            for c in columns
-        ]
+        self.columns = [ColumnDivergence(c, _tolerance(c, given, relative)) for c in columns]
 
     def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
         """Compare n rows with n rows, tick for tick, and return which differ too much; time_s is (n,)."""
@@ -138,9 +131,13 @@ class Divergence:
         ]
 
 
-def _relative(column: Column, given: Mapping[str, float], relative: float) -> float:
-    """Return the relative tolerance of a column: none of whole numbers, nor where it has one of its own."""
-    return relative if column.type is float and column.name not in given else 0.0
+def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> Tolerance:
+    """Return the tolerance of a column: its own, or a relative one, which whole numbers do not have."""
+    if column.name in given:
+        return Tolerance(given[column.name])
+    if relative == np.inf:
+        return Tolerance(np.inf)
+    return Tolerance(0.0, relative if column.type is float else 0.0)
 
 
 def _difference(a: Array, b: Array) -> Array:

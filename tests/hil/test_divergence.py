@@ -91,6 +91,8 @@ def test_a_relative_tolerance_is_for_floats_without_one_of_their_own():
     found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, 1e-3)
     relative = [(each.tolerance.absolute, each.tolerance.relative) for each in found.columns]
     assert relative == [(0.0, 0.0), (0.0, 1e-3), (0.5, 0.0)]
+    found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, np.inf)
+    assert [each.tolerance.absolute for each in found.columns] == [np.inf, np.inf, 0.5]
 
 
 @pytest.mark.parametrize(

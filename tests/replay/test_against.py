@@ -121,6 +121,8 @@ def test_a_tolerance_is_of_its_column_and_inf_judges_nothing(made):
     assert made(one, other, "tau=0.3", "mode=inf")["diverging"] == ["tau"]
     found = made(one, other, "0.5", "mode=inf")
     assert (found["success"], found["diverging"]) == (True, [])
+    assert made(one, other, "inf", "tau=0.3")["diverging"] == ["tau"]
+    assert made(one, other, "inf", "tau=0.5")["success"]
     shown = {each["column"]: (each["largest"], each["tolerance"]) for each in found["columns"]}
     assert shown == {"mode": (None, "not judged"), "tau": (pytest.approx(0.4), 0.0)}
 
@@ -130,6 +132,13 @@ def test_a_run_that_ends_sooner_or_lacks_a_tick_diverges(made):
     assert (found["success"], found["only_in_log"]) == (False, {"ticks": 2, "first": 7})
     found = made(Made([0, 1, 3]), Made(range(4)))
     assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 2})
+    for words, success in (
+        (["tick=1"], True),
+        (["tick=0"], False),
+        (["inf"], True),
+        (["inf", "tick=0"], False),
+    ):
+        assert made(Made([0, 1, 3]), Made(range(4)), *words)["success"] is success
 
 
 def test_motions_are_aligned_by_the_first_tick_in_which_the_platform_moves(made):
@@ -186,7 +195,6 @@ def test_what_cannot_be_compared_is_refused(made):
         (["much"], "allowed: COLUMN=VALUE"),
         (["tau=1", "tau=2"], "column tau has a tolerance already"),
         (["1e-9", "1e-6"], "is given twice"),
-        (["inf"], "must be finite"),
         (["mode=1"], "have names and no distance, allowed: mode=0"),
     ],
 )

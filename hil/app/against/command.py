@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,13 +51,13 @@ def against(
         raise LogError(f"{path}: has no tick in common with {golden}: nothing to compare")
     diverging = divergence.diverging
     return {
-        "success": not (diverging or alone.one.count or alone.other.count),
+        "success": not diverging and max(alone.one.count, alone.other.count) <= tolerances.alone,
         "kind": "against",
         "log": str(path),
         "against": str(golden),
         "align": align,
-        "relative_tolerance": tolerances.relative,
-        "tolerances": tolerances.absolute,
+        "relative_tolerance": _allowed(tolerances.relative),
+        "tolerances": {name: _allowed(value) for name, value in tolerances.absolute.items()},
         "ticks_compared": ticks,
         "only_in_log": _alone(alone.one),
         "only_in_other": _alone(alone.other),
@@ -115,7 +116,7 @@ def _fields(found: ColumnDivergence) -> dict[str, Any]:
     return {
         "column": column.name,
         "unit": column.unit,
-        "tolerance": tolerance.absolute if tolerance.judged else "not judged",
+        "tolerance": _allowed(tolerance.absolute),
         "relative_tolerance": tolerance.relative,
         "diverges": found.diverges,
         "ticks": found.ticks,
@@ -123,6 +124,10 @@ def _fields(found: ColumnDivergence) -> dict[str, Any]:
         "largest": None if column.names else found.largest,
         "at": _place(found, found.at),
     }
+
+
+def _allowed(value: float) -> float | str:
+    return value if isfinite(value) else "not judged"
 
 
 def _place(found: ColumnDivergence, place: Place | None) -> dict[str, Any] | None:

@@ -13,13 +13,21 @@ class Tolerances(NamedTuple):
     """What is allowed."""
 
     relative: float
-    """Of every column of floats without a tolerance of its own: of |b|, and of 1 where that is less."""
+    """Of every column of floats without a tolerance of its own: of |b|, and of 1 where that is less; inf: no
+    column without one is judged."""
     absolute: dict[str, float]
     """By column, in its unit; inf: it is not judged."""
 
+    @property
+    def alone(self) -> float:
+        """How many ticks one log may have that the other lacks: the tolerance of the column `tick`."""
+        return self.absolute.get("tick", inf if self.relative == inf else 0.0)
+
 
 def read_tolerances(words: Sequence[str], columns: Sequence[Column]) -> Tolerances:
-    """Return tolerances of words: `tau=0.5`, `compute_ns=inf`, or `1e-9` for all columns of floats.
+    """Return tolerances of words: `tau=0.5`, `compute_ns=inf`, or `1e-9` for all other columns of floats.
+
+    `inf` alone: the other columns are not judged.
 
     columns : of the two logs.
 
@@ -33,9 +41,8 @@ def read_tolerances(words: Sequence[str], columns: Sequence[Column]) -> Toleranc
         name, equals, text = each.rpartition("=")
         value = _number(text, each)
         if not equals:
-            if value == inf or relative is not None:
-                why = "must be finite" if value == inf else "is given twice"
-                raise ConfigurationError(f"--tolerance {each}: the relative tolerance of all columns {why}")
+            if relative is not None:
+                raise ConfigurationError(f"--tolerance {each}: the tolerance of all columns is given twice")
             relative = value
             continue
         column = known.get(name)
@@ -64,6 +71,6 @@ def _number(text: str, words: str) -> float:
     if isnan(value) or value < 0.0:
         raise ConfigurationError(
             f"--tolerance {words}: allowed: COLUMN=VALUE in the column's unit, as tau=0.5, or one number, "
-            "the relative tolerance of all columns of floats; >= 0, COLUMN=inf: not judged"
+            "the relative tolerance of all columns of floats; >= 0, inf: not judged"
         )
     return value

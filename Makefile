@@ -6,11 +6,12 @@ BIN := .venv/bin
 UV ?= uv
 PYTEST_FLAGS ?=
 FUZZ_FLAGS ?=
+SOAK_FLAGS ?=
 MUTANTS_FLAGS ?=
 # where it is set, each of some hundred processes of the tests compiles the project anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long fuzz mutants lint bench docs format lock clean venv fmu kernels viewers
+.PHONY: help run test long fuzz mutants soak lint bench docs format lock clean venv fmu kernels viewers
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is"
@@ -32,6 +33,9 @@ fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes;
 
 mutants: fmu  ## plausible mistakes, a seeded sample an area, and which test notices each; MUTANTS_FLAGS="--area cycle --seed 2"
 	@exec $(BIN)/python -m tools.mutants $(MUTANTS_FLAGS)
+
+soak: fmu  ## a day of ticks in lockstep, across the wraps of counters (2 to 4 h); SOAK_FLAGS="--real 30" is half an hour in real time
+	@exec $(BIN)/python -m tools.soak $(SOAK_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy
 	@$(BIN)/lint-imports --no-logo

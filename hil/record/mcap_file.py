@@ -81,7 +81,7 @@ class McapFile:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
         self.position = 0
         self._crc = 0
-        self._summary: dict[Opcode, list[McapRecord]] = {opcode: [] for opcode in _SUMMARY_ORDER}
+        self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_ORDER}
         self._counts: dict[int, int] = {}
         self._start, self._stop = 2**64 - 1, 0
         self._compressor = zstandard.ZstdCompressor(level=1)
@@ -94,20 +94,19 @@ class McapFile:
 
     def add_schema(self, schema: Schema) -> None:
         """Write a schema."""
-        self._summary[Opcode.SCHEMA].append(schema)
+        self._summary[Opcode.SCHEMA].append(record_bytes(schema))
         self._write(record_bytes(schema))
 
     def add_channel(self, channel: Channel) -> None:
         """Write a channel."""
-        self._summary[Opcode.CHANNEL].append(channel)
+        self._summary[Opcode.CHANNEL].append(record_bytes(channel))
         self._write(record_bytes(channel))
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record."""
         record = record_bytes(Metadata(name=name, metadata=dict(data)))
-        self._summary[Opcode.METADATA_INDEX].append(
-            MetadataIndex(offset=self.position, length=len(record), name=name)
-        )
+        index = MetadataIndex(offset=self.position, length=len(record), name=name)
+        self._summary[Opcode.METADATA_INDEX].append(record_bytes(index))
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes, time_ns: int, media_type: str) -> None:
@@ -115,17 +114,16 @@ class McapFile:
         record = record_bytes(
             Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data)
         )
-        self._summary[Opcode.ATTACHMENT_INDEX].append(
-            AttachmentIndex(
-                offset=self.position,
-                length=len(record),
-                log_time=time_ns,
-                create_time=time_ns,
-                data_size=len(data),
-                name=name,
-                media_type=media_type,
-            )
+        index = AttachmentIndex(
+            offset=self.position,
+            length=len(record),
+            log_time=time_ns,
+            create_time=time_ns,
+            data_size=len(data),
+            name=name,
+            media_type=media_type,
         )
+        self._summary[Opcode.ATTACHMENT_INDEX].append(record_bytes(index))
         self._write(record)
 
     def add_chunk(self, data: bytes, channel: Ints, log_time: Ints, offset: Ints) -> None:
@@ -160,19 +158,19 @@ class McapFile:
             offsets[channel_id] = position
             position += len(parts[-1])
             self._counts[channel_id] = self._counts.get(channel_id, 0) + len(entries)
-        self._summary[Opcode.CHUNK_INDEX].append(
-            ChunkIndex(
-                message_start_time=chunk.message_start_time,
-                message_end_time=chunk.message_end_time,
-                chunk_start_offset=self.position,
-                chunk_length=len(record),
-                message_index_offsets=offsets,
-                message_index_length=position - index_start,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                uncompressed_size=chunk.uncompressed_size,
-            )
+        index = ChunkIndex(
+            message_start_time=chunk.message_start_time,
+            message_end_time=chunk.message_end_time,
+            chunk_start_offset=self.position,
+            chunk_length=len(record),
+            message_index_offsets=offsets,
+            message_index_length=position - index_start,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            uncompressed_size=chunk.uncompressed_size,
         )
+        # as bytes: objects take fifteen times as much, and ten of these come every second, for days
+        self._summary[Opcode.CHUNK_INDEX].append(record_bytes(index))
         if len(channel):
             self._start = min(self._start, chunk.message_start_time)
             self._stop = max(self._stop, chunk.message_end_time)
@@ -194,20 +192,16 @@ class McapFile:
     def finish(self) -> None:
         """Write summary and footer, put all onto the disk and close."""
         self._write(record_bytes(DataEnd(self._crc)))
-        self._summary[Opcode.STATISTICS] = [self._statistics()]
+        self._summary[Opcode.STATISTICS] = [record_bytes(self._statistics())]
         summary_start = self.position
-        builder = RecordBuilder()
+        parts = {opcode: b"".join(self._summary[opcode]) for opcode in _SUMMARY_ORDER}
+        offset_start = summary_start
         groups = []
-        for opcode in _SUMMARY_ORDER:
-            start = builder.count
-            for record in self._summary[opcode]:
-                record.write(builder)
-            if builder.count > start:
-                groups.append(SummaryOffset(opcode, summary_start + start, builder.count - start))
-        offset_start = summary_start + builder.count
-        for group in groups:
-            group.write(builder)
-        summary: bytes = builder.end()  # type: ignore[no-untyped-call]
+        for opcode, part in parts.items():
+            if part:
+                groups.append(record_bytes(SummaryOffset(opcode, offset_start, len(part))))
+            offset_start += len(part)
+        summary = b"".join((*parts.values(), *groups))
         crc = zlib.crc32(
             struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary)
         )

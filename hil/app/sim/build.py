@@ -8,11 +8,12 @@ from hil.loop.cycle import Cycle
 from plant_fmu.drives.nodes import Nodes
 
 
-def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes) -> Lockstep:
-    """Return both ends on the configured buses; layout `ideal` takes no bus time."""
+def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes, first: int = 0) -> Lockstep:
+    """Return both ends on the configured buses, from tick `first` on; layout `ideal` takes no bus time."""
     timings = tuple(map(BitTiming.of, c.bus.buses))
     timing = None if c.bus.layout == "ideal" else timings[0]
     window_s = c.loop.window_s(c.loop.rate_Hz)
     if not c.bus.channels:
-        return Lockstep(cycle, nodes, timing, window_s)
-    return SeveralWires(cycle, nodes, timing, window_s, buses=len(timings), timings=timings)
+        return Lockstep(cycle, nodes, timing, window_s, tick=first - 1)
+    each = len(timings)
+    return SeveralWires(cycle, nodes, timing, window_s, tick=first - 1, buses=each, timings=timings)

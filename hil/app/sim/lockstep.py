@@ -84,6 +84,7 @@ class Lockstep:
     feedback_window_s: float
     compute_us: float = COMPUTE_US
     tick: int = -1
+    """The last one; both ends begin with the next."""
     buses: int = 1
     """How many there are."""
     skew_ns: int = 0
@@ -114,7 +115,7 @@ class Lockstep:
         self.wanted = self.cycle.parts.protocol.feedback_ids
         self.fresh = self.cycle.parts.protocol.fresh
         self.awaited = self.cycle.parts.protocol.awaited
-        self.nodes.start(0)
+        self.nodes.start((self.tick + 1) * self.period_ns)
 
     def step(
         self,

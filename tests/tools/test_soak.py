@@ -1,0 +1,96 @@
+"""Some seconds of a soak, across a wrap of the ticks; what each mark of it would notice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hil.record.log import Log
+from tools.benchmarks.figures import Figure
+from tools.soak import Memory, Shift, differences, endless, figures, first_ticks, last_hour, work, wraps
+
+RATE_Hz = 1000.0
+SECONDS = 2.6
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory):
+    """Three shifts in a folder that has room for less: across 16 bits, across 32, and one from tick 0."""
+    c = endless("virtual", tmp_path_factory.mktemp("soak"), 0.0695)
+    firsts = [2**16 - 2000, 2**32 - 2000, 0]
+    return c, [work(c, first, SECONDS) for first in firsts]
+
+
+def figure(found: list[Figure], name: str) -> Figure:
+    (each,) = [f for f in found if f.name == name]
+    return each
+
+
+def test_a_shift_crosses_the_wraps_in_motion_and_its_replay_agrees(day):
+    _, shifts = day
+    assert [s.crossed for s in shifts] == [["16 bit"], ["16 bit", "31 bit", "32 bit"], []]
+    assert [s.trouble for s in shifts] == ["", "", ""]
+    across = shifts[1]
+    rows = Log.open(across.log).rows()
+    assert rows["tick"][0] == across.first
+    assert abs(rows["dq"][rows["tick"] == 2**32]).max() > 0.01, "it moves there"
+    ticks, different = differences(across)
+    assert (ticks, different) == (across.ticks, 0)
+    assert ticks > SECONDS * RATE_Hz
+
+
+def test_old_logs_have_gone_and_the_budget_holds(day):
+    c, shifts = day
+    assert not shifts[0].log.exists()
+    assert shifts[-1].log.exists()
+    assert shifts[-1].removed == 1
+    assert 0 < shifts[-1].folder_bytes <= c.recording.budget_GB * 1e9
+    assert last_hour(shifts, RATE_Hz) == [shifts[2], shifts[1]]
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"trouble": "latched fault"}, "shifts that did not end well"),
+        ({"dropped": 1}, "dropped ticks"),
+        ({"folder_bytes": 70_000_000}, "logs of the folder"),
+        ({"memory": [Memory(100_000, 50_000), Memory(102_200, 50_000)]}, "loop, growth in a shift"),
+        ({"memory": [Memory(100_000, 50_000), Memory(100_000, 52_200)]}, "recorder, growth in a shift"),
+    ],
+)
+def test_each_mark_notices_its_mistake(day, change, name):
+    c, (*_, last) = day
+    assert figure(figures([last], c, [(last.ticks, 0)]), name).met is True
+    assert figure(figures([replace(last, **change)], c, [(last.ticks, 0)]), name).met is False
+
+
+@pytest.mark.parametrize(
+    ("compared", "replayed", "same"),
+    [([(9, 0), (9, 0)], True, True), ([(9, 0), (9, 1)], True, False), ([], False, True)],
+)
+def test_an_hour_that_differs_or_is_not_there_misses_a_mark(day, compared, replayed, same):
+    c, (*_, last) = day
+    found = figures([last], c, compared)
+    assert (figure(found, "replayed").met, figure(found, "ticks that differ").met) == (replayed, same)
+
+
+def test_a_log_whose_first_tick_is_another_differs(day):
+    _, shifts = day
+    ticks, different = differences(replace(shifts[2], first=5))
+    assert different > 0.9 * ticks
+
+
+def test_shifts_begin_a_second_before_each_wrap():
+    """25, 50 and 104 days at 1 kHz."""
+    firsts = first_ticks(RATE_Hz)
+    days = [next(firsts) / RATE_Hz / 86400.0 for _ in range(6)]
+    assert days == pytest.approx([0.0, 65.536 / 86400.0, 24.855, 49.710, 104.25, 0.0], abs=2e-3)
+    assert list(wraps(RATE_Hz).values()) == sorted(wraps(RATE_Hz).values())
+
+
+def test_memory_counts_from_when_it_has_settled():
+    seen = [Memory(1000 * k, 2000) for k in (1, 5, 5, 5, 9)]
+    shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", seen)
+    assert shift.grown_MB() == pytest.approx((4000 / 1024, 0.0))

@@ -23,7 +23,8 @@ TAIL_S = 0.25
 HELD_S = 1.0
 """A simulation that holds the platform with force ends when it has stood still for so long."""
 MOVING_S = 10.0
-"""A simulation whose platform does not come to rest after a fault ends after this."""
+"""A simulation whose platform does not come to rest after a fault, or that is held, and on its way to closed
+brakes and back, ends after this."""
 _HELD = (
     "not all brakes are proven shut. {}, and the run goes on until it is released: support the platform, "
     "then give the command again with --release. Ctrl-C drops nothing"
@@ -101,8 +102,9 @@ class Course:
     and end in time. `event` takes what each fault tells in its tick. `goes_on`: parked or after a fault a run
     goes on until it is asked to end: by END, or when `duration_s` is over. A fault takes `armed` back.
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
-    over before the drives were ready; the first fault's tick and the last one's text; when a leg last moved;
-    which way that is not followed has been told.
+    over before the drives were ready; the first fault's tick and the last one's text; since when the platform
+    has been held, closed brakes between counted in; when a leg last moved; which way that is not followed has
+    been told.
     """
 
     def __init__(
@@ -134,7 +136,7 @@ class Course:
         self._engaged = self._requested = self._late = False
         self.goes_on = goes_on
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
-        self._after_fault_since = -1
+        self._after_fault_since = self._held_since = -1
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
@@ -238,7 +240,9 @@ class Course:
             self._moved_tick = tick
         rested, text = tick - self._moved_tick, self._fault_text
         if mode is Mode.HELD:
-            ends = not self.stays and (rested >= self._held or tick - since >= self._moving)
+            if self._held_since < 0:
+                self._held_since = tick
+            ends = not self.stays and (rested >= self._held or tick - self._held_since >= self._moving)
         else:
             left = self._leaves if self.stays else tick - since >= self._moving
             if moving and left:
@@ -254,7 +258,7 @@ class Course:
         if faults == self._faults:
             return
         if not self._faults or self._faults & ~faults:  # the first ones, or those after a RESET
-            self._fault_tick = tick if faults else -1
+            self._fault_tick, self._held_since = tick if faults else -1, -1
         self._faults, self._fault_text = faults, self._narrator.short
 
     @property

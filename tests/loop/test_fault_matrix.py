@@ -178,6 +178,14 @@ def test_a_case_is_the_same_each_time():
     assert {**first, "wall_s": 0} == {**second, "wall_s": 0}
 
 
+@pytest.mark.long
+def test_a_case_whose_brake_tests_never_end_is_held_and_judged_within_half_a_minute():
+    """Lost frames: the platform stands on closed brakes, and the force that holds it never goes."""
+    found = one("frames_loss/TRACKING", "desktop")
+    assert (found["ended"], found["faults"]) == ("HELD", ["STALE"])
+    assert found["success"], found["verdict"]
+
+
 def modes_at_fault(words: str) -> tuple[Mode, float]:
     """Return the mode in which a fault begins and how long after that was reached, s."""
     c = with_faults(load("virtual"), [words])

@@ -139,6 +139,18 @@ def test_a_platform_that_is_held_with_force_is_held_for_a_second_or_until_the_op
     assert (ending.ticks if ending else None) == tick
 
 
+@pytest.mark.parametrize(("stays", "tick"), [(False, 1000), (True, None)])
+def test_a_platform_that_goes_to_closed_brakes_and_is_held_again_is_held_for_ten_seconds_in_all(stays, tick):
+    """Where frames are lost no brake test comes to its end; 0.2 s of each in turn."""
+    now = cycle(Mode.HELD, faults=Fault.STALE)
+    course, found = Course(now, stays=stays), None
+    for number in range(3000):
+        if number % 20 == 0:
+            now.mode, now.mode_tick = (Mode.HELD, Mode.UNLOADING)[number // 20 % 2], number
+        found = found or course.ending(number)
+    assert (found.ticks if found else None) == tick
+
+
 def test_a_run_that_stays_and_finds_no_drives_ends():
     now = cycle(Mode.WAITING, age=NEVER)
     assert first_end(Course(now, armed=False, goes_on=True), 1000) is not None

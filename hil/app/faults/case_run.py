@@ -134,11 +134,14 @@ def _set(bits: int) -> frozenset[int]:
     return frozenset(leg for leg in range(LEGS) if bits >> leg & 1)
 
 
-def _goes_on(cycle: Cycle, tick: int, rested: int) -> bool:
-    """Tell whether a run that could have ended `rested` ticks ago is watched for longer."""
+def _goes_on(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
+    """Tell whether a run is watched for longer that could have ended first in a tick, and `rested` ticks ago.
+
+    Where frames are lost, a held platform goes to closed brakes and comes back again and again.
+    """
     rate = cycle.parts.rate_Hz
     if cycle.mode is Mode.HELD:
-        return tick - cycle.mode_tick <= HELD_S * rate
+        return tick - min(cycle.mode_tick, ended) <= HELD_S * rate
     return cycle.mode is Mode.PARKED and rested <= REST_S * rate
 
 
@@ -152,6 +155,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
     course, failure, tracked, named, rested = Course(cycle), "", 0, _Named(), 0
     ending: Ending | None = None
     begun: int | None = None
+    ended: int | None = None
     try:
         lockstep = build_lockstep(c, cycle, nodes)
         while ending is None:
@@ -174,7 +178,8 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
             named.look(cycle)
             ending = course.ending(tick)
             rested = 0 if ending is None else rested + 1
-            if _goes_on(cycle, tick, rested):
+            ended = tick if ended is None and ending is not None else ended
+            if ended is not None and _goes_on(cycle, tick, rested, ended):
                 ending = None
             if tick >= LONGEST_S * rate:
                 raise RunError(f"it has not ended after {LONGEST_S:g} s, in {cycle.mode.name}")

@@ -7,9 +7,11 @@ import pytest
 
 from drivers.config import WrenchSensorSettings
 from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Frame, Received, Status
+from drivers.sensors import Readings
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Warn
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.loop.sight import Sight
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, TickInput
 from tests.drivers.drives_end import reports
@@ -350,3 +352,11 @@ def test_faults_that_the_drives_have_latched_are_not_cleared_unasked(bench):
         bench.drives.state = [DriveState.OFF] * 5 + [DriveState.FAULT]
     assert bench.cycle.mode is Mode.WAITING
     assert {c.mode for c in bench.drives.commands} == {DriveMode.OFF}
+
+
+def test_the_sight_of_a_new_controller_has_found_no_pose_heard_no_sensor_and_stands_at_home():
+    parts = build_cycle(load("virtual"), 1000.0, 0.01).parts
+    sight = Sight(parts)
+    assert (sight.located, sight.fusing, sight.readings) == (False, False, Readings())
+    np.testing.assert_array_equal(sight.estimator.p, parts.home_p)
+    np.testing.assert_array_equal(sight.estimator.R, parts.home_R)

@@ -15,6 +15,8 @@ from drivers.signals import Warn
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.mirror import FIGURES, SLOT_BYTES, Mirror, MirrorReader, _place, mirror_path
+from hil.record.recorder import _publisher
+from hil.record.ring import Ring
 from hil.record.row import TICKS, describe
 from tests.hil.samples import random_rows
 
@@ -181,6 +183,16 @@ def test_a_mirror_that_cannot_be_made_costs_the_picture_and_not_the_log(tmp_path
             recording.tick(row, (), ())
     assert recording.close().complete
     assert "cannot see this run" in capfd.readouterr().err
+
+
+def test_a_mirror_that_cannot_be_made_is_told_on_standard_error_alone(tmp_path, capsys):
+    """Standard output has the recorder's answers to the loop, one JSON object a line."""
+    path = tmp_path / "no" / "m"
+    ring = Ring.create(TICKS.dtype, 256)
+    assert _publisher(ring, {"path": str(path), "about": {}}) is None
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err == f"hil: `hil watch` cannot see this run: {path}: No such file or directory\n"
 
 
 def test_a_recorder_that_is_killed_leaves_what_was_shown_last(tmp_path):

@@ -427,6 +427,18 @@ def test_a_table_of_columns_comes_back_from_its_description():
         assert a.names == b.names
 
 
+@pytest.mark.parametrize(("elements", "taken"), [(8190, True), (8191, False)])
+def test_a_log_may_describe_rows_of_64_KiB_and_none_larger(elements, taken):
+    """Two numbers of 8 bytes, and so many more: 65 536 bytes, and 8 beyond."""
+    columns = [("tick", int, ()), ("t_ns", int, ()), ("x", float, (elements,))]
+    text = describe([Column("output", name, kind, "", "", (), shape) for name, kind, shape in columns])
+    if taken:
+        assert columns_of(text)[-1].shape == (elements,)
+        return
+    with pytest.raises(ValueError, match="allowed: rows of 65536 bytes"):
+        columns_of(text)
+
+
 def test_the_platform_is_drawn_where_the_row_has_it(tmp_path):
     rows = np.zeros(100, ROW)
     rows["tick"] = np.arange(100)

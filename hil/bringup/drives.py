@@ -36,7 +36,7 @@ class Drives:
     """Commands of the bring-up, one tick a call of `step`.
 
     Mutable state: the tick, its record, the two dialogues (of drives that may be powered, of the others),
-    and which drive may be.
+    which drive may be, and which one the last command was for.
     """
 
     def __init__(
@@ -63,6 +63,7 @@ class Drives:
         """Identifiers of all frames that each drive has sent; None: nobody asks."""
         self._records = self.record, copy_of(self.record)
         self._alone: int | None = None
+        self._commanded: int | None = None
 
     def ticks(self, seconds: float) -> int:
         """Return the number of ticks in a time, at least one."""
@@ -90,7 +91,9 @@ class Drives:
         opening: tuple[Frame, ...] = ()
         if not silent or self.protocol.command_delay_ticks == 0:
             starts = self.protocol.begin(self._live, tick), self.protocol.begin(self._rest, tick)
-            opening = self._chosen(*starts, leg)
+            # with a delay they carry the last command, which powers no drive but its own
+            opening = self._chosen(*starts, self._commanded if self.protocol.command_delay_ticks else leg)
+        self._commanded = leg
         heard = self.line.exchange(opening)
         self.heard = heard.frames
         if self.spoken is not None:

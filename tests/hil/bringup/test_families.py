@@ -3,10 +3,12 @@
 import pytest
 
 from drivers.signals import DriveMode, DriveState
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import loads
 from hil.bringup.procedure import STEPS
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.broad import broad
-from tests.hil.bringup.families import FAMILIES
+from tests.hil.bringup.families import FAMILIES, family
 from tests.hil.bringup.kit import Rehearsal, named
 from tests.hil.bringup.test_mistakes import CASES
 
@@ -54,7 +56,17 @@ OTHERWISE: dict[tuple[str, str], set[tuple[str, tuple[int, ...]]] | None] = {
     ("odrive", "fast_watchdog"): {("not_powered", (1,))},
 }
 """What is named otherwise than with our own drives; None: no such mistake can be."""
+POLLED = ["moteus_stopped", *[name for name in FAMILIES if "legs" not in name and name != "moteus_stopped"]]
 KNOWN = [(family, case) for family in FAMILIES for case in NAMES if OTHERWISE.get((family, case), True)]
+
+
+@pytest.mark.parametrize("name", broad(POLLED, quick=1))
+def test_brakes_that_act_at_once_open_one_at_a_time(name):
+    """An enabling of one tick opens no brake that takes 40 ms: only one that takes none shows it."""
+    c, at_once = family(name), {"plant": {"drives": {"brake_open_ms": 0, "brake_close_ms": 0}}}
+    rehearsal = Rehearsal(loads(with_changes(c.text, at_once), name, c.folder), Wiring())
+    assert rehearsal.run(STEPS[:2]).findings == ()
+    assert rehearsal.watched.most_open <= 1
 
 
 @pytest.mark.long

@@ -9,21 +9,21 @@ from hil.bringup.line import Heard
 from hil.loop.clock import Deadlines
 from hil.loop.unheard import NO_WATCHDOG
 
-WINDOW = 0.65
-"""Share of the period in which answers are waited for."""
-
 
 class BusLine:
     """Ticks on an open bus. Mutable state: the deadlines, and the bus."""
 
-    def __init__(self, bus: Bus, rate_Hz: float, *, watched: bool) -> None:
-        """Take the open bus, the tick rate in Hz, and whether the drives have a watchdog of their own."""
+    def __init__(self, bus: Bus, rate_Hz: float, window_s: float, *, watched: bool) -> None:
+        """Take the open bus, the tick rate in Hz, and whether the drives have a watchdog of their own.
+
+        window_s: for so long answers are waited for in a tick; later ones say nothing of a drive's state.
+        """
         self.rate_Hz = rate_Hz
         self._bus = bus
         shut = "the drives' watchdogs shut their brakes"
         self._left = shut if watched else f"the drives {NO_WATCHDOG}"
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
-        self._window_ns = round(WINDOW * 1e9 / rate_Hz)
+        self._window_ns = round(1e9 * window_s)
         bus.flush_tx()
         bus.drain_now()
 

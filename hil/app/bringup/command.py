@@ -217,7 +217,7 @@ def _proceed(
                 said("a rehearsal bench is served on this bus: its hands do what you are asked")
                 operator = stack.enter_context(contextlib.closing(RemoteHands(address, terminal, agree)))
             stack.enter_context(real_time(c.loop.priority, c.loop.cpu))
-            line = BusLine(bus, rate, watched=protocol.has_watchdog)
+            line = BusLine(bus, rate, c.loop.window_s(rate), watched=protocol.has_watchdog)
         drives = Drives(protocol, line, machine.watchdog_s, said.tick)
         context = Context(machine, drives, operator, store.facts, store.save)
         try:

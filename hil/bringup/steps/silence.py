@@ -16,6 +16,8 @@ WAIT, WAIT_S = 6.0, 0.4
 """Silence ends after so many times the configured watchdog, and not before this."""
 EARLY, LATE = 0.5, 1.5
 """A watchdog that takes less or more than so many times the configured one is wrong."""
+ASKS = 3
+"""So many ticks a drive is asked whether it is still powered: an answer may be late, or lost."""
 SEEN_EARLY = 0.7
 """One that is watched is seen a period late, and takes less than EARLY if it is seen before this share."""
 _POWERED = (DriveState.READY, DriveState.RUN)
@@ -93,7 +95,7 @@ def _find_watched(c: Context) -> None:
 
 
 def _find_asked(c: Context) -> None:
-    """Ask each drive alone once before and once after its time: commands feed the watchdog.
+    """Ask each drive alone before and after its time: commands feed the watchdog, and bring no power back.
 
     Where the heartbeat tells, commands go on until the next one.
     """
@@ -110,7 +112,7 @@ def _find_asked(c: Context) -> None:
             for ticks in silences:
                 for _ in range(ticks):
                     c.drives.step(DriveMode.RUN, leg, silent=True)
-                for _ in range(1 + ceil(late_s * rate)):
+                for _ in range(ASKS + ceil(late_s * rate)):
                     c.drives.step(DriveMode.RUN, leg)
                 gone = not _powered(c, leg)
                 bounds[gone] = (ticks + 1) / rate

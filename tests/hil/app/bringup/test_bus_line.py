@@ -59,7 +59,7 @@ class FakeBus:
 
 def test_a_tick_has_the_answers_of_its_window_and_what_was_late_before():
     bus = FakeBus()
-    line = BusLine(cast("Bus", bus), 500.0, watched=True)
+    line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
     first, second = line.exchange([POLL]), line.exchange([POLL])
     assert [r.frame for r in first.frames] == [ANSWER]
     assert [r.frame for r in second.frames] == [LATE, ANSWER]
@@ -67,10 +67,16 @@ def test_a_tick_has_the_answers_of_its_window_and_what_was_late_before():
     assert second.since_ns - first.since_ns == 2_000_000
 
 
+def test_a_tick_waits_as_long_as_its_window():
+    bus = FakeBus()
+    line = BusLine(cast("Bus", bus), 500.0, 1.95e-3, watched=True)
+    assert [r.frame for r in line.exchange([POLL]).frames] == [ANSWER, LATE]
+
+
 @pytest.mark.parametrize(("watched", "left"), [(True, "watchdogs shut"), (False, "cut their power now")])
 def test_a_bus_that_is_down_ends_the_bring_up_and_says_what_the_drives_do(watched, left):
     bus = FakeBus()
-    line = BusLine(cast("Bus", bus), 500.0, watched=watched)
+    line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=watched)
     bus.off = True
     with pytest.raises(BusError, match=f"down: the drives.* {left}"):
         line.exchange([])

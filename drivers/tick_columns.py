@@ -179,6 +179,7 @@ RECORDED = (
     _("reference", "dq_d", float, "m/s", "its rate", *PER_LEG),
     _("reference", "ddq_d", float, "m/s^2", "its second rate", *PER_LEG),
     _("effort", "tau_law", float, "N", "leg force that the law asks for, > 0 extends", *PER_LEG),
+    _("effort", "tau_learned", float, "N", "learned leg force, of what is asked for", *PER_LEG),
     _("verdict", "tau", float, "N", "leg force that is sent, > 0 extends", *PER_LEG),
     _("estimate", "wrench", float, "N, N m", "load ON the platform at its origin, base frame", *WRENCH),
     _("estimate", "fk_residual", float, "m", "largest leg residual of forward kinematics"),
@@ -241,7 +242,7 @@ WORKING = (
         "force sent less the force asked for, of the last command: limits acted",
         *PER_LEG,
     ),
-    _("effort", "tau_asked", float, "N", "the law's force with the ramps of entry and exit", *PER_LEG),
+    _("effort", "tau_asked", float, "N", "the law's force with what was learned and the ramps", *PER_LEG),
 )
 """What lives for one tick."""
 del _

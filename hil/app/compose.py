@@ -21,6 +21,7 @@ from hil.app.configuration.bus_budget import bus_names
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.fault_rules import refuse_of_no_bus
+from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import encoder_limits, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
@@ -73,6 +74,8 @@ REFERENCE_CSV = "reference.csv"
 """Attachment of a log: the samples of its reference."""
 CONTROLLER_FILE = "controller.yaml"
 """Attachment of a log: the controller of law `state_space`."""
+FEEDFORWARD_CSV = "feedforward.csv"
+"""Attachment of a log: the learned feed-forward."""
 REFERENCE_PLAN = "reference.npy"
 """Attachment of a log: the polynomials of a planned reference."""
 
@@ -112,8 +115,10 @@ def build_cycle(
     c = configuration
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
+    learned = None
     if trajectory is None:
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder, 1.0 / rate_Hz, recorded)
+        learned = learned_forces(c.feedforward, c.reference, c.controller, c.platform, c.folder)
     steering, admission = None, build_admission(c, platform)
     if isinstance(trajectory, LiveTrajectory):
         steering = Steering(trajectory, admission)
@@ -149,6 +154,7 @@ def build_cycle(
             fusion=_fusion(c, platform, rate_Hz),
             predictor=predictor,
             buses=bus_names(c.bus) if c.bus.channels else (),
+            learned=learned,
         )
     )
 
@@ -385,6 +391,9 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     if isinstance(configuration.controller, StateSpaceSettings):
         path = controller_path(configuration.controller, configuration.folder)
         files.append((CONTROLLER_FILE, read_regular(path)))
+    if configuration.feedforward is not None:
+        path = feedforward_path(configuration.feedforward, configuration.folder)
+        files.append((FEEDFORWARD_CSV, read_regular(path, MOST_BYTES)))
     if isinstance(configuration.reference, TimeOptimalReference):
         files.append((REFERENCE_PLAN, plan(configuration.reference)))
     return files

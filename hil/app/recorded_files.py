@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.compose import CONTROLLER_FILE, REFERENCE_CSV
+from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
 from hil.app.configuration.configuration import Configuration
+from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
 from hil.control.state_space import StateSpaceSettings
 
@@ -23,6 +24,7 @@ def with_attachments(configuration: Configuration, files: Mapping[str, bytes], f
     for name, section, key, kind in (
         (REFERENCE_CSV, "reference", "path", SampledReference),
         (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
+        (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
     ):
         settings = getattr(configuration, section)
         if not isinstance(settings, kind):

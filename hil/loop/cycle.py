@@ -53,9 +53,8 @@ class Cycle:
 
     Mutable state, all of it: the drive protocol's dialogue, the last tick's record, what is seen of the
     platform, the turns that the drives have forgotten, mode and the tick of its entry, latched faults,
-    E-stop, whether the brakes are proven shut, the motion, what the operator allows, the effort's ramps, and
-    what law, predictor, observer, external wrench, steering and safety keep. `reset` restores the initial
-    one.
+    E-stop, whether the brakes are proven shut, the motion, what the operator allows, the effort's ramps, what
+    law, predictor, observer, external wrench, steering and safety keep. `reset` restores the initial one.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -333,7 +332,8 @@ class Cycle:
         blind = self.mode is Mode.HELD and bool(self.faults & modes.NOT_MEASURED)
         yields = self.mode is Mode.PARKING and self._yields
         effort, watch = self.effort, self.obedience
-        effort.fill(tick, self.mode, self.mode_tick, self.motion, free=all_free(tick), fixed=blind or yields)
+        now = {"free": all_free(tick), "fixed": blind or yields, "faulty": bool(self.faults)}
+        effort.fill(tick, self.mode, self.mode_tick, self.motion, **now)
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
         if (yields or shuts) and watch.watch(tick, effort.last_tau):
             self.faults |= Fault.DRIVE

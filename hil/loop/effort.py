@@ -7,6 +7,7 @@ import numpy as np
 from drivers.arrays import ZERO6, Array
 from drivers.signals import Mode
 from drivers.tick_columns import Record, copy_of
+from hil.loop.learned import Learned
 from hil.loop.modes import CONTROLLED, Durations
 from hil.loop.motion import Motion
 from hil.loop.parts import Parts
@@ -27,6 +28,8 @@ class Effort:
         self.durations = durations
         self.period_s = 1.0 / parts.rate_Hz
         self.model = Model(parts.platform, leg_spin=parts.leg_spin)
+        forces = parts.learned
+        self.learned = None if forces is None else Learned(forces, parts.trajectory, self.period_s)
         self.reach_N = float(parts.safety.limits["force_window_N"])
         """How far the law may go from the holding force where the platform is held: without an end it pushes
         a brake open whose leg seems to move, as its encoder drifts."""
@@ -43,6 +46,8 @@ class Effort:
         self.last_tau = ZERO6
         self.shortfall = ZERO6
         """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
+        if self.learned is not None:
+            self.learned.reset()
 
     def statics(self, p: Array, R: Array, wrench: Array) -> Array:
         """Return the forces (6,) N that hold weight and external wrench (6,) N, N m at a pose.
@@ -61,13 +66,24 @@ class Effort:
         self.offset = holding - tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
 
     def fill(
-        self, tick: Record, mode: Mode, mode_tick: int, motion: Motion, *, free: bool, fixed: bool
+        self,
+        tick: Record,
+        mode: Mode,
+        mode_tick: int,
+        motion: Motion,
+        *,
+        free: bool,
+        fixed: bool,
+        faulty: bool,
     ) -> None:
-        """Fill the law's own force, and what is asked for.
+        """Fill the law's own force, what was learned, and what is asked for.
 
-        free: all brakes are open; fixed: the holding force as it is, without the law.
+        free: all brakes are open; fixed: the holding force as it is, without the law; faulty: a fault is
+        latched.
         """
-        number = int(tick["tick"])
+        number, learned = int(tick["tick"]), ZERO6
+        if self.learned is not None:
+            learned = self.learned.step(number, mode, mode_tick, motion, faulty=faulty)
         if fixed:
             tick["tau_asked"] = self.holding
             return
@@ -81,6 +97,9 @@ class Effort:
                 tick["tau_law"] = own
             left = self._entry_share(number)
             asked = own + self.offset * left if left > 0.0 else own
+            if learned is not ZERO6 and mode is not Mode.HELD:
+                tick["tau_learned"] = learned
+                asked = asked + learned
             if mode is Mode.HELD:
                 asked = np.clip(asked, self.holding - self.reach_N, self.holding + self.reach_N)
             tick["tau_asked"] = asked

@@ -20,6 +20,7 @@ from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
 from hil.loop.admission import Admission
 from hil.loop.homing import LastPose
+from hil.loop.learned import LearnedForces
 from hil.loop.steering import Steering
 from hil.robot.geometry import Platform
 from hil.safety import Safety
@@ -62,3 +63,5 @@ class Parts:
     """Channel and legs of each bus, where there are several."""
     predictor: Predictor | None = None
     """For a law that reads state and reference at the instant at which its force acts."""
+    learned: LearnedForces | None = None
+    """What earlier runs of this trajectory have taught."""

@@ -17,7 +17,7 @@ from hil.app.configuration.controller_file import controller_path
 from hil.control.state_space import StateSpaceSettings
 
 _CONTROLLER = ("controller", "controller_file")
-PLACES = (("reference", "path"), _CONTROLLER, ("plant", "model", "path"))
+PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"))
 """Keys of a configuration that name a file which a row reads."""
 NO_FILE = "no file"
 """In the place of the digest."""

@@ -23,6 +23,7 @@ from hil.app.configuration.plant_step import fitted
 from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
+from hil.config.feedforward import FeedforwardSettings
 from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.monitor import MonitorSettings
@@ -56,6 +57,8 @@ class Configuration(Section):
     engage: EngageSettings = EngageSettings()
     operator: OperatorSettings = OperatorSettings()
     reference: ReferenceSettings
+    feedforward: FeedforwardSettings | None = None
+    """Leg forces that earlier runs of the reference have taught; `hil learn` makes them."""
     limits: LimitSettings
     reactions: ReactionSettings = ReactionSettings()
     recording: RecordingSettings = RecordingSettings()

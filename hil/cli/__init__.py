@@ -52,6 +52,7 @@ COMMANDS = {
     "schema": "What editors complete and check configurations by.",
     "calibrate": "Joint positions and length offsets from measured poses.",
     "identify": "The loop's axes or delay, from a run or a log; payload and friction.",
+    "learn": "A feed-forward for the next run, from the logs of those before.",
     "design": "A robust controller from weights: hinf, mu.",
 }
 """Name -> what it is for, in the order of the help; the module of that name has it as `command`."""

@@ -43,7 +43,9 @@ class FeedforwardHead(Section):
     """Where its zero-phase filter ends."""
     contraction: Annotated[float, Field(ge=0, lt=1)]
     """Largest factor by which the error may shrink from run to run, over frequency and uncertainty."""
+    first_rms_error_mm: NonNegative
+    """Of the legs, in the first run of all."""
     rms_error_mm: NonNegative
-    """Of the legs, in that run."""
+    """In the run that it was learned from."""
     peak_N: NonNegative
     """Largest force in the file."""

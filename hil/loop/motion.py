@@ -154,6 +154,15 @@ class Motion:
             return sample
         return PoseSample(sample.p, sample.R, *slowed(sample.twist, sample.dtwist, sigma, dsigma))
 
+    def before(self, tick: int, then: Trajectory) -> float | None:
+        """Return the time before `then` begins, s, at most 0; None where it is not what comes next.
+
+        None below full speed, too: then nobody knows when it begins.
+        """
+        if self._then is not then or not self.override.full:
+            return None
+        return min((tick - self.tick - self._last) * self.period_s, 0.0)
+
     def ahead(self, tick: int, s: float) -> tuple[PoseSample, float | None]:
         """Return where the platform should be `s` seconds after this tick, and that time along `then`.
 

@@ -84,11 +84,11 @@ def feedforward_path(settings: FeedforwardSettings, folder: Path) -> Path:
     return folder / settings.file
 
 
-def feedforward_text(head: FeedforwardHead, tau: Array, step_s: float) -> str:
-    """Return the text of a file: forces (n, 6) N at 0, step_s, 2 step_s ..., to a tenth of a millinewton."""
+def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: float) -> str:
+    """Return the text of a file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
     top = yaml.safe_dump(head.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=100)
     body = io.StringIO()
-    rows = np.column_stack([np.arange(len(tau)) * step_s, tau])
+    rows = np.column_stack([(start + np.arange(len(tau))) * step_s, tau])
     np.savetxt(body, rows, fmt=["%.9g"] + ["%.4f"] * 6, delimiter=",")
     remark = f"{BEGINNING.decode()}: leg forces over the time of the reference, > 0 extends\n"
     return (
@@ -98,11 +98,11 @@ def feedforward_text(head: FeedforwardHead, tau: Array, step_s: float) -> str:
     )
 
 
-def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float]:
-    """Return head, forces (n, 6) N and step in s of a file's content; name stands for it in messages.
+def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float, float]:
+    """Return head, forces (n, 6) N, their first time and step in s; name stands for the file in messages.
 
     Raises ConfigurationError: another kind of file, a head with problems, a value that is no finite number,
-    times that are no multiples of one step, or forces that do not begin and end at zero.
+    or times without one step.
     """
     try:
         text = raw.decode("utf-8")
@@ -127,26 +127,24 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
         raise ConfigurationError(
             f"{name}:{line + 1 + row}: {COLUMNS[column]} must be a finite number; given: {table[row, column]}"
         )
-    step_s = float(table[-1, 0]) / (len(table) - 1)
-    off = np.abs(table[:, 0] - step_s * np.arange(len(table)))
-    if not step_s > 0.0 or off.max() > UNEVEN * step_s:
+    start_s, end_s = float(table[0, 0]), float(table[-1, 0])
+    step_s = (end_s - start_s) / (len(table) - 1)
+    off = np.abs(table[:, 0] - start_s - step_s * np.arange(len(table)))
+    if not step_s > 0.0 or start_s > 0.0 or off.max() > UNEVEN * step_s:
         row = int(off.argmax())
         raise ConfigurationError(
-            f"{name}:{line + 1 + row}: t_s must be 0, then whole multiples of one step, {step_s:g} s; given: "
-            f"{table[row, 0]:.9g}"
-        )
-    if table[0, 1:].any() or table[-1, 1:].any():
-        raise ConfigurationError(
-            f"{name}: the forces of the first and the last row must be 0, or they begin and end with a bump"
+            f"{name}:{line + 1 + row}: t_s must begin at 0 or before, and rise by one step, here {step_s:g} s"
+            f"; given: {table[row, 0]:.9g}"
         )
     tau = np.ascontiguousarray(table[:, 1:])
     tau.flags.writeable = False
-    return head, tau, step_s
+    return head, tau, start_s, step_s
 
 
 def _head(text: str, name: str) -> tuple[FeedforwardHead, int, str]:
     """Return the head, the number of the line behind it, and the text from that line on."""
-    top, rest = [], text
+    top: list[str] = []
+    rest = text
     while rest.startswith("#") and len(top) <= MOST_HEAD:
         line, _, rest = rest.partition("\n")
         top.append(line[2:])
@@ -190,7 +188,7 @@ def learned_forces(
         ) from None
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    head, tau, step_s = read_feedforward(raw, str(path))
+    head, tau, start_s, step_s = read_feedforward(raw, str(path))
     now = made_for(reference, controller, platform, folder)
     for what in MadeFor.model_fields:
         there, here = getattr(head.made_for, what), getattr(now, what)
@@ -205,7 +203,7 @@ def learned_forces(
             f"{path}: its largest force is above feedforward.limit_N, allowed: up to {settings.limit_N:g} N, "
             f"given: {peak:g} N"
         )
-    return LearnedForces(tau, step_s, settings.fade_s)
+    return LearnedForces(tau, start_s, step_s, settings.fade_s)
 
 
 def usable_feedforward(

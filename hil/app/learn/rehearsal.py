@@ -1,0 +1,84 @@
+"""`hil learn CONFIG --runs N`: run, learn, run again, in simulated time."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from drivers.errors import ConfigurationError
+from hil.app.check.command import refuse_unreachable
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.learn.command import Knowledge, Outcome, Step, learned, limit_of
+from hil.app.learn.runs import LearningRun, learning_run
+from hil.app.sim.command import simulate
+
+
+class Rehearsal(NamedTuple):
+    """What became of a series of runs."""
+
+    steps: list[Step]
+    outcome: Outcome | None
+    """Of the last run that could be learned from; None where the first one failed."""
+    limit_N: float
+    best: str
+    """Text of the file of the run with the smallest error; empty where that is the one without any."""
+    trouble: str
+    """Why a run failed; empty where none did."""
+
+
+def rehearse(
+    c: Configuration, runs: int, known: Knowledge, folder: Path, tell: Callable[[Step], None]
+) -> Rehearsal:
+    """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
+
+    It ends early at the floor, where a run contradicts the condition, and where one fails.
+
+    Raises ConfigurationError for what cannot run or learn, LogError, ModelError.
+    """
+    c.require("sim")
+    refuse_unreachable(c)
+    text, limit_N, trouble = "", known.limit_N or 0.0, ""
+    past: list[LearningRun] = []
+    steps: list[Step] = []
+    texts: list[str] = []
+    outcome: Outcome | None = None
+    for number in range(runs):
+        log = folder / f"{c.name}-run-{number:02d}.mcap"
+        made = simulate(
+            _with(c, text, folder / f"{c.name}-run-{number:02d}.csv", limit_N), log=log, check_replay=False
+        )
+        if not made["success"]:
+            trouble = f"run {number}: {made['trouble'] or ', '.join(made['faults'])}; its log is {log}"
+            break
+        past = [*past[-1:], learning_run(log)]
+        limit_N = limit_of(past[-1], known)
+        outcome = learned(past, known)
+        steps.append(outcome.steps[-1])
+        texts.append(text)
+        tell(steps[-1])
+        if outcome.state != "learned":
+            break
+        text = outcome.text
+    best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
+    return Rehearsal(steps, outcome, limit_N, texts[best] if texts else "", trouble)
+
+
+def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:
+    """Return the configuration with a feed-forward of this text; without any where the text is empty."""
+    section: dict[str, Any] | None = None
+    if text:
+        path.write_text(text, encoding="utf-8")
+        section = {"file": str(path.absolute()), "limit_N": limit_N}
+    return loads(with_changes(c.text, {"name": c.name, "feedforward": section}), c.source, c.folder)
+
+
+def with_scale(c: Configuration, scale: float) -> Configuration:
+    """Return the configuration with masses that its law believes in, as a share of its own.
+
+    Raises ConfigurationError for a law without a model.
+    """
+    believed = c.controller.believed
+    if believed is None or "model" not in type(c.controller).model_fields:
+        raise ConfigurationError(f"--inertia-scale: law {c.controller.law} has no model of the masses")
+    change = {"controller": {"model": {"inertia_scale": scale * believed.inertia_scale}}, "name": c.name}
+    return loads(with_changes(c.text, change), c.source, c.folder)

@@ -1,0 +1,163 @@
+"""`hil learn`: the feed-forward of the next run, from the logs of those before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.shared import FILE, NOT_NEGATIVE, POSITIVE, finish_lines, reporting
+
+if TYPE_CHECKING:
+    from hil.app.learn.command import Knowledge
+
+
+@click.command()
+@click.argument("sources", metavar="LOG...|CONFIG", nargs=-1, required=True, type=FILE)
+@click.option(
+    "-o",
+    "--out",
+    type=FILE,
+    metavar="FILE",
+    help="CSV of the next run's feed-forward; an earlier one of this command is replaced.",
+)
+@click.option(
+    "--axes", type=FILE, metavar="FILE", help="Axes that `hil identify` found; default: the configuration's."
+)
+@click.option(
+    "--gain-error",
+    type=NOT_NEGATIVE,
+    default=0.25,
+    show_default=True,
+    metavar="X",
+    help="Without --axes: share by which an axis may be off.",
+)
+@click.option(
+    "--delay-error",
+    type=NOT_NEGATIVE,
+    default=1.0,
+    show_default=True,
+    metavar="MS",
+    help="Without --axes: time by which the loop's delay may be off.",
+)
+@click.option(
+    "--limit",
+    type=POSITIVE,
+    metavar="N",
+    help="Largest learned force of a leg; default feedforward.limit_N, without it 20 % of limits.force_N.",
+)
+@click.option(
+    "--runs", type=click.IntRange(1, 100), metavar="N", help="With CONFIG: make so many runs in lockstep."
+)
+@click.option(
+    "--inertia-scale",
+    type=POSITIVE,
+    metavar="X",
+    help="With --runs: masses that the law believes in, as a share of its own.",
+)
+@click.option(
+    "--logs",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="With --runs: keep logs and feed-forwards there; it has to exist.",
+)
+@reporting
+def command(
+    sources: tuple[Path, ...],
+    out: Path | None,
+    axes: Path | None,
+    gain_error: float,
+    delay_error: float,
+    limit: float | None,
+    runs: int | None,
+    inertia_scale: float | None,
+    logs: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Learn from run to run: a feed-forward of the leg forces over the time of the reference.
+
+    What repeats from run to run (masses, friction and loads that the law does not know, the delay of bus and
+    drives) is in the error of every run over the same reference. Each call takes the log of the last run and
+    the one before, and writes the next feed-forward; the configuration names it in section `feedforward`. The
+    first call takes the log of a run without any. Nothing runs and nothing moves, but with --runs.
+
+    The filter is the widest for which the error falls monotonically for every plant of the stated
+    uncertainty: --axes FILE of `hil identify`, else --gain-error and --delay-error around the delays of the
+    configuration, up to a tenth of the rate. A run whose error does not fall as that says is refused, and
+    what ran before it stays the best. Learning ends at the floor, which is printed with its cause.
+
+    It needs a law of leg axes that linearises (inverse_dynamics, partial_linearisation, state_space), and
+    runs at full speed, without hold, fault or limit. A feed-forward acts on the very reference, controller
+    and platform that it was learned on. Guide: docs/guides/learning.md.
+
+    \b
+    Examples:
+      hil learn runs/first.mcap -o next.csv
+      hil learn runs/first.mcap runs/second.mcap -o next.csv
+      hil learn runs/first.mcap -o next.csv --axes axes.yaml --limit 800
+      hil learn virtual --runs 10 --inertia-scale 0.9 -o learned.csv
+
+    \b
+    Exit code:
+      0  learned, or learned out: the floor is reached and nothing is written
+      1  refused, as a run contradicts the stated uncertainty; or a run of --runs failed
+      2  not begun: configuration, logs or uncertainty; the message says what
+    """
+    from hil.app.configuration.feedforward_file import BEGINNING
+    from hil.app.files import new_file
+    from hil.app.learn.command import Knowledge
+
+    if out is None and runs is None:
+        raise click.UsageError("name the file to write: -o FILE")
+    if runs is None and (inertia_scale is not None or logs is not None):
+        raise click.UsageError("--inertia-scale and --logs are for --runs")
+    if runs is not None and len(sources) != 1:
+        raise click.UsageError("--runs takes one configuration")
+    if out is not None:
+        new_file(out, force=False, option="-o", own=BEGINNING)
+    known = Knowledge(axes, gain_error, 1e-3 * delay_error, limit)
+    if runs is None:
+        _from_logs(sources, known, out, json_file)
+    else:
+        _rehearse(sources[0], (runs, inertia_scale, logs), known, out, json_file)
+
+
+def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None, json_file: Path | None) -> None:
+    from hil.app.files import write_whole
+    from hil.app.learn import report
+    from hil.app.learn.command import learn, limit_of
+
+    outcome = learn(logs, known)
+    if outcome.text and out is not None:
+        write_whole(out, outcome.text)
+    lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), out)
+    finish_lines(lines, report.summary(outcome, out), json_file)
+
+
+def _rehearse(
+    configuration: Path,
+    how: tuple[int, float | None, Path | None],
+    known: Knowledge,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    import tempfile
+
+    from hil.app.files import write_whole
+    from hil.app.learn import report
+    from hil.app.learn.rehearsal import rehearse, with_scale
+    from hil.app.output import console
+    from hil.cli.shared import load
+
+    runs, scale, logs = how
+    c = load(str(configuration), "sim")
+    if scale is not None:
+        c = with_scale(c, scale)
+    with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, console.status("run 0") as status:
+        made = rehearse(
+            c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
+        )
+    if made.best and out is not None:
+        write_whole(out, made.best)
+    finish_lines(report.series(made, out), report.series_summary(made, out), json_file)

@@ -1,0 +1,1 @@
+"""Iterative learning control: what a run teaches the next one over the same reference. Mathematics alone."""

@@ -19,6 +19,9 @@ BEFORE_S, BEHIND_S, HELD_S = 0.5, 1.0, 0.4
 LEAD_S, RISE_S = 0.45, 0.2
 """What is learned begins so long before the reference, and rises from 0 in this time: a law without integral
 action comes to the start with an error, and only what was there before can take it away."""
+FIRST_STEP = 0.5
+"""Share of the first update: nothing has been measured yet of what a learned acceleration does. Of the wrong
+sign it makes the error half as large again, and the next call refuses to go on."""
 
 
 class Trial(NamedTuple):
@@ -90,13 +93,14 @@ def spectra(x: Array) -> ComplexArray:
     return np.asarray(np.fft.rfft(x, axis=0), np.complex128)
 
 
-def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array) -> Array:
-    """Return the next learned acceleration (lead + length, 6) m/s^2: Q (a + e / P_0), from 0 at its start.
+def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array, share: float = 1.0) -> Array:
+    """Return the next learned acceleration (lead + length, 6) m/s^2: Q (a + share e / P_0), 0 at its start.
 
+    A share below 1 keeps the condition: |1 - share L P| <= 1 - share + share |1 - L P|.
     The inverse is taken where Q passes, so that it needs no other regularisation.
     """
     P = np.array([loop.P for loop in loops]).T
-    A = Q.at(f_Hz)[:, None] * (spectra(run.a) + spectra(run.e) / P)
+    A = Q.at(f_Hz)[:, None] * (spectra(run.a) + share * spectra(run.e) / P)
     begun = run.first - run.lead
     whole = np.fft.irfft(A, len(run.a), axis=0)[begun : run.first + run.length]
     rise_s = min(RISE_S, run.lead * run.period_s)

@@ -15,7 +15,7 @@ from hil.app.learn.runs import LearningRun, learning_run
 from hil.app.leg_errors import leg_errors
 from hil.config.feedforward import FeedforwardHead, MadeFor
 from hil.learning.judgement import Contradiction, Floor, State, contradiction, floor, in_band, state
-from hil.learning.trial import predicted, updated
+from hil.learning.trial import FIRST_STEP, predicted, updated
 
 LIMIT_SHARE = 0.2
 """Of limits.force_N: largest learned force where neither configuration nor command line states one."""
@@ -93,10 +93,10 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
         length_m=noise.length_std_m,
         rate_m_s=noise.rate_std_m_s,
     )
-    now = steps[-1]
+    newest = steps[-1]
     measured_m = float(np.hypot(least.encoder_m, least.rate_m))
-    goes = state(now.contradicted is not None, 1e-3 * now.in_band_mm, now.contraction, measured_m)
-    a = updated(last.trial, loops, Q, model.f_Hz)
+    goes = state(newest.contradicted is not None, 1e-3 * newest.in_band_mm, newest.contraction, measured_m)
+    a = updated(last.trial, loops, Q, model.f_Hz, FIRST_STEP if last.number == 0 else 1.0)
     tau = np.einsum("nij,nj->ni", last.force_per_acceleration, a)
     limit_N = limit_of(last, known)
     cut = int((np.abs(tau) > limit_N).any(axis=1).sum())

@@ -1,0 +1,163 @@
+"""The file of a learned feed-forward: what is read of it, and what a run refuses."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.compose import attachments, build_cycle
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.feedforward_file import feedforward_text, made_for, read_feedforward
+from hil.app.recorded_files import with_attachments
+from hil.config.feedforward import FeedforwardHead
+
+VIRTUAL = load("virtual")
+ROWS = np.round(100.0 * np.sin(np.arange(60.0)).reshape(10, 6), 4)
+
+
+def head_of(c: Configuration) -> FeedforwardHead:
+    return FeedforwardHead(
+        kind="feedforward",
+        source="first.mcap",
+        run=1,
+        made_for=made_for(c.reference, c.controller, c.platform, c.folder),
+        rate_Hz=1000.0,
+        cutoff_Hz=88.0,
+        contraction=0.8,
+        first_rms_error_mm=1.6,
+        rms_error_mm=1.6,
+        peak_N=100.0,
+    )
+
+
+TEXT = feedforward_text(head_of(VIRTUAL), ROWS, -4, 1e-3)
+
+
+def using(folder: Path, text: str = TEXT, limit_N: float = 500.0, **changes: Any) -> Configuration:
+    """Return the shipped configuration with a feed-forward of this text, and with other changes."""
+    (folder / "learned.csv").write_text(text)
+    section = {"feedforward": {"file": "learned.csv", "limit_N": limit_N}}
+    return loads(with_changes(VIRTUAL.text, {"name": "virtual"} | section | changes), "my.yaml", folder)
+
+
+def test_a_file_is_read_as_it_was_written() -> None:
+    head, tau, start_s, step_s = read_feedforward(TEXT.encode(), "learned.csv")
+    assert head == head_of(VIRTUAL)
+    np.testing.assert_array_equal(tau, ROWS)
+    assert (start_s, step_s) == pytest.approx((-4e-3, 1e-3))
+    assert not tau.flags.writeable
+
+
+def test_a_spreadsheet_reads_the_columns_behind_the_comments() -> None:
+    rows = list(csv.DictReader(line for line in TEXT.splitlines() if not line.startswith("#")))
+    np.testing.assert_array_equal([float(row["leg_3_N"]) for row in rows], ROWS[:, 3])
+    np.testing.assert_allclose([float(row["t_s"]) for row in rows], 1e-3 * np.arange(-4, 6))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("# kind: feedforward", "# kind: axis-model", "kind"),
+        ("# run: 1", "# run: 0", "run"),
+        ("# contraction: 0.8", "# contraction: 1.5", "contraction"),
+        ("# peak_N: 100.0", "# peak_N: .nan", "peak_N"),
+        ("# run: 1", "# walk: 1", "walk"),
+        ("# Made by", "Made by", "has no head"),
+        ("leg_5_N", "leg_6_N", "the header must be t_s,leg_0_N"),
+        ("-0.004,0.0000", "-0.004,nan", "leg_0_N must be a finite number; given: nan"),
+        ("-0.004,0.0000", "-0.004,1e999", "leg_0_N must be a finite number; given: inf"),
+        ("-0.004,0.0000", "-0.004,much", "could not convert string 'much'"),
+        ("-0.004,0.0000", "-0.004", "number of columns changed"),
+        ("\n-0.002,", "\n-0.0025,", "rise by one step"),
+        ("\n0,", "\n-0.004,", "rise by one step"),
+    ],
+)
+def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: str) -> None:
+    assert TEXT.count(old) == 1, old
+    with pytest.raises(ConfigurationError) as refused:
+        read_feedforward(TEXT.replace(old, new).encode(), "learned.csv")
+    assert "learned.csv" in str(refused.value)
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "raw", [b"", b"#\n", b"\xff\xfe", b"# a\n" * 5000, TEXT[: TEXT.index("-0.003")].encode()]
+)
+def test_what_is_no_such_file_is_refused(raw: bytes) -> None:
+    with pytest.raises(ConfigurationError, match=r"learned\.csv"):
+        read_feedforward(raw, "learned.csv")
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        ("reference", {"reference": {"periods": 2}}),
+        ("controller", {"controller": {"wn_rad_s": 21}}),
+        ("controller", {"controller": {"model": {"inertia_scale": 0.9}}}),
+        ("platform", {"platform": {"platform": {"mass_kg": 1100}}}),
+        ("reference", {"platform": {"home": {"position_m": [0, 0, 1.01]}}}),
+    ],
+)
+def test_it_acts_on_nothing_but_what_it_was_learned_on(what: str, changes: Any, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        using(tmp_path, **changes)
+    assert "my.yaml" in str(refused.value)
+    assert f"feedforward.file: {tmp_path / 'learned.csv'}: was learned on another {what}" in str(
+        refused.value
+    )
+    assert "learn anew" in str(refused.value)
+
+
+def test_what_does_not_change_the_path_changes_no_fingerprint(tmp_path: Path) -> None:
+    c = using(tmp_path, reference={"evaluation": "offline"}, limits={"force_N": 24000})
+    assert build_cycle(c, 1000.0, 0.01).parts.learned is not None
+
+
+def test_more_than_its_limit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"above feedforward\.limit_N, allowed: up to 90 N, given: 99"
+    ):
+        using(tmp_path, limit_N=90.0)
+
+
+def test_a_live_reference_has_no_feed_forward(tmp_path: Path) -> None:
+    live = {
+        "type": "live",
+        "limits": {
+            "velocity_m_s": 0.1, "velocity_deg_s": 5, "acceleration_m_s2": 1, "acceleration_deg_s2": 50,
+            "jerk_m_s3": 10, "jerk_deg_s3": 500,
+        },
+    }  # fmt: skip
+    with pytest.raises(ConfigurationError, match="set-points will send a live reference"):
+        using(tmp_path, reference=live)
+
+
+def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+    c = using(tmp_path)
+    (tmp_path / "learned.csv").unlink()
+    with pytest.raises(ConfigurationError, match=r"no such file, allowed: one that `hil learn` wrote"):
+        loads(c.text, "my.yaml", tmp_path)
+
+
+def test_another_trajectory_than_the_reference_runs_without_it(tmp_path: Path) -> None:
+    c = using(tmp_path)
+    other = build_cycle(VIRTUAL, 1000.0, 0.01).parts.trajectory
+    assert build_cycle(c, 1000.0, 0.01, trajectory=other).parts.learned is None
+
+
+def test_a_log_carries_the_file_and_a_replay_reads_nothing_else(tmp_path: Path) -> None:
+    c = using(tmp_path)
+    files = dict(attachments(c))
+    assert files["feedforward.csv"] == TEXT.encode()
+    (tmp_path / "learned.csv").unlink()
+    (tmp_path / "replay").mkdir()
+    again = with_attachments(loads(c.text, "log:config.yaml"), files, tmp_path / "replay")
+    learned = build_cycle(again, 1000.0, 0.01).parts.learned
+    assert learned is not None
+    np.testing.assert_array_equal(learned.tau, ROWS)

@@ -1,0 +1,179 @@
+"""When learned forces act, and that they come and go without a bump."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import Mode
+from hil.loop.learned import Learned, LearnedForces
+from hil.loop.motion import Motion
+from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.move import GeodesicMove
+from hil.trajectory.piecewise import PiecewisePolynomial
+
+T, FADE_S, STOP_S = 1e-3, 0.05, 0.2
+HERE, EYE = np.zeros(3), np.eye(3)
+WAY, START = 500, 100
+"""Ticks of the approach, and the tick at which it begins."""
+BEGINS = START + WAY
+PEAK = 800.0
+
+
+def reference() -> PiecewisePolynomial:
+    return PiecewisePolynomial(np.array([0.0, 1.0]), np.zeros((1, 6, 6)))
+
+
+def table(tick: float) -> Any:
+    """Return the forces at a tick of the run: a line of its own for each leg."""
+    return PEAK + 0.01 * np.arange(6) * (tick - BEGINS + 400)
+
+
+class Run:
+    """A motion and the forces learned on it, tick by tick."""
+
+    def __init__(self, path: PiecewisePolynomial | None = None) -> None:
+        self.path = reference()
+        rows = np.array([table(BEGINS + k) for k in range(-400, 1001)])
+        forces = LearnedForces(rows, -0.4, T, FADE_S)
+        self.learned = Learned(forces, self.path, T)
+        self.motion = Motion(T, HERE, EYE, STOP_S)
+        self.mode, self.mode_tick, self.tick = Mode.RELEASING, 0, START - 1
+        self.follow = path or self.path
+        self.faulty = False
+        self.seen: list[Any] = []
+
+    def enter(self, mode: Mode) -> None:
+        self.mode, self.mode_tick = mode, self.tick + 1
+        tick = self.tick + 1
+        if mode is Mode.APPROACH:
+            self.motion.start(GeodesicMove(HERE, EYE, HERE, EYE, WAY * T), tick, then=self.follow)
+        if mode is Mode.TRACKING:
+            self.motion.start(self.follow, tick)
+
+    def go(self, ticks: int, *, speed: float | None = None) -> Any:
+        """Return the forces (ticks, 6) of so many ticks, aiming at a speed."""
+        found = []
+        for _ in range(ticks):
+            self.tick += 1
+            self.motion.advance(self.tick)
+            if speed is not None:
+                self.motion.aim(self.tick, speed, go=speed > 0.0)
+            tau = self.learned.step(self.tick, self.mode, self.mode_tick, self.motion, faulty=self.faulty)
+            found.append(np.array(tau))
+        self.seen += found
+        return np.array(found)
+
+    def tracking(self, ticks: int) -> "Run":
+        """Go so far along the reference."""
+        self.enter(Mode.APPROACH)
+        self.go(WAY)
+        self.enter(Mode.TRACKING)
+        self.go(ticks)
+        return self
+
+    def largest_step(self) -> float:
+        return float(np.abs(np.diff(np.array(self.seen), axis=0)).max())
+
+
+BUMPLESS = 1.05 * 1.875 * PEAK * T / FADE_S
+"""The steepest step of a fade, N a tick."""
+
+
+def test_between_two_rows_forces_are_on_the_line_and_behind_the_last_they_stay() -> None:
+    forces = LearnedForces(np.arange(18.0).reshape(3, 6), -0.1, 0.1, FADE_S)
+    np.testing.assert_allclose(forces.at(-0.1), np.arange(6.0))
+    np.testing.assert_allclose(forces.at(-0.025), np.arange(6.0) + 4.5)
+    np.testing.assert_allclose(forces.at(0.1), np.arange(6.0) + 12.0)
+    np.testing.assert_allclose(forces.at(7.0), np.arange(6.0) + 12.0)
+
+
+def test_they_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> None:
+    run = Run().tracking(900)
+    forces = np.array(run.seen)
+    assert not forces[: WAY - 400].any(), "nothing was learned of what is before"
+    whole = slice(WAY - 400 + 60, None)
+    expected = np.array([table(START + k) for k in range(len(forces))])
+    np.testing.assert_allclose(forces[whole], expected[whole], rtol=1e-9)
+    assert run.largest_step() < BUMPLESS
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_anew(speed: float) -> None:
+    run = Run().tracking(300)
+    assert run.go(60, speed=speed)[-1] == pytest.approx(np.zeros(6))
+    assert not run.go(300, speed=1.0).any(), "not in the middle of the way"
+    assert run.motion.on_clock
+    assert run.largest_step() < BUMPLESS
+    run.tracking(1)
+    assert run.go(1).all()
+
+
+def test_below_full_speed_at_the_start_they_join_when_path_time_is_the_clock() -> None:
+    run = Run()
+    run.enter(Mode.TRACKING)
+    run.motion.settle(run.tick + 1, 0.0)
+    assert not run.go(100, speed=0.0).any()
+    forces = run.go(400, speed=1.0)
+    assert run.motion.on_clock
+    np.testing.assert_allclose(forces[-1], table(BEGINS + run.motion.time(run.tick) / T), rtol=1e-9)
+    assert run.largest_step() < BUMPLESS
+
+
+def test_a_start_that_waits_for_the_operator_fades_them_out_and_in_again() -> None:
+    run = Run()
+    run.enter(Mode.APPROACH)
+    assert run.go(WAY)[-1].all()
+    run.enter(Mode.TRACKING)
+    run.motion.settle(run.tick + 1, 0.0)
+    assert not run.go(100, speed=0.0)[-1].any()
+    assert run.go(400, speed=1.0)[-1].all()
+    assert run.largest_step() < BUMPLESS
+
+
+def test_a_stop_fades_them_out() -> None:
+    run = Run().tracking(300)
+    run.mode, run.mode_tick = Mode.STOPPING, run.tick + 1
+    run.motion.stop(run.tick + 1, STOP_S)
+    assert not run.go(60)[-1].any()
+    assert run.largest_step() < BUMPLESS
+
+
+def test_on_another_path_none_acts() -> None:
+    run = Run(path=reference()).tracking(300)
+    assert not np.array(run.seen).any()
+
+
+def test_a_jog_leaves_the_path_and_they_fade_out() -> None:
+    run = Run().tracking(300)
+    run.motion.leave(HoldTrajectory(HERE, EYE), run.tick + 1)
+    assert not run.go(60)[-1].any()
+    run.motion.resume(run.tick + 1)
+    assert not run.go(300, speed=1.0).any()
+
+
+def test_the_first_fault_switches_them_off_for_every_way_that_follows() -> None:
+    run = Run().tracking(300)
+    run.faulty = True
+    run.mode, run.mode_tick = Mode.STOPPING, run.tick + 1
+    assert not run.go(60)[-1].any()
+    assert run.largest_step() < BUMPLESS
+    run.faulty = False
+    assert not run.tracking(100).go(1).any()
+    run.learned.reset()
+    assert run.tracking(100).go(1).all()
+
+
+def test_a_fault_that_leaves_the_mode_as_it_is_fades_them_out_too() -> None:
+    run = Run().tracking(300)
+    run.faulty = True
+    assert not run.go(60)[-1].any()
+
+
+def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
+    run = Run().tracking(1001)
+    last = run.seen[-1]
+    run.mode, run.mode_tick = Mode.PARKING, run.tick + 1
+    np.testing.assert_allclose(run.go(100)[-1], last)
+    run.faulty = True
+    assert not run.go(60)[-1].any()

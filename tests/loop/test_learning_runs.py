@@ -1,0 +1,292 @@
+"""Learning in lockstep: run, learn, run again; and logs that cannot teach."""
+
+from __future__ import annotations
+
+import shutil
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hil
+from drivers.errors import ConfigurationError, LogError
+from drivers.signals import Fault, Mode, Warn
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.feedforward_file import read_feedforward
+from hil.app.learn import runs
+from hil.app.learn.command import Knowledge, learn, learned
+from hil.app.learn.model import belief_of, learner
+from hil.app.learn.rehearsal import Rehearsal, rehearse, with_scale
+from hil.app.learn.runs import learning_run
+from hil.app.replay import replay_log
+from hil.cli import main
+from hil.record.log import Log
+
+SHORT = {
+    "type": "waypoints",
+    "interpolation": "quintic",
+    "periods": 1,
+    "points": [
+        {"t_s": 0, "position_m": [0, 0, 1]},
+        {"t_s": 0.5, "position_m": [0.03, -0.04, 1.05], "rotation_vector_deg": [2, 3, -2]},
+    ],
+}
+
+
+def short(**changes: Any) -> Configuration:
+    c = load("virtual")
+    text = with_changes(c.text, {"name": "short", "reference": SHORT} | changes)
+    return with_scale(loads(text, "short.yaml", Path()), 0.9)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Rehearsal]:
+    """Four runs with a law whose masses are a tenth too small."""
+    folder = tmp_path_factory.mktemp("learn")
+    return folder, rehearse(short(), 4, Knowledge(), folder, lambda _: None)
+
+
+def log(folder: Path, number: int) -> Path:
+    return folder / f"short-run-{number:02d}.mcap"
+
+
+def told(*arguments: Any) -> Any:
+    return CliRunner(env={"COLUMNS": "200"}).invoke(main, ["learn", *map(str, arguments)])
+
+
+def test_the_error_falls_from_run_to_run_down_to_the_floor(made: tuple[Path, Rehearsal]) -> None:
+    folder, found = made
+    assert not found.trouble
+    rms = [step.rms_mm for step in found.steps]
+    assert rms == sorted(rms, reverse=True)
+    assert rms[0] / rms[-1] > 20.0
+    assert found.steps[0].peak_mm / found.steps[-1].peak_mm > 10.0
+    rows = Log.open(log(folder, 3)).rows()
+    tracking = rows[rows["mode"] == Mode.TRACKING][:500]
+    e = 1e3 * (tracking["q_d"] - tracking["q"])
+    assert rms[3] == pytest.approx(np.sqrt((e**2).mean()), rel=1e-9)
+    assert found.steps[3].peak_mm == pytest.approx(np.abs(e).max(), rel=1e-9)
+
+
+def test_the_log_has_what_acted_and_its_replay_needs_nothing_from_the_disk(
+    made: tuple[Path, Rehearsal], tmp_path: Path
+) -> None:
+    folder, _ = made
+    alone = tmp_path / "alone.mcap"
+    shutil.copy(log(folder, 2), alone)
+    table = folder / "short-run-02.csv"
+    _, tau, start_s, _ = read_feedforward(table.read_bytes(), "csv")
+    table.rename(tmp_path / "moved.csv")
+    try:
+        comparison, summary = replay_log(alone)
+    finally:
+        (tmp_path / "moved.csv").rename(table)
+    assert comparison.exact
+    assert summary["agrees"]
+    rows = Log.open(alone).rows()
+    tracking = rows[rows["mode"] == Mode.TRACKING]
+    at = np.rint((tracking["reference_time_s"] - start_s) / 1e-3).astype(int)
+    within = at < len(tau)
+    np.testing.assert_allclose(tracking["tau_learned"][within], tau[at[within]], atol=1e-6)
+    whole = tracking["tau_law"] + tracking["tau_learned"]
+    np.testing.assert_allclose(tracking["tau"], whole, atol=1e-9)
+    assert np.abs(tracking["tau_learned"]).max() > 100.0
+    moving = rows[(rows["mode"] >= Mode.APPROACH) & (rows["mode"] <= Mode.PARKING)]
+    assert np.abs(np.diff(moving["tau_learned"], axis=0)).max() < 60.0, "no bump"
+    assert np.abs(moving["tau_learned"][-1]).max() > 100.0
+    unloading = rows[rows["mode"] == Mode.UNLOADING]
+    assert not unloading["tau_learned"].any()
+    assert np.abs(unloading["tau"][0] - moving["tau"][-1]).max() < 1.0, "it goes with the holding force"
+
+
+def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(
+    made: tuple[Path, Rehearsal], tmp_path: Path
+) -> None:
+    folder, _ = made
+    out = tmp_path / "next.csv"
+    result = told(log(folder, 0), "-o", out)
+    assert result.exit_code == 0, result.output
+    assert out.read_text() == (folder / "short-run-01.csv").read_text()
+    assert "feedforward: {file: next.csv, limit_N: 5000}" in result.output
+    again = told(log(folder, 0), log(folder, 1), "-o", out, "--json", tmp_path / "a.json")
+    assert again.exit_code == 0, again.output
+    assert read_feedforward(out.read_bytes(), "next.csv")[0].run == 2, (
+        "an earlier file of its own is replaced"
+    )
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ((1,), "give the log of the run before, too"),
+        ((0, 2), "allowed are consecutive runs in their order"),
+        ((1, 0), "allowed are consecutive runs in their order"),
+        ((0, 0), "allowed are consecutive runs in their order"),
+    ],
+)
+def test_logs_that_do_not_follow_each_other_are_refused(
+    made: tuple[Path, Rehearsal], numbers: tuple[int, ...], said: str, tmp_path: Path
+) -> None:
+    result = told(*(log(made[0], number) for number in numbers), "-o", tmp_path / "next.csv")
+    assert result.exit_code == 2
+    assert said in result.stderr.replace("\n", " ")
+    assert not (tmp_path / "next.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["virtual"], "-o FILE"),
+        (["virtual", "-o", "a.csv", "--inertia-scale", "0.9"], "are for --runs"),
+        (["virtual", "lab", "--runs", "2"], "--runs takes one configuration"),
+        (["virtual", "-o", "/nowhere/a.csv"], "there is no folder /nowhere"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_anything_runs(arguments: list[str], said: str) -> None:
+    result = told(*arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
+
+
+def test_a_file_that_is_none_of_its_own_is_not_overwritten(
+    made: tuple[Path, Rehearsal], tmp_path: Path
+) -> None:
+    mine = tmp_path / "mine.csv"
+    mine.write_text("t_s,a\n")
+    result = told(log(made[0], 0), "-o", mine)
+    assert result.exit_code == 2
+    assert mine.read_text() == "t_s,a\n"
+
+
+def test_a_limit_cuts_what_is_learned_and_says_so(made: tuple[Path, Rehearsal], tmp_path: Path) -> None:
+    out = tmp_path / "next.csv"
+    result = told(log(made[0], 0), "-o", out, "--limit", "150")
+    assert result.exit_code == 0
+    assert "a leg asks for more than 150 N" in result.output.replace("\n", " ")
+    tau = read_feedforward(out.read_bytes(), "next.csv")[1]
+    assert np.abs(tau).max() == 150.0
+
+
+def test_a_run_that_contradicts_the_uncertainty_is_refused(made: tuple[Path, Rehearsal]) -> None:
+    """The second run as if its learned forces had acted the other way."""
+    first, second = (learning_run(log(made[0], number)) for number in (0, 1))
+    t = second.trial
+    worse = second._replace(trial=t._replace(e=2.0 * first.trial.e - t.e))
+    outcome = learned([first, worse], Knowledge())
+    assert outcome.state == "contradicted"
+    assert outcome.text == ""
+    found = outcome.steps[-1].contradicted
+    assert found is not None
+    assert found.factor > 1.4 > found.allowed
+
+
+def changed(rows: Any, **columns: Any) -> Any:
+    """Return rows with columns changed from half a way along the reference on."""
+    other = rows.copy()
+    along = np.flatnonzero(other["mode"] == Mode.TRACKING)
+    for name, value in columns.items():
+        other[name][along[250] :] = value
+    return other
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"faults": int(Fault.FOLLOWING)}, r"ended in a fault \(FOLLOWING\)"),
+        ({"mode": int(Mode.STOPPING)}, "250 of 500 ticks along the reference"),
+        (
+            {"reference_time_s": 0.25},
+            r"from 0\.251 s after its start the reference's time is not the clock's",
+        ),
+        ({"warnings": int(Warn.FORCE_STEP)}, r"limits cut the forces at 250 ticks, the first one 0\.250 s"),
+    ],
+)
+def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(
+    made: tuple[Path, Rehearsal], columns: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = log(made[0], 0)
+    recorded = runs.recorded_run(path)
+    along = recorded.rows[: np.flatnonzero(recorded.rows["mode"] == Mode.TRACKING)[499] + 1]
+    monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=changed(along, **columns)))
+    with pytest.raises(LogError, match=said):
+        learning_run(path)
+
+
+@pytest.mark.parametrize(
+    ("controller", "said"),
+    [
+        ({"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}, "demands no acceleration"),
+        ({"law": "pose_inverse_dynamics", "wn_rad_s": 20}, "controls the pose"),
+        (
+            {
+                "law": "robust_inverse_dynamics",
+                "wn_rad_s": 20,
+                "boundary_layer_m_s": 0.01,
+                "uncertainty": {"disturbance_m_s2": 1},
+            },
+            "has no linear loop",
+        ),
+    ],
+)
+def test_a_law_whose_loop_is_not_known_is_refused(controller: dict[str, Any], said: str) -> None:
+    c = load("virtual")
+    other = loads(with_changes(c.text, {"name": "virtual", "controller": controller}), "my.yaml", Path())
+    with pytest.raises(ConfigurationError, match=said):
+        learner(other, belief_of(other, None, 0.25, 1e-3), 2500)
+
+
+@pytest.mark.long
+def test_ten_runs_of_the_books_path_take_a_twentieth_of_the_error_and_more(tmp_path: Path) -> None:
+    """The book's path on the bus, the law's masses 0.9 of the robot's."""
+    found = rehearse(with_scale(load("virtual"), 0.9), 10, Knowledge(), tmp_path, lambda _: None)
+    assert not found.trouble
+    first, last = found.steps[0], found.steps[-1]
+    assert first.rms_mm > 1.0
+    assert first.rms_mm / last.rms_mm >= 20.0
+    assert first.peak_mm / last.peak_mm >= 10.0
+    rms = [step.rms_mm for step in found.steps]
+    assert all(after <= max(before, 1.1 * min(rms)) for before, after in pairwise(rms))
+    assert found.outcome is not None
+    assert found.outcome.state == "floor"
+
+
+REAL = {
+    "friction": {"plant": {"model": {"coulomb_friction_N": 150, "viscous_friction_N_s_m": 400}}},
+    "slow force loop": {"plant": {"model": {"force_bandwidth_Hz": 20}}},
+    "motor mass": {"plant": {"model": {"reflected_mass_kg": 60}}},
+    "noisy encoders": {"plant": {"drives": {"encoder_resolution_m": 2e-5}}},
+    "classic bus": {"bus": {"layout": "classic"}, "loop": {"rate_Hz": 400}},
+    "predicting law": {"controller": {"delay_compensation": {"bus_ms": 0.9, "drive_lag_ms": 0.8}}},
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", REAL)
+def test_on_other_plants_the_error_falls_or_learning_ends(name: str, tmp_path: Path) -> None:
+    found = rehearse(short(**REAL[name]), 6, Knowledge(), tmp_path, lambda _: None)
+    rms = [step.rms_mm for step in found.steps]
+    assert max(rms) <= 1.55 * rms[0]
+    assert not found.trouble
+    assert min(rms) < 0.2 * rms[0]
+
+
+@pytest.mark.long
+def test_what_was_learned_goes_where_a_hold_interrupts_the_run(
+    made: tuple[Path, Rehearsal], tmp_path: Path
+) -> None:
+    folder, _ = made
+    c = Log.open(log(folder, 2)).configuration
+    (tmp_path / "c.yaml").write_text(c)
+    found = hil.sim(tmp_path / "c.yaml", log=tmp_path / "held.mcap", commands=[(1.4, "hold"), (2.4, "start")])
+    assert found.success
+    rows = found.log.rows("t_ns", "mode", "tau_learned")
+    late = rows["t_ns"] > rows["t_ns"][0] + 1_500_000_000
+    assert not rows["tau_learned"][late].any()
+    assert np.abs(rows["tau_learned"]).max() > 100.0
+    assert np.abs(np.diff(rows["tau_learned"], axis=0)).max() < 60.0
+    with pytest.raises(LogError, match="not the clock's"):
+        learn([tmp_path / "held.mcap"], Knowledge())

@@ -11,6 +11,7 @@ from hil.app.check.bus import report_bus
 from hil.app.check.controller import report_controller
 from hil.app.check.dangers import dangers
 from hil.app.check.encoders import report_encoders
+from hil.app.check.feedforward import report_feedforward
 from hil.app.check.findings import Report
 from hil.app.check.fmu import report_fmu
 from hil.app.check.fusion import report_fusion
@@ -60,6 +61,7 @@ def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: 
     report_fusion(report, c)
     _reference(report, c, platform, model)
     _payload(report, c)
+    report_feedforward(report, c)
     report_fmu(report, c)
     _permissions(report, c)
     if not schema_is_there(c.text, c.folder):

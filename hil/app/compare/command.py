@@ -56,6 +56,7 @@ def compare(
     """
     begun = time.perf_counter()
     c.require("sim")
+    c = c.model_copy(update={"feedforward": None})  # it was learned under one of the laws
     target = picture_path(c.recording.folder, f"{c.name}-compare", picture)
     settings = chosen(c, laws)
     extra = _path_laws(c, settings, path_laws)

@@ -103,6 +103,7 @@ def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excite
     document = dict(parse(c.text).value or {})
     document["name"] = f"{c.name[:80]}-identify"
     document["reference"] = reference.model_dump(mode="json")
+    document.pop("feedforward", None)
     text = "# Made by hil identify: the reference is an excitation.\n"
     text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
     made = loads(text, c.source, c.folder)

@@ -204,6 +204,11 @@ class Subject:
             taken.append("the FMU is the robot of section platform, without friction")
         if isinstance(self.c.reference, LiveReference):
             taken.append("the reference rests at home: what its motion costs is not in the bound")
+        if self.c.feedforward is not None:
+            taken.append(
+                "the learned feed-forward takes off what disturbs the loop: what it adds where it is wrong, "
+                f"up to {self.c.feedforward.limit_N:g} N in a leg, is not in the bound"
+            )
         return taken
 
     def undisturbed(self, bound: Ultimate) -> bool:

@@ -10,12 +10,19 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
+from hil.app.check.command import inspect
+from hil.app.compare.command import compare
 from hil.app.compose import attachments, build_cycle
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import feedforward_text, made_for, read_feedforward
+from hil.app.configuration.platform import build_platform
+from hil.app.identify.axes import excited_axes
 from hil.app.recorded_files import with_attachments
+from hil.app.stability.subject import Stated, Subject
 from hil.config.feedforward import FeedforwardHead
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
 
 VIRTUAL = load("virtual")
 ROWS = np.round(100.0 * np.sin(np.arange(60.0)).reshape(10, 6), 4)
@@ -161,3 +168,51 @@ def test_a_log_carries_the_file_and_a_replay_reads_nothing_else(tmp_path: Path) 
     learned = build_cycle(again, 1000.0, 0.01).parts.learned
     assert learned is not None
     np.testing.assert_array_equal(learned.tau, ROWS)
+
+
+REST = {"type": "hold", "duration_s": 0.5, "interpolation": None, "periods": None, "points": None}
+
+
+def at_rest(folder: Path, size: float = 1.0) -> Configuration:
+    """Return a configuration at rest with learned forces of this size."""
+    c = loads(with_changes(VIRTUAL.text, {"name": "virtual", "reference": REST}), "my.yaml", folder)
+    return using(folder, feedforward_text(head_of(c), size * ROWS, -4, 1e-3), 5000.0, reference=REST)
+
+
+def test_check_says_what_was_learned_and_what_it_can_do(tmp_path: Path) -> None:
+    c = at_rest(tmp_path)
+    report = inspect(c)
+    said = " ".join(report.sections["feed-forward"])
+    assert "1 run(s), the last one first.mcap with 1.6 mm rms" in said
+    assert f"up to {np.abs(ROWS).max():.0f} N (limit 5000), -0.004 to 0.005 s" in said
+    platform = build_platform(c.platform)
+    home = np.array([0.0, 0.0, 1.0]), np.eye(3)
+    J = jacobian(platform, *home)
+    M = Model(platform).mass_matrix(*home)
+    expected = np.abs(J @ np.linalg.solve(M, J.T @ ROWS.T)).max()
+    assert report.figures["feedforward"]["disturbance_m_s2"] == pytest.approx(expected, rel=1e-6)
+    assert not [line for line in report.warnings if "feed-forward" in line]
+
+
+def test_check_warns_of_forces_beyond_the_disturbance_of_the_certificate(tmp_path: Path) -> None:
+    report = inspect(at_rest(tmp_path, 48.0))
+    assert [line for line in report.warnings if "the certificate may alarm" in line]
+
+
+def test_a_bound_of_the_error_says_that_the_feed_forward_is_not_in_it(tmp_path: Path) -> None:
+    assert any(
+        "up to 5000 N in a leg, is not in the bound" in line
+        for line in Subject(at_rest(tmp_path), Stated()).unseen
+    )
+    assert not Subject(VIRTUAL, Stated()).unseen
+
+
+def test_an_excitation_has_no_feed_forward(tmp_path: Path) -> None:
+    assert excited_axes(using(tmp_path), None, None).configuration.feedforward is None
+
+
+@pytest.mark.long
+def test_laws_are_compared_without_what_was_learned_under_one_of_them(tmp_path: Path) -> None:
+    c = using(tmp_path, recording={"folder": str(tmp_path)})
+    found = compare(c, laws=["pd"], path_laws=["none"], duration_s=0.1, jobs=1)
+    assert found["laws"]["pd"]["fault"] is None

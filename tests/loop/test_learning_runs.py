@@ -17,6 +17,7 @@ from drivers.signals import Fault, Mode, Warn
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import read_feedforward
+from hil.app.identify.delay import recorded_run
 from hil.app.learn import runs
 from hil.app.learn.command import Knowledge, learn, learned
 from hil.app.learn.model import belief_of, learner
@@ -209,7 +210,7 @@ def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(
     made: tuple[Path, Rehearsal], columns: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = log(made[0], 0)
-    recorded = runs.recorded_run(path)
+    recorded = recorded_run(path)
     along = recorded.rows[: np.flatnonzero(recorded.rows["mode"] == Mode.TRACKING)[499] + 1]
     monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=changed(along, **columns)))
     with pytest.raises(LogError, match=said):
@@ -254,7 +255,7 @@ def test_ten_runs_of_the_books_path_take_a_twentieth_of_the_error_and_more(tmp_p
     assert found.outcome.state == "floor"
 
 
-REAL = {
+REAL: dict[str, dict[str, Any]] = {
     "friction": {"plant": {"model": {"coulomb_friction_N": 150, "viscous_friction_N_s_m": 400}}},
     "slow force loop": {"plant": {"model": {"force_bandwidth_Hz": 20}}},
     "motor mass": {"plant": {"model": {"reflected_mass_kg": 60}}},

@@ -54,11 +54,11 @@ class Uncertainty(NamedTuple):
 def stated(gain_error: float, delay_error_s: float, up_to_Hz: float) -> Uncertainty:
     """Return the bound for a gain off by a share and a delay off by a time, either way, up to a frequency.
 
-    |(1 + g) exp(j w d) - 1| <= g + (1 + g) 2 sin(w d / 2), at most g + 2 (1 + g).
+    |(1 + g) exp(j w d) - 1| <= sqrt(g^2 + 4 (1 + g) sin^2(w d / 2)), from w d = pi on 2 + g.
     """
     f = np.linspace(0.0, up_to_Hz, 512)
     half = np.minimum(np.pi * f * delay_error_s, np.pi / 2.0)
-    return Uncertainty(f, gain_error + (1.0 + gain_error) * 2.0 * np.sin(half))
+    return Uncertainty(f, np.sqrt(gain_error**2 + 4.0 * (1.0 + gain_error) * np.sin(half) ** 2))
 
 
 class Filter(NamedTuple):

@@ -131,6 +131,21 @@ def test_a_start_that_waits_for_the_operator_fades_them_out_and_in_again() -> No
     assert run.largest_step() < BUMPLESS
 
 
+def test_they_join_only_when_what_was_there_has_gone() -> None:
+    """The speed rises sooner than they fade; meanwhile the table goes on by 4 N a tick."""
+    run = Run()
+    rows = np.repeat(4.0 * np.arange(1400.0)[:, None], 6, axis=1)
+    run.learned = Learned(LearnedForces(rows, -0.4, T, 1.0), run.path, T)
+    run.enter(Mode.APPROACH)
+    run.go(WAY)
+    run.enter(Mode.TRACKING)
+    run.motion.settle(run.tick + 1, 0.0)
+    run.go(20, speed=0.0)
+    run.go(700, speed=1.0)
+    assert run.motion.on_clock
+    assert run.largest_step() < 1.05 * (4.0 + 1.875 * rows.max() * T / 1.0)
+
+
 def test_a_stop_fades_them_out() -> None:
     run = Run().tracking(300)
     run.mode, run.mode_tick = Mode.STOPPING, run.tick + 1

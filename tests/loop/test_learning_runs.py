@@ -64,6 +64,7 @@ def test_the_error_falls_from_run_to_run_down_to_the_floor(made: tuple[Path, Reh
     assert not found.trouble
     rms = [step.rms_mm for step in found.steps]
     assert rms == sorted(rms, reverse=True)
+    assert rms[1] / rms[0] == pytest.approx(0.5, abs=0.03), "the first step is half of one"
     assert rms[0] / rms[-1] > 20.0
     assert found.steps[0].peak_mm / found.steps[-1].peak_mm > 10.0
     rows = Log.open(log(folder, 3)).rows()

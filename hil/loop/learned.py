@@ -77,7 +77,7 @@ class Learned:
             self._share = max(self._share - self._step, 0.0)
         if self._share == 0.0:
             return ZERO6
-        return self._tau * smoothstep(self._share)
+        return self._tau if self._share == 1.0 else self._tau * smoothstep(self._share)
 
     def _time(self, tick: int, mode: Mode, motion: Motion) -> float | None:
         """Return the time of the reference at which forces act; None where none do."""

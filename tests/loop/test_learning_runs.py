@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import hil
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode, Warn
-from hil.app.configuration.changes import with_changes
+from hil.app.configuration.changes import text_of, with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import read_feedforward
 from hil.app.identify.delay import recorded_run
@@ -239,6 +239,57 @@ def test_a_law_whose_loop_is_not_known_is_refused(controller: dict[str, Any], sa
     other = loads(with_changes(c.text, {"name": "virtual", "controller": controller}), "my.yaml", Path())
     with pytest.raises(ConfigurationError, match=said):
         learner(other, belief_of(other, None, 0.25, 1e-3), 2500)
+
+
+def axes(folder: Path, **changes: Any) -> Path:
+    """Return a file as `hil identify` writes one: gain 0.9, 0.5 ms, and a lag of 0.8 ms, known to 40 Hz."""
+    line = {"frequency_Hz": [1.0], "magnitude": [1.0], "phase_deg": [0.0], "coherence": [1.0]}
+    line |= {"magnitude_std": [0.0], "phase_std_deg": [0.0]}
+    section = {
+        "kind": "axis-model",
+        "source": "run.mcap",
+        "axes": "joint",
+        "rate_Hz": 1000.0,
+        "nominal": {"gain": [0.9] * 6, "transport_ms": 0.5, "lag_ms": 0.8},
+        "uncertainty": {"frequency_Hz": [1.0, 40.0], "bound": [0.05, 0.1]},
+        "measured": [line] * 6,
+    }
+    path = folder / "axes.yaml"
+    path.write_text(text_of(section | changes))
+    return path
+
+
+def test_identified_axes_take_the_place_of_what_is_stated(
+    made: tuple[Path, Rehearsal], tmp_path: Path
+) -> None:
+    c = load("virtual")
+    known = learner(c, belief_of(c, axes(tmp_path), 0.25, 1e-3), 2500)
+    assert 35.0 < known.choice.Q.end_Hz < 40.4, "beyond its last line, but for a bin, nothing is known"
+    assert known.choice.contraction < 0.12
+    by_statement = learner(c, belief_of(c, None, 0.25, 1e-3), 2500)
+    jw = 2j * np.pi * known.f_Hz[1:125]  # up to 50 Hz, where the hold is half a period of delay
+    for loop, gain, transport_s in ((known.loops[0], 0.9, 0.5e-3), (by_statement.loops[0], 1.0, 1e-3)):
+        G = gain * np.exp(-(transport_s + 0.5e-3) * jw) / (1.0 + jw / (2.0 * np.pi * 200.0)) / jw**2
+        np.testing.assert_allclose(loop.P[1:125], G / (1.0 + G * (400.0 + 40.0 * jw)), rtol=0.01)
+    result = told(log(made[0], 0), "-o", tmp_path / "next.csv", "--axes", axes(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert read_feedforward((tmp_path / "next.csv").read_bytes(), "csv")[0].cutoff_Hz < 40.7
+
+
+@pytest.mark.parametrize(("key", "value"), [("rate_Hz", 500.0), ("axes", "pose")])
+def test_axes_of_another_loop_are_refused(key: str, value: Any, tmp_path: Path) -> None:
+    c = load("virtual")
+    with pytest.raises(ConfigurationError, match="allowed: joint axes at 1000 Hz"):
+        belief_of(c, axes(tmp_path, **{key: value}), 0.25, 1e-3)
+
+
+def test_where_no_filter_serves_nothing_is_written(made: tuple[Path, Rehearsal], tmp_path: Path) -> None:
+    bound = {"frequency_Hz": [1.0, 40.0], "bound": [30.0, 30.0]}
+    out = tmp_path / "next.csv"
+    result = told(log(made[0], 0), "-o", out, "--axes", axes(tmp_path, uncertainty=bound))
+    assert result.exit_code == 2
+    assert "no filter makes the error fall" in result.stderr
+    assert not out.exists()
 
 
 @pytest.mark.long

@@ -37,7 +37,9 @@ def rehearse(
     """
     c.require("sim")
     refuse_unreachable(c)
-    text, limit_N, trouble = "", known.limit_N or 0.0, ""
+    if known.limit_N is None and c.feedforward is not None:
+        known = known._replace(limit_N=c.feedforward.limit_N)
+    text, limit_N, trouble = "", 0.0, ""
     past: list[LearningRun] = []
     steps: list[Step] = []
     texts: list[str] = []

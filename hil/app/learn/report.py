@@ -50,18 +50,19 @@ def lines(outcome: Outcome, limit_N: float, out: Path | None) -> list[str]:
     if outcome.state == "contradicted":
         return found + contradicted(last)
     if outcome.state == "floor":
+        stays = "the feed-forward that ran stays the best one, none is written"
         found.append(
             f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run takes more off; "
-            "the feed-forward that ran stays the best one, none is written"
+            + (stays if last.run.number else "nothing is written")
         )
-        return found
-    found.append(f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes")
+    else:
+        found.append(f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes")
     if outcome.cut:
         found.append(
             f"Cut        at {outcome.cut} instants a leg asks for more than {limit_N:g} N: the error "
             "does not fall there; allow more with --limit or feedforward.limit_N"
         )
-    if out is not None:
+    if out is not None and outcome.state == "learned":
         found += [f"written    {out}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:g}}}"]
     return found
 

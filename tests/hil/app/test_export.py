@@ -312,7 +312,7 @@ def test_a_damaged_log_leaves_no_half_of_a_file(path, tmp_path):
     for ending in ("log", "blf", "csv", "parquet"):
         done = hil("export", bad, tmp_path / f"a.{ending}")
         assert done.exit_code == 2
-        assert "damaged at byte" in done.stderr
+        assert re.search(r"damaged (at|somewhere before) byte \d+", done.stderr)
     assert [p.name for p in tmp_path.iterdir()] == ["bad.mcap"]
 
 

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--logs",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
     metavar="FOLDER",
     help="With --runs: keep logs and feed-forwards there; it has to exist.",
 )
@@ -108,6 +108,8 @@ def command(
     from hil.app.files import new_file
     from hil.app.learn.command import Knowledge
 
+    if runs is None and _is_configuration(sources[0]):
+        raise click.UsageError(f"{sources[0]} is a configuration: name logs, or make runs with --runs")
     if out is None and runs is None:
         raise click.UsageError("name the file to write: -o FILE")
     if runs is None and (inertia_scale is not None or logs is not None):
@@ -121,6 +123,12 @@ def command(
         _from_logs(sources, known, out, json_file)
     else:
         _rehearse(sources[0], (runs, inertia_scale, logs), known, out, json_file)
+
+
+def _is_configuration(source: Path) -> bool:
+    from hil.app.configuration.text_file import shipped
+
+    return source.suffix in {".yaml", ".yml"} or (not source.exists() and str(source) in shipped())
 
 
 def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None, json_file: Path | None) -> None:

@@ -18,7 +18,7 @@ from hil.trajectory.path import PoseSample
 
 
 class Effort:
-    """What the law asks for, with the ramps of entry and exit.
+    """What the law asks for, with what was learned and the ramps of entry and exit.
 
     Mutable state, all of it public; `reset` restores the initial one.
     """

@@ -142,10 +142,13 @@ def test_logs_that_do_not_follow_each_other_are_refused(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["virtual"], "-o FILE"),
-        (["virtual", "-o", "a.csv", "--inertia-scale", "0.9"], "are for --runs"),
+        (["a.mcap"], "-o FILE"),
+        (["virtual", "-o", "a.csv"], "virtual is a configuration"),
+        (["mine.yaml", "-o", "a.csv"], "mine.yaml is a configuration"),
+        (["a.mcap", "-o", "a.csv", "--inertia-scale", "0.9"], "are for --runs"),
+        (["none.mcap", "-o", "a.csv"], "none.mcap: no such file"),
         (["virtual", "lab", "--runs", "2"], "--runs takes one configuration"),
-        (["virtual", "-o", "/nowhere/a.csv"], "there is no folder /nowhere"),
+        (["a.mcap", "-o", "/nowhere/a.csv"], "there is no folder /nowhere"),
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_runs(arguments: list[str], said: str) -> None:
@@ -325,6 +328,18 @@ def test_on_other_plants_the_error_falls_or_learning_ends(name: str, tmp_path: P
     assert max(rms) <= 1.55 * rms[0]
     assert not found.trouble
     assert min(rms) < 0.2 * rms[0]
+
+
+@pytest.mark.long
+def test_a_series_begins_without_the_feed_forward_of_its_configuration_and_keeps_its_limit(
+    made: tuple[Path, Rehearsal], tmp_path: Path
+) -> None:
+    text = Log.open(log(made[0], 1)).configuration
+    c = loads(with_changes(text, {"feedforward": {"limit_N": 3000}}), "short.yaml", tmp_path)
+    found = rehearse(c, 1, Knowledge(), tmp_path, lambda _: None)
+    assert found.limit_N == 3000.0
+    assert found.steps[0].run.head is None
+    assert found.steps[0].rms_mm == pytest.approx(made[1].steps[0].rms_mm)
 
 
 @pytest.mark.long

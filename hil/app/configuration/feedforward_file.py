@@ -105,7 +105,7 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
     or times without one step.
     """
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{name}: not UTF-8 text: {error.reason}") from None
     head, line, rest = _head(text, name)
@@ -114,6 +114,8 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
         raise ConfigurationError(
             f"{name}:{line}: the header must be {','.join(COLUMNS)}; given: {header[:200] or 'nothing'}"
         )
+    if not body.strip():
+        raise ConfigurationError(f"{name}:{line + 1}: no row follows the header, allowed: at least 2")
     try:
         table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments=None)
     except ValueError as error:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
+from hil.app.campaign.named_files import digests
 from hil.app.check.command import inspect
 from hil.app.compare.command import compare
 from hil.app.compose import attachments, build_cycle
@@ -61,6 +62,19 @@ def test_a_file_is_read_as_it_was_written() -> None:
     assert not tau.flags.writeable
 
 
+def test_a_mark_of_byte_order_and_line_ends_of_another_system_change_nothing() -> None:
+    other = b"\xef\xbb\xbf" + TEXT.replace("\n", "\r\n").encode()
+    head, tau, _, _ = read_feedforward(other, "learned.csv")
+    assert head == head_of(VIRTUAL)
+    np.testing.assert_array_equal(tau, ROWS)
+
+
+def test_a_campaign_knows_the_file_that_its_rows_read(tmp_path: Path) -> None:
+    using(tmp_path)
+    base = {"feedforward": {"file": "learned.csv"}}
+    assert list(digests(base, {}, tmp_path, tmp_path)) == [str(tmp_path / "learned.csv")]
+
+
 def test_a_spreadsheet_reads_the_columns_behind_the_comments() -> None:
     rows = list(csv.DictReader(line for line in TEXT.splitlines() if not line.startswith("#")))
     np.testing.assert_array_equal([float(row["leg_3_N"]) for row in rows], ROWS[:, 3])
@@ -94,7 +108,15 @@ def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: st
 
 
 @pytest.mark.parametrize(
-    "raw", [b"", b"#\n", b"\xff\xfe", b"# a\n" * 5000, TEXT[: TEXT.index("-0.003")].encode()]
+    "raw",
+    [
+        b"",
+        b"#\n",
+        b"\xff\xfe",
+        b"# a\n" * 5000,
+        TEXT[: TEXT.index("-0.003")].encode(),
+        TEXT[: TEXT.index("-0.004")].encode(),
+    ],
 )
 def test_what_is_no_such_file_is_refused(raw: bytes) -> None:
     with pytest.raises(ConfigurationError, match=r"learned\.csv"):

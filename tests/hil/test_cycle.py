@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,11 +12,14 @@ from drivers.config import WrenchSensorSettings
 from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Frame, Received, Status
 from drivers.sensors import Readings
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Warn
+from drivers.tick_columns import copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.loop.ramps import tau_at_rest
 from hil.loop.sight import Sight
-from hil.robot.kinematics import leg_lengths
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import Operator, TickInput
+from hil.trajectory.path import PoseSample
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import one_feedback, parse
 from tests.stories import fault_text
@@ -360,3 +366,23 @@ def test_the_sight_of_a_new_controller_has_found_no_pose_heard_no_sensor_and_sta
     assert (sight.located, sight.fusing, sight.readings) == (False, False, Readings())
     np.testing.assert_array_equal(sight.estimator.p, parts.home_p)
     np.testing.assert_array_equal(sight.estimator.R, parts.home_R)
+
+
+def test_the_force_asked_for_where_the_platform_counts_as_on_the_sample_is_what_holds_it_there():
+    """The book's static force at home, wherever the platform was measured, and however fast."""
+    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
+    parts, tick = cycle.parts, copy_of(cycle.tick)
+    home = PoseSample(parts.home_p, parts.home_R, np.zeros(6), np.zeros(6))
+    tick["J"] = jacobian(parts.platform, parts.home_p, parts.home_R)
+    off = parts.home_p + np.array([5e-3, 0.0, -5e-3])
+    tick["p"], tick["R"] = off, parts.home_R
+    tick["q"] = leg_lengths(parts.platform, off, parts.home_R)
+    tick["dq"] = tick["twist"] = np.full(6, 0.1)
+    held = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())["home_static"][
+        "force"
+    ]
+    on_it, measured = (
+        tau_at_rest(parts.law, parts.platform, tick, home, on_it=on_it) for on_it in (True, False)
+    )
+    np.testing.assert_allclose(on_it, held, rtol=1e-6)
+    assert np.abs(measured - held).max() > 100.0

@@ -63,6 +63,7 @@ AREAS = {
             "tests/hil/test_fusion*.py",
             "tests/loop/test_last_force.py",
             "tests/loop/test_release.py",
+            "tests/loop/test_setpoints.py",
             *_LOOP,
         ),
     ),

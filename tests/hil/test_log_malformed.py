@@ -6,11 +6,13 @@ import tracemalloc
 
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Metadata
 from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.errors import LogError
 from hil.record.log import Log
-from hil.record.mcap_read import FREE_BYTES, MAX_RATIO
+from hil.record.mcap_file import MAGIC, record_bytes
+from hil.record.mcap_read import FREE_BYTES, MAX_RATIO, NOTHING, records
 from hil.record.salvage import salvage
 from hil.record.schema import FRAME
 from tests.hil.rewrite import mcap_summary, rewrite_log
@@ -221,3 +223,14 @@ def test_a_salvage_that_fails_leaves_nothing(path, tmp_path, monkeypatch):
     with pytest.raises(LogError, match=r"out\.mcap: cannot be written: full"):
         salvage(path, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_reading_ends_where_no_record_is(tmp_path):
+    """A file system leaves zeros: no kind of record has that number."""
+    whole = MAGIC + record_bytes(Metadata(name="a", metadata={"a": "1"}))
+    path = tmp_path / "zeros.mcap"
+    path.write_bytes(whole + bytes(40))
+    *_, last = found = list(records(path))
+    assert len(found) == 2
+    assert (last.opcode, last.complete) == (NOTHING, False)
+    assert last.offset == len(whole)

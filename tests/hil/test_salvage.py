@@ -1,9 +1,14 @@
+from itertools import accumulate
+
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Metadata
 
 from drivers.errors import LogError
 from hil.record.log import Log
+from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.salvage import salvage
+from hil.record.surviving import surviving
 from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, log_of, random_ticks
 
@@ -141,3 +146,34 @@ def test_a_bit_that_turned_over_where_no_record_has_a_checksum_of_its_own_is_sai
     assert report.ticks == COUNT
     assert not report.complete
     assert any("checksum of the data section" in remark for remark in report.remarks), report.remarks
+
+
+def metadata(name, **values):
+    return record_bytes(Metadata(name=name, metadata=values))
+
+
+def placed(tmp_path, *records):
+    """A file of these records, and where each begins."""
+    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
+    path = tmp_path / "records.mcap"
+    path.write_bytes(MAGIC + b"".join(records))
+    return path, starts
+
+
+def test_a_last_record_that_the_file_ends_with_is_whole_whatever_records_its_text_resembles(tmp_path):
+    inner = (metadata("x" * 40) + metadata("y" * 40)).decode("latin-1")
+    assert inner.encode("utf-8").decode() == inner
+    first, last = metadata("a", a="1"), metadata("b", b=inner)
+    path, starts = placed(tmp_path, first, last)
+    found = list(surviving(path))
+    assert [(each.offset, each.complete) for each in found] == [(starts[0], True), (starts[1], True)]
+
+
+def test_a_record_that_claims_some_bytes_of_the_next_costs_itself_alone(tmp_path):
+    """The next one begins before the claimed end, and ends beyond it."""
+    damaged = bytearray(metadata("a", a="1"))
+    damaged[1] += 20
+    path, starts = placed(tmp_path, bytes(damaged), metadata("b", b="2" * 60), metadata("c", c="3"))
+    lost, *whole = surviving(path)
+    assert (lost.start, lost.stop) == (starts[0], starts[1])
+    assert [each.offset for each in whole] == starts[1:3]

@@ -34,7 +34,7 @@ fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes;
 mutants: fmu  ## plausible mistakes, a seeded sample an area, and which test notices each; MUTANTS_FLAGS="--area cycle --seed 2"
 	@exec $(BIN)/python -m tools.mutants $(MUTANTS_FLAGS)
 
-soak: fmu  ## a day of ticks in lockstep, across the wraps of counters (2 to 4 h); SOAK_FLAGS="--real 30" is half an hour in real time
+soak: fmu  ## a day of ticks in lockstep, across the wraps of counters (some hours); SOAK_FLAGS="--real 30" is half an hour in real time
 	@exec $(BIN)/python -m tools.soak $(SOAK_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy

@@ -54,11 +54,18 @@ def test_encoders_the_share_of_a_gap_is_that_of_its_bound_and_nothing_of_a_leg_t
     assert np.isnan(bench.tick()["encoder_share"]).all(), "once one is doubted nothing is judged"
 
 
-def test_encoders_the_share_of_a_sum_that_creeps_counts_where_it_is_larger():
+@BOTH_SIGNS
+def test_encoders_the_share_is_that_of_a_gap_or_of_what_they_add_up_to_whichever_is_larger(sign):
     bench = Bench(length_noise_m=0.25)
     bench.ticks(2)
-    shares = [bench.tick(jump=six(0.125, 1))["encoder_share"][1] for _ in range(3)]
-    assert shares[0] < shares[1] < shares[2] < 1.0
+    shares = [bench.tick(jump=six(sign * 0.125, 1))["encoder_share"][1] for _ in range(3)]
+    assert shares[0] == pytest.approx(0.125 / (0.5 + CREEP), rel=1e-9)
+    assert 1.5 * shares[0] < shares[1] < shares[2] < 1.0
+    bench = Bench(length_noise_m=0.25)
+    bench.ticks(2)
+    bench.ticks(1, jump=six(sign * 0.25, 1))
+    share = bench.tick(jump=six(-sign * 0.375, 1))["encoder_share"][1]
+    assert share == pytest.approx(0.375 / (0.5 + CREEP), rel=1e-9)
 
 
 def test_encoders_the_second_reading_is_the_first_that_is_compared():

@@ -344,9 +344,9 @@ def test_encoders_a_leg_is_being_pushed_until_nothing_is_left_of_it(leg):
 # -- answers that do not say what they answer
 
 
-def after_a_miss(ticks, ways, unnamed=1):
+def after_a_miss(ticks, ways, unnamed=1, apart=0):
     """Return the record of a tick in which leg 5 reads as it was so many periods off; all legs were missed."""
-    bench = Bench(unnamed=unnamed)
+    bench = Bench(unnamed=unnamed, apart=apart)
     bench.ticks(60, rate=RATES)
     bench.tick(unseen=range(6))
     if ticks:
@@ -355,17 +355,59 @@ def after_a_miss(ticks, ways, unnamed=1):
 
 
 @BOTH_SIGNS
-@pytest.mark.parametrize("ticks", [0, 6])
-def test_encoders_after_a_miss_a_leg_may_answer_the_poll_before(ticks, sign):
-    assert calm(after_a_miss(ticks, 0.95 * sign))
-    found = after_a_miss(ticks, 1.2 * sign)
+@pytest.mark.parametrize(("ticks", "apart"), [(0, 0), (7, 0), (7, 1)])
+def test_encoders_for_eight_ticks_after_a_miss_a_leg_may_answer_the_poll_before(ticks, apart, sign):
+    assert calm(after_a_miss(ticks, 0.95 * sign, apart=apart))
+    found = after_a_miss(ticks, 1.2 * sign, apart=apart)
     assert (found["doubt"], found["legs_doubted"]) == (Doubt.JUMP, 1 << 5)
 
 
-@pytest.mark.parametrize(("ticks", "unnamed"), [(8, 1), (0, 0)])
-def test_encoders_else_a_leg_may_not(ticks, unnamed):
-    found = after_a_miss(ticks, 0.95, unnamed)
+@pytest.mark.parametrize(("ticks", "unnamed", "apart"), [(8, 1, 0), (8, 1, 1), (0, 0, 0)])
+def test_encoders_else_a_leg_may_not(ticks, unnamed, apart):
+    found = after_a_miss(ticks, 0.95, unnamed, apart)
     assert (found["doubt"], found["legs_doubted"]) == (Doubt.JUMP, 1 << 5)
+
+
+def test_encoders_an_answer_to_the_poll_before_has_the_noise_of_its_longer_time():
+    bench = Bench(unnamed=1, rate_noise_m_s=1.0)
+    bench.ticks(3)
+    bench.tick(unseen=range(6))
+    bench.ticks(1)
+    assert doubted(bench.tick(jump=six(2.5 * T, 1)), Doubt.JUMP, 1, 2.5 * T, 2.0 * T + 2.0 * CREEP)
+
+
+@pytest.mark.parametrize(("ticks", "doubt"), [(8, Doubt.NONE), (9, Doubt.LEAP)])
+def test_encoders_a_leap_needs_a_spacing_before_it_that_is_sure(ticks, doubt):
+    bench = Bench(unnamed=1, open_ticks=0, length_noise_m=1.0)
+    bench.ticks(60, rate=RATES)
+    bench.tick(unseen=range(6))
+    bench.ticks(ticks)
+    assert bench.tick(rate=RATES + six(3.0, 2))["doubt"] == doubt
+
+
+# -- rates that are made of lengths: a slope over equal steps lags by a third of one
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+def test_encoders_a_gap_may_be_what_two_slopes_lag_behind(leg, sign):
+    """The range is 16 m/s^2: T^2 / 8 of it, and T / 2 times the two lags of T / 3."""
+    bench = Bench(differences=1, disturbance_m_s2=8.0)
+    bench.ticks(5)
+    limit = 16.0 * T * T * (1.0 / 8.0 + 1.0 / 3.0) + CREEP
+    assert doubted(bench.tick(jump=six(sign * 1e-2, leg)), Doubt.JUMP, leg, sign * 1e-2, limit)
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+def test_encoders_a_slope_may_leap_by_what_three_slopes_lag_behind(leg, sign):
+    """T of the range as any rate, and the lags: T / 3 of the last, three times T / 3 of the one before."""
+    limit = 16.0 * T * (1.0 + 4.0 / 3.0)
+    for share, doubts in ((0.999, False), (1.001, True)):
+        bench = accelerated(differences=1, disturbance_m_s2=8.0)
+        bench.ticks(3)
+        tick = bench.tick(rate=six(sign * share * limit, leg))
+        assert doubted(tick, Doubt.LEAP, leg, sign * share * limit, limit) if doubts else calm(tick)
 
 
 @pytest.mark.parametrize("unnamed", [0, 1])

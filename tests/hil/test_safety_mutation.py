@@ -45,7 +45,7 @@ EQUIVALENT = {
     "force_limits 16: 16 less": "blocks of any size have the same extremes",
     "kernels 6: 6 one more": "six elements are filled and read of an array of seven, too",
     "latch 0.0: 0.0 one more": "sums are compared with sums; without a leg that moves nobody bears witness",
-    "encoder_kernels 12: 12 one more": "a row of scratch that nobody uses",
+    "encoder_kernels 14: 14 one more": "a row of scratch that nobody uses",
     "encoder_kernels 1e-09: 1e-09 less": "any number that is small beside every noise",
     "encoder_kernels abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]: Gt to GtE": "there it is allowed anyway",
     "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",

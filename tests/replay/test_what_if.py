@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode, Warn
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.app.configuration.feedforward_file import feedforward_text
 from hil.app.what_if.allowed import changes, refuse_other_inputs
 from hil.app.what_if.changes import changed, read_changes
 from hil.app.what_if.command import what_if_log
@@ -23,12 +24,14 @@ from hil.loop import what_if as kernel
 from hil.record.log import Log
 from hil.trajectory.time_optimal import plan
 from tests.broad import broad
+from tests.hil.app.test_feedforward_file import head_of, using
 from tests.hil.rewrite import rewrite_log
 from tests.replay.moving import moved
 
 LIMIT_N = 5000.0
 """Below the largest forces of the run, and above those at rest."""
 VIRTUAL = load("virtual")
+LEARNED = feedforward_text(head_of(VIRTUAL), np.full((50, 6), 10.0), -4, 1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -361,3 +364,47 @@ def test_files_of_another_content_are_named_where_the_text_is_the_same(tmp_path,
     assert found["changed"] == ["reference.path: the file has another content than that of the log"]
     assert found["different_ticks"] > 0
     assert what_if_log(path)["different_ticks"] == 0
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory):
+    """The log of a run with a learned feed-forward."""
+    folder = tmp_path_factory.mktemp("taught")
+    (folder / "own.yaml").write_text(using(folder, LEARNED, limit_N=1000.0).text)
+    return moved(folder / "taught.mcap", str(folder / "own.yaml"))
+
+
+def test_a_feed_forward_that_the_log_does_not_carry_is_refused(log, taught):
+    for path in (log, taught):
+        with pytest.raises(ConfigurationError, match=r"--set feedforward\.file=other\.csv: .* no file on"):
+            what_if_log(path, None, ["feedforward={file: other.csv, limit_N: 1000}"])
+
+
+def test_without_its_feed_forward_a_log_lacks_these_forces_alone(taught):
+    rows = Log(taught).rows()
+    most = np.abs(rows["tau_learned"]).max(axis=0)
+    assert most.min() > 1.0
+    found = what_if_log(taught, None, ["feedforward="])
+    assert found["forces"]["largest_N"] == pytest.approx(most, rel=1e-9)
+    assert {each["column"] for each in found["columns"]} <= {"tau_learned", "tau", "encoder_share"}
+
+
+def test_a_feed_forward_of_another_content_is_named_where_the_text_is_the_same(taught, tmp_path):
+    path = taught
+    (tmp_path / "own.yaml").write_text(Log(path).configuration)
+    (tmp_path / "learned.csv").write_text(LEARNED)
+    assert what_if_log(path, str(tmp_path / "own.yaml"))["changed"] == []
+    (tmp_path / "learned.csv").write_text(LEARNED.replace(",10.0000", ",11.0000"))
+    found = what_if_log(path, str(tmp_path / "own.yaml"))
+    assert found["changed"] == ["feedforward.file: the file has another content than that of the log"]
+    assert found["different_ticks"] > 0
+
+
+def test_a_feed_forward_of_another_controller_is_refused_with_what_leaves_it_out(taught):
+    with pytest.raises(ConfigurationError) as refused:
+        what_if_log(taught, None, ["controller.wn_rad_s=25"])
+    said = str(refused.value)
+    assert f"{taught}:feedforward.csv: was learned on another controller" in said
+    assert "--set feedforward=" in said
+    assert "/hil-what-if-" not in said, "a file that is gone"
+    assert what_if_log(taught, None, ["controller.wn_rad_s=25", "feedforward="])["different_ticks"] > 0

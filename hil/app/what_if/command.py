@@ -12,8 +12,16 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
 from drivers.protocol import Frame
-from hil.app.compose import CONTROLLER_FILE, REFERENCE_CSV, REFERENCE_PLAN, attachments, build_cycle
+from hil.app.compose import (
+    CONTROLLER_FILE,
+    FEEDFORWARD_CSV,
+    REFERENCE_CSV,
+    REFERENCE_PLAN,
+    attachments,
+    build_cycle,
+)
 from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.files import new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import PNG, log_path
@@ -26,6 +34,7 @@ from hil.app.what_if.allowed import changes, refuse_other_inputs
 from hil.app.what_if.changes import changed
 from hil.app.what_if.picture import Forces
 from hil.app.what_if.recorded import record
+from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import LiveReference, SampledReference
 from hil.control.state_space import StateSpaceSettings
 from hil.loop.clock import collector_paused
@@ -137,7 +146,9 @@ def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path 
     if folder is None:
         return here
     _refuse_new_files(own, here)
-    return with_attachments(here, log.attachments, folder)
+    given = with_attachments(here, log.attachments, folder)
+    _refuse_untaught(given, log)
+    return given
 
 
 def _other_files(here: Configuration, log: Log) -> list[str]:
@@ -145,7 +156,11 @@ def _other_files(here: Configuration, log: Log) -> list[str]:
     there = log.attachments
     return [
         f"{key}: the file has another content than that of the log"
-        for name, key in ((REFERENCE_CSV, "reference.path"), (CONTROLLER_FILE, "controller.controller_file"))
+        for name, key in (
+            (REFERENCE_CSV, "reference.path"),
+            (CONTROLLER_FILE, "controller.controller_file"),
+            (FEEDFORWARD_CSV, "feedforward.file"),
+        )
         if name in there and there[name] != dict(attachments(here)).get(name, there[name])
     ]
 
@@ -165,6 +180,7 @@ def _refuse_new_files(own: Configuration, here: Configuration) -> None:
     for section, key, kind in (
         ("reference", "path", SampledReference),
         ("controller", "controller_file", StateSpaceSettings),
+        ("feedforward", "file", FeedforwardSettings),
     ):
         there, given = getattr(own, section), getattr(here, section)
         if not isinstance(given, kind):
@@ -174,6 +190,19 @@ def _refuse_new_files(own: Configuration, here: Configuration) -> None:
                 f"--set {section}.{key}={getattr(given, key)}: the configuration in a log names no file on "
                 "this disk; write a configuration that does, and name it with --what-if"
             )
+
+
+def _refuse_untaught(given: Configuration, log: Log) -> None:
+    """Refuse changes to a log's own configuration with which its learned feed-forward does not go."""
+    taught = given.feedforward
+    try:
+        learned_forces(taught, given.reference, given.controller, given.platform, given.folder)
+    except ConfigurationError as error:
+        assert taught is not None  # without one there is nothing to refuse
+        raise ConfigurationError(
+            *(text.replace(taught.file, f"{log.path}:{FEEDFORWARD_CSV}") for text in error.problems),
+            "For a what-if without these forces add --set feedforward=",
+        ) from None
 
 
 def _trouble(answer: Answer, written: LogSummary | None) -> str | None:

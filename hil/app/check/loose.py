@@ -1,9 +1,10 @@
 """Limits so far beyond what the path and all beside it need that they would show a failure late.
 
-What a limit needs is the path, changes of speed, the stated disturbance, pushes, and what is read.
+What a limit needs is the path, changes of speed, jogs, the stated disturbance, pushes, and what is read.
 """
 
 from collections.abc import Iterator
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -55,20 +56,24 @@ class Limit(NamedTuple):
 
     @property
     def proposed(self) -> float:
-        """Return a value with room."""
+        """Return a value with room, of ticks a whole one."""
         room = ROOM if self.factor == FACTOR else float(np.sqrt(self.factor))
-        return raised(room * self.needed)
+        value = raised(room * self.needed)
+        return float(ceil(value)) if self.unit == "ticks" else value
 
 
-def loose_limits(c: Configuration, w: Walk, change: SpeedChange | None) -> Iterator[str]:
+def loose_limits(
+    c: Configuration, w: Walk, change: SpeedChange | None, jogged_N: float = 0.0
+) -> Iterator[str]:
     """Yield the limits of section `limits` that would show a failure late.
 
-    w: the walk along the reference; change: what a change of speed along it asks for, None where it is live.
+    w: the walk along the reference; change: what a change of speed along it asks for, None where it is live;
+    jogged_N: by how much a jog changes a force within 250 ms.
     The layout ideal drives no hardware, so no limit protects anything there.
     """
     if c.bus.layout == "ideal":
         return
-    for each in (*_on_the_path(c, w, change), *_as_read(c, w)):
+    for each in (*_on_the_path(c, w, change, jogged_N), *_as_read(c, w)):
         if each.value > each.factor * each.needed:
             yield (
                 f"limits.{each.name} {each.value:g} is {each.value / each.needed:.1f} times the "
@@ -78,7 +83,7 @@ def loose_limits(c: Configuration, w: Walk, change: SpeedChange | None) -> Itera
     yield from _unbraked(c, w)
 
 
-def _on_the_path(c: Configuration, w: Walk, change: SpeedChange | None) -> Iterator[Limit]:
+def _on_the_path(c: Configuration, w: Walk, change: SpeedChange | None, jogged_N: float) -> Iterator[Limit]:
     """Yield the limits of force and motion."""
     limits, pushed_N = c.limits, 2.0 * float(encoder_limits(c, c.loop.rate_Hz).push_N.max())
     swings, disturbed_N = w.swings(1.0 / c.loop.rate_Hz), _disturbed_N(c)
@@ -87,6 +92,7 @@ def _on_the_path(c: Configuration, w: Walk, change: SpeedChange | None) -> Itera
     step_N = float(np.abs(w.steps()[1]).max())
     if change is not None:
         acceleration, step_N = change.acceleration_m_s2, step_N + change.step_N
+        speed = max(speed, c.operator.setup_speed_m_s)
     if isinstance(c.reference, LiveReference):
         fastest, hardest = setpoint_peaks(c, c.reference)
         speed, acceleration = max(speed, fastest), max(acceleration, hardest)
@@ -96,10 +102,10 @@ def _on_the_path(c: Configuration, w: Walk, change: SpeedChange | None) -> Itera
     yield Limit("force_step_N", limits.force_step_N, max(step_N, min(disturbed_N, most_N)), "N", by=by)
     if swings is not None:
         swing_N = float(swings.max())
-        needed = max(swing_N, min(swing_N + max(disturbed_N, pushed_N), most_N))
-        by = "within 250 ms on the path, with the stated disturbance and pushes"
+        needed = max(swing_N, jogged_N, min(swing_N + max(disturbed_N, pushed_N), most_N))
+        by = "within 250 ms on the path, with the stated disturbance and pushes, or in a jog"
         yield Limit("force_window_N", limits.force_window_N, needed, "N", by=by)
-    yield Limit("speed_m_s", limits.speed_m_s, speed, "m/s", by="on the path and on the way to it")
+    yield Limit("speed_m_s", limits.speed_m_s, speed, "m/s", by="on the path, on the way to it and in a jog")
     if limits.acceleration_m_s2 is not None:
         yield Limit("acceleration_m_s2", limits.acceleration_m_s2, acceleration, "m/s^2", FAR)
     number = float(w.condition.max())

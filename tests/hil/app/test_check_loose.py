@@ -8,7 +8,8 @@ import pytest
 from hil.app.check.command import inspect
 from hil.app.check.loose import loose_limits
 from hil.app.check.operating import speed_change
-from hil.app.configuration.configuration import load
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
 from hil.app.reachability import span_s, walk
 from hil.config.reference import LiveReference
@@ -82,6 +83,41 @@ def test_a_limit_far_beyond_what_is_needed_is_warned_of_with_need_ratio_and_prop
     assert said < proposed < loose
     assert needed is None or said == pytest.approx(float(needed), rel=0.01)
     assert warned(virtual, **{name: proposed}) == []
+
+
+@pytest.mark.parametrize("name", ["stale_fault_ticks", "missed_stop_ticks"])
+def test_a_number_of_ticks_that_is_proposed_is_whole(virtual, name):
+    """20 times the one tick that is needed: the root is 4.47."""
+    (line,) = warned(virtual, **{name: 300})
+    assert line.endswith(", give 5")
+
+
+def test_what_a_jog_asks_for_is_needed_too(virtual):
+    """By hand: of 25 kN at most half is a disturbance; a leg's jog at 3 m/s needs 3 m/s of the leg."""
+    c, w, change = virtual
+    given = {"force_window_N": 72000.0, "speed_m_s": 8.0}
+    assert len(warned(virtual, **given)) == 2
+    fast = c.model_copy(update={"operator": c.operator.model_copy(update={"setup_speed_m_s": 3.0})})
+    limited = fast.model_copy(update={"limits": c.limits.model_copy(update=given)})
+    assert list(loose_limits(limited, w, change, jogged_N=18100.0)) == []
+    (line,) = loose_limits(limited, w, change, jogged_N=17900.0)
+    assert line.startswith(
+        "limits.force_window_N 72000 is 4.0 times the 1.79e+04 N that are needed within 250"
+    )
+    assert float(line.rsplit(" ", 1)[1]) > 17900.0, "what is proposed refuses no jog"
+
+
+def test_a_limit_that_is_proposed_refuses_no_jog_from_the_reference():
+    c = load("virtual")
+    changes = {
+        "operator": {"setup_speed_m_s": 0.3},
+        "engage": {"stop_s": 0.05},
+        "limits": {"force_window_N": 1e6},
+    }
+    brisk = loads(with_changes(c.text, {"name": c.name} | changes), "brisk.yaml", c.folder)
+    found = inspect(brisk)
+    (line,) = [each for each in found.warnings if each.startswith("limits.force_window_N ")]
+    assert float(line.rsplit(" ", 1)[1]) > found.figures["jog_change_N"]
 
 
 def test_a_deceleration_that_no_force_gives_is_warned_of(virtual):

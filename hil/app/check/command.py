@@ -229,7 +229,8 @@ def _reference(report: Report, c: Configuration, platform: Platform, model: Mode
     report.warnings += dangers(c, w, silence)
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
     slowed = report_operating(report, c, w, trajectory, model)
-    report.warnings += loose_limits(c, w, slowed, report.figures.get("jog_change_N", 0.0))
+    jogged = report.figures.get("jog_change_N", 0.0), report.figures.get("jog_rate_m_s", 0.0)
+    report.warnings += loose_limits(c, w, slowed, jogged)
     if isinstance(c.reference, LiveReference):
         report_setpoints(report, c, c.reference)
     if peak > 0.9 * c.limits.force_N:

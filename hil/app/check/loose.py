@@ -63,17 +63,17 @@ class Limit(NamedTuple):
 
 
 def loose_limits(
-    c: Configuration, w: Walk, change: SpeedChange | None, jogged_N: float = 0.0
+    c: Configuration, w: Walk, change: SpeedChange | None, jogged: tuple[float, float] = (0.0, 0.0)
 ) -> Iterator[str]:
     """Yield the limits of section `limits` that would show a failure late.
 
     w: the walk along the reference; change: what a change of speed along it asks for, None where it is live;
-    jogged_N: by how much a jog changes a force within 250 ms.
+    jogged: by how much a jog changes a force within 250 ms, N, and the rate of a leg in it, m/s.
     The layout ideal drives no hardware, so no limit protects anything there.
     """
     if c.bus.layout == "ideal":
         return
-    for each in (*_on_the_path(c, w, change, jogged_N), *_as_read(c, w)):
+    for each in (*_on_the_path(c, w, change, jogged), *_as_read(c, w)):
         if each.value > each.factor * each.needed:
             yield (
                 f"limits.{each.name} {each.value:g} is {each.value / each.needed:.1f} times the "
@@ -83,16 +83,18 @@ def loose_limits(
     yield from _unbraked(c, w)
 
 
-def _on_the_path(c: Configuration, w: Walk, change: SpeedChange | None, jogged_N: float) -> Iterator[Limit]:
+def _on_the_path(
+    c: Configuration, w: Walk, change: SpeedChange | None, jogged: tuple[float, float]
+) -> Iterator[Limit]:
     """Yield the limits of force and motion."""
     limits, pushed_N = c.limits, 2.0 * float(encoder_limits(c, c.loop.rate_Hz).push_N.max())
     swings, disturbed_N = w.swings(1.0 / c.loop.rate_Hz), _disturbed_N(c)
     speed = max(float(np.abs(w.dq).max()), QUINTIC_PEAK * c.engage.approach_speed_m_s)
-    acceleration = float(np.abs(w.ddq).max())
+    jogged_N, jogged_m_s = jogged
+    speed, acceleration = max(speed, jogged_m_s), float(np.abs(w.ddq).max())
     step_N = float(np.abs(w.steps()[1]).max())
     if change is not None:
         acceleration, step_N = change.acceleration_m_s2, step_N + change.step_N
-        speed = max(speed, c.operator.setup_speed_m_s)
     if isinstance(c.reference, LiveReference):
         fastest, hardest = setpoint_peaks(c, c.reference)
         speed, acceleration = max(speed, fastest), max(acceleration, hardest)

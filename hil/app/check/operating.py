@@ -87,24 +87,32 @@ def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model
     )
 
 
-def jog_change_N(c: Configuration, trajectory: Trajectory, model: Model, span: float) -> float:
-    """Return the most, N, that a force changes by within 250 ms of a jog from anywhere on the reference.
+class JogDemand(NamedTuple):
+    """The most that a jog from anywhere on the reference asks of a leg, by each axis and leg, both ways."""
 
-    Along each axis and each leg, both ways, as the controller judges it; dry friction of our plant turns
-    round once. span: of the walk, s.
-    """
-    admission, still = build_admission(c, model.platform), np.zeros(6)
+    change_N: float
+    """Of a force within 250 ms, as the controller judges it; dry friction of our plant turns round once."""
+    rate_m_s: float
+    """Of the leg's length, where the jog begins."""
+
+
+def jog_demand(c: Configuration, trajectory: Trajectory, model: Model, span: float) -> JogDemand:
+    """Return what jogs ask for. span: of the walk, s."""
+    admission, still, platform = build_admission(c, model.platform), np.zeros(6), model.platform
     speeds = c.operator.setup_speed_m_s, radians(c.operator.setup_speed_deg_s)
     plant = None if c.plant is None else c.plant.model
     friction_N = plant.coulomb_friction_N if isinstance(plant, StewartPlant) else 0.0
-    most = 0.0
+    change_N = rate_m_s = 0.0
     for t in np.linspace(0.0, span * (1 - 1e-12), JOGS).tolist():
         p, R, *_ = trajectory.sample(t)
         here = PoseSample(p, R, still, still)
+        J = jacobian_kernel(platform.base_joints, platform.platform_joints, p, R)
         for axis, way in product(range(len(JOG_NAMES)), (1.0, -1.0)):
-            start = jog_path(model.platform, here, axis, speeds, way).sample(0.0)
-            most = max(most, admission.change_N(start, setup_share(start, speeds)))
-    return most + 2.0 * friction_N
+            start = jog_path(platform, here, axis, speeds, way).sample(0.0)
+            share = setup_share(start, speeds)
+            change_N = max(change_N, admission.change_N(start, share))
+            rate_m_s = max(rate_m_s, float(np.abs(J @ (share * start.twist)).max()))
+    return JogDemand(change_N + 2.0 * friction_N, rate_m_s)
 
 
 def report_operating(
@@ -127,25 +135,41 @@ def report_operating(
         )
         report.figures["speed_change"] = found._asdict()
         report.warnings += _beyond(c, w, found)
-        jogged_N = jog_change_N(c, trajectory, model, span_s(trajectory))
-        window_N = c.limits.force_window_N
+        jog = jog_demand(c, trajectory, model, span_s(trajectory))
         lines.append(
-            f"jog              changes a force by up to {jogged_N:.0f} N within 250 ms (limit {window_N:g})"
+            f"jog              changes a force by up to {jog.change_N:.0f} N within 250 ms (limit "
+            f"{c.limits.force_window_N:g}),"
         )
-        report.figures["jog_change_N"] = jogged_N
-        if jogged_N > window_N:
-            report.warnings.append(
-                f"a jog from the reference may change a force by {jogged_N:.0f} N within 250 ms, "
-                f"limits.force_window_N is {window_N:g}: it is refused there; lower operator.setup_speed_m_s "
-                f"{c.operator.setup_speed_m_s:g} and setup_speed_deg_s {c.operator.setup_speed_deg_s:g}, or "
-                f"make engage.stop_s {c.engage.stop_s:g} longer"
-            )
+        lines.append(
+            f"                 moves a leg at up to {jog.rate_m_s:.3g} m/s (limit {c.limits.speed_m_s:g})"
+        )
+        report.figures |= {"jog_change_N": jog.change_N, "jog_rate_m_s": jog.rate_m_s}
+        report.warnings += _jogged(c, jog)
     deadman_s = c.operator.deadman_s
     held = "none is needed" if deadman_s is None else f"held, heard within {1e3 * deadman_s:g} ms"
     lines.append(f"key              {held}")
     if deadman_s is not None:
         report.warnings += _key(c, deadman_s)
     return found
+
+
+def _jogged(c: Configuration, jog: JogDemand) -> Iterator[str]:
+    """Yield the limits that refuse a jog from the reference, or that it breaks."""
+    speeds = (
+        f"lower operator.setup_speed_m_s {c.operator.setup_speed_m_s:g} and setup_speed_deg_s "
+        f"{c.operator.setup_speed_deg_s:g}"
+    )
+    if jog.change_N > c.limits.force_window_N:
+        yield (
+            f"a jog from the reference may change a force by {jog.change_N:.0f} N within 250 ms, "
+            f"limits.force_window_N is {c.limits.force_window_N:g}: it is refused there; {speeds}, or "
+            f"make engage.stop_s {c.engage.stop_s:g} longer"
+        )
+    if jog.rate_m_s > c.limits.speed_m_s:
+        yield (
+            f"a jog from the reference may move a leg at {jog.rate_m_s:.3g} m/s, limits.speed_m_s is "
+            f"{c.limits.speed_m_s:g}: SPEED latches, and the brakes close; {speeds}"
+        )
 
 
 def _beyond(c: Configuration, w: Walk, found: SpeedChange) -> Iterator[str]:

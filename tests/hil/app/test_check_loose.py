@@ -93,18 +93,18 @@ def test_a_number_of_ticks_that_is_proposed_is_whole(virtual, name):
 
 
 def test_what_a_jog_asks_for_is_needed_too(virtual):
-    """By hand: of 25 kN at most half is a disturbance; a leg's jog at 3 m/s needs 3 m/s of the leg."""
     c, w, change = virtual
     given = {"force_window_N": 72000.0, "speed_m_s": 8.0}
     assert len(warned(virtual, **given)) == 2
-    fast = c.model_copy(update={"operator": c.operator.model_copy(update={"setup_speed_m_s": 3.0})})
-    limited = fast.model_copy(update={"limits": c.limits.model_copy(update=given)})
-    assert list(loose_limits(limited, w, change, jogged_N=18100.0)) == []
-    (line,) = loose_limits(limited, w, change, jogged_N=17900.0)
-    assert line.startswith(
-        "limits.force_window_N 72000 is 4.0 times the 1.79e+04 N that are needed within 250"
-    )
-    assert float(line.rsplit(" ", 1)[1]) > 17900.0, "what is proposed refuses no jog"
+    limited = c.model_copy(update={"limits": c.limits.model_copy(update=given)})
+    assert list(loose_limits(limited, w, change, (18100.0, 2.01))) == []
+    for jogged, name, least in (
+        ((17900.0, 2.01), "force_window_N 72000 is 4.0 times the 1.79e+04 N", 17900.0),
+        ((18100.0, 1.99), "speed_m_s 8 is 4.0 times the 1.99 m/s", 1.99),
+    ):
+        (line,) = loose_limits(limited, w, change, jogged)
+        assert line.startswith(f"limits.{name} that are needed")
+        assert float(line.rsplit(" ", 1)[1]) > least, "what is proposed serves the jog"
 
 
 def test_a_limit_that_is_proposed_refuses_no_jog_from_the_reference():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.app.check.command import inspect
-from hil.app.check.operating import PAGE_REPEAT_S, _beyond, _key, speed_change
+from hil.app.check.operating import PAGE_REPEAT_S, _beyond, _jogged, _key, jog_demand, speed_change
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
 from hil.app.operate import REPEAT_S
@@ -170,6 +170,8 @@ def test_jogs_that_would_be_refused_for_their_change_of_force_are_warned_of():
     assert least_N < jogged_N < 12000.0
     assert quiet.figures["jog_change_N"] < 0.5 * jogged_N
     assert f"changes a force by up to {jogged_N:.0f} N within 250 ms (limit 12000)" in "\n".join(found.lines)
+    rate = found.figures["jog_rate_m_s"]
+    assert f"moves a leg at up to {rate:.3g} m/s (limit {c.limits.speed_m_s:g})" in "\n".join(found.lines)
     tight = c.limits.model_copy(update={"force_window_N": jogged_N - 1.0})
     (warning,) = [
         each
@@ -177,3 +179,20 @@ def test_jogs_that_would_be_refused_for_their_change_of_force_are_warned_of():
         if each.startswith("a jog")
     ]
     assert f"limits.force_window_N is {jogged_N - 1.0:g}: it is refused there" in warning
+
+
+def test_a_jog_faster_than_a_leg_may_be_is_warned_of():
+    """Straight up with 0.3 m/s: a leg's rate is that times its slope, at home 0.3 m/s x height over length."""
+    c = load("virtual")
+    platform, home = build_platform(c.platform), c.platform.home
+    legs = np.array(home.position_m) + platform.platform_joints - platform.base_joints
+    least = 0.3 * np.abs(legs[:, 2] / np.linalg.norm(legs, axis=1)).max()
+    for limit, spoken in ((0.9 * least, True), (0.3 * 1.2, False)):
+        limits = c.limits.model_copy(update={"speed_m_s": limit})
+        operator = c.operator.model_copy(update={"setup_speed_m_s": 0.3, "setup_speed_deg_s": 1.0})
+        fast = c.model_copy(update={"limits": limits, "operator": operator})
+        trajectory = build_trajectory(c.reference, home, c.folder)
+        jog = jog_demand(fast, trajectory, Model(platform, leg_spin=c.platform.leg_spin), 1.0)
+        assert least <= jog.rate_m_s * (1 + 1e-9) <= 0.3 * 1.2
+        said = [line for line in _jogged(fast, jog) if "limits.speed_m_s" in line]
+        assert bool(said) == spoken

@@ -28,6 +28,7 @@ from hil.app.log_budget import GB, dated_logs, make_room, needed_bytes
 from hil.app.output import closing, log_path
 from hil.app.replay import open_run
 from hil.app.sim.build import build_lockstep
+from hil.config.reference import TimeOptimalReference, WaypointReference
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.replay import recorded_input
@@ -93,8 +94,16 @@ class Shift:
 
 
 def endless(source: str, folder: Path, budget_GB: float) -> Configuration:
-    """Return a configuration whose path repeats without an end, and whose logs share a budget in a folder."""
+    """Return a configuration whose path repeats without an end, and whose logs share a budget in a folder.
+
+    Raises UsageError: its path cannot repeat so.
+    """
     c = load(source)
+    if not isinstance(c.reference, WaypointReference | TimeOptimalReference):
+        raise click.UsageError(
+            f"--configuration {source}: reference.type {c.reference.type} does not repeat without an end; "
+            "allowed: waypoints and time_optimal, as virtual has"
+        )
     values: dict[str, Any] = dict(parse(c.text).value or {})
     values["reference"]["periods"] = None
     values["recording"] = values.get("recording", {}) | {"folder": str(folder), "budget_GB": budget_GB}

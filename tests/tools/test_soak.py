@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import pytest
 
 from hil.record.log import Log
@@ -94,3 +95,10 @@ def test_memory_counts_from_when_it_has_settled():
     seen = [Memory(1000 * k, 2000) for k in (1, 5, 5, 5, 9)]
     shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", seen)
     assert shift.grown_MB() == pytest.approx((4000 / 1024, 0.0))
+
+
+def test_a_path_that_cannot_repeat_without_an_end_is_refused(tmp_path):
+    with pytest.raises(
+        click.UsageError, match=r"--configuration lab: reference\.type sinusoids .* waypoints"
+    ):
+        endless("lab", tmp_path, 1.0)

@@ -36,12 +36,6 @@ class Motion:
         """Of a stop from less than full speed: the tick at which it came to rest, -1 before that."""
         self._then = then
         self._left: tuple[Trajectory, float] | None = None
-        self._last = 0
-        """Length of the trajectory in whole periods: the first tick at which `finished` is true."""
-        if then is not None and trajectory.duration_s is not None:
-            self._last = int(trajectory.duration_s / self.period_s)
-            while self._last * self.period_s < trajectory.duration_s:
-                self._last += 1
 
     def rest(self, p: Array, R: Array, tick: int) -> None:
         """Stay at a pose from this tick on."""
@@ -161,7 +155,19 @@ class Motion:
         """
         if self._then is not then or not self.override.full:
             return None
-        return min((tick - self.tick - self._last) * self.period_s, 0.0)
+        return -self._ticks_left(tick) * self.period_s
+
+    def _ticks_left(self, tick: int) -> int:
+        """Return in how many ticks the present trajectory will have ended, at full speed; 0 where it has.
+
+        By path time: a hold on the way puts the end off.
+        """
+        duration = self.trajectory.duration_s
+        assert duration is not None
+        ticks = max(int((duration - self.time(tick)) / self.period_s) - 1, 0)
+        while self.time(tick + ticks) < duration:
+            ticks += 1
+        return ticks
 
     def ahead(self, tick: int, s: float) -> tuple[PoseSample, float | None]:
         """Return where the platform should be `s` seconds after this tick, and that time along `then`.
@@ -173,7 +179,7 @@ class Motion:
         if not self.override.full:
             return self._along(*self.override.ahead(tick, s)), None
         if self._then is not None and not self.finished(tick):
-            along = (tick - self.tick - self._last) * self.period_s + s
+            along = s - self._ticks_left(tick) * self.period_s
             if along >= 0.0:
                 return self._then.sample(along), along
         return self.trajectory.sample(self.time(tick) + s), None

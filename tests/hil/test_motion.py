@@ -52,6 +52,26 @@ def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
         assert not sample.dtwist.any()
 
 
+def test_a_hold_on_the_approach_puts_off_what_comes_next():
+    """Held at 0.1 s for half a second; at full speed again the next path begins where the approach ends."""
+    motion, path = Motion(T, HERE, EYE, 0.2), next_path()
+    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 1.0), 0, then=path)
+    seen, tick = {}, 0
+    while not motion.finished(tick):
+        tick += 1
+        motion.advance(tick)
+        motion.aim(tick, 1.0, go=not 100 <= tick < 600)
+        seen[tick] = motion.before(tick, path), motion.ahead(tick, AHEAD)[1]
+    begins = max(seen)
+    assert begins >= 1500, "held for half a second"
+    full = [tick for tick in seen if tick < 100 or tick > 850]
+    assert all(seen[tick][0] is not None for tick in full)
+    after = [tick for tick in full if tick > 850]
+    assert [seen[tick][0] for tick in after] == pytest.approx([(tick - begins) * T for tick in after])
+    assert all(seen[tick][1] is None for tick in full if tick < begins - 1)
+    assert seen[begins - 1][1] == pytest.approx(AHEAD - T)
+
+
 def test_the_look_ahead_of_a_stop_is_the_stop():
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())

@@ -18,7 +18,7 @@ from hil.app.configuration.changes import text_of, with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import read_feedforward
 from hil.app.identify.delay import recorded_run
-from hil.app.learn import runs
+from hil.app.learn import rehearsal, report, runs
 from hil.app.learn.command import Knowledge, learn, learned
 from hil.app.learn.model import belief_of, learner
 from hil.app.learn.rehearsal import Rehearsal, rehearse, with_scale
@@ -119,6 +119,47 @@ def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(
     assert read_feedforward(out.read_bytes(), "next.csv")[0].run == 2, (
         "an earlier file of its own is replaced"
     )
+
+
+def test_a_series_says_what_it_has_written_and_the_section_that_names_it(
+    made: tuple[Path, Rehearsal],
+) -> None:
+    _, found = made
+    assert found.outcome is not None
+    at_floor = found._replace(outcome=found.outcome._replace(state="floor"))
+    for series in (found, at_floor):
+        said = report.series(series, Path("out/best.csv"))
+        assert said[-2:] == [
+            "written    out/best.csv, of the run with the smallest error",
+            "feedforward: {file: best.csv, limit_N: 5000}",
+        ]
+        assert "is written" not in "\n".join(said), "nothing else is said of a file"
+
+
+def test_a_series_that_writes_nothing_says_so(made: tuple[Path, Rehearsal]) -> None:
+    _, found = made
+    said = report.series(found._replace(steps=found.steps[:1], best=""), Path("best.csv"))
+    assert said[-1] == "best.csv is not written: the only run was the one without a feed-forward"
+    assert not any("fold" in line for line in said), "one run is compared with nothing"
+
+
+def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
+    made: tuple[Path, Rehearsal], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, before = made
+
+    def read(path: Path) -> Any:
+        if path.stem.endswith("02"):
+            raise LogError("limits cut the forces")
+        return learning_run(folder / path.name)
+
+    monkeypatch.setattr(rehearsal, "simulate", lambda *_, **__: {"success": True})
+    monkeypatch.setattr(rehearsal, "learning_run", read)
+    found = rehearse(short(), 4, Knowledge(), tmp_path, lambda _: None)
+    assert found.trouble == "run 2: limits cut the forces"
+    assert [step.rms_mm for step in found.steps] == [step.rms_mm for step in before.steps[:2]]
+    assert found.best == (folder / "short-run-01.csv").read_text()
+    assert report.series_summary(found, Path("a.csv"))["state"] == "failed"
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
@@ -31,9 +31,10 @@ def rehearse(
 ) -> Rehearsal:
     """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
 
-    It ends early at the floor, where a run contradicts the condition, and where one fails.
+    It ends early at the floor, where a run contradicts the condition, and where one fails or cannot teach.
 
-    Raises ConfigurationError for what cannot run or learn, LogError, ModelError.
+    Raises ConfigurationError for what cannot run or learn, LogError where the first run cannot teach,
+    ModelError.
     """
     c.require("sim")
     refuse_unreachable(c)
@@ -50,9 +51,15 @@ def rehearse(
             _with(c, text, folder / f"{c.name}-run-{number:02d}.csv", limit_N), log=log, check_replay=False
         )
         if not made["success"]:
-            trouble = f"run {number}: {made['trouble'] or ', '.join(made['faults'])}; its log is {log}"
+            trouble = f"run {number}: {made['trouble'] or ', '.join(made['faults'])}; its log is {log.name}, kept with --logs"
             break
-        past = [*past[-1:], learning_run(log)]
+        try:
+            past = [*past[-1:], learning_run(log)]
+        except LogError as error:
+            if not past:
+                raise
+            trouble = f"run {number}: {error}"
+            break
         limit_N = limit_of(past[-1], known)
         outcome = learned(past, known)
         steps.append(outcome.steps[-1])

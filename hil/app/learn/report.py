@@ -35,8 +35,8 @@ def cause(floor: Floor) -> str:
     return CAUSES[name]
 
 
-def lines(outcome: Outcome, limit_N: float, out: Path | None) -> list[str]:
-    """Return what the user reads."""
+def lines(outcome: Outcome, limit_N: float, out: Path | None, *, series: bool = False) -> list[str]:
+    """Return what the user reads; series: what is written is said behind it."""
     model, floor, choice = outcome.learner, outcome.floor, outcome.learner.choice
     end_Hz = choice.Q.end_Hz
     filter_line = (
@@ -48,13 +48,11 @@ def lines(outcome: Outcome, limit_N: float, out: Path | None) -> list[str]:
     found = [*table(outcome.steps), filter_line, f"Plants     {model.belief.source}", floor_line]
     last = outcome.steps[-1]
     if outcome.state == "contradicted":
-        return found + contradicted(last)
+        return found + contradicted(last, series=series)
     if outcome.state == "floor":
+        left = f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run takes more off"
         stays = "the feed-forward that ran stays the best one, none is written"
-        found.append(
-            f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run takes more off; "
-            + (stays if last.run.number else "nothing is written")
-        )
+        found.append(left if series else f"{left}; {stays if last.run.number else 'nothing is written'}")
     else:
         found.append(f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes")
     if outcome.cut:
@@ -63,15 +61,20 @@ def lines(outcome: Outcome, limit_N: float, out: Path | None) -> list[str]:
             "does not fall there; allow more with --limit or feedforward.limit_N"
         )
     if out is not None and outcome.state == "learned":
-        found += [f"written    {out}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:g}}}"]
+        found += written(out, limit_N)
     return found
+
+
+def written(out: Path, limit_N: float, what: str = "") -> list[str]:
+    """Return that a file is written, and the section that names it."""
+    return [f"written    {out}{what}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:g}}}"]
 
 
 def _words(name: str) -> str:
     return name.removesuffix("_m").replace("_", " ")
 
 
-def contradicted(step: Step) -> list[str]:
+def contradicted(step: Step, *, series: bool) -> list[str]:
     """Return why learning has to end."""
     found = step.contradicted
     assert found is not None
@@ -79,9 +82,10 @@ def contradicted(step: Step) -> list[str]:
         f"Refused    leg {found.axis} at {found.f_Hz:.3g} Hz: the error went to {100 * found.factor:.3g} % "
         f"of what it was in the run before, allowed by the stated uncertainty: {100 * found.allowed:.3g} %"
     )
+    back = "" if series else "Nothing is written: go back to the feed-forward of the run before, "
     hint = (
-        "           The plant is beyond it, and learning on would let the error grow. Nothing is written: go "
-        "back to the feed-forward of the run before, identify the axes (hil identify), learn with --axes"
+        "           The plant is beyond it, and learning on would let the error grow. "
+        f"{back or 'To go on, '}identify the axes (hil identify), learn with --axes"
     )
     return [what, hint]
 
@@ -124,9 +128,9 @@ def series(made: Rehearsal, out: Path | None) -> list[str]:
     """Return what the user reads of a series of runs."""
     if made.outcome is None:
         return [f"Stopped    {made.trouble}"]
-    found = lines(made.outcome._replace(steps=made.steps), made.limit_N, None)
+    found = lines(made.outcome._replace(steps=made.steps), made.limit_N, None, series=True)
     first, last = made.steps[0], made.steps[-1]
-    if last.rms_mm > 0.0 and last.peak_mm > 0.0:
+    if last is not first and last.rms_mm > 0.0 and last.peak_mm > 0.0:
         found.append(
             f"From run {first.run.number} to run {last.run.number}: "
             f"rms {first.rms_mm / last.rms_mm:.3g}-fold, "
@@ -135,7 +139,10 @@ def series(made: Rehearsal, out: Path | None) -> list[str]:
     if made.trouble:
         found.append(f"Stopped    {made.trouble}")
     if made.best and out is not None:
-        found.append(f"written    {out}, of the run with the smallest error")
+        found += written(out, made.limit_N, ", of the run with the smallest error")
+    elif out is not None:
+        none = "the only run" if last is first else "the run with the smallest error"
+        found.append(f"{out} is not written: {none} was the one without a feed-forward")
     return found
 
 

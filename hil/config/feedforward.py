@@ -49,3 +49,5 @@ class FeedforwardHead(Section):
     """In the run that it was learned from."""
     peak_N: NonNegative
     """Largest force in the file."""
+    rows: Annotated[int, Field(ge=2)]
+    """Of the file: one that has been cut would keep its last force."""

@@ -101,8 +101,8 @@ def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: floa
 def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float, float]:
     """Return head, forces (n, 6) N, their first time and step in s; name stands for the file in messages.
 
-    Raises ConfigurationError: another kind of file, a head with problems, a value that is no finite number,
-    or times without one step.
+    Raises ConfigurationError: another kind of file, a head with problems, another number of rows than it
+    says, a value that is no finite number, or times without one step.
     """
     try:
         text = raw.decode("utf-8-sig")
@@ -114,21 +114,7 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
         raise ConfigurationError(
             f"{name}:{line}: the header must be {','.join(COLUMNS)}; given: {header[:200] or 'nothing'}"
         )
-    if not body.strip():
-        raise ConfigurationError(f"{name}:{line + 1}: no row follows the header, allowed: at least 2")
-    try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments=None)
-    except ValueError as error:
-        raise ConfigurationError(f"{name}: rows are counted from line {line + 1}: {error}") from None
-    if table.shape[1] != len(COLUMNS) or len(table) < 2:
-        raise ConfigurationError(
-            f"{name}: {len(table)} rows of {table.shape[1]} values, allowed: at least 2 of {len(COLUMNS)}"
-        )
-    if not np.isfinite(table).all():
-        row, column = (int(k) for k in np.argwhere(~np.isfinite(table))[0])
-        raise ConfigurationError(
-            f"{name}:{line + 1 + row}: {COLUMNS[column]} must be a finite number; given: {table[row, column]}"
-        )
+    table = _table(body, head.rows, line, name)
     start_s, end_s = float(table[0, 0]), float(table[-1, 0])
     step_s = (end_s - start_s) / (len(table) - 1)
     off = np.abs(table[:, 0] - start_s - step_s * np.arange(len(table)))
@@ -141,6 +127,32 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
     tau = np.ascontiguousarray(table[:, 1:])
     tau.flags.writeable = False
     return head, tau, start_s, step_s
+
+
+def _table(body: str, rows: int, line: int, name: str) -> Array:
+    """Return so many rows of the body, behind the header in this line, all of them finite."""
+    if not body.strip():
+        raise ConfigurationError(f"{name}:{line + 1}: no row follows the header, allowed: at least 2")
+    try:
+        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise ConfigurationError(f"{name}: rows are counted from line {line + 1}: {error}") from None
+    if table.shape[1] != len(COLUMNS) or len(table) < 2:
+        raise ConfigurationError(
+            f"{name}: {len(table)} rows of {table.shape[1]} values, allowed: at least 2 of {len(COLUMNS)}"
+        )
+    if len(table) != rows or not body.endswith("\n"):
+        last = "whole" if body.endswith("\n") else "cut"
+        raise ConfigurationError(
+            f"{name}: {len(table)} rows, the last one {last}, allowed: {rows} whole ones, as its head says: "
+            "a part of the file is missing, copy it again or learn anew"
+        )
+    if not np.isfinite(table).all():
+        row, column = (int(k) for k in np.argwhere(~np.isfinite(table))[0])
+        raise ConfigurationError(
+            f"{name}:{line + 1 + row}: {COLUMNS[column]} must be a finite number; given: {table[row, column]}"
+        )
+    return np.asarray(table, np.float64)
 
 
 def _head(text: str, name: str) -> tuple[FeedforwardHead, int, str]:

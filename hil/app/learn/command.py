@@ -177,6 +177,7 @@ def _head(last: LearningRun, model: Learner, first_rms_m: float, tau: Array) -> 
         first_rms_error_mm=_rounded(1e3 * first_rms_m),
         rms_error_mm=_rounded(1e3 * last.trial.rms_m),
         peak_N=_rounded(float(np.abs(tau).max())),
+        rows=len(tau),
     )
 
 

@@ -51,7 +51,8 @@ def rehearse(
             _with(c, text, folder / f"{c.name}-run-{number:02d}.csv", limit_N), log=log, check_replay=False
         )
         if not made["success"]:
-            trouble = f"run {number}: {made['trouble'] or ', '.join(made['faults'])}; its log is {log.name}, kept with --logs"
+            why = made["trouble"] or ", ".join(made["faults"])
+            trouble = f"run {number}: {why}; its log is {log.name}, kept with --logs"
             break
         try:
             past = [*past[-1:], learning_run(log)]

@@ -41,6 +41,7 @@ def head_of(c: Configuration) -> FeedforwardHead:
         first_rms_error_mm=1.6,
         rms_error_mm=1.6,
         peak_N=100.0,
+        rows=10,
     )
 
 
@@ -116,6 +117,8 @@ def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: st
         b"# a\n" * 5000,
         TEXT[: TEXT.index("-0.003")].encode(),
         TEXT[: TEXT.index("-0.004")].encode(),
+        TEXT[: TEXT.index("0.005,")].encode(),
+        TEXT[:-3].encode(),
     ],
 )
 def test_what_is_no_such_file_is_refused(raw: bytes) -> None:

@@ -262,6 +262,19 @@ def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(
         learning_run(path)
 
 
+def test_a_limit_on_the_last_of_the_approach_teaches_nothing_either(
+    made: tuple[Path, Rehearsal], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = log(made[0], 0)
+    recorded = recorded_run(path)
+    rows = recorded.rows.copy()
+    begins = np.flatnonzero(rows["mode"] == Mode.TRACKING)[0]
+    rows["warnings"][begins - 100 : begins - 90] |= int(Warn.FORCE_STEP)
+    monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=rows))
+    with pytest.raises(LogError, match=r"at 10 ticks, the first one 0\.100 s before the reference's start"):
+        learning_run(path)
+
+
 @pytest.mark.parametrize(
     ("controller", "said"),
     [

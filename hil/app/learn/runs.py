@@ -113,15 +113,19 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
             f"{path}: from {first * period_s:.3f} s after its start the reference's time is not the clock's: "
             "a hold, a stop or another speed. Learn from a run at full speed without them"
         )
-    cut = (along["warnings"] & int(LIMITED)) != 0
-    if cut.any():
-        raise LogError(
-            f"{path}: limits cut the forces at {int(cut.sum())} ticks, the first one "
-            f"{int(cut.argmax()) * period_s:.3f} s after the reference's start: what a limit takes cannot be "
-            "learned. Raise limits.force_N, force_step_N or force_window_N, or slow the reference down"
-        )
     most = round(LEAD_S / period_s)
     approach = rows[(rows["mode"] == Mode.APPROACH) & (ticks[0] - rows["tick"] <= most)]
     if len(approach) and ticks[0] - approach["tick"][0] != len(approach):
         approach = approach[:0]
-    return len(approach), np.concatenate([approach, along])
+    teaching = np.concatenate([approach, along])
+    cut = (teaching["warnings"] & int(LIMITED)) != 0
+    if cut.any():
+        since_s = (int(cut.argmax()) - len(approach)) * period_s
+        side = "before" if since_s < 0.0 else "after"
+        raise LogError(
+            f"{path}: limits cut the forces at {int(cut.sum())} ticks, the first one "
+            f"{abs(since_s):.3f} s {side} the reference's start: what a limit "
+            "takes cannot be learned. Raise limits.force_N, force_step_N or force_window_N, or slow the "
+            "reference down"
+        )
+    return len(approach), teaching

@@ -31,7 +31,7 @@ from tests.replay.moving import moved
 LIMIT_N = 5000.0
 """Below the largest forces of the run, and above those at rest."""
 VIRTUAL = load("virtual")
-LEARNED = feedforward_text(head_of(VIRTUAL), np.full((50, 6), 10.0), -4, 1e-3)
+LEARNED = feedforward_text(head_of(VIRTUAL, rows=50), np.full((50, 6), 10.0), -4, 1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from math import ceil, floor, log10, pi
+from math import ceil, degrees, floor, log10, pi
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from hil.app.new.drives import counts_itself, drives_section
 from hil.app.new.robot import AtHome, platform_section, robot_at_home
 from hil.app.reachability import Walk, span_s, walk, window_swing
 from hil.config.monitor import MonitorSettings
+from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reference import SinusoidReference
 from hil.safety.guard import WINDOW_S
@@ -191,6 +192,15 @@ def limits_section(
         "following_error_m": following_error_m(a),
         "following_error_s": 0.02,
         "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a, rate_Hz)[0])),
+    }
+
+
+def operator_section(a: dict[str, Any], speed_m_s: float) -> dict[str, Any]:
+    """Return the speeds of set-up: the usual ones, or less, so that a leg keeps to 0.8 of its speed limit."""
+    usual, room = OperatorSettings(), 0.8 * speed_m_s
+    return {
+        "setup_speed_m_s": min(usual.setup_speed_m_s, lowered(room)),
+        "setup_speed_deg_s": min(usual.setup_speed_deg_s, lowered(degrees(room / a["platform_radius_m"]))),
     }
 
 

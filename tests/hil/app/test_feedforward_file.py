@@ -29,7 +29,7 @@ VIRTUAL = load("virtual")
 ROWS = np.round(100.0 * np.sin(np.arange(60.0)).reshape(10, 6), 4)
 
 
-def head_of(c: Configuration) -> FeedforwardHead:
+def head_of(c: Configuration, rows: int = 10) -> FeedforwardHead:
     return FeedforwardHead(
         kind="feedforward",
         source="first.mcap",
@@ -41,7 +41,7 @@ def head_of(c: Configuration) -> FeedforwardHead:
         first_rms_error_mm=1.6,
         rms_error_mm=1.6,
         peak_N=100.0,
-        rows=10,
+        rows=rows,
     )
 
 

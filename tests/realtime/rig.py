@@ -164,8 +164,9 @@ class Process:
 def _child(parent: int, words: str) -> int:
     """Return the child of `parent` whose command line has `words`."""
     for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
-        if words in Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode():
-            return int(pid)
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
+            if words in Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode():
+                return int(pid)
     raise AssertionError(f"process {parent} has no child {words}")
 
 

@@ -332,8 +332,8 @@ class Cycle:
         blind = self.mode is Mode.HELD and bool(self.faults & modes.NOT_MEASURED)
         yields = self.mode is Mode.PARKING and self._yields
         effort, watch = self.effort, self.obedience
-        now = {"free": all_free(tick), "fixed": blind or yields, "faulty": bool(self.faults)}
-        effort.fill(tick, self.mode, self.mode_tick, self.motion, **now)
+        mode, free, faulty = self.mode, all_free(tick), bool(self.faults)
+        effort.fill(tick, mode, self.mode_tick, self.motion, free=free, fixed=blind or yields, faulty=faulty)
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
         if (yields or shuts) and watch.watch(tick, effort.last_tau):
             self.faults |= Fault.DRIVE

@@ -15,11 +15,11 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits
 from hil.app.force_steps import stepped_error_m
 from hil.app.loop_delay import loop_delay
-from hil.app.new.derive import lowered, raised
 from hil.app.reachability import Walk
 from hil.app.unknown_payload import unknown_payload
 from hil.config.reference import LiveReference
 from hil.control.law import ErrorDynamics
+from hil.mathematics.rounding import lowered, raised
 from plant_fmu.config import BenchPlant
 
 FACTOR = 4.0

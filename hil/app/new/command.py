@@ -15,6 +15,7 @@ from hil.app.new.drives import drives_section, family
 from hil.app.new.robot import LOWER_SHARE, platform_section, robot_at_home
 from hil.app.new.text import yaml_text
 from hil.config.reactions import ReactionSettings
+from hil.mathematics.rounding import lowered, raised
 from plant_fmu.fmu.propose import Proposal, propose
 
 FMU_PARAMETERS: dict[str, Callable[[dict[str, Any], dict[str, Any]], float]] = {
@@ -70,7 +71,7 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
     rate = a["rate_Hz"]
     reference = derive.reference_section(a, home)
     w = derive.walked(a, reference, rate)
-    approach = derive.lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
+    approach = lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
     limits = derive.limits_section(a, home, w, approach, rate)
     silence = family(a).silence
     reactions = {} if silence == ReactionSettings().silence else {"reactions": {"silence": silence}}
@@ -85,7 +86,7 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
         "monitor": derive.monitor_section(a, rate),
         "engage": {
             "force_ramp_s": 0.5,
-            "brake_release_s": derive.raised(2e-3 * a["brake_ms"]),
+            "brake_release_s": raised(2e-3 * a["brake_ms"]),
             "brake_close_s": derive.closing_s(a, home, limits["speed_m_s"]),
             "approach_speed_m_s": approach,
         },

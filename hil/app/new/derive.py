@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from math import ceil, degrees, floor, log10, pi
+from math import ceil, degrees, pi
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from hil.config.monitor import MonitorSettings
 from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reference import SinusoidReference
+from hil.mathematics.rounding import lowered, raised, rounded
 from hil.safety.guard import WINDOW_S
 from hil.trajectory.build import build_trajectory
 
@@ -41,23 +42,6 @@ EXCURSION = 0.2
 """Of the stroke, what the path moves a leg from the middle."""
 HOLD_Hz = 5.0
 """Bandwidth of what an emulated drive does by itself."""
-
-
-def rounded(x: float, digits: int = 3) -> float:
-    """Return x to so many significant digits."""
-    return 0.0 if x == 0.0 else float(f"{x:.{digits}g}")
-
-
-def lowered(x: float, digits: int = 2) -> float:
-    """Return the next number below x of so many significant digits."""
-    step = 10.0 ** (floor(log10(x)) - digits + 1)
-    return rounded(floor(x / step + 1e-9) * step, digits)
-
-
-def raised(x: float, digits: int = 2) -> float:
-    """Return the next number above x of so many significant digits."""
-    step = 10.0 ** (floor(log10(x)) - digits + 1)
-    return rounded(ceil(x / step - 1e-9) * step, digits)
 
 
 def bus_section(a: dict[str, Any]) -> dict[str, Any]:

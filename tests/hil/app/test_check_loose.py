@@ -17,19 +17,9 @@ from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.build import build_trajectory
 from tests.broad import broad
+from tests.hil.app.test_configs import NAMES
 
-SHIPPED = [
-    "virtual",
-    "bench",
-    "vcan50",
-    "desktop",
-    "ideal",
-    "lab",
-    "lab-cia402",
-    "socketcan",
-    "two_buses",
-    "virtual-cia402",
-]
+OFTEN = ["virtual", "bench", "vcan50"]
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +151,7 @@ def test_a_live_reference_needs_what_its_setpoints_may_ask_for(virtual):
         assert any("limits.speed_m_s" in each for each in found) == loose, found
 
 
-@pytest.mark.parametrize("name", broad(SHIPPED, quick=3))
+@pytest.mark.parametrize("name", broad([*OFTEN, *(name for name in NAMES if name not in OFTEN)], quick=3))
 def test_no_shipped_configuration_has_a_limit_that_would_show_a_failure_late(name):
     late = [each for each in inspect(load(name)).warnings if "would show a failure late" in each]
     assert late == []

@@ -144,14 +144,15 @@ def folder_of(source: Path) -> Path:
 
 def _began_ns() -> int:
     """Return when this process began, ns since the epoch; where the system does not tell: now."""
-    now_ns = time.time_ns()
     try:
         began = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+        # This clock first: what passes until the next is read makes the process seem older, which is safe.
+        now_ns = time.time_ns()
         since_boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         # In whole ticks of the clock, rounded down; no interpreter reads a source within its first one.
         return now_ns - since_boot_ns + (began + 1) * 10**9 // os.sysconf("SC_CLK_TCK")
     except (OSError, AttributeError, ValueError, IndexError):
-        return now_ns
+        return time.time_ns()
 
 
 _BEGAN_NS = _began_ns()

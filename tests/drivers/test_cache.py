@@ -176,10 +176,16 @@ def test_a_process_began_before_its_first_statement_and_after_it_was_asked_for()
         "import time; first = time.time_ns(); time.sleep(0.1); "
         "from drivers.compiled.cache import _BEGAN_NS; print(_BEGAN_NS, first)"
     )
-    asked = time.time_ns()
-    said = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, check=True).stdout
-    began, first = map(int, said.split())
-    assert asked - 1_000_000 <= began <= first
+    best_ns = -(10**18)
+    for _ in range(3):  # a break between two readings of clocks lets the process seem older
+        asked = time.time_ns()
+        said = subprocess.run(
+            [sys.executable, "-c", program], cwd=ROOT, capture_output=True, check=True
+        ).stdout
+        began, first = map(int, said.split())
+        assert began <= first
+        best_ns = max(best_ns, began - asked)
+    assert best_ns >= 0
 
 
 def imports_of(source):

@@ -92,6 +92,7 @@ def test_compensation_leaves_a_third_of_the_error_of_the_bus(runs, capsys):
     assert compensated <= without / 3
 
 
+@pytest.mark.long
 def test_what_is_left_comes_from_the_jump_of_the_acceleration(runs):
     """It falls between two ticks. Where the path is smooth, from 0.6 s to 1.1 s, an eighth is left."""
 

@@ -96,6 +96,7 @@ def test_a_jog_stops_before_the_soft_end_of_the_stroke(tmp_path):
     assert not rows["twist_d"][9400].any()
 
 
+@pytest.mark.long
 def test_a_stop_in_a_jog_ends_the_run_there_and_armed_again_it_jogs_again(tmp_path):
     commands = [
         *[(0.5, "arm"), (1.8, "hold"), (2.6, "jog y 1 for 1"), (3.0, "stop"), (5.0, "reset"), (5.4, "arm")],

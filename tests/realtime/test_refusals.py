@@ -35,6 +35,7 @@ def test_a_run_without_drives_says_so_within_2_s_and_how_to_start_them(tmp_path:
     assert [event.level for event in log.events()] == ["error"]
 
 
+@pytest.mark.long
 def test_a_second_end_on_the_bus_is_refused_and_does_not_disturb_the_first(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

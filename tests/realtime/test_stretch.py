@@ -48,6 +48,7 @@ def whole(run: Process) -> dict[str, Any]:
     return summary
 
 
+@pytest.mark.long
 def test_either_side_that_is_stopped_for_a_while_is_waited_for(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

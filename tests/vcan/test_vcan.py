@@ -47,6 +47,7 @@ def _at_the_root(monkeypatch):
     monkeypatch.chdir(ROOT)
 
 
+@pytest.mark.long
 def test_python_can_and_candump_see_the_same_frames_on_vcan0(tmp_path):
     log = tmp_path / "candump.log"
     done = beside_vcan("roundtrip", log, limit_s=30.0)

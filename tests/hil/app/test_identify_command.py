@@ -98,6 +98,7 @@ def test_what_cannot_be_measured_is_refused_with_the_way_out(arguments, said):
     assert said in result.stderr
 
 
+@pytest.mark.long
 def test_friction_and_masses_that_the_model_does_not_know_do_not_move_it(tmp_path):
     """The lab bench: 60 N and 200 N s/m of friction, 9.9 kg of motor inertia in each leg, same bus and lag."""
     log, summary = tmp_path / "a.mcap", tmp_path / "a.json"

@@ -217,6 +217,7 @@ def test_safety_allows_for_what_the_payload_does_to_the_legs():
     assert (limits.mobility >= lightest.mobility * (1 - 1e-12)).all()
 
 
+@pytest.mark.long
 def test_the_bound_holds_for_every_corner_and_is_met_by_the_real_loop():
     c = robot(BOX, changes=[("periods: 10", "periods: 1")])
     verdict = judge(c)

@@ -123,9 +123,10 @@ def _other_version(log: Log, difference: str, what: str) -> LogError:
         f"{e.get('version', 'unknown')}" + (f" (git {e['git']})" if "git" in e else "")
         for e in (log.metadata.get(ENVIRONMENT, {}), environment())
     )
-    return LogError(
-        f"{log.path}: {difference}: {what} it with version {there}, which made it; this is {here}"
-    )
+    other = f"version {there}, which made it; this is {here}"
+    if there == here:
+        other = f"the build of version {there} that made it; this is another one of that number"
+    return LogError(f"{log.path}: {difference}: {what} it with {other}")
 
 
 def summary(comparison: Comparison, wall_s: float, logged_s: float) -> dict[str, Any]:

@@ -109,13 +109,15 @@ def test_a_log_whose_columns_differ_is_refused_with_the_difference_and_its_rows_
     assert result.exit_code == 2
     assert isinstance(result.exception, SystemExit)
     sentence = " ".join(result.stderr.split())
-    assert f"its columns differ ({difference}): replay it with version 0.2.0" in sentence
+    assert f"its columns differ ({difference}): replay it with the build of version 0.2.0" in sentence
     assert_same(Log.open(tmp_path / "a.mcap").ticks(), ticks)
 
 
 def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_path):
     recorded(tmp_path / "a.mcap", legs_dbc=b'VERSION "other"')
-    with pytest.raises(LogError, match=r"made with another legs\.dbc: replay it with version 0\.2\.0"):
+    with pytest.raises(
+        LogError, match=r"made with another legs\.dbc: replay it with the build of version 0\.2\.0"
+    ):
         replay_log(tmp_path / "a.mcap")
     with pytest.raises(LogError, match=r"its protocol has version other, this one 2\.0; it was made with"):
         replay_log(tmp_path / "a.mcap")
@@ -143,7 +145,9 @@ def test_identify_refuses_columns_that_it_cannot_read(tmp_path, options):
     result = CliRunner().invoke(main, ["identify", str(tmp_path / "a.mcap"), *options])
     assert isinstance(result.exception, SystemExit)
     assert result.exit_code == 2
-    assert "its columns differ (tau): read it with version 0.2.0" in " ".join(result.stderr.split())
+    assert "its columns differ (tau): read it with the build of version 0.2.0" in " ".join(
+        result.stderr.split()
+    )
 
 
 @pytest.mark.parametrize(

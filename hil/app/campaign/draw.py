@@ -10,6 +10,8 @@ from hil.app.campaign.settings import Limit
 from hil.app.report.html import Html, tag
 
 _WIDTH, _LEFT, _RIGHT = 640, 200, 20
+_LEAST = 560
+"""A drawing on a narrower screen scrolls, so that its letters stay legible."""
 _GOOD, _BAD, _LINE, _INK = "#2e7d32", "#b3261e", "#d7dce2", "#1c2733"
 _BINS = 30
 
@@ -74,12 +76,12 @@ def _figure(caption: str, height: float, parts: Sequence[Html]) -> Html:
         *parts,
         viewBox=f"0 0 {_WIDTH} {height}",
         width="100%",
-        style=f"max-width:{_WIDTH}px",
+        style=f"max-width:{_WIDTH}px;min-width:{_LEAST}px",
         role="img",
         aria_label=caption,
         font_size=11,
     )
-    return tag("figure", tag("figcaption", caption), drawing)
+    return tag("figure", tag("figcaption", caption), tag("div", drawing, class_="scroll", tabindex=0))
 
 
 def _rect(x: float, y: float, width: float, height: float, colour: str) -> Html:

@@ -44,7 +44,7 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
     ]
     failed = worst(rows, limits, WORST)
     if failed:
-        counts = table(("cause", "rows"), causes(rows), "failed rows")
+        counts = table(("cause", "rows"), causes(rows))
         body += [tag("h2", "Worst rows"), counts, _worst(plan, failed, folder)]
     body.append(tag("p", "Wilson's interval takes rows as independent draws.", class_="note"))
     text = document(f"Campaign {plan.name}", [tag("main", *body)], ("report.css",))

@@ -25,6 +25,14 @@ def joined(content: Iterable[object]) -> Html:
     return Html("".join(x if isinstance(x, Html) else escape(str(x), quote=True) for x in content))
 
 
+def prose(text: str) -> Html:
+    """Return a text; what stands between two backticks is code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return joined([text])
+    return joined(tag("code", part) if k % 2 else part for k, part in enumerate(parts))
+
+
 def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str = "") -> Html:
     """Return a table in a box that scrolls; the first cell of each row is its heading."""
     lines = [

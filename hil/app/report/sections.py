@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from drivers.arrays import Array, Rows
 from drivers.signals import Mode
-from hil.app.report.html import Html, joined, table, tag
+from hil.app.report.html import Html, joined, prose, table, tag
 from hil.app.report.margins import Margin
 from hil.app.report.story import Told, mode_name, quantity
 from hil.app.report.timeline import lanes, spells
@@ -38,15 +38,25 @@ def what_went_wrong(told: Told) -> Html:
     """Return the story of the faults: leg, value, limit, since when, drives, what was done, what to do."""
     head = ("fault", "since, s", "in mode", "leg", "value", "limit", "what happened")
     rows = [
-        (f.fault, "" if f.time_s is None else f"{f.time_s:.3f}", f.mode, f.leg, f.value, f.limit, f.text)
+        (
+            f.fault,
+            "" if f.time_s is None else f"{f.time_s:.3f}",
+            f.mode,
+            f.leg,
+            f.value,
+            f.limit,
+            prose(f.text),
+        )
         for f in told.findings
     ]
     parts = [tag("h2", "What went wrong"), table(head, rows)] if rows else [tag("h2", "What went wrong")]
     if told.next:
-        items = [tag("li", text, " ", tag("small", "(", tag("code", page), ")")) for text, page in told.next]
+        items = [
+            tag("li", prose(text), " ", tag("small", "(", tag("code", page), ")")) for text, page in told.next
+        ]
         parts += [tag("h3", "What to do next"), tag("ul", *items)]
     if told.done:
-        items = [tag("li", text, "" if t is None else f" ({t:.3f} s)") for t, text in told.done]
+        items = [tag("li", prose(text), "" if t is None else f" ({t:.3f} s)") for t, text in told.done]
         parts += [tag("h3", "What was done"), tag("ol", *items)]
     if told.drives:
         said = [(f"drive {leg}", text) for leg, text in enumerate(told.drives)]
@@ -54,7 +64,7 @@ def what_went_wrong(told: Told) -> Html:
             said = [("all", told.drives[0])]
         parts += [tag("h3", "What the drives said then"), table(("drive", "said"), said)]
     if told.at_end:
-        parts += [tag("h3", "In the end"), tag("p", told.at_end)]
+        parts += [tag("h3", "In the end"), tag("p", prose(told.at_end))]
     return tag("section", *parts, id="story")
 
 
@@ -108,7 +118,9 @@ def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
         if bits:
             parts.append(table(("set", "first at, s", "ticks"), bits, "Faults, warnings and other bits"))
     start = int(rows["t_ns"][0]) if len(rows) else 0
-    told = [(f"{1e-9 * (e.t_ns - start):.3f}", e.level, e.text.partition("\n")[0]) for e in events[:EVENTS]]
+    told = [
+        (f"{1e-9 * (e.t_ns - start):.3f}", e.level, prose(e.text.partition("\n")[0])) for e in events[:EVENTS]
+    ]
     if told:
         more = f", the first {EVENTS} of {len(events)}" if len(events) > EVENTS else ""
         parts.append(table(("at, s", "level", "event"), told, f"Events{more}"))

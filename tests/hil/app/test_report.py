@@ -16,7 +16,7 @@ from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import with_faults
 from hil.app.report import sections
 from hil.app.report.command import report
-from hil.app.report.html import tag
+from hil.app.report.html import prose, tag
 from hil.app.report.margins import margins
 from hil.app.report.page import as_script
 from hil.app.report.story import told
@@ -565,3 +565,8 @@ def test_without_its_configuration_a_log_still_tells_what_went_wrong(logs, tmp_p
     assert "its encoder jumped" in text
     assert "without the configuration there are no limits" in text
     assert 'id="scene"' not in text
+
+
+def test_commands_of_an_advice_are_set_as_code_and_a_lone_backtick_stays():
+    assert prose("say `hil check`, then `<b>`") == "say <code>hil check</code>, then <code>&lt;b&gt;</code>"
+    assert prose("a ` b") == "a ` b"

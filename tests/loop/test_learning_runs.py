@@ -143,20 +143,28 @@ def test_a_series_that_writes_nothing_says_so(made: tuple[Path, Rehearsal]) -> N
     assert not any("fold" in line for line in said), "one run is compared with nothing"
 
 
+@pytest.mark.parametrize(
+    ("end", "trouble"),
+    [(LogError("limits cut the forces"), "limits cut the forces"), (KeyboardInterrupt(), "interrupted")],
+)
 def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
-    made: tuple[Path, Rehearsal], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made: tuple[Path, Rehearsal],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    end: BaseException,
+    trouble: str,
 ) -> None:
     folder, before = made
 
     def read(path: Path) -> Any:
         if path.stem.endswith("02"):
-            raise LogError("limits cut the forces")
+            raise end
         return learning_run(folder / path.name)
 
     monkeypatch.setattr(rehearsal, "simulate", lambda *_, **__: {"success": True})
     monkeypatch.setattr(rehearsal, "learning_run", read)
     found = rehearse(short(), 4, Knowledge(), tmp_path, lambda _: None)
-    assert found.trouble == "run 2: limits cut the forces"
+    assert found.trouble == f"run 2: {trouble}"
     assert [step.rms_mm for step in found.steps] == [step.rms_mm for step in before.steps[:2]]
     assert found.best == (folder / "short-run-01.csv").read_text()
     assert report.series_summary(found, Path("a.csv"))["state"] == "failed"

@@ -31,7 +31,8 @@ def rehearse(
 ) -> Rehearsal:
     """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
 
-    It ends early at the floor, where a run contradicts the condition, and where one fails or cannot teach.
+    It ends early at the floor, where a run contradicts the condition, where one fails or cannot teach, and by
+    an interrupt behind the first run.
 
     Raises ConfigurationError for what cannot run or learn, LogError where the first run cannot teach,
     ModelError.
@@ -45,30 +46,34 @@ def rehearse(
     steps: list[Step] = []
     texts: list[str] = []
     outcome: Outcome | None = None
-    for number in range(runs):
-        log = folder / f"{c.name}-run-{number:02d}.mcap"
-        made = simulate(
-            _with(c, text, folder / f"{c.name}-run-{number:02d}.csv", limit_N), log=log, check_replay=False
-        )
-        if not made["success"]:
-            why = made["trouble"] or ", ".join(made["faults"])
-            trouble = f"run {number}: {why}; its log is {log.name}, kept with --logs"
-            break
-        try:
-            past = [*past[-1:], learning_run(log)]
-        except LogError as error:
-            if not past:
-                raise
-            trouble = f"run {number}: {error}"
-            break
-        limit_N = limit_of(past[-1], known)
-        outcome = learned(past, known)
-        steps.append(outcome.steps[-1])
-        texts.append(text)
-        tell(steps[-1])
-        if outcome.state != "learned":
-            break
-        text = outcome.text
+    try:
+        for number in range(runs):
+            log = folder / f"{c.name}-run-{number:02d}.mcap"
+            file = folder / f"{c.name}-run-{number:02d}.csv"
+            made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
+            if not made["success"]:
+                why = made["trouble"] or ", ".join(made["faults"])
+                trouble = f"run {number}: {why}; its log is {log.name}, kept with --logs"
+                break
+            try:
+                past = [*past[-1:], learning_run(log)]
+            except LogError as error:
+                if not past:
+                    raise
+                trouble = f"run {number}: {error}"
+                break
+            limit_N = limit_of(past[-1], known)
+            outcome = learned(past, known)
+            texts.append(text)
+            steps.append(outcome.steps[-1])
+            tell(steps[-1])
+            if outcome.state != "learned":
+                break
+            text = outcome.text
+    except KeyboardInterrupt:
+        if not steps:
+            raise
+        trouble = f"run {number}: interrupted"
     best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
     return Rehearsal(steps, outcome, limit_N, texts[best] if texts else "", trouble)
 

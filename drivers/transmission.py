@@ -8,7 +8,10 @@ screw (of a pulley: 2 pi r), the gear N in turns of the motor a turn of the scre
 
 A loss takes its share from whoever drives: F = eta_d F0 while the motor drives the leg (F dq > 0), and
 F = F0 / eta_b while the leg drives the motor (F dq < 0). At rest friction can act either way, and F0 lies in
-between; up to `full_loss_m_s` the loss grows with the rate, so that no force jumps when a leg turns round.
+between; up to `full_loss_m_s` the loss grows with the rate, so that no force jumps when a leg turns round:
+
+    w = sign(F0) min(max(dq / full_loss_m_s, -1), 1)
+    F0 / F = 1 + w (1 / eta_d - 1) where w > 0, else 1 + w (1 - eta_b)
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import OUT_VECTOR, REAL, VECTOR, direct
 from drivers.signals import LEGS
 
 if TYPE_CHECKING:
@@ -35,6 +39,18 @@ def _row(values: float | list[float]) -> Array:
 def forgotten_length(settings: TransmissionSettings, turns: float | list[float]) -> Array:
     """Return the leg lengths (6,) m, > 0, that so many turns of the motors are."""
     return np.abs(Transmission.of(settings).m_per_turn) * _row(turns)
+
+
+@direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)
+def _fill_loss(
+    force: Array, rate: Array, driving: Array, back_driving: Array, full_loss_m_s: float, loss: Array
+) -> None:
+    """Fill in F0 / F of six legs; NaN of a force or a rate that is NaN."""
+    for leg in range(LEGS):
+        f, share = force[leg], min(max(rate[leg] / full_loss_m_s, -1.0), 1.0)
+        # 0 - share, not -share: a NaN keeps its sign, and recorded logs their bits
+        w = share if f > 0.0 else 0.0 - share if f < 0.0 else share * f
+        loss[leg] = 1.0 + (w * (1.0 / driving[leg] - 1.0) if w > 0.0 else w * (1.0 - back_driving[leg]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,5 +154,6 @@ class Transmission:
 
     def _loss(self, force: Array, rate: Array) -> Array:
         """Return F0 / F: 1 / eta_d to eta_b, 1 at rest; of `force` only the sign counts."""
-        w = np.sign(force) * np.minimum(np.maximum(rate / self.full_loss_m_s, -1.0), 1.0)
-        return 1.0 + np.where(w > 0.0, w * (1.0 / self.driving - 1.0), w * (1.0 - self.back_driving))
+        loss = np.empty(LEGS)
+        _fill_loss(force, rate, self.driving, self.back_driving, self.full_loss_m_s, loss)
+        return loss

@@ -21,32 +21,48 @@ def _acceleration(x: float, v: float, f: float, m: float, b: float, k0: float, k
     return (f - b * v * abs(v) - k0 * x - k1 * x * x * x) / m
 
 
-@kernel(OUT_VECTOR, OUT_VECTOR, VECTOR, VECTOR, REAL, INTEGER, REAL, REAL, REAL, REAL)
-def advance(
-    x: Any, v: Any, force: Any, friction: Any, h: float, n: int, m: float, b: float, k0: float, k1: float
-) -> None:
-    """Take n Runge-Kutta 4 steps of h seconds on all legs; x and v are changed in place.
+@helper
+def advance_leg(
+    x: float,
+    v: float,
+    force: float,
+    friction: float,
+    h: float,
+    n: int,
+    m: float,
+    b: float,
+    k0: float,
+    k1: float,
+) -> tuple[float, float]:
+    """Take n Runge-Kutta 4 steps of h seconds on one leg; return its x and v.
 
-    friction: largest force of each engaged brake. Over a step it applies the force that brings the rate to
+    friction: largest force of its engaged brake. Over a step it applies the force that brings the rate to
     zero at its end, or its largest one.
     """
+    for _ in range(n):
+        f = force
+        if friction > 0.0:
+            stop = -m * (v / h + _acceleration(x, v, f, m, b, k0, k1))
+            f += min(max(stop, -friction), friction)
+        a1 = _acceleration(x, v, f, m, b, k0, k1)
+        v2 = v + 0.5 * h * a1
+        a2 = _acceleration(x + 0.5 * h * v, v2, f, m, b, k0, k1)
+        v3 = v + 0.5 * h * a2
+        a3 = _acceleration(x + 0.5 * h * v2, v3, f, m, b, k0, k1)
+        v4 = v + h * a3
+        a4 = _acceleration(x + h * v3, v4, f, m, b, k0, k1)
+        x += h / 6.0 * (v + 2.0 * (v2 + v3) + v4)
+        v += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+    return x, v
+
+
+@kernel(OUT_VECTOR, OUT_VECTOR, VECTOR, VECTOR, REAL, INTEGER, REAL, REAL, REAL, REAL)
+def _advance(
+    x: Any, v: Any, force: Any, friction: Any, h: float, n: int, m: float, b: float, k0: float, k1: float
+) -> None:
+    """Let all legs take n steps, see `advance_leg`; x and v are changed in place."""
     for i in range(x.size):
-        xi, vi = x[i], v[i]
-        for _ in range(n):
-            f = force[i]
-            if friction[i] > 0.0:
-                stop = -m * (vi / h + _acceleration(xi, vi, f, m, b, k0, k1))
-                f += min(max(stop, -friction[i]), friction[i])
-            a1 = _acceleration(xi, vi, f, m, b, k0, k1)
-            v2 = vi + 0.5 * h * a1
-            a2 = _acceleration(xi + 0.5 * h * vi, v2, f, m, b, k0, k1)
-            v3 = vi + 0.5 * h * a2
-            a3 = _acceleration(xi + 0.5 * h * v2, v3, f, m, b, k0, k1)
-            v4 = vi + h * a3
-            a4 = _acceleration(xi + h * v3, v4, f, m, b, k0, k1)
-            xi += h / 6.0 * (vi + 2.0 * (v2 + v3) + v4)
-            vi += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-        x[i], v[i] = xi, vi
+        x[i], v[i] = advance_leg(x[i], v[i], force[i], friction[i], h, n, m, b, k0, k1)
 
 
 class Bench:
@@ -85,7 +101,7 @@ class Bench:
         s = self.settings
         x, v = self._x.copy(), self._v.copy()
         springs = s.stiffness_N_m, s.stiffness_N_m3
-        advance(x, v, force, brake * BRAKE_FORCE_N, h, n, s.mass_kg, s.damping_N_s2_m2, *springs)
+        _advance(x, v, force, brake * BRAKE_FORCE_N, h, n, s.mass_kg, s.damping_N_s2_m2, *springs)
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise PlantError(
                 f"the bench diverged under {force} N: stiffness or damping is too large for plant.model."

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, MATRIX, OUT_MATRIX, REAL, VECTOR, direct
 from drivers.errors import PlantError
 from drivers.signals import LEGS
-from plant_fmu.bench import advance
+from plant_fmu.bench import advance_leg
 from plant_fmu.plant import Truth, whole_steps
 
 GAUGE_YIELD_M = 5e-5
@@ -20,6 +21,11 @@ HAND_M = 3e-3
 """A hand follows a leg that gives way so far."""
 _DAMPING_N_s2_m2 = 2_000.0
 _STEP_S = 1e-4
+_NO_LEG = -1
+_MASS, _FRICTION, _BRAKE, _SHORTEST, _LONGEST = range(5)
+"""Rows of what the legs are: kg, N, N of an engaged brake, m, m."""
+_X, _V, _HAND, _HAND_FROM = range(4)
+"""Rows of their state: m, m/s, N of the hand on each, m where it was laid on."""
 
 
 class LegBench(NamedTuple):
@@ -38,6 +44,34 @@ class LegBench(NamedTuple):
     """Force at which a gauge gives way by GAUGE_YIELD_M."""
 
 
+@direct(MATRIX, OUT_MATRIX, VECTOR, VECTOR, INTEGER, REAL, REAL, INTEGER)
+def _advance(
+    legs: Array, state: Array, force: Array, brake: Array, clamped: int, spring: float, gauge_m: float, n: int
+) -> bool:
+    """Hold force (6,) N and brake (6,) for n steps; return whether forces are finite, else nothing moves.
+
+    The gauge is a spring, N/m, that holds leg `clamped` at the length gauge_m.
+    """
+    for leg in range(LEGS):
+        if not np.isfinite(force[leg]):
+            return False
+    for leg in range(LEGS):
+        k, origin = (spring, gauge_m) if leg == clamped else (0.0, 0.0)
+        hand, from_m = state[_HAND, leg], state[_HAND_FROM, leg]
+        f, friction = force[leg] + hand, legs[_FRICTION, leg] + brake[leg] * legs[_BRAKE, leg]
+        x, v = state[_X, leg] - origin, state[_V, leg]
+        x, v = advance_leg(x, v, f, friction, _STEP_S, n, legs[_MASS, leg], _DAMPING_N_s2_m2, k, 0.0)
+        x += origin
+        low, high = legs[_SHORTEST, leg], legs[_LONGEST, leg]
+        if hand < 0.0:
+            low = max(low, from_m - HAND_M)
+        if hand > 0.0:
+            high = min(high, from_m + HAND_M)
+        state[_V, leg] = 0.0 if x < low or x > high else v
+        state[_X, leg] = min(max(x, low), high)
+    return True
+
+
 class TrestleLegs:
     """Plant: six uncoupled legs at rest.
 
@@ -47,14 +81,15 @@ class TrestleLegs:
     internal_step_s = _STEP_S
 
     def __init__(self, figures: LegBench) -> None:
-        self._figures = figures
+        self._figures = f = figures
+        self._legs = np.array([f.mass_kg, f.friction_N, f.brake_N, f.shortest, f.longest])
         self.reset()
 
     def reset(self) -> tuple[Array, Array]:
         """Back to rest at the first lengths; lengths (6,) m, rates (6,) m/s."""
-        self._x = self._figures.start.copy()
-        self._v = np.zeros(LEGS)
-        self._hand, self._hand_from = np.zeros(LEGS), self._x.copy()
+        self._state = np.zeros((_HAND_FROM + 1, LEGS))
+        self._x, self._v, self._hand, self._hand_from = self._state
+        self._x[:] = self._hand_from[:] = self._figures.start
         self._gauge: tuple[int, float] | None = None
         return self._x.copy(), self._v.copy()
 
@@ -98,25 +133,12 @@ class TrestleLegs:
         Raises PlantError on a dt that is no multiple of the internal step, or a force that is not finite.
         """
         del wrench
-        n, f = whole_steps(dt_s, _STEP_S), self._figures
-        if not np.isfinite(force).all():
+        n = whole_steps(dt_s, _STEP_S)
+        clamped, gauge_m = self._gauge or (_NO_LEG, 0.0)
+        spring = self._figures.gauge_N / GAUGE_YIELD_M
+        if not _advance(self._legs, self._state, force, brake, clamped, spring, gauge_m, n):
             raise PlantError(f"force {force}: a value is not finite")
-        total, friction = force + self._hand, f.friction_N + brake * f.brake_N
-        x, v = self._x, self._v
-        for leg in range(LEGS):
-            one = slice(leg, leg + 1)
-            spring, origin = 0.0, 0.0
-            if self._gauge is not None and self._gauge[0] == leg:
-                spring, origin = f.gauge_N / GAUGE_YIELD_M, self._gauge[1]
-            at = x[one] - origin
-            m = float(f.mass_kg[leg])
-            advance(at, v[one], total[one], friction[one], _STEP_S, n, m, _DAMPING_N_s2_m2, spring, 0.0)
-            x[one] = at + origin
-        low = np.where(self._hand < 0.0, np.maximum(f.shortest, self._hand_from - HAND_M), f.shortest)
-        high = np.where(self._hand > 0.0, np.minimum(f.longest, self._hand_from + HAND_M), f.longest)
-        v[(x < low) | (x > high)] = 0.0
-        self._x = np.clip(x, low, high)
-        return self._x.copy(), v.copy()
+        return self._x.copy(), self._v.copy()
 
     def truth(self) -> Truth | None:
         """None: there is no platform."""

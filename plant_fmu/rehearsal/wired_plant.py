@@ -2,10 +2,64 @@
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import MATRIX, OUT_INTEGER_MATRIX, OUT_VECTOR, VECTOR, direct
 from drivers.signals import LEGS
 from plant_fmu.plant import Plant, Truth
 from plant_fmu.rehearsal.wiring import Wiring
+
+_MOTOR, _ENCODER, _OPENS, _DRIVEN, _STOPS, _FROZEN = range(6)
+"""Rows of a wiring's integers: leg of each drive's motor, and of its encoder; brakes that it opens (bit i:
+leg i); 1 where it takes part, where its encoder stops at mid-stroke, where that is frozen."""
+_GAIN, _SCALE, _OFFSET, _JUMP, _PLAY, _STUCK, _SHARE, _ORIGIN = range(8)
+"""Rows of its reals: of each drive N a N, m a m, m of offset, jump and play; of each leg where its brake is
+stuck, NaN for one that works, the brake's share, and the length at which a scale has no effect."""
+
+
+@direct(OUT_INTEGER_MATRIX, MATRIX, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)
+def _connect(integers: Ints, reals: Array, force: Array, brake: Array, at_leg: Array, held: Array) -> None:
+    """Fill in what forces (6,) N and brakes (6,) of the drives are at the legs."""
+    at_leg[:], held[:] = 0.0, 1.0
+    for drive in range(LEGS):
+        if integers[_DRIVEN, drive]:
+            at_leg[integers[_MOTOR, drive]] += reals[_GAIN, drive] * force[drive]
+            for leg in range(LEGS):
+                if integers[_OPENS, drive] >> leg & 1:
+                    held[leg] = min(held[leg], brake[drive])
+    for leg in range(LEGS):
+        if not np.isnan(reals[_STUCK, leg]):
+            held[leg] = reals[_STUCK, leg]
+        held[leg] *= reals[_SHARE, leg]
+
+
+@direct(OUT_INTEGER_MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR, OUT_VECTOR)
+def _read(
+    integers: Ints,
+    reals: Array,
+    length: Array,
+    rate: Array,
+    at_start: Array,
+    followed: Array,
+    reads: Array,
+    rates: Array,
+) -> None:
+    """Fill in what encoders read, m and m/s, of legs at length (6,) m and rate (6,) m/s.
+
+    at_start (6,): m, what frozen encoders read, NaN before that is known. followed (6,): m, where the
+    encoders stand that follow their legs with play; it is changed.
+    """
+    for drive in range(LEGS):
+        leg = integers[_ENCODER, drive]
+        behind = length[leg] - reals[_PLAY, drive]
+        followed[drive] = min(max(followed[drive], behind), length[leg])
+        place = followed[drive] - reals[_ORIGIN, leg]
+        if place > 0.0:
+            place = (0.0 if integers[_STOPS, drive] else place) + reals[_JUMP, drive]
+        scale = reals[_SCALE, drive]
+        reads[drive] = reals[_ORIGIN, leg] + scale * place + reals[_OFFSET, drive]
+        rates[drive] = scale * rate[leg]
+        if integers[_FROZEN, drive] and not np.isnan(at_start[drive]):
+            reads[drive], rates[drive] = at_start[drive], 0.0
 
 
 class WiredPlant:
@@ -18,10 +72,15 @@ class WiredPlant:
     def __init__(self, plant: Plant, wiring: Wiring, origin: Array) -> None:
         """Take the plant, and the lengths (6,) m of its legs at which a scale has no effect."""
         self._plant = plant
-        self._wiring = wiring
-        self._origin = origin
-        self._frozen: Array | None = None
-        self._followed = np.full(LEGS, np.inf)
+        w = wiring
+        opens = [sum(1 << leg for leg in legs) for legs in w.brake]
+        driven = [here and not other for here, other in zip(w.present, w.other_protocol, strict=True)]
+        stuck = [np.nan if at is None else at for at in w.stuck]
+        self._integers = np.array([w.motor, w.encoder, opens, driven, w.stops, w.frozen], np.int64)
+        self._reals = np.array(
+            [w.force_gain, w.scale, w.offset_m, w.jump_m, w.play_m, stuck, w.brake_share, origin]
+        )
+        self._at_start, self._followed = np.full(LEGS, np.nan), np.full(LEGS, np.inf)
         self.internal_step_s = plant.internal_step_s
 
     def exchange(self, plant: Plant) -> None:
@@ -31,39 +90,21 @@ class WiredPlant:
 
     def reset(self) -> tuple[Array, Array]:
         """Reset the plant; lengths (6,) m and rates (6,) m/s as the encoders read them."""
-        self._frozen, self._followed = None, np.full(LEGS, np.inf)
-        read = self._read(*self._plant.reset())
-        self._frozen = read[0].copy()
-        return read
+        self._at_start[:], self._followed[:] = np.nan, np.inf
+        reads, rates = self._read(*self._plant.reset())
+        self._at_start[:] = reads
+        return reads, rates
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Hold force (6,) N and brake (6,) of the drives for `dt_s`; what their encoders read at its end."""
-        w = self._wiring
-        at_leg, held = np.zeros(LEGS), np.ones(LEGS)
-        for drive in range(LEGS):
-            if w.present[drive] and not w.other_protocol[drive]:
-                at_leg[w.motor[drive]] += w.force_gain[drive] * force[drive]
-                for leg in w.brake[drive]:
-                    held[leg] = min(held[leg], brake[drive])
-        for leg, stuck in enumerate(w.stuck):
-            if stuck is not None:
-                held[leg] = stuck
-        held *= w.brake_share
+        at_leg, held = np.empty(LEGS), np.empty(LEGS)
+        _connect(self._integers, self._reals, force, brake, at_leg, held)
         return self._read(*self._plant.step(at_leg, held, wrench, dt_s))
 
     def _read(self, length: Array, rate: Array) -> tuple[Array, Array]:
-        w = self._wiring
-        legs = list(w.encoder)
-        scale = np.array(w.scale)
-        self._followed = np.clip(self._followed, length[legs] - np.array(w.play_m), length[legs])
-        place = self._followed - self._origin[legs]
-        beyond = place > 0.0
-        place = np.where(np.array(w.stops) & beyond, 0.0, place) + np.where(beyond, w.jump_m, 0.0)
-        reads = self._origin[legs] + scale * place + np.array(w.offset_m)
-        rates = scale * rate[legs]
-        if self._frozen is not None:
-            stands = np.array(w.frozen)
-            reads, rates = np.where(stands, self._frozen, reads), np.where(stands, 0.0, rates)
+        reads, rates = np.empty(LEGS), np.empty(LEGS)
+        known = self._at_start, self._followed
+        _read(self._integers, self._reals, length, rate, *known, reads, rates)
         return reads, rates
 
     def truth(self) -> Truth | None:

@@ -93,6 +93,31 @@ def test_torque_and_force_are_inverse_at_every_rate(force, rate, sign):
     np.testing.assert_allclose(t.force(t.torque(f, dl), dl), f, rtol=1e-12, atol=1e-300)
 
 
+EDGES = [0.0, -0.0, np.nan, -np.nan, np.inf, -np.inf, 1e-3, -1e-3, 5e-324, -5e-324]
+any_number = st.floats(allow_nan=False) | st.sampled_from(EDGES)
+six_numbers = st.lists(any_number, min_size=6, max_size=6)
+six_shares = st.lists(st.floats(0.01, 1.0), min_size=6, max_size=6)
+
+
+@given(
+    six_numbers, st.lists(st.floats(-3e-3, 3e-3) | any_number, min_size=6, max_size=6), six_shares, six_shares
+)
+def test_losses_are_those_of_the_formula_to_the_last_bit(force, rate, eta_d, eta_b):
+    t = six(**SCREW | {"efficiency": eta_d, "back_driving_efficiency": eta_b}, sign=[1, -1] * 3)
+    given_N, dq, driving, back = np.array(force), np.array(rate), np.array(eta_d), np.array(eta_b)
+
+    def loss(f0: np.ndarray) -> np.ndarray:
+        w: np.ndarray = np.sign(f0) * np.minimum(np.maximum(dq / 1e-3, -1.0), 1.0)
+        return 1.0 + np.where(w > 0.0, w * (1.0 / driving - 1.0), w * (1.0 - back))
+
+    with np.errstate(all="ignore"):
+        assert t.delivered(given_N, dq).tobytes() == (given_N / loss(given_N)).tobytes()
+        torque = loss(given_N) * given_N / t.N_per_Nm
+        assert t.torque(given_N, dq).tobytes() == torque.tobytes()
+        lossless = t.N_per_Nm * torque
+        assert t.force(torque, dq).tobytes() == (lossless / loss(lossless)).tobytes()
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

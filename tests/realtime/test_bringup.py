@@ -3,15 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 
 import pytest
 
-from tests.realtime.rig import Process, configuration
+import hil
+from hil.app.configuration.changes import with_changes
+from tests.hil.bringup.families import FAMILIES
+from tests.realtime.rig import CHANNEL, Process, configuration
 
-pytestmark = [pytest.mark.realtime(patient=True), pytest.mark.long]
+pytestmark = pytest.mark.long
+SILENT_TICKS = 6 * (1 + 6)
+"""At 400 Hz, half and one and a half times a watchdog of 10 ms, for each of six drives."""
 
 
+@pytest.mark.realtime
+def test_the_watchdogs_of_drives_that_damp_are_proven_live_and_their_answers_keep_their_window(
+    tmp_path: Path, start: Callable[..., Process]
+) -> None:
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    family = FAMILIES["moteus_zero_velocity"]
+    bus = {**family["bus"], "channel": CHANNEL}
+    file = tmp_path / "moteus.yaml"
+    file.write_text(
+        with_changes(text, {**family, "bus": bus, "recording": {"folder": str(tmp_path / "runs")}})
+    )
+    plant = start("plant", str(file), "--bench", "--mistake", "encoder_frozen leg=3")
+    plant.wait_for_child("hil.record")
+    bringup = start("bringup", str(file), "--yes")
+    assert bringup.wait(120.0) == 1, bringup.errors
+    assert bringup.summary["passed"] == ["scan", "watchdog"]
+    assert [line.split(":")[:2] for line in bringup.summary["findings"]] == [["encoder_frozen", " leg 3"]]
+    frame = hil.Log(Path(bringup.summary["log"])).frame()
+    ages = frame[[name for name in frame.columns if name.startswith("age.")]].to_numpy()
+    late = (ages > 0).any(axis=1).sum() - SILENT_TICKS
+    assert late < 0.02 * len(ages), f"{late} ticks of {len(ages)}"
+    plant.interrupt()
+    assert plant.wait() == 0, plant.errors
+
+
+@pytest.mark.realtime(patient=True)
 def test_exchanged_drives_are_named_over_the_bus_and_asked_for_again_when_mended(
     tmp_path: Path, start: Callable[..., Process]
 ) -> None:

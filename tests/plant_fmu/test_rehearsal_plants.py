@@ -1,0 +1,175 @@
+"""Legs on trestles and the cables before them, by hand."""
+
+from math import cos, sqrt
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from drivers.errors import PlantError
+from plant_fmu.plant import Truth
+from plant_fmu.rehearsal.legs import GAUGE_YIELD_M, HAND_M, LegBench, TrestleLegs
+from plant_fmu.rehearsal.wired_plant import WiredPlant
+from plant_fmu.rehearsal.wiring import Wiring
+
+SIX = np.arange(6.0)
+CALM = np.zeros(6)
+MIDDLE = 0.5 + 0.01 * SIX
+
+
+class Legs:
+    """Plant that keeps what reached it, and is where it was put."""
+
+    internal_step_s = 1e-4
+
+    def __init__(self) -> None:
+        self.length, self.rate = MIDDLE - 0.1, CALM.copy()
+        self.force = self.brake = CALM
+
+    def reset(self) -> tuple[Array, Array]:
+        return self.length, self.rate
+
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        self.force, self.brake = force, brake
+        return self.length, self.rate
+
+    def truth(self) -> Truth | None:
+        return None
+
+    def applied_force(self) -> Array | None:
+        return None
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+def wired(wiring: Wiring) -> tuple[WiredPlant, Legs]:
+    legs = Legs()
+    plant = WiredPlant(legs, wiring, MIDDLE)
+    plant.reset()
+    return plant, legs
+
+
+def test_forces_go_where_the_motors_are_and_two_on_one_leg_add_up():
+    wiring = Wiring(motor=(1, 0, 2, 3, 4, 4), force_gain=(1.0, -1.0, 0.5, 1.0, 1.0, 2.0))
+    plant, legs = wired(wiring)
+    plant.step(10.0 + SIX, np.ones(6), CALM, 1e-4)
+    assert legs.force.tolist() == [-11.0, 10.0, 6.0, 13.0, 14.0 + 30.0, 0.0]
+
+
+def test_a_brake_is_open_where_one_drive_opens_it_and_as_strong_as_it_is():
+    wiring = Wiring(
+        brake=(
+            frozenset({0, 3}),
+            frozenset({2}),
+            frozenset({1}),
+            frozenset({3}),
+            frozenset({4}),
+            frozenset({5}),
+        ),
+        stuck=(None, None, None, None, 0.0, 1.0),
+        brake_share=(1.0, 1.0, 0.25, 1.0, 1.0, 0.5),
+    )
+    plant, legs = wired(wiring)
+    plant.step(CALM, np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0]), CALM, 1e-4)
+    assert legs.brake.tolist() == [0.0, 0.0, 0.25, 0.0, 0.0, 0.5]
+
+
+@pytest.mark.parametrize("off", ["present", "other_protocol"])
+def test_a_drive_that_takes_no_part_neither_pushes_nor_opens(off):
+    wiring = Wiring(**{off: tuple((leg == 2) != (off == "present") for leg in range(6))})
+    plant, legs = wired(wiring)
+    plant.step(np.full(6, 7.0), CALM, CALM, 1e-4)
+    assert legs.force.tolist() == [7.0, 7.0, 0.0, 7.0, 7.0, 7.0]
+    assert legs.brake.tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+
+
+def test_encoders_read_their_leg_with_scale_and_zero_and_what_is_wrong_beyond_the_middle():
+    wiring = Wiring(
+        encoder=(1, 0, 2, 3, 4, 5),
+        scale=(2.0, 1.0, -1.0, 1.0, 1.0, 1.0),
+        offset_m=(0.0, 0.003, 0.0, 0.0, 0.0, 0.0),
+        jump_m=(0.0, 0.0, 0.0, 0.006, 0.0, 0.0),
+        stops=(False, False, False, False, True, False),
+        frozen=(False, False, False, False, False, True),
+    )
+    plant, legs = wired(wiring)
+    legs.length, legs.rate = MIDDLE + 0.02, 0.1 + 0.01 * SIX
+    reads, rates = plant.step(CALM, CALM, CALM, 1e-4)
+    moved = [0.51 + 2 * 0.02, 0.5 + 0.02 + 0.003, 0.52 - 0.02, 0.53 + 0.02 + 0.006, 0.54, 0.55 - 0.1]
+    np.testing.assert_allclose(reads, moved, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(rates, [2 * 0.11, 0.1, -0.12, 0.13, 0.14, 0.0], rtol=1e-15)
+    legs.length = MIDDLE - 0.02
+    reads, _ = plant.step(CALM, CALM, CALM, 1e-4)
+    np.testing.assert_allclose(reads[3:5], [0.53 - 0.02, 0.54 - 0.02], rtol=0, atol=1e-15)
+    legs.length = MIDDLE - 0.03
+    reads, _ = plant.reset()
+    assert reads[5] == pytest.approx(0.52, abs=1e-15)  # switched on anew, it froze here
+
+
+def test_an_encoder_with_play_follows_once_the_play_is_used_up():
+    plant, legs = wired(Wiring(play_m=(0.005,) * 6))
+    seen = []
+    for by in (0.0, 0.003, 0.012, 0.009, 0.006):
+        legs.length = MIDDLE - 0.1 + by
+        seen.append(plant.step(CALM, CALM, CALM, 1e-4)[0][3] - (MIDDLE[3] - 0.1))
+    np.testing.assert_allclose(seen, [0.0, 0.0, 0.007, 0.007, 0.006], atol=1e-15)
+    legs.length = MIDDLE - 0.1 + 0.009
+    reads, _ = plant.reset()
+    np.testing.assert_allclose(reads, legs.length, atol=1e-15)  # no play is used up at power-up
+
+
+def trestles(friction_N: float = 0.0, start: float = 0.3) -> TrestleLegs:
+    return TrestleLegs(
+        LegBench(
+            mass_kg=4.0 + SIX,
+            friction_N=np.full(6, friction_N),
+            brake_N=np.full(6, 1000.0),
+            shortest=np.full(6, 0.25),
+            longest=0.35 + 0.001 * SIX,
+            start=np.full(6, start),
+            gauge_N=6.0,
+        )
+    )
+
+
+def test_free_legs_are_accelerated_by_force_over_mass_less_friction():
+    legs = trestles(friction_N=2.0)
+    x, v = legs.step(np.full(6, 5.0), CALM, CALM, 0.01)
+    np.testing.assert_allclose(v, 3.0 / (4.0 + SIX) * 0.01, rtol=0.02)  # damping takes less than 2 %
+    np.testing.assert_allclose(x - 0.3, 0.5 * 3.0 / (4.0 + SIX) * 1e-4, rtol=0.02)
+
+
+def test_a_brake_holds_each_leg_and_a_hand_moves_the_one_whose_brake_is_open_by_its_reach():
+    legs, brakes = trestles(), np.ones(6)
+    brakes[4] = 0.0
+    legs.push(4, -50.0)
+    legs.push(1, -50.0)
+    x, v = legs.step(np.full(6, 20.0), brakes, CALM, 0.2)
+    np.testing.assert_allclose(x, [0.3, 0.3, 0.3, 0.3, 0.3 - HAND_M, 0.3], atol=1e-15)
+    assert v.tolist() == [0.0] * 6
+    legs.push(4, 0.0)
+    x, _ = legs.step(np.full(6, 60.0), brakes, CALM, 2.0)
+    assert x[4] == pytest.approx(0.354, abs=1e-15)  # its ends of travel
+    x, _ = legs.step(np.full(6, -60.0), brakes, CALM, 2.0)
+    assert x[4] == 0.25
+
+
+def test_the_gauge_is_a_spring_at_its_leg_alone():
+    legs = trestles()
+    legs.hold_at_gauge(3)
+    force = np.zeros(6)
+    force[[2, 3]] = 6e-3
+    x, _ = legs.step(force, CALM, CALM, 0.002)
+    w = sqrt(6.0 / GAUGE_YIELD_M / 7.0)
+    np.testing.assert_allclose(x[3] - 0.3, 5e-8 * (1.0 - cos(w * 0.002)), rtol=1e-3)
+    np.testing.assert_allclose(x[2] - 0.3, 0.5 * 1e-3 * 0.002**2, rtol=1e-3)
+    assert legs.gauge() == pytest.approx((x[3] - 0.3) * 6.0 / GAUGE_YIELD_M, rel=1e-9)
+
+
+def test_a_force_that_is_not_finite_is_refused_and_nothing_moves():
+    legs, force = trestles(), np.full(6, 10.0)
+    force[5] = np.nan
+    with pytest.raises(PlantError, match=r"^force \[.*nan\]: a value is not finite"):
+        legs.step(force, CALM, CALM, 0.01)
+    assert legs.lengths().tolist() == [0.3] * 6

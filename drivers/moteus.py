@@ -18,13 +18,16 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
+from drivers.identity import REVISION, SERIAL, Said
 from drivers.moteus_registers import (
     COMMAND,
     FAULT,
+    FIRMWARE,
     HOME_STATE,
     MODE,
     PLACE,
     REPLY,
+    SERIAL_NUMBER,
     SPEED,
     TEMPERATURE,
     TIMEOUT,
@@ -72,6 +75,8 @@ STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
 """Modes."""
 QUERY = bytes.fromhex("11001f01130d")
 """Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
+WHO, WHICH = bytes.fromhex("1ba002"), bytes.fromhex("198102")
+"""Read the serial number, the version of the firmware; each as int32."""
 DEFAULT_TIMEOUT_S = 0.1
 """`servo.default_timeout_s` as delivered."""
 FAULTS = {
@@ -97,8 +102,21 @@ FAULTS = {
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
 _STRANGE = REMOTE | ERROR | OTHER_BUSES
+_WORD = 0xFFFFFFFF
+_SERIAL = tuple(range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
+_VERSION = 0x010000
+"""Of the emulated drives' firmware."""
 _OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 _MAX_TORQUE = 1e4
+
+
+def _who(leg: int, said: dict[int, float]) -> Said | None:
+    """Return what registers say of who a drive is."""
+    if FIRMWARE in said:
+        return Said(leg, REVISION, int(said[FIRMWARE]) & _WORD)
+    if not said.keys() >= set(_SERIAL):
+        return None
+    return Said(leg, SERIAL, sum((int(said[each]) & _WORD) << 32 * k for k, each in enumerate(_SERIAL)))
 
 
 def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
@@ -144,6 +162,9 @@ class MoteusProtocol(MotorProtocol):
         self._legs = {node: leg for leg, node in enumerate(nodes)}
         self._answering_legs = {identifier: leg for leg, identifier in enumerate(self._reply_ids)}
         self.feedback_ids = frozenset(self._reply_ids)
+        mine = dict.fromkeys(_SERIAL, 0.0) | {FIRMWARE: float(_VERSION)}
+        self._well = tuple(_WELL | mine | {SERIAL_NUMBER: float(node)} for node in nodes)
+        """What the emulated drives say of themselves."""
 
     @property
     def torque_limit(self) -> float:
@@ -189,13 +210,33 @@ class MoteusProtocol(MotorProtocol):
             data = pad(torque_command(dialogue.torque[leg], self._most, dialogue.watchdog_s))
         return Frame(self._command_ids[leg], data, EXTENDED | FD | BRS)
 
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Return the queries for the serial number, and for the version of the firmware."""
+        flags = EXTENDED | FD | BRS
+        return tuple(
+            tuple(Frame(each, pad(ask), flags) for each in self._command_ids) for ask in (WHO, WHICH)
+        )
+
+    def identity(self, frame: Frame) -> Said | None:
+        """Return the serial number, 96 bits, or the version of the firmware as the revision."""
+        reply = self._reply_of(frame)
+        return None if reply is None else _who(*reply)
+
+    def _reply_of(self, frame: Frame) -> tuple[int, dict[int, float]] | None:
+        """Return leg and registers of a drive's reply to us, without any if it is not whole; else None."""
+        identifier, data, flags = frame
+        leg = self._answering_legs.get(identifier)
+        if leg is None or flags & (_STRANGE | FD) != FD or bool(flags & EXTENDED) != (identifier > 0x7FF):
+            return None
+        return leg, registers(data, REPLY) or {}
+
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of the identifier."""
         return self._legs.get(frame.id & ALL_NODES)
 
     def hear(self, frame: Frame) -> Heard | None:
         """Return what a reply says."""
-        identifier, data, flags = frame
+        identifier, _, flags = frame
         if flags & _STRANGE or not flags & FD:
             return None
         if bool(flags & EXTENDED) != (identifier > 0x7FF):
@@ -203,12 +244,12 @@ class MoteusProtocol(MotorProtocol):
         to = identifier & ALL_NODES
         if identifier <= 0xFFFF and (to in self._legs or to == ALL_NODES):
             return Heard(self._legs.get(to, 0), foreign=True)
-        leg = self._answering_legs.get(identifier)
-        if leg is None:
+        reply = self._reply_of(frame)
+        if reply is None:
             return None
-        said = registers(data, REPLY)
-        if said is None or not {MODE, PLACE, SPEED, TORQUE, FAULT} <= said.keys():
-            return Heard(leg, broken=True)
+        leg, said = reply
+        if not {MODE, PLACE, SPEED, TORQUE, FAULT} <= said.keys():
+            return Heard(leg, broken=_who(leg, said) is None)
         mode, fault = int(said[MODE]), 0
         power = _RUN if mode == POSITION else _OFF
         if mode in (FAULTED, TIMED_OUT):
@@ -308,7 +349,7 @@ class MoteusProtocol(MotorProtocol):
                 code = 0 if mode == TIMED_OUT else _CODES.get(why, 33)
             place, speed = (nan, nan) if int(state[leg]) & INVALID else (turns[leg], speeds[leg])
             held = {MODE: float(mode), PLACE: place, SPEED: speed, TORQUE: torques[leg], FAULT: float(code)}
-            found.append((leg, held | _WELL))
+            found.append((leg, held | self._well[leg]))
         return found
 
     # bus time

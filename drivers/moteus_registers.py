@@ -17,6 +17,8 @@ MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
 TRAJECTORY_COMPLETE, HOME_STATE, VOLTAGE, TEMPERATURE, FAULT = 0x00B, 0x00C, 0x00D, 0x00E, 0x00F
 COMMAND, TIMEOUT = 0x020, 0x027
 """COMMAND begins position, velocity, feed-forward torque, scales of kp and kd, most torque."""
+FIRMWARE, SERIAL_NUMBER = 0x101, 0x120
+"""SERIAL_NUMBER begins three registers of 32 bits, the lowest first."""
 READ_ERROR, NO_REGISTER = 0x31, 1
 _READABLE = 0x10
 """Registers below are states of the drive."""
@@ -130,23 +132,26 @@ def asked(data: bytes) -> Asked:
 def reply_to(wanted: Asked, said: dict[int, float]) -> bytes:
     """Return the reply to what is asked for, not filled up; it ends where a frame is full.
 
-    A state that the drive does not know is NaN, or the smallest integer; a register that is no state is an
-    error.
+    A state that the drive does not know is NaN, or the smallest integer; another register that is not among
+    what it says is an error.
     """
     data = b""
     at = 0
     while at < len(wanted):
         first, width = wanted[at]
-        if first >= _READABLE:
+        if first >= _READABLE and first not in said:
             data += bytes((READ_ERROR, *_as_varuint(first), NO_REGISTER))
             at += 1
             continue
         count = 1
         while at + count < len(wanted) and wanted[at + count] == (first + count, width):
             count += 1
-        count = min(count, _READABLE - first)
+        if first < _READABLE:
+            count = min(count, _READABLE - first)
+        else:
+            count = next((k for k in range(count) if first + k not in said), count)
         head = (REPLY | width << 2 | count,) if count < 4 else (REPLY | width << 2, count)
-        data += bytes((*head, first))
+        data += bytes((*head, *_as_varuint(first)))
         data += b"".join(_packed(first + k, width, said.get(first + k, nan)) for k in range(count))
         at += count
     return data[: _LENGTHS[-1]]

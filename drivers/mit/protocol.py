@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.identity import REVISION, SERIAL, Said
 from drivers.mit.fields import (
     TOP_COMMAND,
     TURN,
@@ -56,7 +57,7 @@ STRANGE = EXTENDED | FD | REMOTE | ERROR | OTHER_BUSES
 REGISTERS = 0x7FF
 """Identifier of Damiao's requests."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
-TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX = 9, 10, 21, 22, 23
+TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
 TICKS_PER_S = 20_000
 """Of Damiao's TIMEOUT."""
 NO_WATCHDOG_S = 1e6
@@ -146,6 +147,25 @@ class MitProtocol(MotorProtocol):
             for node in self._nodes
         )
 
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Return the readings of a Damiao's serial number and software version; the others have none."""
+        if not self.damiao:
+            return ()
+        return tuple(
+            tuple(_exchange(node, "", READ, register, 0.0).frames[0] for node in self._nodes)
+            for register in _SAID
+        )
+
+    def identity(self, frame: Frame) -> Said | None:
+        """Return what such a reading is answered with."""
+        identifier, data, flags = frame
+        if not self.damiao or flags & STRANGE or identifier not in self._replies or len(data) != 8:
+            return None
+        leg = self._replies.index(identifier)
+        if data[:3] != bytes((self._nodes[leg], 0, READ)) or data[3] not in _SAID:
+            return None
+        return Said(leg, _SAID[data[3]], int.from_bytes(data[4:], "little"))
+
     def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
         """Return torque for an enabled drive, ENABLE for one that is to be, else DISABLE: a poll too."""
         node = self._nodes[leg]
@@ -185,7 +205,7 @@ class MitProtocol(MotorProtocol):
         # A status is 0, 1 or above 7, so only a disabled drive near the lower end of its position could look
         # like a register's answer: it has the position code 0x0033 or 0x0055 there.
         if data[0] == node and data[1] == 0 and data[2] in (READ, WRITE):
-            if data[3] not in _KIND:
+            if data[3] not in _KIND or data[3] in _SAID:
                 return Heard(leg)
             (value,) = struct.unpack(_KIND[data[3]], data[4:])
             return Heard(leg, answer=(data[3], float(value)))
@@ -254,12 +274,18 @@ class MitProtocol(MotorProtocol):
         leg = self._legs.get(data[0] | data[1] << 8) if len(data) > 1 else None
         if len(data) == 8 and data[2] == REFRESH and leg is not None:
             return memory, (Sync(0, (leg,)),)
-        if len(data) != 8 or data[2] not in (READ, WRITE) or data[3] not in _KIND:
+        if (
+            len(data) != 8
+            or data[2] not in (READ, WRITE)
+            or data[3] not in _KIND
+            or (data[2] == WRITE and data[3] in _SAID)
+        ):
             return memory, (Rejected("register request"),)
         if leg is None:
             return memory, ()
         r, register = self.ranges, data[3]
         held = {CTRL_MODE: 0.0, TIMEOUT: 0.0, PMAX: r.position, VMAX: r.velocity, TMAX: r.torque}
+        held |= {SN: float(self._nodes[leg]), SW_VER: 1.0}
         held |= dict(memory.registers[leg])
         messages: tuple[DeviceMessage, ...] = ()
         if data[2] == WRITE:
@@ -318,7 +344,8 @@ class MitProtocol(MotorProtocol):
         return (*commands, *self.example_feedbacks())
 
 
-_KIND = {CTRL_MODE: "<I", TIMEOUT: "<I", PMAX: "<f", VMAX: "<f", TMAX: "<f"}
+_SAID = {SN: SERIAL, SW_VER: REVISION}
+_KIND = {CTRL_MODE: "<I", TIMEOUT: "<I", SN: "<I", SW_VER: "<I", PMAX: "<f", VMAX: "<f", TMAX: "<f"}
 
 
 def _exchange(node: int, name: str, kind: int, register: int, value: float) -> Exchange:

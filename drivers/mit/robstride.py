@@ -2,8 +2,8 @@
 
 Identifier: type << 24 | data << 8 | target. Type 1 commands, data is the torque's code; 2 is the feedback,
 data is mode << 14 | faults << 8 | motor; 3 enables; 4 stops, and clears faults if its first byte is 1; 17
-reads and 18 writes a register; 0 asks for the processor's 64-bit number, which is answered to 0xFE. Positions
-and torques are big-endian, registers and that number little-endian.
+reads and 18 writes a register; 0 asks for the processor's 64-bit number, which is answered to 0xFE or to the
+host. Positions and torques are big-endian, registers and that number little-endian.
 """
 
 import struct
@@ -123,7 +123,7 @@ class RobStrideProtocol(MotorProtocol):
         """Return that number."""
         identifier, data, flags = frame
         leg = self._legs.get(identifier >> 8 & 0xFFFF)
-        answers = identifier >> 24 == WHO and identifier & 0xFF == ASKED_WHO and len(data) == 8
+        answers = identifier >> 24 == WHO and identifier & 0xFF in (ASKED_WHO, self._host) and len(data) == 8
         if leg is None or not answers or not flags & EXTENDED or flags & _STRANGE:
             return None
         return Said(leg, SERIAL, int.from_bytes(data, "little"))

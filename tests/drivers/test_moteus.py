@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ from hypothesis import strategies as st
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
+from drivers.identity import Said
 from drivers.moteus import QUERY, STOP, MoteusProtocol, torque_command
 from drivers.moteus_registers import pad, registers
+from drivers.motors import Heard
 from drivers.protocol import (
     BRS,
     EXTENDED,
@@ -192,7 +195,7 @@ def asked_by_the_package(package: Any, width: str) -> tuple[Frame, dict[int, flo
     resolution = package.QueryResolution()
     for name in ("position", "velocity", "torque", "q_current", "abs_position", "voltage", "temperature"):
         setattr(resolution, name, getattr(package, width))
-    resolution._extra = {0x120: package.INT32}
+    resolution._extra = {0x102: package.INT32}
     command = package.Controller(id=3, source_can_id=5, query_resolution=resolution).make_query()
     r = package.Register
     steps = {
@@ -223,7 +226,35 @@ def test_the_package_reads_what_an_emulated_drive_answers_to_its_query_at_any_wi
     assert (said[r.MODE], said[r.FAULT]) == (10, 0)
     assert np.isnan(said[r.Q_CURRENT])
     assert np.isnan(said[r.ABS_POSITION])
-    assert 0x120 not in said, "no state of the drive: an error"
+    assert 0x102 not in said, "nothing that it says: an error"
+
+
+def test_who_a_drive_is_is_asked_and_answered_as_the_package_does():
+    package: Any = pytest.importorskip("moteus")
+    r, protocol = package.Register, MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    serial = (r.SERIAL_NUMBER1, r.SERIAL_NUMBER2, r.SERIAL_NUMBER3)
+    for requests, asked in zip(protocol.identity_requests(), (serial, (r.FIRMWARE_VERSION,)), strict=True):
+        theirs = package.Controller(id=3).make_custom_query(dict.fromkeys(asked, package.INT32))
+        assert requests[2] == Frame(0x8003, pad(bytes(theirs.data)), EXTENDED | FD | BRS)
+        memory, _ = protocol.parse(protocol.power_up(), requests[2])
+        states = np.full(6, DriveState.OFF, np.int64)
+        _, ((_, reply),) = protocol.answer(
+            memory, Sync(0, (2,)), np.ones(6), np.zeros(6), np.zeros(6), states
+        )
+        said = package.moteus.parse_reply(reply.data)
+        assert said == dict(zip(asked, (3, 0, 0) if asked is serial else (0x010000,), strict=True))
+        assert protocol.hear(reply) == Heard(2), "no feedback, and not broken"
+
+
+def test_a_serial_number_has_96_bits_the_lowest_first_and_half_of_one_is_none():
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    words = struct.pack("<III", 0x80000001, 2, 0xFFFFFFFF)
+    whole = Frame(0x300, pad(bytes.fromhex("2ba002") + words), FD | BRS)
+    assert protocol.identity(whole) == Said(2, "serial number", 0xFFFFFFFF_00000002_80000001)
+    assert protocol.identity(whole._replace(flags=0)) is None
+    half = Frame(0x300, pad(bytes.fromhex("2aa002") + words[:8]), FD | BRS)
+    assert protocol.identity(half) is None
+    assert protocol.hear(half) == Heard(2, broken=True)
 
 
 def test_a_command_to_all_drives_is_obeyed_by_all_and_one_that_wants_no_reply_gets_none():

@@ -9,9 +9,10 @@ import pytest
 from drivers.cia402 import objects
 from drivers.cia402.dictionary import defaults, with_value
 from drivers.identity import Identified, Said
+from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Frame
+from drivers.protocol import EXTENDED, REMOTE, Frame, Rejected
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.store import refuse_malformed
 from hil.app.compose import build_protocol
@@ -70,17 +71,24 @@ def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_n
     assert third.context.facts["watchdog"].keys() == set("012345")
 
 
+def requests_of(name):
+    protocol = build_protocol(family(name))
+    return protocol.identity_requests() if isinstance(protocol, Identified) else ()
+
+
 def test_each_family_that_can_be_asked_says_who_its_drives_are_and_the_others_are_not_asked():
     told = {}
-    for name in ("cia402_pdo", "robstride", "odrive", "damiao", "legs_fd"):
+    for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
         rehearsal = Rehearsal(name, Wiring())
         told[name] = rehearsal.drives.identities()
     assert told["cia402_pdo"][4] == {"serial number": 5, "revision": 1}
     assert [who["serial number"] for who in told["robstride"]] == [1, 2, 3, 4, 5, 6]
     assert [who["serial number"] for who in told["odrive"]] == [1, 2, 3, 4, 5, 6]
-    assert told["damiao"] == told["legs_fd"] == ({},) * 6
-    capable = {name for name in FAMILIES if isinstance(build_protocol(family(name)), Identified)}
-    assert capable == {"cia402_difference", "cia402_pdo", "robstride", "odrive"}
+    assert told["moteus_stopped"][4] == {"serial number": 5, "revision": 0x010000}
+    assert told["damiao"][5] == {"serial number": 6, "revision": 1}
+    assert told["cubemars"] == told["legs_fd"] == ({},) * 6
+    silent = {name for name in FAMILIES if not requests_of(name)}
+    assert silent == {"legs_fd", "legs_classic", "cubemars", "mini_cheetah"}
 
 
 def test_serial_numbers_are_read_as_their_makers_write_them():
@@ -99,4 +107,24 @@ def test_serial_numbers_are_read_as_their_makers_write_them():
         4, "serial number", 1 << 60 | 7
     )
     assert robstride.identity_requests()[0][0].id == 0xFD01
+    to_the_host = Frame(0x0005FD, (7).to_bytes(8, "little"), EXTENDED)
+    assert robstride.identity(to_the_host) == Said(4, "serial number", 7)
     assert robstride.identity(Frame(0x00FD01, bytes(8), EXTENDED)) is None
+
+
+def test_a_damiao_is_asked_by_its_registers_15_and_14():
+    """tests/data/drives/damiao.json: reading on 0x7FF, answered on the drive's own; 13 to 16 are uint32."""
+    damiao = build_protocol(family("damiao"))
+    assert isinstance(damiao, MitProtocol)
+    serial, version = damiao.identity_requests()
+    assert serial[4] == Frame(0x7FF, bytes.fromhex("0500330f00000000"))
+    assert version[0] == Frame(0x7FF, bytes.fromhex("0100330e00000000"))
+    answer = Frame(damiao._replies[4], bytes.fromhex("0500330f785634f2"))
+    assert damiao.identity(answer) == Said(4, "serial number", 0xF2345678)
+    heard = damiao.hear(answer)
+    assert heard is not None
+    assert heard.answer is None, "no answer to the set-up"
+    for other in ("0500550f785634f2", "0600330f785634f2", "0500330a785634f2", "0500330f7856"):
+        assert damiao.identity(answer._replace(data=bytes.fromhex(other))) is None
+    _, refused = damiao.parse(damiao.power_up(), Frame(0x7FF, bytes.fromhex("0500550f00000000")))
+    assert isinstance(refused[0], Rejected)

@@ -51,3 +51,5 @@ class FeedforwardHead(Section):
     """Largest force in the file."""
     rows: Annotated[int, Field(ge=2)]
     """Of the file: one that has been cut would keep its last force."""
+    digest: str = ""
+    """Of its times and forces; others than these nobody has learned."""

@@ -144,8 +144,11 @@ def test_a_series_that_writes_nothing_says_so(made: tuple[Path, Rehearsal]) -> N
 
 
 @pytest.mark.parametrize(
-    ("end", "trouble"),
-    [(LogError("limits cut the forces"), "limits cut the forces"), (KeyboardInterrupt(), "interrupted")],
+    ("end", "trouble", "state"),
+    [
+        (LogError("limits cut the forces"), "limits cut the forces", "failed"),
+        (KeyboardInterrupt(), "interrupted", "interrupted"),
+    ],
 )
 def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
     made: tuple[Path, Rehearsal],
@@ -153,6 +156,7 @@ def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
     monkeypatch: pytest.MonkeyPatch,
     end: BaseException,
     trouble: str,
+    state: str,
 ) -> None:
     folder, before = made
 
@@ -167,7 +171,8 @@ def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
     assert found.trouble == f"run 2: {trouble}"
     assert [step.rms_mm for step in found.steps] == [step.rms_mm for step in before.steps[:2]]
     assert found.best == (folder / "short-run-01.csv").read_text()
-    assert report.series_summary(found, Path("a.csv"))["state"] == "failed"
+    summary = report.series_summary(found, Path("a.csv"))
+    assert (summary["success"], summary["state"]) == (False, state)
 
 
 @pytest.mark.parametrize(

@@ -394,7 +394,8 @@ def test_a_feed_forward_of_another_content_is_named_where_the_text_is_the_same(t
     (tmp_path / "own.yaml").write_text(Log(path).configuration)
     (tmp_path / "learned.csv").write_text(LEARNED)
     assert what_if_log(path, str(tmp_path / "own.yaml"))["changed"] == []
-    (tmp_path / "learned.csv").write_text(LEARNED.replace(",10.0000", ",11.0000"))
+    other = feedforward_text(head_of(VIRTUAL, rows=50), np.full((50, 6), 11.0), -4, 1e-3)
+    (tmp_path / "learned.csv").write_text(other)
     found = what_if_log(path, str(tmp_path / "own.yaml"))
     assert found["changed"] == ["feedforward.file: the file has another content than that of the log"]
     assert found["different_ticks"] > 0

@@ -41,6 +41,11 @@ def report_feedforward(report: Report, c: Configuration) -> None:
         "step_N": along_N,
         "fade_step_N": fading_N,
     }
+    if head.rate_Hz != c.loop.rate_Hz:
+        report.warnings.append(
+            f"the feed-forward was learned at {head.rate_Hz:g} Hz and loop.rate_Hz is {c.loop.rate_Hz:g}: "
+            "delays are others, and what it knows of them is wrong: learn anew from a run at this rate"
+        )
     worst_N, allowed_N = max(along_N, fading_N), c.limits.force_step_N
     if worst_N > allowed_N:
         mend = (

@@ -79,6 +79,10 @@ def _digest(data: Any, content: bytes) -> str:
     return hashlib.sha256(text.encode() + b"\0" + content).hexdigest()[:_DIGITS]
 
 
+def _digest_of(table: Array) -> str:
+    return hashlib.sha256(table.astype("<f8").tobytes()).hexdigest()[:_DIGITS]
+
+
 def feedforward_path(settings: FeedforwardSettings, folder: Path) -> Path:
     """Return the file of a feed-forward, relative to the configuration's folder."""
     return folder / settings.file
@@ -86,10 +90,12 @@ def feedforward_path(settings: FeedforwardSettings, folder: Path) -> Path:
 
 def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: float) -> str:
     """Return the text of a file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
-    top = yaml.safe_dump(head.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=100)
     body = io.StringIO()
     rows = np.column_stack([(start + np.arange(len(tau))) * step_s, tau])
     np.savetxt(body, rows, fmt=["%.9g"] + ["%.4f"] * 6, delimiter=",")
+    written = np.loadtxt(io.StringIO(body.getvalue()), delimiter=",", ndmin=2)
+    said = head.model_dump(mode="json") | {"digest": _digest_of(written)}
+    top = yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=100)
     remark = f"{BEGINNING.decode()}: leg forces over the time of the reference, > 0 extends\n"
     return (
         remark
@@ -101,8 +107,8 @@ def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: floa
 def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float, float]:
     """Return head, forces (n, 6) N, their first time and step in s; name stands for the file in messages.
 
-    Raises ConfigurationError: another kind of file, a head with problems, another number of rows than it
-    says, a value that is no finite number, or times without one step.
+    Raises ConfigurationError: another kind of file, a head with problems, another number of rows or another
+    digest than it says, a value that is no finite number, or times without one step.
     """
     try:
         text = raw.decode("utf-8-sig")
@@ -123,6 +129,11 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
         raise ConfigurationError(
             f"{name}:{line + 1 + row}: t_s must begin at 0 or before, and rise by one step, here {step_s:g} s"
             f"; given: {table[row, 0]:.9g}"
+        )
+    if _digest_of(table) != head.digest:
+        raise ConfigurationError(
+            f"{name}: its forces are not those that were learned (digest {_digest_of(table)}, allowed: "
+            f"{head.digest or 'none is given'}): it was changed since; copy it again or learn anew"
         )
     tau = np.ascontiguousarray(table[:, 1:])
     tau.flags.writeable = False

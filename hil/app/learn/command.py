@@ -55,7 +55,6 @@ class Outcome(NamedTuple):
     state: State
     text: str
     """Of the next file; empty unless learned."""
-    head: FeedforwardHead | None
     cut: int
     """Rows in which a force was cut at the limit."""
     predicted_mm: float
@@ -101,7 +100,7 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
     limit_N = limit_of(last, known)
     cut = int((np.abs(tau) > limit_N).any(axis=1).sum())
     tau = np.clip(tau, -limit_N, limit_N)
-    text, head = "", None
+    text = ""
     if goes == "learned":
         head = _head(last, model, first_rms_m, tau)
         text = feedforward_text(head, tau, -last.trial.lead, last.trial.period_s)
@@ -111,7 +110,7 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
                 "shorter reference"
             )
     ahead = 1e3 * _rms(predicted(last.trial, a, loops))
-    return Outcome(steps, model, least, goes, text, head, cut, ahead)
+    return Outcome(steps, model, least, goes, text, cut, ahead)
 
 
 def limit_of(run: LearningRun, known: Knowledge) -> float:

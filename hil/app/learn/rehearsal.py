@@ -23,7 +23,8 @@ class Rehearsal(NamedTuple):
     best: str
     """Text of the file of the run with the smallest error; empty where that is the one without any."""
     trouble: str
-    """Why a run failed; empty where none did."""
+    """Why a run failed, or that it was interrupted; empty where none was."""
+    interrupted: bool
 
 
 def rehearse(
@@ -41,7 +42,7 @@ def rehearse(
     refuse_unreachable(c)
     if known.limit_N is None and c.feedforward is not None:
         known = known._replace(limit_N=c.feedforward.limit_N)
-    text, limit_N, trouble = "", 0.0, ""
+    text, limit_N, trouble, interrupted = "", 0.0, "", False
     past: list[LearningRun] = []
     steps: list[Step] = []
     texts: list[str] = []
@@ -73,9 +74,9 @@ def rehearse(
     except KeyboardInterrupt:
         if not steps:
             raise
-        trouble = f"run {number}: interrupted"
+        trouble, interrupted = f"run {number}: interrupted", True
     best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
-    return Rehearsal(steps, outcome, limit_N, texts[best] if texts else "", trouble)
+    return Rehearsal(steps, outcome, limit_N, texts[best] if texts else "", trouble, interrupted)
 
 
 def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:

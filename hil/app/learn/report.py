@@ -152,7 +152,7 @@ def series_summary(made: Rehearsal, out: Path | None) -> dict[str, Any]:
     if made.outcome is None:
         return {"success": False, "kind": "learn", "state": "failed", "trouble": made.trouble, "runs": []}
     found = summary(made.outcome._replace(steps=made.steps), None)
-    state = "failed" if made.trouble else found["state"]
+    state = "interrupted" if made.interrupted else "failed" if made.trouble else found["state"]
     return found | {
         "success": found["success"] and not made.trouble,
         "state": state,

@@ -19,6 +19,15 @@ class Said(NamedTuple):
     """SERIAL or REVISION."""
     value: int
 
+    @property
+    def tells(self) -> bool:
+        """Whether it tells one drive from another: a serial number of 0 or all ones was never written."""
+        return self.what != SERIAL or self.value not in _UNWRITTEN
+
+
+_UNWRITTEN = frozenset({0, *((1 << bits) - 1 for bits in (32, 48, 64, 96))})
+"""The widths of serial numbers."""
+
 
 @runtime_checkable
 class Identified(Protocol):

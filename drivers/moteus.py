@@ -11,7 +11,7 @@ the package `moteus` 1.1.1.
 
 import struct
 from collections.abc import Sequence
-from math import isnan, nan
+from math import isinf, isnan, nan
 
 import numpy as np
 
@@ -110,13 +110,18 @@ _OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 _MAX_TORQUE = 1e4
 
 
+def _is_code(value: float) -> bool:
+    """Tell whether this is a mode or a fault: both are asked for as int8."""
+    return 0.0 <= value < 128.0 and value.is_integer()
+
+
 def _who(leg: int, said: dict[int, float]) -> Said | None:
     """Return what registers say of who a drive is."""
-    if FIRMWARE in said:
-        return Said(leg, REVISION, int(said[FIRMWARE]) & _WORD)
-    if not said.keys() >= set(_SERIAL):
+    words = [said.get(each, nan) for each in ((FIRMWARE,) if FIRMWARE in said else _SERIAL)]
+    if not all(map(float.is_integer, words)):
         return None
-    return Said(leg, SERIAL, sum((int(said[each]) & _WORD) << 32 * k for k, each in enumerate(_SERIAL)))
+    value = sum((int(word) & _WORD) << 32 * k for k, word in enumerate(words))
+    return Said(leg, REVISION if FIRMWARE in said else SERIAL, value)
 
 
 def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
@@ -250,6 +255,9 @@ class MoteusProtocol(MotorProtocol):
         leg, said = reply
         if not {MODE, PLACE, SPEED, TORQUE, FAULT} <= said.keys():
             return Heard(leg, broken=_who(leg, said) is None)
+        figures = said[PLACE], said[SPEED], said[TORQUE]
+        if not (_is_code(said[MODE]) and _is_code(said[FAULT])) or any(map(isinf, figures)):
+            return Heard(leg, broken=True)
         mode, fault = int(said[MODE]), 0
         power = _RUN if mode == POSITION else _OFF
         if mode in (FAULTED, TIMED_OUT):

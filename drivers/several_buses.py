@@ -189,10 +189,8 @@ class SeveralBuses:
 
     def identity(self, frame: Frame) -> Said | None:
         """Return what a frame says of who sends it on its own bus."""
-        family, known = self.family, off_bus(frame)
-        if not isinstance(family, Identified) or self._strays(frame, known):
-            return None
-        return family.identity(known)
+        said = self.family.identity(off_bus(frame)) if isinstance(self.family, Identified) else None
+        return said if said is not None and self.bus_of[said.leg] == frame.bus else None
 
     def _spread(self, frames: Sequence[Frame]) -> tuple[Frame, ...]:
         """Put each frame on the buses of the legs that it is for."""

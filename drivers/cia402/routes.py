@@ -1,6 +1,7 @@
 """Which drive a frame of CANopen concerns: the predefined connection set says it by the node number."""
 
 from drivers.cia402 import objects as o
+from drivers.cia402.feedback import FOREIGN
 from drivers.identity import REVISION, SERIAL, Said
 from drivers.protocol import ALL_LEGS, Frame
 
@@ -39,7 +40,7 @@ class Routes:
     def identity(self, frame: Frame) -> Said | None:
         """Return what an SDO answer says of the identity object; an abort says nothing."""
         leg = self.sender(frame)
-        if leg < 0 or frame.id & ~_NODE != o.SDO_REPLY_ID:
+        if leg < 0 or frame.id & ~_NODE != o.SDO_REPLY_ID or frame.flags & FOREIGN:
             return None
         reply = o.read_reply(frame.data)
         if reply is None or reply.abort or reply.wrote or reply.key not in _IDENTITY:

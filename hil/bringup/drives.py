@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.identity import Identified
+from drivers.identity import Identified, Said
 from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
@@ -23,8 +23,8 @@ SETUP_S = 3.0
 """For how long the drives' confirmation of their set-up is waited for."""
 READY_S = 0.1
 """For how long a drive is waited for that changes its state."""
-ANSWER_S, ASKED_TIMES = 0.05, 2
-"""For how long an answer to the question who a drive is is waited for, and how often it is asked."""
+ANSWER_S, ASKED_TIMES = 0.05, 5
+"""For how long an answer to the question who a drive is is waited for, and how often it is asked at most."""
 _PROBES = 200
 SAFE_TICKS = 10
 """Commands to switch off at every end: the bus may lose some."""
@@ -190,18 +190,29 @@ class Drives:
 
     def identities(self) -> tuple[dict[str, int], ...]:
         """Ask each drive, commanded off, who it is; return what it has said, empty where it says nothing."""
-        said: tuple[dict[str, int], ...] = tuple({} for _ in range(LEGS))
-        if not isinstance(self.protocol, Identified):
-            return said
-        for asked in self.protocol.identity_requests() * ASKED_TIMES:
-            self.step(asked=asked)
-            for _ in range(self.ticks(ANSWER_S)):
-                self.step()
-                for _, frame in self.heard:
-                    answer = self.protocol.identity(frame)
-                    if answer is not None:
-                        said[answer.leg][answer.what] = answer.value
-        return said
+        answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
+        requests = self.protocol.identity_requests() if isinstance(self.protocol, Identified) else ()
+        for number, asked in enumerate(requests * ASKED_TIMES):
+            lacking = {leg for leg in range(LEGS) if len(answers[leg]) < len(requests)}
+            if number >= len(requests) and not lacking:
+                break
+            self._ask(tuple(asked[leg] for leg in sorted(lacking)), answers, lacking)
+        return tuple({what: s.value for what, s in each.items() if s.tells} for each in answers)
+
+    def _ask(self, asked: tuple[Frame, ...], answers: tuple[dict[str, Said], ...], lacking: set[int]) -> None:
+        """Ask once, and keep what is answered until all that lack it have, or ANSWER_S is over."""
+        assert isinstance(self.protocol, Identified)
+        self.step(asked=asked)
+        waited = set(lacking)
+        for _ in range(self.ticks(ANSWER_S)):
+            if not waited:
+                break
+            self.step()
+            for _, frame in self.heard:
+                answer = self.protocol.identity(frame)
+                if answer is not None:
+                    answers[answer.leg][answer.what] = answer
+                    waited.discard(answer.leg)
 
     # one brake
 

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from drivers.identity import SERIAL
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.bringup.context import Context, Finding
 from hil.bringup.facts import forget_legs
@@ -40,23 +41,33 @@ def find(c: Context) -> None:
 
 def _recognise(c: Context) -> None:
     """Drop what is known of legs whose drive is another than the one that was measured, and say so."""
+    found = c.drives.identities()
+    before = [c.known("identity", leg) or {} for leg in range(LEGS)]
     others = []
-    for leg, said in enumerate(c.drives.identities()):
-        known = c.known("identity", leg)
-        if known and said != known and c.known("scan", leg)["answers"]:
+    for leg, (known, said) in enumerate(zip(before, found, strict=True)):
+        node = c.machine.node_ids[leg]
+        changes = [
+            f"{what} {known[what]} -> {said[what]}"
+            for what in known
+            if what in said and said[what] != known[what]
+        ]
+        if changes:
             others.append(leg)
-            changes = ", ".join(
-                f"{what} {known.get(what, 'none')} -> {said.get(what, 'none')}" for what in {**known, **said}
-            )
             c.operator.tell(
-                f"  leg {leg}: another drive answers as node {c.machine.node_ids[leg]} than the one that was "
-                f"measured ({changes}): its steps are done again"
+                f"  leg {leg}: another drive answers as node {node} than the one that was measured "
+                f"({', '.join(changes)}): its steps are done again"
             )
-        if said:
-            c.keep("identity", leg, said)
+        elif SERIAL in known and SERIAL not in said and c.known("scan", leg)["answers"]:
+            c.operator.tell(
+                f"  leg {leg}: node {node} has not told its serial number, which was {known[SERIAL]} when it "
+                "was measured; if it was exchanged, begin anew with --again"
+            )
     if others:
         forget_legs(c.facts, others)
-        c.save()
+        c.save()  # before who is there now is known: an end between the two leads here again
+    for leg, said in enumerate(found):
+        if said:
+            c.keep("identity", leg, said if leg in others else before[leg] | said)
 
 
 class _Listened(NamedTuple):

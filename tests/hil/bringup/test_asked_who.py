@@ -1,0 +1,231 @@
+"""Asking drives who they are: lost frames, wrong buses, numbers that nobody wrote, answers of no sense."""
+
+from __future__ import annotations
+
+import copy
+import struct
+from math import inf, nan
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.identity import REVISION, SERIAL, Identified, Said
+from drivers.moteus import MoteusProtocol
+from drivers.moteus_registers import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, pad
+from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.several_buses import SeveralBuses
+from hil.app.compose import build_protocol
+from hil.bringup.drives import ASKED_TIMES
+from hil.bringup.procedure import STEPS
+from plant_fmu.rehearsal.wiring import Wiring
+from tests.hil.bringup.families import family
+from tests.hil.bringup.kit import Rehearsal
+
+ASKED = ("cia402_pdo", "damiao", "robstride", "odrive", "moteus_stopped")
+SCAN, BY_HAND = STEPS[:1], STEPS[:4]
+MOTEUS: Any = build_protocol(family("moteus_stopped"))
+assert isinstance(MOTEUS, MoteusProtocol)
+
+
+class LossyLine:
+    """A line that loses the first answers of each drive to who it is."""
+
+    def __init__(self, rehearsal: Rehearsal, lost: int) -> None:
+        assert isinstance(rehearsal.drives.protocol, Identified)
+        self._line = rehearsal.drives.line
+        self._protocol = rehearsal.drives.protocol
+        self._left = dict.fromkeys(range(6), lost)
+        self.answers: list[Frame] = []
+        self.requests = 0
+        self.rate_Hz = self._line.rate_Hz
+        requests = self._protocol.identity_requests()
+        self._asking = {frame for asked in requests for frame in asked}
+
+    def exchange(self, opening):
+        heard = self._line.exchange(opening)
+        kept = []
+        for received in heard.frames:
+            said = self._protocol.identity(received.frame)
+            if said is not None:
+                self.answers.append(received.frame)
+                self._left[said.leg] -= 1
+            if said is None or self._left[said.leg] < 0:
+                kept.append(received)
+        return heard._replace(frames=tuple(kept))
+
+    def send(self, frames):
+        self.requests += sum(frame in self._asking for frame in frames)
+        self._line.send(frames)
+
+
+def asked_over(name, lost):
+    rehearsal = Rehearsal(name, Wiring())
+    line = LossyLine(rehearsal, lost)
+    rehearsal.drives.line = line
+    return rehearsal.drives.identities(), line
+
+
+@pytest.mark.parametrize("name", ["damiao", "odrive"])
+def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered_is_not(name):
+    rounds = {"damiao": 2, "odrive": 1}[name]
+    whole, line = asked_over(name, 0)
+    assert line.requests == 6 * rounds
+    late, line = asked_over(name, ASKED_TIMES - 1)
+    assert late == whole
+    assert [who[SERIAL] for who in whole] == [1, 2, 3, 4, 5, 6]
+    never, line = asked_over(name, 100)
+    assert never == ({},) * 6
+    assert line.requests == 6 * rounds * ASKED_TIMES
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_an_answer_counts_only_as_it_is_sent_and_on_the_bus_of_its_drive(name):
+    protocol = build_protocol(family(name))
+    assert isinstance(protocol, Identified)
+    _, line = asked_over(name, 0)
+    two = SeveralBuses(protocol, ((0, 1, 2), (3, 4, 5)))
+    assert len(line.answers) >= 6
+    for frame in line.answers:
+        said = protocol.identity(frame)
+        assert said is not None
+        for flag in (ERROR, REMOTE, BUS):
+            assert protocol.identity(frame._replace(flags=frame.flags | flag)) is None, flag
+        own = said.leg // 3
+        for bus in range(3):
+            on = frame._replace(flags=frame.flags + BUS * bus)
+            assert two.identity(on) == (said if bus == own else None)
+
+
+def measured():
+    rehearsal = Rehearsal("odrive", Wiring())
+    assert rehearsal.run(BY_HAND).success
+    return rehearsal.context.facts
+
+
+def scanned(facts, said, monkeypatch):
+    """Scan where the drives say this of themselves; return the rehearsal and what the operator was told."""
+    rehearsal = Rehearsal("odrive", Wiring(), facts=copy.deepcopy(facts))
+    told: list[str] = []
+    monkeypatch.setattr(rehearsal.hands, "tell", told.append)
+    monkeypatch.setattr(rehearsal.drives, "identities", lambda: said)
+    return rehearsal, told
+
+
+def test_a_drive_that_does_not_tell_is_no_other_one_and_stays_known(monkeypatch):
+    facts = measured()
+    silent = tuple({} if leg == 2 else {SERIAL: leg + 1} for leg in range(6))
+    rehearsal, told = scanned(facts, silent, monkeypatch)
+    rehearsal.run(SCAN)
+    found = rehearsal.context.facts
+    assert found["identity"] == facts["identity"]
+    assert found["encoder"].keys() == set("012345")
+    (line,) = [each for each in told if "leg 2" in each]
+    assert "has not told its serial number, which was 3" in line
+    assert "--again" in line
+
+
+def test_a_figure_that_is_told_only_now_is_kept_and_changes_nothing(monkeypatch):
+    facts = measured()
+    more = tuple({SERIAL: leg + 1, REVISION: 7} for leg in range(6))
+    rehearsal, told = scanned(facts, more, monkeypatch)
+    rehearsal.run(SCAN)
+    assert rehearsal.context.facts["identity"]["4"] == {SERIAL: 5, REVISION: 7}
+    assert rehearsal.context.facts["encoder"].keys() == set("012345")
+    assert not [each for each in told if "leg" in each]
+
+
+def test_what_is_known_of_a_leg_is_dropped_before_its_new_drive_is_known(monkeypatch):
+    other = tuple({SERIAL: 77 if leg == 2 else leg + 1} for leg in range(6))
+    rehearsal, told = scanned(measured(), other, monkeypatch)
+    saved: list[dict[str, Any]] = []
+    rehearsal.context.save = lambda: saved.append(copy.deepcopy(rehearsal.context.facts))
+    rehearsal.run(SCAN)
+    assert [each for each in told if "serial number 3 -> 77" in each]
+    new = [facts for facts in saved if facts["identity"]["2"] == {SERIAL: 77}]
+    assert new
+    assert not [facts for facts in new if "2" in facts["encoder"]]
+    assert [facts for facts in saved if "2" not in facts["encoder"] and facts["identity"]["2"] == {SERIAL: 3}]
+
+
+@pytest.mark.parametrize("value", [0, 0xFFFFFFFF, (1 << 48) - 1, (1 << 64) - 1, (1 << 96) - 1])
+def test_a_serial_number_that_was_never_written_tells_nothing(value, monkeypatch):
+    assert not Said(0, SERIAL, value).tells
+    assert Said(0, SERIAL, value ^ 0x10).tells
+    assert Said(0, REVISION, value).tells
+    rehearsal = Rehearsal("odrive", Wiring())
+    protocol: Any = type(rehearsal.drives.protocol)
+    heard = protocol.identity
+
+    def blank(self, frame):
+        said = heard(self, frame)
+        return said if said is None else said._replace(value=value)
+
+    monkeypatch.setattr(protocol, "identity", blank)
+    assert rehearsal.drives.identities() == ({},) * 6
+
+
+def reply(values):
+    """Return a reply of the moteus of leg 0 by its layout: each register by itself, as a float."""
+    data = b""
+    for register, value in values.items():
+        place = bytes((register,)) if register < 128 else bytes((register & 0x7F | 0x80, register >> 7))
+        data += bytes((0x20 | 3 << 2 | 1, *place)) + struct.pack("<f", value)
+    return Frame(MOTEUS._reply_ids[0], pad(data), FD | BRS | EXTENDED * (MOTEUS._reply_ids[0] > 0x7FF))
+
+
+WELL = {MODE: 10.0, PLACE: 0.5, SPEED: 0.0, TORQUE: 1.0, FAULT: 0.0}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *({MODE: value} for value in (nan, inf, 10.5, 1e30, -1.0)),
+        *({MODE: 1.0, FAULT: value} for value in (nan, -inf, 1e20)),
+        *({figure: value} for figure in (PLACE, SPEED, TORQUE) for value in (inf, -inf)),
+    ],
+)
+def test_a_moteus_reply_with_figures_of_no_sense_is_a_broken_one(wrong):
+    good = MOTEUS.hear(reply(WELL))
+    assert good is not None
+    assert (good.motion, good.torque, good.broken) == ((0.5, 0.0), 1.0, False)
+    heard = MOTEUS.hear(reply(WELL | wrong))
+    assert heard is not None
+    assert heard.broken
+    assert not heard.feedback
+
+
+@pytest.mark.parametrize("wrong", [nan, inf, -inf, 0.5])
+def test_a_moteus_serial_number_of_no_sense_is_none(wrong):
+    words = {SERIAL_NUMBER: 5.0, SERIAL_NUMBER + 1: 0.0, SERIAL_NUMBER + 2: 1.0}
+    assert MOTEUS.identity(reply(words)) == Said(0, SERIAL, 1 << 64 | 5)
+    frame = reply(words | {SERIAL_NUMBER + 1: wrong})
+    assert MOTEUS.identity(frame) is None
+    heard = MOTEUS.hear(frame)
+    assert heard is not None
+    assert heard.broken
+
+
+@pytest.mark.parametrize("name", ASKED)
+@given(data=st.data())
+def test_no_frame_of_a_drive_raises(name, data):
+    protocol = build_protocol(family(name))
+    assert isinstance(protocol, Identified)
+    lines = cyclic(name)
+    example = data.draw(st.sampled_from(lines))
+    place = data.draw(st.integers(0, len(example.data)))
+    noise = data.draw(st.binary(max_size=8))
+    wrong = (example.data[:place] + noise + example.data[place + len(noise) :])[: len(example.data)]
+    frame = example._replace(data=wrong)
+    said = protocol.identity(frame)
+    assert said is None or 0 <= said.leg < 6
+    assert -1 <= protocol.sender(frame) < 6
+
+
+def cyclic(name, _known={}):  # noqa: B006 - asked once
+    if name not in _known:
+        _, line = asked_over(name, 0)
+        frames = build_protocol(family(name)).cyclic_frames()
+        _known[name] = [*line.answers, *frames]
+    return _known[name]

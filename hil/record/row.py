@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum, IntFlag
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -25,6 +25,8 @@ UNNAMED = 127
 MOST_ROW_BYTES = 1 << 16
 """Of a log; ours take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
+_TABLES = 16
+"""So many are kept as they were read: a process may read thousands of logs, and most describe the same."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}")
 """Of values: what enumerations of Python take; `mro` is refused by them."""
 _MOST_ELEMENTS = 63
@@ -66,7 +68,7 @@ class Table(NamedTuple):
                 raise ValueError(f"column {c.name} of the row: its enumeration lacks 0, or reaches {UNNAMED}")
 
 
-@cache
+@lru_cache(_TABLES)
 def _dtype(columns: tuple[Column, ...]) -> np.dtype[np.void]:
     return ROW if columns == RECORDED else np.dtype([(c.name, c.kind, c.shape) for c in columns])
 
@@ -94,6 +96,7 @@ def describe(columns: Sequence[Column]) -> str:
     )
 
 
+@lru_cache(_TABLES)
 def columns_of(description: str) -> tuple[Column, ...]:
     """Return the table of columns that `describe` described; all are of part `output`.
 

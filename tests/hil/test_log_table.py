@@ -1,5 +1,6 @@
 """A log as a table: every component by name and unit, cut logs as far as they go, the plant's truth beside."""
 
+import gc
 import sys
 import tracemalloc
 from math import prod
@@ -187,6 +188,24 @@ def test_all_columns_take_little_more_memory_than_they_need(tmp_path):
         tracemalloc.stop()
     assert len(rows) == count
     assert peak < 2.3 * count * ROW.itemsize
+
+
+def test_a_process_that_reads_many_logs_keeps_nothing_of_them(tmp_path):
+    path = written(tmp_path / "a.mcap", random_rows(5))
+
+    def read(times: int) -> int:
+        for _ in range(times):
+            assert len(Log(path).rows()) == 5
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    read(3)
+    tracemalloc.start()
+    try:
+        grown = -read(2) + read(20)
+    finally:
+        tracemalloc.stop()
+    assert grown < 20 * 10_000, "bytes of twenty logs; their tables of columns alone took 134 kB each"
 
 
 def test_rows_that_another_program_has_moved_come_in_tick_order(tmp_path):

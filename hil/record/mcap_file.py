@@ -52,12 +52,31 @@ _SUMMARY_ORDER = (
 _MOST_TAKEN_BACK = 256
 
 
+class _Records:
+    """Records of one kind of the summary, packed: ten chunks come every second, for days.
+
+    Mutable state: their bytes, and how many there are.
+    """
+
+    def __init__(self) -> None:
+        self.data, self.count = bytearray(), 0
+
+    def add(self, record: bytes) -> None:
+        self.data += record
+        self.count += 1
+
+    def cut(self, size: int, count: int) -> None:
+        self.data = self.data[:size]  # a write that failed may still look at the old ones
+        self.count = count
+
+
 class _Place(NamedTuple):
     """A place in the file to which it can be taken back."""
 
     position: int
     crc: int
-    summarised: dict[Opcode, int]
+    summarised: dict[Opcode, tuple[int, int]]
+    """Bytes and number of the records of each kind."""
     counts: dict[int, int]
     times: tuple[int, int]
 
@@ -81,7 +100,7 @@ class McapFile:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
         self.position = 0
         self._crc = 0
-        self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_ORDER}
+        self._summary = {opcode: _Records() for opcode in _SUMMARY_ORDER}
         self._counts: dict[int, int] = {}
         self._start, self._stop = 2**64 - 1, 0
         self._compressor = zstandard.ZstdCompressor(level=1)
@@ -94,19 +113,19 @@ class McapFile:
 
     def add_schema(self, schema: Schema) -> None:
         """Write a schema."""
-        self._summary[Opcode.SCHEMA].append(record_bytes(schema))
+        self._summary[Opcode.SCHEMA].add(record_bytes(schema))
         self._write(record_bytes(schema))
 
     def add_channel(self, channel: Channel) -> None:
         """Write a channel."""
-        self._summary[Opcode.CHANNEL].append(record_bytes(channel))
+        self._summary[Opcode.CHANNEL].add(record_bytes(channel))
         self._write(record_bytes(channel))
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record."""
         record = record_bytes(Metadata(name=name, metadata=dict(data)))
         index = MetadataIndex(offset=self.position, length=len(record), name=name)
-        self._summary[Opcode.METADATA_INDEX].append(record_bytes(index))
+        self._summary[Opcode.METADATA_INDEX].add(record_bytes(index))
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes, time_ns: int, media_type: str) -> None:
@@ -123,7 +142,7 @@ class McapFile:
             name=name,
             media_type=media_type,
         )
-        self._summary[Opcode.ATTACHMENT_INDEX].append(record_bytes(index))
+        self._summary[Opcode.ATTACHMENT_INDEX].add(record_bytes(index))
         self._write(record)
 
     def add_chunk(self, data: bytes, channel: Ints, log_time: Ints, offset: Ints) -> None:
@@ -169,8 +188,7 @@ class McapFile:
             compressed_size=len(chunk.data),
             uncompressed_size=chunk.uncompressed_size,
         )
-        # as bytes: objects take fifteen times as much, and ten of these come every second, for days
-        self._summary[Opcode.CHUNK_INDEX].append(record_bytes(index))
+        self._summary[Opcode.CHUNK_INDEX].add(record_bytes(index))
         if len(channel):
             self._start = min(self._start, chunk.message_start_time)
             self._stop = max(self._stop, chunk.message_end_time)
@@ -192,20 +210,19 @@ class McapFile:
     def finish(self) -> None:
         """Write summary and footer, put all onto the disk and close."""
         self._write(record_bytes(DataEnd(self._crc)))
-        self._summary[Opcode.STATISTICS] = [record_bytes(self._statistics())]
-        summary_start = self.position
-        parts = {opcode: b"".join(self._summary[opcode]) for opcode in _SUMMARY_ORDER}
-        offset_start = summary_start
-        groups = []
-        for opcode, part in parts.items():
-            if part:
-                groups.append(record_bytes(SummaryOffset(opcode, offset_start, len(part))))
-            offset_start += len(part)
-        summary = b"".join((*parts.values(), *groups))
-        crc = zlib.crc32(
-            struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary)
-        )
-        self._write(summary + record_bytes(Footer(summary_start, offset_start, crc)) + MAGIC)
+        statistics = self._summary[Opcode.STATISTICS]
+        statistics.cut(0, 0)
+        statistics.add(record_bytes(self._statistics()))
+        summary_start, crc, groups = self.position, 0, b""
+        for opcode, records in self._summary.items():
+            if records.count:
+                groups += record_bytes(SummaryOffset(opcode, self.position, len(records.data)))
+                crc = zlib.crc32(records.data, crc)
+                self._write(records.data)
+        offset_start = self.position
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
+        footer = Footer(summary_start, offset_start, zlib.crc32(head, zlib.crc32(groups, crc)))
+        self._write(groups + record_bytes(footer) + MAGIC)
         os.fsync(self._fd)
         self.close()
 
@@ -230,7 +247,7 @@ class McapFile:
         return _Place(
             self.position,
             self._crc,
-            {kind: len(records) for kind, records in self._summary.items()},
+            {kind: (len(records.data), records.count) for kind, records in self._summary.items()},
             dict(self._counts),
             (self._start, self._stop),
         )
@@ -241,7 +258,7 @@ class McapFile:
         self.position, self._crc, self._counts = place.position, place.crc, dict(place.counts)
         self._start, self._stop = place.times
         for kind, records in self._summary.items():
-            del records[place.summarised.get(kind, 0) :]
+            records.cut(*place.summarised[kind])
 
     def close(self) -> None:
         """Close the file as it is."""
@@ -255,7 +272,7 @@ class McapFile:
         self.path.unlink()
 
     def _statistics(self) -> Statistics:
-        counts = {kind: len(records) for kind, records in self._summary.items()}
+        counts = {kind: records.count for kind, records in self._summary.items()}
         return Statistics(
             attachment_count=counts[Opcode.ATTACHMENT_INDEX],
             channel_count=counts[Opcode.CHANNEL],
@@ -268,7 +285,7 @@ class McapFile:
             schema_count=counts[Opcode.SCHEMA],
         )
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes | bytearray) -> None:
         view = memoryview(data)
         while view:
             view = view[os.write(self._fd, view) :]

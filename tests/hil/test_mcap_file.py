@@ -1,0 +1,82 @@
+"""The file writer itself: its end, wherever the disk is full, as the mcap library reads it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Schema
+from mcap.stream_reader import StreamReader
+
+from hil.record.mcap_file import McapFile
+
+MESSAGES = 40
+
+
+def with_chunks(path: Path, chunks: int) -> McapFile:
+    file = McapFile(path, "a test")
+    file.add_schema(Schema(id=1, name="none", encoding="", data=b""))
+    file.add_channel(Channel(id=1, topic="/a", message_encoding="raw", metadata={}, schema_id=1))
+    for k in range(chunks):
+        times = np.arange(MESSAGES) + k * MESSAGES
+        head = [struct.pack("<BQHIQQ", 5, 22 + 4, 1, t, t, t) + struct.pack("<I", t) for t in times.tolist()]
+        offsets = np.cumsum([0, *map(len, head[:-1])])
+        file.add_chunk(b"".join(head), np.ones(MESSAGES, np.int64), times, offsets)
+    return file
+
+
+def read(path: Path) -> tuple[list[int], int]:
+    """Return the values of all messages, found by the index, and the number of chunks in it; all CRCs hold."""
+    with path.open("rb") as stream:
+        for _ in StreamReader(stream, validate_crcs=True).records:
+            pass
+        stream.seek(0)
+        reader = SeekingReader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes)
+        assert summary.statistics.metadata_count == len(summary.metadata_indexes)
+        values = [struct.unpack("<I", message.data)[0] for _, _, message in reader.iter_messages()]
+        assert summary.statistics.message_count == len(values)
+        return values, len(summary.chunk_indexes)
+
+
+def test_the_library_finds_every_message_by_the_index(tmp_path):
+    file = with_chunks(tmp_path / "a.mcap", 12)
+    file.add_metadata("end", {"why": "done"})
+    file.finish()
+    assert read(tmp_path / "a.mcap") == (list(range(12 * MESSAGES)), 12)
+
+
+@pytest.mark.parametrize("share", np.linspace(0.0, 0.999, 9))
+def test_a_disk_that_is_full_anywhere_in_the_end_keeps_the_first_chunks(share, tmp_path, monkeypatch):
+    whole = with_chunks(tmp_path / "whole.mcap", 12)
+    data = whole.position
+    whole.add_metadata("end", {"why": "done"})
+    whole.finish()
+    room = data + int(share * ((tmp_path / "whole.mcap").stat().st_size - data))
+
+    def write(fd, view):
+        left = room - os.lseek(fd, 0, os.SEEK_CUR)
+        if left <= 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(fd, bytes(view)[:left])
+
+    real = os.write
+    monkeypatch.setattr(os, "write", write)
+    file = with_chunks(tmp_path / "a.mcap", 12)
+    try:
+        file.add_metadata("end", {"why": "done"})
+        file.finish()
+    except OSError:  # as its user does: the failure is still being handled
+        file.finish_within("end", lambda: {"why": "full"})
+    values, chunks = read(tmp_path / "a.mcap")
+    assert 0 < chunks < 12
+    assert values == list(range(chunks * MESSAGES))
+    assert (tmp_path / "a.mcap").stat().st_size <= room

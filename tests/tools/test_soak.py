@@ -93,8 +93,14 @@ def test_shifts_begin_a_second_before_each_wrap():
 
 def test_memory_counts_from_when_it_has_settled():
     seen = [Memory(1000 * k, 2000) for k in (1, 5, 5, 5, 9)]
-    shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", seen)
+    shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", memory=seen)
     assert shift.grown_MB() == pytest.approx((4000 / 1024, 0.0))
+
+
+def test_the_index_that_a_recorder_has_to_hold_is_not_counted_as_growth():
+    seen = [Memory(0, kB) for kB in (0, 1000, 2000, 3000, 4000)]
+    shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", index_bytes=4000 * 1024, memory=seen)
+    assert shift.grown_MB() == pytest.approx((0.0, 0.0))
 
 
 def test_a_path_that_cannot_repeat_without_an_end_is_refused(tmp_path):

@@ -379,5 +379,6 @@ def moteus(bus: BusSettings, drives: DriveSettings) -> MoteusProtocol:
     options = Options(drives.options, "moteus", ("host_id", "timeout_mode", "torque_N_m"))
     mode = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
     most = options.positive("torque_N_m", _MAX_TORQUE)
-    refuse_torque(transmission, drives.force_limit_N, most, "moteus")
+    name = f"moteus, by drives.options: torque_N_m {most:g},"
+    refuse_torque(transmission, drives.force_limit_N, most, name)
     return MoteusProtocol(drives.node_ids, options.whole("host_id", 0), mode, most, transmission)

@@ -14,7 +14,7 @@ from drivers.signals import Fault
 from drivers.tick_columns import Record, row_of
 from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.checklist import checklist
-from hil.app.bringup.found import FIRST_M, found_text
+from hil.app.bringup.found import FIRST_M, found_text, is_mended
 from hil.app.bringup.hands import RemoteHands, asked, hands_socket
 from hil.app.bringup.homing import mark_moved, state_lengths
 from hil.app.bringup.machine import bringup_rate, build_machine, known_poses
@@ -28,7 +28,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
 from hil.app.output import log_path
 from hil.app.run.command import run_daemon
-from hil.bringup.context import Context, Operator, RefusedError, Request
+from hil.bringup.context import Context, Finding, Operator, RefusedError, Request
 from hil.bringup.drives import Drives
 from hil.bringup.line import Line
 from hil.bringup.procedure import Outcome, bring_up
@@ -113,7 +113,7 @@ def run_bringup(
                 store.forget_brakes()
         lines = checklist(context, outcome, together.lines)
         if outcome.findings:
-            lines += _write_mended(c, files.found, text, said)
+            lines += _write_mended(c, files.found, text, outcome.findings, said, rehearsal=rehearsal)
         write_whole(files.checklist, "\n".join([*_head(c, path, rehearsed=rehearsed), *lines]) + "\n")
         for line in lines:
             said.event(line)
@@ -125,8 +125,16 @@ def run_bringup(
     return _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
 
 
-def _write_mended(c: Configuration, file: Path, text: str, said: "_Said") -> list[str]:
-    """Write what was found with findings, where it can be loaded; else say why not, and return that."""
+def _write_mended(
+    c: Configuration,
+    file: Path,
+    text: str,
+    findings: Sequence[Finding],
+    said: "_Said",
+    *,
+    rehearsal: bool,
+) -> list[str]:
+    """Write what was found with findings, where it can be loaded; say and return what is next, or why not."""
     try:
         loads(text, c.name, c.folder)
     except ConfigurationError as error:
@@ -135,7 +143,16 @@ def _write_mended(c: Configuration, file: Path, text: str, said: "_Said") -> lis
         said(line)
         return [line]
     write_whole(file, text)
-    return []
+    done = [finding.name for finding in findings if is_mended(c, finding)]
+    line = f"next: hil bringup {file}{' --rehearse' if rehearsal else ''}"
+    if len(done) < len(findings):
+        line += ", once what was found at the machine is mended"
+    if done:
+        line += (
+            f"; that file makes up for {', '.join(dict.fromkeys(done))}: do not mend it at the machine, too"
+        )
+    said(line)
+    return [line]
 
 
 def _summary(

@@ -41,11 +41,24 @@ def found_text(
     if rehearsed:
         head.append("# REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
     if findings:
-        head.append("# NOT RELEASED: mend what follows, and give this file to `hil bringup` again.")
-        head += [f"#   {finding.line}" for finding in findings]
+        left = [finding for finding in findings if not is_mended(c, finding)]
+        done = [finding for finding in findings if is_mended(c, finding)]
+        first = "mend what follows, and give" if left else "give"
+        head.append(f"# NOT RELEASED: {first} this file to `hil bringup` again.")
+        head += [f"#   {finding.line}" for finding in left]
+        if done:
+            head.append("# This file makes up for what follows: do not mend it at the machine, too.")
+        head += [f"#   {finding._replace(mend='').line.rstrip(' .')}" for finding in done]
     elif not released:
         head.append("# NOT RELEASED: the step together has not passed. Give the command again.")
     return "\n".join(head) + "\n" + commented(text, comments)
+
+
+def is_mended(c: Configuration, finding: Finding) -> bool:
+    """Tell whether the configuration that is written makes up for a finding."""
+    return finding.name in {"ids", "stroke"} or (
+        c.drives.transmission is not None and finding.name in {"wrong_lead", "drive_reversed", "offset"}
+    )
 
 
 def _changes(

@@ -103,7 +103,8 @@ def judge(c: Context) -> list[Finding]:
             continue
         elif same:
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
-            mend = f"Multiply lead, or divide gear ratio, in the drive by 1/{abs(scale):.4f}."
+            where = "in the drive or in drives.transmission"
+            mend = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, {where}."
             found.append(Finding("wrong_lead", (drive,), text, mend))
         else:
             text = f"it gives {abs(g):.3f} N for each N commanded"

@@ -96,6 +96,39 @@ def test_a_configuration_that_would_be_refused_is_not_written_and_why_is_said(en
     assert why in (tmp_path / summary["checklist"]).read_text()
 
 
+def test_what_the_written_file_makes_up_for_stands_apart_from_what_is_to_be_mended(ended, tmp_path):
+    encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.98, "offset_m": 0.0, "bent_m": 0.0}
+    findings = (
+        Finding("wrong_lead", (3,), "too long", "Shorten it."),
+        Finding("brake_stuck_open", (1,), "it gives way", "Look at brake."),
+    )
+    _, said = ended(ran(), name="desktop", facts={"encoder": {"3": encoder}}, findings=findings)
+    head = (tmp_path / "desktop.rehearsal.yaml").read_text().split("\nname:")[0].splitlines()
+    at = head.index("# NOT RELEASED: mend what follows, and give this file to `hil bringup` again.")
+    assert head[at + 1 :] == [
+        "#   brake_stuck_open: leg 1: it gives way. Look at brake.",
+        "# This file makes up for what follows: do not mend it at the machine, too.",
+        "#   wrong_lead: leg 3: too long",
+    ]
+    (line,) = [text for text in said if text.startswith("next: ")]
+    assert line == (
+        "next: hil bringup desktop.rehearsal.yaml --rehearse, once what was found at the machine is mended; "
+        "that file makes up for wrong_lead: do not mend it at the machine, too"
+    )
+
+
+def test_where_the_file_makes_up_for_all_it_is_given_again_at_once(ended, tmp_path):
+    findings = (Finding("stroke", (0, 1, 2, 3, 4, 5), "all end early", "Write it."),)
+    tapes = {
+        str(k): {"drive": k, "tape_m": [1.2, 2.0], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
+        for k in range(6)
+    }
+    _, said = ended(ran(), facts={"encoder": tapes}, findings=findings)
+    assert "# NOT RELEASED: give this file to `hil bringup` again." in (tmp_path / FOUND).read_text()
+    (line,) = [text for text in said if text.startswith("next: ")]
+    assert line.startswith(f"next: hil bringup {FOUND} --rehearse; that file makes up for stroke")
+
+
 def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):
     summary, _ = ended(ran(success=False, faults=Fault.BRAKE))
     assert not summary["success"]

@@ -121,7 +121,8 @@ def judge(c: Context) -> list[Finding]:
     stuck = [d for d in range(LEGS) if not opens[d]]
     for drive in stuck:
         text = "its brake does not open: no leg gives way"
-        found.append(Finding("brake_stuck_shut", (drive,), text, "Look at the brake, its cable, its supply."))
+        mend = "Look at the brake, its cable, its supply. More friction than the push looks the same."
+        found.append(Finding("brake_stuck_shut", (drive,), text, mend))
     for drive, legs in opens.items():
         if len(legs) > 1:
             text = f"drive {drive} opens the brakes of legs {', '.join(map(str, sorted(legs)))} at once"

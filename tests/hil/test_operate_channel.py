@@ -312,6 +312,21 @@ def test_a_client_that_floods_delays_the_line_of_no_other(channel):
         assert channel.take().operator == (Operator.ESTOP,)
 
 
+@pytest.mark.parametrize("talking", [1, 2, 3])
+def test_key_frames_sent_ahead_are_read_by_turns_within_the_ticks_that_the_guide_says(channel, talking):
+    sent = 21
+    clients = [OperatorClient("localcan", "hil/0") for _ in range(talking)]
+    for client in clients:
+        for _ in range(sent):
+            client._socket.send(b"key" if client is clients[0] else b"hold")
+    within = math.ceil(sent * talking / AT_MOST)
+    keys = [sum(each.command is Operator.KEY for each in channel.take().orders) for _ in range(within)]
+    assert sum(keys) == sent
+    assert sum(keys[: (within - 1) * 2 // 3]) < sent, "else the figure of the guide is far too large"
+    for client in clients:
+        client.close()
+
+
 def test_where_all_places_are_taken_the_one_that_was_silent_for_longest_makes_room(channel):
     clients = [OperatorClient("localcan", "hil/0") for _ in range(MOST_CLIENTS)]
     channel.take(QUEUED)

@@ -18,6 +18,7 @@ from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
 from drivers.compiled.cache import Locator, announce, is_as_imported
 from drivers.compiled.cache import compiled as count_compiled
 from drivers.compiled.lean_library import lean_libraries
+from drivers.compiled.undisturbed import undisturbed
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -73,7 +74,7 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
     the interpreter run meanwhile. Where a source was saved since this process began, what is compiled is
-    neither taken from the cache nor kept.
+    neither taken from the cache nor kept. Ctrl-C waits until the kernel is there.
     """
 
     def decorate(function: F) -> F:
@@ -85,7 +86,7 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
         elsewhere = settings["CACHE_LOCATOR_CLASSES"]
         settings["CACHE_LOCATOR_CLASSES"] = f"{Locator.__module__}.{Locator.__name__}"
         try:
-            with lean_libraries():
+            with undisturbed(), lean_libraries():
                 compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **_OPTIONS)(function)
         finally:
             settings["CACHE_LOCATOR_CLASSES"] = elsewhere

@@ -15,6 +15,7 @@ INTERRUPTED = 128 + signal.SIGINT
 _ENOUGH = 3
 """Presses after which nothing is closed any more."""
 _AGAIN_S = 0.02
+_OURS = frozenset({"hil", "drivers", "plant_fmu"})
 
 
 class Interrupts:
@@ -22,7 +23,8 @@ class Interrupts:
 
     The first press raises KeyboardInterrupt. While that is on its way, files are closed and processes ended;
     a further press does not disturb it, and neither does one after the result is there. The third one in
-    vain ends the process at once. A press that struck where Python drops exceptions is repeated.
+    vain ends the process at once. A press that struck where Python drops exceptions, or in an import, where
+    a library's own code may not bear one, is repeated.
     Mutable state: how many presses were in vain, whether one was not, whether the result is there.
     """
 
@@ -38,8 +40,11 @@ class Interrupts:
 
     def pressed(self, signum: int, frame: FrameType | None) -> None:
         """Handle SIGINT, and the timer that repeats it."""
-        del signum, frame
+        del signum
         if not self._settled and not comes_of_interrupt(sys.exc_info()[1]):
+            if importing(frame):
+                signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+                return
             self.raised = True
             raise KeyboardInterrupt
         self._in_vain += 1
@@ -71,6 +76,17 @@ class Interrupts:
 
 
 OF_THIS_PROCESS = Interrupts()
+
+
+def importing(frame: FrameType | None) -> bool:
+    """Tell whether what runs here is the import of a module, and no line of this project in it."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).partition(".")[0] in _OURS:
+            return False
+        if frame.f_code.co_filename.startswith("<frozen importlib._bootstrap"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def comes_of_interrupt(error: BaseException | None) -> bool:

@@ -7,6 +7,9 @@ import errno
 import os
 import resource
 import signal
+import sys
+import time
+from importlib import import_module
 
 import pytest
 
@@ -112,6 +115,28 @@ def test_a_press_after_the_result_changes_nothing(monkeypatch):
     assert not ends
     interrupts.pressed(signal.SIGINT, None)
     assert ends == [130], "the third one in vain ends a process that hangs"
+
+
+def test_a_press_in_the_import_of_a_library_is_repeated_behind_it(monkeypatch, tmp_path):
+    """Libraries whose start is C++ end the process where Python raises in it: ruckig does."""
+    (tmp_path / "a_library.py").write_text(
+        "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhole = sum(range(1000))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    interrupts = Interrupts()
+    seen = []
+
+    def work() -> None:
+        seen.append(import_module("a_library").whole)
+        end = time.monotonic() + 5.0
+        while time.monotonic() < end:
+            pass
+
+    with interrupts.attached(), pytest.raises(KeyboardInterrupt):
+        work()
+    monkeypatch.delitem(sys.modules, "a_library")
+    assert seen == [499500]
+    assert interrupts.raised
 
 
 def test_only_what_comes_of_an_interrupt_is_taken_for_one():

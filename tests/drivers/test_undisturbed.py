@@ -1,0 +1,78 @@
+"""Ctrl-C waits until a kernel is there: half of one would crash the process."""
+
+import os
+import signal
+import threading
+
+import numba
+import pytest
+
+from drivers.compiled import compiler
+from drivers.compiled.compiler import REAL, kernel
+from drivers.compiled.undisturbed import undisturbed
+
+
+def press() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.fixture(autouse=True)
+def foreground():
+    """Let SIGINT be as in a terminal: it is ignored in the background of a shell."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_press_strikes_at_the_end_and_once():
+    done = []
+
+    def work() -> None:
+        with undisturbed():
+            press()
+            done.append(1)
+            press()
+            done.append(2)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == [1, 2]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_goes_wrong_meanwhile_is_said_and_handlers_are_back():
+    with pytest.raises(ValueError, match="of its own"), undisturbed():
+        raise ValueError("of its own")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with undisturbed():
+        press()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_another_thread_changes_no_handler():
+    seen = []
+
+    def work() -> None:
+        with undisturbed():
+            seen.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [signal.default_int_handler]
+
+
+def test_a_kernel_is_whole_before_a_press_strikes(monkeypatch):
+    made = []
+
+    def compiled(function):
+        press()
+        made.append(function)
+        return function
+
+    monkeypatch.setattr(numba, "njit", lambda *_, **__: compiled)
+    monkeypatch.setattr(compiler, "is_as_imported", lambda _: True)
+    with pytest.raises(KeyboardInterrupt):
+        kernel(REAL)(lambda x: 2.0 * x)
+    assert len(made) == 1

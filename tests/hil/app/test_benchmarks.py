@@ -373,7 +373,7 @@ def test_two_buses_are_measured_at_their_shipped_rate_on_channels_of_their_own(b
 
 
 @pytest.mark.long
-@pytest.mark.realtime(patient=True)
+@pytest.mark.realtime
 def test_two_buses_in_real_time_cannot_be_faster_than_their_frames_and_have_no_marks(benchmark):
     figures = {f.name: f for f in realtime.two_buses(benchmark)}
     # docs/guides/buses.md: SYNC 75.0 us and three feedbacks 193.8 us on each

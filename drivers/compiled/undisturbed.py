@@ -2,7 +2,6 @@
 
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,15 +12,15 @@ _RAISING = (signal.SIGINT, signal.SIGALRM)
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Hold Ctrl-C back: its handler is called at the end, once."""
-    if threading.current_thread() is not threading.main_thread():  # handlers run in the main thread alone
-        yield
-        return
     held: list[int] = []
     handlers = {number: signal.getsignal(number) for number in _RAISING}
     replaced = [number for number, handler in handlers.items() if callable(handler)]
     try:
         for number in replaced:
             signal.signal(number, lambda signum, _: held.append(signum))
+    except ValueError:  # not the main thread, in which alone handlers run
+        replaced = []
+    try:
         yield
     finally:
         for number in replaced:

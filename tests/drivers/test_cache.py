@@ -185,6 +185,8 @@ def test_a_process_began_before_its_first_statement_and_after_it_was_asked_for()
         began, first = map(int, said.split())
         assert began <= first
         best_ns = max(best_ns, began - asked)
+        if best_ns >= 0:
+            break
     assert best_ns >= 0
 
 

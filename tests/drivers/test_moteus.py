@@ -319,6 +319,10 @@ def test_a_reply_that_is_not_whole_is_refused(data):
         ({"options": {"timeout_mode": "stopped", "host_id": 3}}, "drives.node_ids[2]: out of range"),
         # 300 N x 20 mm / 2 pi = 0.955 N m
         ({"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}}, "300 N need 0.9549 N m of the motor"),
+        (
+            {"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}},
+            "moteus, by drives.options: torque_N_m 0.9, carries up to 0.9 N m",
+        ),
     ],
 )
 def test_a_row_names_what_it_does_not_have(change, message):

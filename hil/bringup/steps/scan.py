@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from drivers.identity import SERIAL
+from drivers.identity import SERIAL, Said
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.bringup.context import Context, Finding
 from hil.bringup.facts import forget_legs
@@ -42,7 +42,14 @@ def find(c: Context) -> None:
 def _recognise(c: Context) -> None:
     """Drop what is known of legs whose drive is another than the one that was measured, and say so."""
     found = c.drives.identities()
-    before = [c.known("identity", leg) or {} for leg in range(LEGS)]
+    before = [
+        {
+            what: value
+            for what, value in (c.known("identity", leg) or {}).items()
+            if Said(leg, what, value).tells
+        }
+        for leg in range(LEGS)
+    ]
     others = []
     for leg, (known, said) in enumerate(zip(before, found, strict=True)):
         node = c.machine.node_ids[leg]
@@ -53,9 +60,11 @@ def _recognise(c: Context) -> None:
         ]
         if changes:
             others.append(leg)
+            same = SERIAL in said and said[SERIAL] == known.get(SERIAL)
+            who = "the same drive has changed" if same else "another drive answers"
             c.operator.tell(
-                f"  leg {leg}: another drive answers as node {node} than the one that was measured "
-                f"({', '.join(changes)}): its steps are done again"
+                f"  leg {leg}: {who} since it was measured, as node {node} ({', '.join(changes)}): "
+                "its steps are done again"
             )
         elif SERIAL in known and SERIAL not in said and c.known("scan", leg)["answers"]:
             c.operator.tell(

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from drivers.identity import REVISION, SERIAL, Identified, Said
 from drivers.moteus import MoteusProtocol
 from drivers.moteus_registers import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, pad
+from drivers.motors import MotorProtocol
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.several_buses import SeveralBuses
 from hil.app.compose import build_protocol
@@ -136,6 +137,18 @@ def test_a_figure_that_is_told_only_now_is_kept_and_changes_nothing(monkeypatch)
     assert not [each for each in told if "leg" in each]
 
 
+def test_a_blank_serial_number_that_was_kept_is_compared_with_none(monkeypatch):
+    facts = measured()
+    facts["identity"]["2"] = {SERIAL: 0}
+    facts["identity"]["3"] = {SERIAL: 0xFFFFFFFF}
+    who = tuple({} if leg == 3 else {SERIAL: leg + 1} for leg in range(6))
+    rehearsal, told = scanned(facts, who, monkeypatch)
+    rehearsal.run(SCAN)
+    assert not [each for each in told if "leg" in each]
+    assert rehearsal.context.facts["encoder"].keys() == set("012345")
+    assert rehearsal.context.facts["identity"]["2"] == {SERIAL: 3}
+
+
 def test_what_is_known_of_a_leg_is_dropped_before_its_new_drive_is_known(monkeypatch):
     other = tuple({SERIAL: 77 if leg == 2 else leg + 1} for leg in range(6))
     rehearsal, told = scanned(measured(), other, monkeypatch)
@@ -221,6 +234,9 @@ def test_no_frame_of_a_drive_raises(name, data):
     said = protocol.identity(frame)
     assert said is None or 0 <= said.leg < 6
     assert -1 <= protocol.sender(frame) < 6
+    if isinstance(protocol, MotorProtocol):
+        heard = protocol.hear(frame)
+        assert heard is None or 0 <= heard.leg < 6
 
 
 def cyclic(name, _known={}):  # noqa: B006 - asked once

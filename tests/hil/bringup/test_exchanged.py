@@ -66,7 +66,8 @@ def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_n
     monkeypatch.setattr(third.hands, "tell", said.append)
     assert third.run(BY_HAND).success
     assert asked_legs(third) == {2}
-    assert [text for text in said if "another drive" in text and told in text]
+    who = "another drive answers" if key == objects.SERIAL else "the same drive has changed"
+    assert [text for text in said if who in text and told in text]
     assert "mounted" not in third.context.facts
     assert third.context.facts["watchdog"].keys() == set("012345")
 

@@ -17,7 +17,7 @@ from hil.app.bringup.checklist import checklist
 from hil.app.bringup.found import FIRST_M, found_text, is_mended
 from hil.app.bringup.hands import RemoteHands, asked, hands_socket
 from hil.app.bringup.homing import mark_moved, state_lengths
-from hil.app.bringup.machine import bringup_rate, build_machine, known_poses
+from hil.app.bringup.machine import WINDOW, bringup_rate, build_machine, known_poses
 from hil.app.bringup.rehearsal import BenchHands, BenchLine, build_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
@@ -234,7 +234,7 @@ def _proceed(
                 said("a rehearsal bench is served on this bus: its hands do what you are asked")
                 operator = stack.enter_context(contextlib.closing(RemoteHands(address, terminal, agree)))
             stack.enter_context(real_time(c.loop.priority, c.loop.cpu))
-            line = BusLine(bus, rate, c.loop.window_s(rate), watched=protocol.has_watchdog)
+            line = BusLine(bus, rate, WINDOW / rate, watched=protocol.has_watchdog)
         drives = Drives(protocol, line, machine.watchdog_s, said.tick)
         context = Context(machine, drives, operator, store.facts, store.save)
         try:

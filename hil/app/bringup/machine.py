@@ -19,6 +19,8 @@ TILT_deg = (3.0, 2.0, 4.0)
 """Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""
 FASTEST_Hz = 500.0
 """No faster, so that an adapter and a desktop computer keep up."""
+WINDOW = 0.9
+"""Of a period, in which answers are waited for: nothing is computed behind them that takes the rest."""
 PERIODS = 5.0
 """Periods of a watchdog at least."""
 

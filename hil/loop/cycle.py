@@ -157,7 +157,7 @@ class Cycle:
 
         latches = parts.protocol.stop_latches
         stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))
-        command = self._command(tick)._replace(stop=stops)
+        command = self._command(tick, stops=stops)
         limited = warnings and self.mode in CONTROLLED  # no limit acts without a warning
         self.effort.shortfall = tick["tau"] - tick["tau_asked"] if limited else ZERO6
         for follower in self._followers:
@@ -379,7 +379,7 @@ class Cycle:
             self.mode, faults, self._under_control, self._torque_off, located=self.sight.located, heard=heard
         )
 
-    def _command(self, tick: Record) -> Command:
+    def _command(self, tick: Record, *, stops: bool) -> Command:
         mode = drive_mode(self.mode)
         if self.mode is Mode.WAITING and self.reset_tick is not None:
             since = int(tick["tick"]) - self.reset_tick
@@ -389,7 +389,7 @@ class Cycle:
             tick["tau"] = 0.0
         tick["command_mode"] = mode
         self.effort.last_tau = tick["tau"]
-        return Command(mode, tick["tau"])
+        return Command(mode, tick["tau"], stops)
 
     def _set_up(self, tick: Record) -> tuple[Frame, ...]:
         """Return the start-up dialogue's frames of this tick."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from drivers.signals import DriveFault, DriveState
+from drivers.signals import LEGS, DriveFault, DriveState
 from drivers.tick_columns import Record
 from hil.safety.standstill import REST_m_s
 
@@ -11,7 +11,7 @@ _POWERED = (DriveState.READY, DriveState.RUN)
 
 def all_free(tick: Record) -> bool:
     """Tell whether all brakes are open, on the drives' own word."""
-    return all(state == DriveState.RUN for state in tick["drive_state"].tolist())
+    return bool(tick["drive_state"].tolist().count(DriveState.RUN) == LEGS)
 
 
 def any_powered(tick: Record) -> bool:

@@ -209,7 +209,7 @@ class Nodes:
             deadlines = self._drives.deadline_ns.tolist()
             watchdog = min(deadlines)
             edge = self._edges[0] if self._edges else NEVER_NS
-            moved = int(self._drives.moved_ns.min())
+            moved = self._drives.next_move_ns()
             other = min(edge, self._next_beat_ns, moved)
             if watchdog < t and watchdog <= other:
                 self._now_ns = max(self._now_ns, watchdog)
@@ -280,7 +280,7 @@ class Nodes:
         self._memory = self._protocol.restarted(self._memory, np.flatnonzero(self._present.reset).tolist())
         self._weigh()
         self._actuate(t)
-        self._calm_ns = min(self._calm_ns, int(self._drives.moved_ns.min()))
+        self._calm_ns = min(self._calm_ns, self._drives.next_move_ns())
 
     def _actuate(self, t: int, *, lag: bool = False) -> None:
         """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
@@ -305,7 +305,7 @@ class Nodes:
                 drives.fault[leg] = fault
                 self._send_status(leg, t, out)
         self._actuate(t)
-        self._calm_ns = min(self._calm_ns, int(drives.deadline_ns.min()), int(drives.moved_ns.min()))
+        self._calm_ns = min(self._calm_ns, int(drives.deadline_ns.min()), drives.next_move_ns())
 
     # frames
 

@@ -46,8 +46,30 @@ def waiting_text(cycle: Cycle) -> str:
     if cycle.homing.refusal:
         lacking.append(cycle.homing.refusal)
     if not lacking:
-        lengths = ", ".join(f"{q:.4f}" for q in last["length"])
-        lacking.append(f"no pose near platform.home has the measured leg lengths {lengths} m")
+        lacking.append(_unlocated(cycle))
     latched = (last["drive_state"] == DriveState.FAULT).any()
     mend = "; find out why, then start with --reset to clear latched faults" if latched else ""
     return f"the drives are not ready: {'; '.join(lacking)}{mend}"
+
+
+def _unlocated(cycle: Cycle) -> str:
+    """Say why no pose has been found though all drives answer."""
+    last, sight = cycle.tick, cycle.sight
+    if sight.located:
+        return "nothing is lacking by now, but it was until after the end; give the run more time"
+    if sight.sought:
+        lengths = ", ".join(f"{q:.4f}" for q in last["length"])
+        return f"no pose near platform.home has the measured leg lengths {lengths} m"
+    number, late = int(last["tick"]), []
+    for leg, tick in enumerate(sight.in_time):
+        if tick is None:
+            late.append(f"drive {leg} in none yet")
+        elif tick < number:
+            late.append(f"drive {leg} {(number - tick) * cycle.period_s:.3g} s ago the last time")
+    if not late:
+        return "the pose is being looked for"
+    return (
+        "not all six drives have answered within one tick, as the first pose needs it: "
+        f"{', '.join(late)}; their answers come late: look at the load of this machine and of the bus, "
+        "loop.feedback_window_us, or take a lower loop.rate_Hz"
+    )

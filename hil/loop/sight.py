@@ -2,6 +2,7 @@
 
 from math import inf
 
+from drivers.arrays import Array
 from drivers.sensors import Readings, SensorProtocol
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
@@ -19,8 +20,8 @@ SEARCH_S = 0.02
 class Sight:
     """Fills the estimate of each tick.
 
-    Mutable state: the sensors' last readings, the estimator's pose, whether it has been found, and the
-    filter with whether that has begun.
+    Mutable state: the sensors' last readings, the estimator's pose, whether it has been found, was looked
+    for and is to be, when each leg was last heard in time, and the filter with whether that has begun.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -38,7 +39,10 @@ class Sight:
 
     def forget(self) -> None:
         """Look for the pose again, from the last one."""
-        self.located = False
+        self.located = self.sought = self._due = False
+        """The pose has been found; six lengths of one tick were looked at for it; a look is due."""
+        self.in_time: list[int | None] = [None] * LEGS
+        """Tick in which each leg was last heard within it, while the pose was looked for; None: in none."""
         self.fusing = False
         """Whether the filter has begun."""
 
@@ -62,8 +66,7 @@ class Sight:
         estimator = self.estimator
         tick["q"], tick["dq"] = tick["length"], tick["rate"]
         if not self.located:
-            q = tick["q"]
-            self.located = not old and number % self._search_interval == 0 and estimator.acquire(q)
+            self._look(number, age.tolist(), tick["q"])
             if not self.located:
                 tick["p"], tick["R"] = estimator.p, estimator.R
                 tick["fk_residual"] = tick["condition"] = inf
@@ -80,3 +83,11 @@ class Sight:
         if fusion is not None:
             fusion.start(number, latched_ns, tick["p"], tick["R"])
             self.fusing = True
+
+    def _look(self, number: int, age: list[int], q: Array) -> None:
+        """Look for the first pose in a tick with all six lengths, once in SEARCH_S at most."""
+        self.in_time = [number if old == 0 else last for old, last in zip(age, self.in_time, strict=True)]
+        self._due = self._due or number % self._search_interval == 0
+        if self._due and not any(age):
+            self._due, self.sought = False, True
+            self.located = self.estimator.acquire(q)

@@ -1,0 +1,65 @@
+"""What a controller waits for is what is lacking: late answers are not called a pose that does not fit."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.signals import Mode
+from hil.loop.report import waiting_text
+from tests.hil.test_cycle import Bench
+
+
+class Late(Bench):
+    """A bench on which some legs answer each SYNC a tick late, as on a bus that is too slow for its rate."""
+
+    def step_late(self, *legs: int) -> str:
+        """Do a tick, and return what is lacking."""
+        drives, tick = self.drives, self.tick + 1
+        answers = drives.feedback(tick)
+        booting = len(answers) - 6
+        old = drives.feedback(tick - 1) if tick else ()
+        own = [answer for leg, answer in enumerate(answers[booting:]) if leg not in legs]
+        self.step(frames=(*answers[:booting], *(old[leg] for leg in legs if old), *own))
+        return waiting_text(self.cycle).removeprefix("the drives are not ready: ")
+
+
+def test_drives_that_answer_late_are_named_since_when_and_not_laid_to_the_home():
+    bench = Late()
+    for _ in range(7):
+        bench.step_late(1)
+    bench.step_late(1, 4)
+    for _ in range(493):
+        text = bench.step_late(1, 4)
+    assert bench.cycle.mode is Mode.WAITING
+    assert bench.cycle.tick["age"].tolist() == [0, 1, 0, 0, 1, 0]
+    assert "platform.home" not in text
+    assert "drive 1 in none yet, drive 4 0.494 s ago the last time;" in text
+    assert "loop.rate_Hz" in text
+
+
+def test_lengths_of_one_tick_that_fit_no_pose_are_laid_to_the_home():
+    bench = Late()
+    bench.drives.length = bench.drives.length + 0.6 * (-1.0) ** bench.drives.length.argsort()
+    for _ in range(500):
+        text = bench.step_late()
+    assert bench.cycle.mode is Mode.WAITING
+    assert "no pose near platform.home" in text
+
+
+@pytest.mark.parametrize("phase", [0, 7])
+def test_one_tick_with_all_six_legs_is_enough_whenever_it_comes(phase):
+    bench = Late()
+    for _ in range(200 + phase):
+        bench.step_late(3)
+    modes = [bench.cycle.mode]
+    bench.step_late()
+    assert bench.cycle.sight.located
+    assert [*modes, bench.cycle.mode] == [Mode.WAITING, Mode.IDLE]
+
+
+def test_what_was_lacking_until_the_end_of_a_short_run_is_no_pose():
+    bench = Late()
+    for _ in range(30):
+        text = bench.step_late()
+    assert bench.cycle.sight.located
+    assert text == "nothing is lacking by now, but it was until after the end; give the run more time"

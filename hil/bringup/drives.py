@@ -5,13 +5,13 @@ the five others are locked out before: set up with a watchdog of LOCK_S, they la
 are powered, on shut brakes, and a latched drive obeys no command but RESET. Nothing opens before they have.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.identity import Identified, Said
+from drivers.identity import SERIAL, Identified, Said
 from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
@@ -61,6 +61,8 @@ class Drives:
         """Frames of the last tick."""
         self.spoken: tuple[set[int], ...] | None = None
         """Identifiers of all frames that each drive has sent; None: nobody asks."""
+        self.serials: tuple[set[int], ...] = ()
+        """Serial numbers that each node told when it was asked last: two of them are two drives."""
         self._records = self.record, copy_of(self.record)
         self._alone: int | None = None
         self._commanded: int | None = None
@@ -188,31 +190,38 @@ class Drives:
             self._rest, frames = self.protocol.set_up(self._rest, _only(self.record, ~mine))
         return frames
 
-    def identities(self) -> tuple[dict[str, int], ...]:
-        """Ask each drive, commanded off, who it is; return what it has said, empty where it says nothing."""
+    def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
+        """Ask the drives of some legs, commanded off, who they are; return what each has said, maybe nothing.
+
+        Fills `serials`.
+        """
         answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
+        self.serials = tuple(set() for _ in range(LEGS))
         requests = self.protocol.identity_requests() if isinstance(self.protocol, Identified) else ()
-        for number, asked in enumerate(requests * ASKED_TIMES):
-            lacking = {leg for leg in range(LEGS) if len(answers[leg]) < len(requests)}
-            if number >= len(requests) and not lacking:
+        for asked in requests * ASKED_TIMES:
+            lacking = {leg for leg in legs if len(answers[leg]) < len(requests)}
+            if not lacking:
                 break
             self._ask(tuple(asked[leg] for leg in sorted(lacking)), answers, lacking)
         return tuple({what: s.value for what, s in each.items() if s.tells} for each in answers)
 
     def _ask(self, asked: tuple[Frame, ...], answers: tuple[dict[str, Said], ...], lacking: set[int]) -> None:
-        """Ask once, and keep what is answered until all that lack it have, or ANSWER_S is over."""
+        """Ask once, and keep what is answered for ANSWER_S, or until a tick after all that lack it have."""
         assert isinstance(self.protocol, Identified)
         self.step(asked=asked)
         waited = set(lacking)
         for _ in range(self.ticks(ANSWER_S)):
-            if not waited:
-                break
+            last = not waited  # a second drive of the same number answers behind the first one
             self.step()
             for _, frame in self.heard:
                 answer = self.protocol.identity(frame)
                 if answer is not None:
                     answers[answer.leg][answer.what] = answer
                     waited.discard(answer.leg)
+                    if answer.what == SERIAL and answer.tells:
+                        self.serials[answer.leg].add(answer.value)
+            if last:
+                break
 
     # one brake
 

@@ -1,5 +1,7 @@
 """Who answers on the bus, and whether six drives take their set-up."""
 
+from collections import Counter
+from collections.abc import Collection
 from typing import NamedTuple
 
 from drivers.identity import SERIAL, Said
@@ -9,6 +11,8 @@ from hil.bringup.facts import forget_legs
 from hil.bringup.step import Step
 
 LISTEN_S = 0.4
+TWICE = 1.5
+"""So many answers a tick, of one that is polled once in it, are those of two drives."""
 CANOPEN_HEARTBEAT = 0x700
 """CiA 301: identifier of a heartbeat less the node number."""
 
@@ -20,8 +24,8 @@ def find(c: Context) -> None:
     lacks = ("",) * LEGS
     if not found.doubled and not found.foreign:
         lacks = c.drives.prepare(None)
-        if min(found.heard) == 0:
-            found = _listened(c)  # some families do not answer before they are set up
+        found = _listened(c)  # some do not answer before they are set up, some as they were set up before
+        found = found._replace(doubled=found.doubled | _often(c, found.answers))
     c.drives.spoken = None
     bus = {"foreign": found.foreign, "refused": found.refused, "strange": sorted(found.strange)}
     c.keep("scan", "bus", bus)
@@ -36,12 +40,27 @@ def find(c: Context) -> None:
             "fault": c.fault_of(leg) if found.heard[leg] and state == DriveState.FAULT.name else "",
         }
         c.keep("scan", leg, fact)
-    _recognise(c)
+    _recognise(c, [leg for leg in range(LEGS) if found.heard[leg] or spoken[leg]])
 
 
-def _recognise(c: Context) -> None:
-    """Drop what is known of legs whose drive is another than the one that was measured, and say so."""
-    found = c.drives.identities()
+def _often(c: Context, answers: Counter[tuple[int, int]]) -> int:
+    """Return the bits of drives that answer each poll twice; not where readings are sent unasked, too."""
+    if c.drives.protocol.power_told == "heartbeat":
+        return 0
+    most = TWICE * c.drives.ticks(LISTEN_S)
+    legs = {leg for (leg, _), number in answers.items() if leg >= 0 and number > most}
+    return sum(1 << leg for leg in legs)
+
+
+def _recognise(c: Context, heard: Collection[int]) -> None:
+    """Drop what is known of legs whose drive is another than the one that was measured, and say so.
+
+    heard: the drives that are asked.
+    """
+    found = c.drives.identities(heard)
+    double = [leg for leg, serials in enumerate(c.drives.serials) if len(serials) > 1]
+    for leg in double:
+        c.keep("scan", leg, c.known("scan", leg) | {"twice": True})
     before = [
         {
             what: value
@@ -58,6 +77,8 @@ def _recognise(c: Context) -> None:
             for what in known
             if what in said and said[what] != known[what]
         ]
+        if leg in double:
+            continue  # either of two drives may have told last
         if changes:
             others.append(leg)
             same = SERIAL in said and said[SERIAL] == known.get(SERIAL)
@@ -75,7 +96,7 @@ def _recognise(c: Context) -> None:
         forget_legs(c.facts, others)
         c.save()  # before who is there now is known: an end between the two leads here again
     for leg, said in enumerate(found):
-        if said:
+        if said and leg not in double:
             c.keep("identity", leg, said if leg in others else before[leg] | said)
 
 
@@ -89,12 +110,15 @@ class _Listened(NamedTuple):
     refused: int
     strange: set[int]
     """Identifiers of frames that are nobody's."""
+    answers: Counter[tuple[int, int]]
+    """How many frames each drive has sent, by drive, -1 for nobody's, and identifier."""
 
 
 def _listened(c: Context) -> _Listened:
     """Poll the drives, commanded off."""
     heard, doubled, foreign, refused = [0] * LEGS, 0, 0, 0
     strange: set[int] = set()
+    answers: Counter[tuple[int, int]] = Counter()
     for _ in range(c.drives.ticks(LISTEN_S)):
         record = c.drives.step()
         for leg in range(LEGS):
@@ -103,7 +127,8 @@ def _listened(c: Context) -> _Listened:
         foreign |= int(record["foreign"])
         refused += int(record["rejected"])
         strange |= {each.frame.id for each in c.drives.heard} - c.machine.known_identifiers
-    return _Listened(heard, doubled, foreign, refused, strange)
+        answers.update((c.drives.protocol.sender(frame), frame.id) for _, frame in c.drives.heard)
+    return _Listened(heard, doubled, foreign, refused, strange, answers)
 
 
 def judge(c: Context) -> list[Finding]:
@@ -119,7 +144,9 @@ def judge(c: Context) -> list[Finding]:
     double = [leg for leg in range(LEGS) if facts[leg]["twice"]]
     for leg in double:
         legs = (leg, *silent)
-        text = f"two drives answer as node {m.node_ids[leg]}, with different lengths"
+        text = f"two drives answer as node {m.node_ids[leg]}"
+        if len(serials := c.drives.serials[leg]) > 1:
+            text += f", with serial numbers {', '.join(map(str, sorted(serials)))}"
         if silent:
             text += f"; no drive answers as node {', '.join(str(m.node_ids[k]) for k in silent)}"
         found.append(Finding("same_id", legs, text, "Give one of the two its own node number."))

@@ -7,6 +7,7 @@ import struct
 from math import inf, nan
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,9 +21,10 @@ from drivers.several_buses import SeveralBuses
 from hil.app.compose import build_protocol
 from hil.bringup.drives import ASKED_TIMES
 from hil.bringup.procedure import STEPS
-from plant_fmu.rehearsal.wiring import Wiring
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.broad import broad
 from tests.hil.bringup.families import family
-from tests.hil.bringup.kit import Rehearsal
+from tests.hil.bringup.kit import Rehearsal, named
 
 ASKED = ("cia402_pdo", "damiao", "robstride", "odrive", "moteus_stopped")
 SCAN, BY_HAND = STEPS[:1], STEPS[:4]
@@ -81,6 +83,59 @@ def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered
     assert line.requests == 6 * rounds * ASKED_TIMES
 
 
+@pytest.mark.parametrize("name", ["damiao", "odrive"])
+def test_a_drive_that_is_not_heard_is_not_asked_who_it_is(name):
+    rehearsal = Rehearsal(name, wired(Mistake("absent", 3)))
+    line = LossyLine(rehearsal, 0)
+    rehearsal.drives.line = line
+    assert named(rehearsal.run(SCAN)) == {("absent", (3,))}
+    assert line.requests == 5 * {"damiao": 2, "odrive": 1}[name]
+    assert rehearsal.context.facts["identity"].keys() == set("01245")
+
+
+class TwinLine(LossyLine):
+    """A line with a second drive of one number behind it, at the same length: it differs by its serial number."""
+
+    def __init__(self, rehearsal: Rehearsal, leg: int, name: str) -> None:
+        super().__init__(rehearsal, 0)
+        self._leg, self._lowest = leg, _LOWEST[name]
+
+    def exchange(self, opening):
+        heard = super().exchange(opening)
+        frames = list(heard.frames)
+        for each in heard.frames:
+            said = self._protocol.identity(each.frame)
+            if said is not None and said.leg == self._leg and said.what == SERIAL:
+                data = bytearray(each.frame.data)
+                data[self._lowest] += 32
+                frames.append(each._replace(frame=each.frame._replace(data=bytes(data))))
+        return heard._replace(frames=tuple(frames))
+
+
+_LOWEST = {"damiao": 4, "odrive": 1, "robstride": 0, "cia402_pdo": 4}
+"""Where in an answer the lowest byte of a serial number is."""
+
+
+@pytest.mark.parametrize("name", broad([*_LOWEST], quick=2))
+def test_two_serial_numbers_of_one_node_are_two_drives(name):
+    rehearsal = Rehearsal(name, Wiring())
+    rehearsal.drives.line = TwinLine(rehearsal, 2, name)
+    outcome = rehearsal.run(SCAN)
+    assert named(outcome) == {("same_id", (2,))}
+    assert "two drives answer as node 3, with serial numbers 3, 35" in outcome.findings[0].line
+    assert "2" not in rehearsal.context.facts["identity"]
+
+
+@pytest.mark.parametrize("name", ["cubemars", "cia402_pdo"])
+def test_two_drives_of_one_number_and_one_length_answer_too_often(name):
+    rehearsal = Rehearsal(name, wired(Mistake("same_id", 5, 2)))
+    legs, cables = rehearsal.bench._legs, rehearsal.bench.cables
+    legs.place(5, rehearsal.bench.length(2))
+    cables.reset = lambda: cables._read(legs.lengths(), np.zeros(6))  # type: ignore[method-assign]
+    rehearsal.bench.nodes.start(0)
+    assert named(rehearsal.run(SCAN)) == {("same_id", (2, 5))}
+
+
 @pytest.mark.parametrize("name", ASKED)
 def test_an_answer_counts_only_as_it_is_sent_and_on_the_bus_of_its_drive(name):
     protocol = build_protocol(family(name))
@@ -110,7 +165,8 @@ def scanned(facts, said, monkeypatch):
     rehearsal = Rehearsal("odrive", Wiring(), facts=copy.deepcopy(facts))
     told: list[str] = []
     monkeypatch.setattr(rehearsal.hands, "tell", told.append)
-    monkeypatch.setattr(rehearsal.drives, "identities", lambda: said)
+    monkeypatch.setattr(rehearsal.drives, "identities", lambda _: said)
+    rehearsal.drives.serials = tuple(set[int]() for _ in range(6))
     return rehearsal, told
 
 

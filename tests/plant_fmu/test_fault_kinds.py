@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.config import DriveSettings
 from drivers.errors import PlantError
-from drivers.protocol import Frame
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.brake import BrakeSlipping, BrakeSlow, BrakeStuckClosed
 from plant_fmu.faults.bus import BusFlood, BusOff, BusSecondController
 from plant_fmu.faults.drive import DriveGain, DriveReset, DriveSaturation, DriveSign
@@ -31,9 +34,11 @@ from plant_fmu.faults.frames import (
     FramesOld,
 )
 from plant_fmu.faults.load import PayloadStep
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.faults.plant import PlantCrash, PlantHang, PlantNaN
 from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
+from tests.plant_fmu.test_sensor_nodes import Mover, rotation
 
 FEEDBACK_3 = 0x283
 """The fd feedback of leg 2."""
@@ -162,6 +167,15 @@ def test_a_drive_that_starts_anew_brakes_and_has_to_be_set_up_again():
     assert rig.states[4] == DriveState.READY
 
 
+def test_a_drive_that_starts_anew_has_forgotten_which_command_it_heard_last():
+    rig = Rig("fd", faults=[DriveReset(leg=4, at_s=3e-3)])
+    rig.configure()
+    rig.command(1 * MS, DriveMode.READY)
+    last = command_frames(rig.protocol, Command(DriveMode.READY, np.zeros(6)), rig.tick)
+    rig.at(4 * MS, *rig.protocol.configure(0.01, rig.reaction), *last)
+    assert rig.states == [DriveState.READY] * 6, "to leg 4 it is none that is repeated"
+
+
 # brakes
 
 BRAKES = DriveEmulation(encoder_resolution_m=0.0, brake_open_ms=4.0, brake_close_ms=2.0)
@@ -181,6 +195,15 @@ def test_a_slow_brake_opens_and_closes_later_than_its_drive_counts():
     closed = [next(t for t, *brake in seen if t > 10 and brake[leg] == 1.0) for leg in (0, 1)]
     assert opened == [4, 7]
     assert closed == [12, 15]
+
+
+def test_a_slow_brake_is_late_too_where_its_drive_counts_no_time():
+    rig = Rig(faults=[BrakeSlow(leg=1, by_ms=3.0)])
+    rig.run()
+    seen = [rig.brakes[1] for t_us in (2_900, 3_000) if rig.at(t_us * 1000) is not None]
+    rig.command(5 * MS, DriveMode.OFF)
+    seen += [rig.brakes[1] for t_us in (7_900, 8_000) if rig.at(t_us * 1000) is not None]
+    assert seen == [1.0, 0.0, 0.0, 1.0]
 
 
 def test_a_slow_brake_that_is_called_back_has_not_moved():
@@ -335,6 +358,19 @@ def test_a_payload_needs_a_plant_that_knows_where_it_is():
     rig.run()
     rig.at(5 * MS)
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([-5e-3] * 6)
+
+
+def test_a_payload_weighs_where_its_moving_platform_is_by_now():
+    """100 kg, 0.5 m along the x axis of a platform that turns."""
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    faults = FaultPlan([PayloadStep(mass_kg=100.0, position_m=(0.5, 0.0, 0.0))], gravity=(0.0, 0.0, -10.0))
+    nodes = Nodes(Mover(), protocol, DriveEmulation(), DriveSettings(), faults)
+    nodes.start(0)
+    for t_ms in (1, 200, 900):
+        nodes.step(t_ms * MS, [Received(t_ms * MS, protocol.begin(None, t_ms)[0])])
+        x, y, _ = 0.5 * rotation(1e-3 * t_ms)[:, 0]
+        expected = [0.0, 0.0, -1000.0, -1000.0 * y, 1000.0 * x, 0.0]
+        np.testing.assert_allclose(nodes.snapshot().wrench, expected, rtol=0, atol=1e-9)
 
 
 # modes

@@ -11,17 +11,27 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.legs.protocol import LegsProtocol
+from drivers.legs.several import LegsOnBuses
 from drivers.protocol import Frame
 from plant_fmu.faults import FAULTS, KINDS
-from plant_fmu.faults.brake import BrakeSlipping, BrakeStuckOpen
-from plant_fmu.faults.bus import BusFlood, BusOff
-from plant_fmu.faults.drive import DriveGain, DriveReset, DriveSilence
-from plant_fmu.faults.encoder import EncoderDrift, EncoderFreeze, EncoderJump, EncoderLate
+from plant_fmu.faults.brake import BrakeSlipping, BrakeSlow, BrakeStuckClosed, BrakeStuckOpen
+from plant_fmu.faults.bus import BusFlood, BusOff, BusSecondController
+from plant_fmu.faults.drive import DriveGain, DriveReset, DriveSaturation, DriveSign, DriveSilence
+from plant_fmu.faults.encoder import (
+    EncoderDrift,
+    EncoderFreeze,
+    EncoderJump,
+    EncoderLate,
+    EncoderNoise,
+    EncoderScale,
+    EncoderSign,
+)
 from plant_fmu.faults.fault import NEVER_NS, Fault
 from plant_fmu.faults.frames import (
     FramesCorrupt,
     FramesDelay,
     FramesDuplicate,
+    FramesForgedFeedback,
     FramesLoss,
     FramesOld,
     FramesReorder,
@@ -157,6 +167,36 @@ def test_jumps_drifts_gains_shares_and_wrenches_of_several_faults_are_joined():
     assert present.gain == [1, 9.0, 1, 1, 1, 1]
 
 
+def test_of_several_faults_delays_add_up_factors_multiply_and_the_smallest_limit_or_the_last_word_counts():
+    faults = [
+        *[EncoderLate(leg=5, by_ms=1.5)] * 2,
+        *[EncoderScale(leg=4, factor=3.0)] * 2,
+        EncoderSign(leg=4),
+        *[DriveSign(leg=3)] * 3,
+        *[DriveSaturation(leg=3, limit_N=limit) for limit in (200.0, 100.0, 300.0)],
+        *[BrakeSlow(leg=2, by_ms=20.0)] * 2,
+        BrakeStuckOpen(leg=1),
+        BrakeStuckClosed(leg=1),
+        BrakeStuckClosed(leg=2),
+        BrakeStuckOpen(leg=2),
+        *[FramesForgedFeedback(leg=1, by_m=by_m) for by_m in (1e-3, 2e-3)],
+        *[EncoderDrift(leg=leg, by_m_s=1e-3) for leg in (1, 1, 2)],
+        *[EncoderNoise(leg=leg, sigma_m=1e-3) for leg in (1, 1, 2)],
+        *[PayloadStep(mass_kg=mass) for mass in (10.0, 20.0)],
+    ]
+    present = Schedule(FaultPlan(faults), 0).present(0)
+    assert present.late_ns == [0, 0, 0, 0, 0, 3 * MS]
+    assert present.scale == [1, 1, 1, 1, -9.0, 1]
+    assert present.gain == [1, 1, 1, -1.0, 1, 1]
+    assert present.saturation_N == [inf, inf, inf, 100.0, inf, inf]
+    assert present.slow_ns == [0, 0, 40 * MS, 0, 0, 0]
+    assert present.stuck == [None, True, False, None, None, None]
+    assert present.forged_m == [None, 2e-3, None, None, None, None]
+    assert [leg for leg, *_ in present.drifts] == [1, 1, 2]
+    assert [leg for leg, *_ in present.noise] == [1, 1, 2]
+    assert [mass for mass, _ in present.masses] == [10.0, 20.0]
+
+
 def test_a_payload_weighs_at_its_place_on_the_turned_platform():
     """10 kg, 0.5 m along the platform's x axis, which points along the base's y axis."""
     R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -265,3 +305,10 @@ def test_a_flood_wins_against_every_identifier_of_the_protocol():
     (frame,) = BusFlood().frames(protocol, 0)
     assert frame.id < min(f.id for f in (*protocol.cyclic_frames(), *protocol.emergency_stop()))
     assert not frame.flags
+
+
+@pytest.mark.parametrize("bus", [0, 1])
+def test_a_second_controller_sends_on_its_own_bus_alone(bus):
+    protocol = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
+    frames = BusSecondController(bus=bus).frames(protocol, 0)
+    assert [frame.bus for frame in frames] == [bus] * 2

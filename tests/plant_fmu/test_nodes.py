@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.arrays import Array
-from drivers.config import DriveSettings
+from drivers.config import DriveSettings, TransmissionSettings
 from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
@@ -22,7 +22,9 @@ from drivers.signals import (
     Reaction,
 )
 from drivers.tick_columns import Record, new_record
+from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.drive import at_motor
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.brake import BrakeStuckClosed, BrakeStuckOpen
 from plant_fmu.faults.drive import DriveSign, DriveSilence
@@ -184,14 +186,27 @@ def test_modes_lead_through_the_states(path, state, brake):
     assert rig.brakes == [brake] * 6
 
 
-def test_configuration_is_refused_while_the_force_stage_is_on():
+@pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])
+def test_configuration_is_refused_while_the_force_stage_is_on(mode):
     rig = Rig()
-    rig.run()
+    rig.configure()
+    for each in dict.fromkeys((DriveMode.READY, mode)):
+        rig.command(0, each)
     rig.at(1 * MS, *rig.protocol.configure(1.0, Reaction.ZERO))
     assert rig.nodes.snapshot().rejected == 6
     rig.at(11 * MS)
     assert rig.states == [DriveState.FAULT] * 6
     assert rig.brakes == [1.0] * 6
+
+
+def test_a_configuration_clears_no_fault():
+    rig = Rig()
+    rig.at(1 * MS, *rig.protocol.emergency_stop())
+    rig.at(2 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
+    assert rig.states == [DriveState.FAULT] * 6
+    assert rig.nodes.snapshot().fault.tolist() == [DriveFault.ESTOP] * 6
+    rig.command(3 * MS, DriveMode.RESET)
+    assert rig.states == [DriveState.OFF] * 6, "it counts all the same"
 
 
 # motion and time
@@ -273,17 +288,23 @@ def test_the_same_frames_in_one_call_or_many_give_the_same_motion():
 
 
 def test_start_restores_everything():
-    rig = Rig(faults=[FramesLoss(probability=0.5)])
+    rig = Rig(faults=[FramesLoss(probability=0.5, identifier=0x283)])
 
     def live() -> list[tuple[int, Frame]]:
         rig.nodes.start(0)
         rig.tick = 0
         rig.run(100.0)
-        return [sent for k in range(1, 30) for sent in rig.at(k * MS, *rig.protocol.begin(None, k))]
+        sent = [each for k in range(1, 30) for each in rig.at(k * MS, *rig.protocol.begin(None, k))]
+        damaged = command_frames(rig.protocol, Command(DriveMode.RUN, np.zeros(6)), 0)[0]
+        rig.at(30 * MS, damaged._replace(data=damaged.data[::-1]))
+        return sent
 
-    first = live()
+    first, then = live(), rig.nodes.snapshot()
     assert first
+    assert then.rejected > 0
+    assert then.commands > 0
     assert first == live()
+    assert str(then) == str(rig.nodes.snapshot())
 
 
 def test_time_does_not_run_backwards():
@@ -348,6 +369,11 @@ def test_drives_clip_at_their_limit():
     assert rig.nodes.snapshot().force.tolist() == [-60_000.0] * 6
 
 
+def test_drives_clip_where_the_leg_that_loses_most_still_gets_the_rated_force():
+    gear = TransmissionSettings(lead_m=0.01, efficiency=[0.9, 0.8, 0.5, 0.9, 0.7, 0.6])
+    assert at_motor(DriveSettings(force_limit_N=100.0), Transmission.of(gear)).force_limit_N == 200.0
+
+
 # watchdog and reactions
 
 
@@ -367,6 +393,28 @@ def test_watchdog_reacts_within_its_time_and_one_grid_step(last_us):
         (t, frame.data[:2]) for t, frame in sent if frame.id == 0x701 and frame.data[0] == DriveState.FAULT
     ]
     assert told[0] == (last_us * US + 10 * MS, bytes([DriveState.FAULT, DriveFault.WATCHDOG]))
+
+
+def test_each_drive_has_its_own_watchdog_and_reaction():
+    rig = Rig()
+    watchdog_ms = [30, 5, 10, 25, 15, 20]
+    reactions = [Reaction(leg % 4) for leg in range(6)]
+    sets = [
+        rig.protocol.configure(1e-3 * ms, each)[leg]
+        for leg, (ms, each) in enumerate(zip(watchdog_ms, reactions, strict=True))
+    ]
+    rig.at(0, *sets)
+    rig.command(0, DriveMode.READY)
+    rig.command(0, DriveMode.RUN)
+    for t_ms in range(2, 35, 5):
+        told = {frame.id: frame.data[:2] for _, frame in rig.at(t_ms * MS) if frame.id > 0x700}
+        over = [ms < t_ms for ms in watchdog_ms]
+        assert rig.states == [DriveState.FAULT if each else DriveState.RUN for each in over]
+        braked = [each and kind is Reaction.BRAKE for each, kind in zip(over, reactions, strict=True)]
+        assert rig.brakes == braked
+        for leg, ms in enumerate(watchdog_ms):
+            if t_ms - 5 <= ms < t_ms:
+                assert told[0x701 + leg] == bytes([DriveState.FAULT, DriveFault.WATCHDOG])
 
 
 def test_a_command_at_the_last_instant_is_in_time():
@@ -416,6 +464,26 @@ def test_one_lost_command_frame_of_the_classic_layout_stops_its_three_legs():
     assert rig.states == [DriveState.RUN] * 3 + [DriveState.FAULT] * 3
 
 
+def test_each_command_frame_of_the_classic_layout_is_for_its_own_three_legs():
+    rig = Rig("classic", reaction=Reaction.DAMP)
+    rig.configure()
+
+    def second_alone(t_ms: int, mode: DriveMode) -> list[int]:
+        rig.tick += 1
+        frames = command_frames(rig.protocol, Command(mode, np.zeros(6)), rig.tick)
+        sent = rig.at(t_ms * MS, *rig.protocol.begin(None, rig.tick), frames[1])
+        return [frame.id - 0x701 for _, frame in sent if frame.id > 0x700]
+
+    assert second_alone(1, DriveMode.READY) == [3, 4, 5], "they say so at once"
+    assert rig.states == [DriveState.OFF] * 3 + [DriveState.READY] * 3
+    rig.command(2 * MS, DriveMode.READY)
+    rig.command(3 * MS, DriveMode.RUN)
+    rig.at(14 * MS)
+    assert rig.states == [DriveState.FAULT] * 6
+    second_alone(15, DriveMode.OFF)
+    assert rig.brakes == [0.0] * 3 + [1.0] * 3, "an OFF ends damping"
+
+
 def starve(reaction: Reaction, *, seconds: float, load: float = 0.0) -> tuple[Rig, float]:
     """Accelerate for 10 ms at 10 m/s^2, then silence: 0.1 m/s at the fault."""
     rig = Rig(reaction=reaction, faults=[push(load, at_s=0.01)] if load else [])
@@ -438,6 +506,12 @@ def test_zero_reaction_coasts():
     snapshot = rig.nodes.snapshot()
     np.testing.assert_allclose(snapshot.length, REST + travelled + 0.1 * 0.1, rtol=0, atol=1e-12)
     assert (snapshot.force.tolist(), snapshot.brake.tolist()) == ([0.0] * 6, [0.0] * 6)
+
+
+def test_zero_reaction_never_ends_in_the_brake():
+    """Damping and holding do, after drives.brake_after_ms: 1 s."""
+    rig, _ = starve(Reaction.ZERO, seconds=3.0)
+    assert rig.brakes == [0.0] * 6
 
 
 def test_damp_reaction_brakes_exponentially():
@@ -486,6 +560,15 @@ def test_emergency_stop_faults_all_drives_and_latches_until_reset():
     rig.command(6 * MS, DriveMode.RESET)
     assert rig.states == [DriveState.OFF] * 6
     assert rig.nodes.snapshot().fault.tolist() == [DriveFault.NONE] * 6
+
+
+def test_an_emergency_stop_that_is_repeated_is_reported_once():
+    rig, _ = starve(Reaction.DAMP, seconds=0.01)
+    statuses = [
+        [frame.id for _, frame in rig.at(t_ms * MS, *rig.protocol.emergency_stop()) if frame.id > 0x700]
+        for t_ms in (20, 21)
+    ]
+    assert statuses == [[0x701 + leg for leg in range(6)], []]
 
 
 @pytest.mark.parametrize("reaction", list(Reaction))

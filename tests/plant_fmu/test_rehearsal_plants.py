@@ -119,13 +119,13 @@ def test_an_encoder_with_play_follows_once_the_play_is_used_up():
     np.testing.assert_allclose(reads, legs.length, atol=1e-15)  # no play is used up at power-up
 
 
-def trestles(friction_N: float = 0.0, start: float = 0.3) -> TrestleLegs:
+def trestles(friction_N: Array = CALM, brake_N: float = 1000.0, start: float = 0.3) -> TrestleLegs:
     return TrestleLegs(
         LegBench(
             mass_kg=4.0 + SIX,
-            friction_N=np.full(6, friction_N),
-            brake_N=np.full(6, 1000.0),
-            shortest=np.full(6, 0.25),
+            friction_N=friction_N,
+            brake_N=brake_N + SIX,
+            shortest=0.25 - 0.001 * SIX,
             longest=0.35 + 0.001 * SIX,
             start=np.full(6, start),
             gauge_N=6.0,
@@ -134,10 +134,21 @@ def trestles(friction_N: float = 0.0, start: float = 0.3) -> TrestleLegs:
 
 
 def test_free_legs_are_accelerated_by_force_over_mass_less_friction():
-    legs = trestles(friction_N=2.0)
+    legs = trestles(friction_N=2.0 + 0.1 * SIX)
     x, v = legs.step(np.full(6, 5.0), CALM, CALM, 0.01)
-    np.testing.assert_allclose(v, 3.0 / (4.0 + SIX) * 0.01, rtol=0.02)  # damping takes less than 2 %
-    np.testing.assert_allclose(x - 0.3, 0.5 * 3.0 / (4.0 + SIX) * 1e-4, rtol=0.02)
+    left_N = 3.0 - 0.1 * SIX
+    np.testing.assert_allclose(v, left_N / (4.0 + SIX) * 0.01, rtol=0.02)  # damping takes less than 2 %
+    np.testing.assert_allclose(x - 0.3, 0.5 * left_N / (4.0 + SIX) * 1e-4, rtol=0.02)
+    assert [legs.friction(leg) for leg in range(6)] == (2.0 + 0.1 * SIX).tolist()
+
+
+def test_each_leg_has_its_own_brake_and_its_own_ends_of_travel():
+    legs = trestles(brake_N=2.0)
+    _, v = legs.step(np.full(6, 9.0), np.ones(6), CALM, 0.01)
+    np.testing.assert_allclose(v, (9.0 - (2.0 + SIX)) / (4.0 + SIX) * 0.01, rtol=0.03)
+    for force, ends in ((-90.0, 0.25 - 0.001 * SIX), (90.0, 0.35 + 0.001 * SIX)):
+        x, _ = legs.step(np.full(6, force), CALM, CALM, 2.0)
+        np.testing.assert_array_equal(x, ends)
 
 
 def test_a_brake_holds_each_leg_and_a_hand_moves_the_one_whose_brake_is_open_by_its_reach():
@@ -152,7 +163,7 @@ def test_a_brake_holds_each_leg_and_a_hand_moves_the_one_whose_brake_is_open_by_
     x, _ = legs.step(np.full(6, 60.0), brakes, CALM, 2.0)
     assert x[4] == pytest.approx(0.354, abs=1e-15)  # its ends of travel
     x, _ = legs.step(np.full(6, -60.0), brakes, CALM, 2.0)
-    assert x[4] == 0.25
+    assert x[4] == 0.25 - 0.004
 
 
 def test_the_gauge_is_a_spring_at_its_leg_alone():

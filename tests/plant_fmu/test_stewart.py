@@ -97,6 +97,32 @@ def test_viscous_friction_is_a_force_of_minus_b_times_the_rate(direct):
     assert damped.get("acceleration") == pytest.approx(free.get("acceleration"), rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["coulomb_friction", "brake_force"])
+def test_dry_friction_and_brake_of_each_leg_are_its_own(direct, name):
+    twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
+    most = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+    rubbing, free = direct(), direct()
+    rubbing.set(**{name: most}, initial_twist=twist)
+    rubbing.start(brake=np.full(6, float(name == "brake_force")))
+    free.set(initial_twist=twist)
+    free.start(brake=np.zeros(6), force=-most * np.sign(rubbing.get("rate")))
+    assert rubbing.get("acceleration") == pytest.approx(free.get("acceleration"), rel=1e-9)
+
+
+def test_reflected_mass_of_each_leg_is_its_own(direct):
+    """Of a leg that accelerates it takes m ddl of its force."""
+    force, mass = HOME_FORCE + np.arange(6) * 50.0, np.arange(6) * 100.0
+    heavy, light = direct(), direct()
+    heavy.set(reflected_mass=mass)
+    heavy.start(force=force, brake=np.zeros(6))
+    there = heavy.get("acceleration")
+    heavy.step(1e-4)
+    ddl = heavy.get("rate") / 1e-4
+    light.start(force=force - mass * ddl, brake=np.zeros(6))
+    assert np.abs(mass * ddl).max() > 10.0
+    assert there == pytest.approx(light.get("acceleration"), rel=1e-3, abs=1e-3)
+
+
 def test_reflected_mass_takes_its_share_of_the_force(direct):
     # at home, from rest: symmetric forces lift the platform along z; sin(inclination) = 1/length
     length = 1.592450434036
@@ -124,6 +150,21 @@ def test_end_stops_catch_the_falling_platform_and_let_it_rest(direct):
     assert np.abs(plant.get("rate")).max() < 1e-6
     assert plant.get("length") == pytest.approx(np.full(6, 1.5), abs=5e-4)
     assert (plant.get("length") < 1.5).all()
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_each_leg_has_its_own_end_stops(direct, leg):
+    for name, end, force in (("length_min", 1.57, 0.0), ("length_max", 1.61, 8000.0)):
+        plant, ends = direct(), np.full(6, 1.3 if name == "length_min" else 2.0)
+        ends[leg] = end
+        plant.set(**{name: ends})
+        plant.start(force=np.full(6, force), brake=np.zeros(6))
+        plant.step(1e-3, 150)
+        beyond = (
+            plant.get("length") < end - 0.002 if name == "length_min" else plant.get("length") > end + 0.002
+        )
+        assert not beyond[leg]
+        assert beyond.sum() >= 3
 
 
 def test_upper_stops_pull_back_and_never_stick(direct):

@@ -41,6 +41,18 @@ def test_frames_and_error_frames_are_told_apart():
         assert b.drain_now() == []
 
 
+def test_an_error_frame_is_none_of_the_frames_that_are_waited_for():
+    """Its classes can be the number of an identifier: 0x80 is a bus error, and SYNC."""
+    with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
+        a.send([Frame(0x80, b"", ERROR)])
+        time.sleep(0.005)
+        deadline = soon(0.02)
+        assert b.drain(deadline, {0x80}) == []
+        assert time.monotonic_ns() >= deadline
+        a.send([Frame(0x80, b"\x01")])
+        assert [r.frame.id for r in b.drain(soon(), {0x80})] == [0x80]
+
+
 def test_wait_returns_as_soon_as_a_frame_has_come():
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
         a.send([Frame(1, bytes(8))])

@@ -155,6 +155,16 @@ def test_send_queue_is_bounded_and_can_be_flushed(join):
     assert collect(b, soon(), {0x77})[-1].frame.id == 0x77
 
 
+def test_a_flush_drops_the_frames_of_who_flushes_and_no_others(join):
+    a, b, c = join(CRAWL), join(CRAWL), join(CRAWL)
+    a.send([Frame(0x10 + k, b"") for k in range(5)])
+    b.send([Frame(0x50, b""), Frame(0x51, b"")])
+    assert 4 <= a.flush_tx() <= 5, "one of them may have started"
+    heard = [r.frame.id for r in collect(c, soon(), {0x50, 0x51})]
+    assert [each for each in heard if each >= 0x50] == [0x50, 0x51]
+    assert len(heard) <= 3
+
+
 def test_slow_reader_loses_the_oldest_and_is_told(join):
     fast = BitTiming(1_000_000_000, 1_000_000_000)
     a, reader = join(fast), join(fast)

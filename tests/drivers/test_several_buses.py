@@ -22,7 +22,7 @@ from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync, run_of
 from drivers.sensors import Readings, SensorProtocol
 from drivers.several_buses import off_bus
-from drivers.signals import Command, DriveMode, DriveState, Reaction
+from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 
 HALVES = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
@@ -307,6 +307,39 @@ def test_one_bus_that_is_off_is_named_by_its_bit():
     group = LinkGroup(links)  # type: ignore[arg-type]
     assert (group.off_bits, group.every_bit) == (0b100, 0b111)
     assert Bus(group).events().off == 0b100
+
+
+@pytest.mark.parametrize("bus", [0, 1, 2])
+def test_a_bus_that_was_off_between_two_looks_is_named_and_its_own_waiting_frames_alone_are_dropped(bus):
+    links, dropped = [FakeLink(Still()) for _ in range(3)], []
+    for k, link in enumerate(links):
+        link.died = lambda k=k: dropped.append(k)  # type: ignore[method-assign,misc]
+    links[bus].worst_state = lambda: BusState.OFF
+    group = Bus(LinkGroup(links))  # type: ignore[arg-type]
+    assert group.events() == (0, 1 << bus, 9, BusState.OFF)
+    assert dropped == [bus]
+    assert group.events().off == 1 << bus
+    assert dropped == [bus], "once, until it has been back"
+    del links[bus].worst_state
+    assert group.events().off == 0
+    links[bus].off = True
+    assert group.events().off == 1 << bus
+    assert dropped == [bus] * 2
+
+
+def test_the_worst_state_is_that_of_the_worst_bus():
+    links = [FakeLink(Still()) for _ in range(3)]
+    for link, state in zip(links, (BusState.ACTIVE, BusState.PASSIVE, BusState.WARNING), strict=True):
+        link.worst_state = lambda state=state: state  # type: ignore[method-assign,misc]
+    assert Bus(LinkGroup(links)).events().state is BusState.PASSIVE  # type: ignore[arg-type]
+
+
+def test_all_buses_are_left():
+    links, left = [FakeLink(Still()) for _ in range(3)], []
+    for k, link in enumerate(links):
+        link.close = lambda k=k: left.append(k)  # type: ignore[attr-defined]
+    LinkGroup(links).close()  # type: ignore[arg-type]
+    assert left == [0, 1, 2]
 
 
 def test_one_bus_that_takes_no_frame_for_50_ms_is_off_though_the_other_takes_all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import socket
 import struct
 import time
 from collections import deque
@@ -148,6 +149,39 @@ def test_a_frame_is_out_when_the_kernel_has_taken_it(made, clock):
     assert can.sent_ns() == [begun_ns + 3_000_000]
 
 
+@pytest.mark.parametrize("layout", ["classic", "fd"])
+def test_the_kernel_is_asked_for_errors_of_all_classes_time_stamps_losses_and_fd_frames_where_the_layout_is(
+    monkeypatch, kernel, layout
+):
+    set_to: dict[tuple[int, int], int] = {}
+    bound = []
+
+    class Socket(MadeSocket):
+        def __init__(self, *kind):
+            super().__init__()
+            assert kind == (socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+
+        def setblocking(self, blocks):
+            assert not blocks
+
+        def setsockopt(self, level, option, value):
+            set_to[level, option] = value
+
+        def bind(self, address):
+            bound.append(address)
+
+    monkeypatch.setattr(socket, "socket", Socket)
+    # CAN_CTRLMODE_FD is 0x20 of linux/can/netlink.h
+    controller = CONTROLLER._replace(data_bitrate_bit_s=5_000_000, modes=0x20)
+    kernel[1]["interface"] = CAN0._replace(mtu=72, controller=controller)
+    SocketCan(SETTINGS.model_copy(update={"layout": layout}))
+    assert bound == [("can0",)]
+    # linux/can.h and linux/can/raw.h: SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK, CAN_RAW_FD_FRAMES
+    assert set_to[101, 2] == 0x1FFFFFFF
+    assert set_to.get((101, 5), 0) == (layout == "fd")
+    assert set_to[socket.SOL_SOCKET, TIMESTAMP] == set_to[socket.SOL_SOCKET, LOST] == 1
+
+
 @pytest.mark.parametrize(("kind", "virtual"), [("can", False), ("vcan", True), ("vxcan", True), ("", False)])
 def test_an_interface_without_a_wire_is_told_from_others(monkeypatch, kind, virtual):
     monkeypatch.setattr(SocketCan, "_open", lambda _: (MadeSocket(), CAN0._replace(kind=kind)))
@@ -160,6 +194,18 @@ def test_losses_in_the_kernel_are_counted_once_and_over_the_wrap(made):
         sock.hears(0x80, lost=lost)
     can.receive()
     assert can.overflow == 0xFFFFFFFF + 2
+
+
+def test_losses_are_told_once(made):
+    can, sock = made
+    bus = Bus(can)
+    sock.hears(0x80, lost=3)
+    bus.drain_now()
+    assert bus.events().overflow == 3
+    assert bus.events().overflow == 0
+    sock.hears(0x80, lost=5)
+    bus.drain_now()
+    assert bus.events().overflow == 2
 
 
 def test_a_controller_that_loses_frames_counts_with_the_kernel(made):
@@ -301,6 +347,7 @@ def test_an_interface_that_was_down_is_used_again_once_it_is_up_as_configured(ma
 
 def test_an_interface_that_was_deleted_is_looked_for_and_opened_again(made, clock, monkeypatch):
     can, sock = made
+    sock.hears(0x123, lost=10)
     sock.answers.append(OSError(errno.ENODEV, "made"))
     can.receive()
     new = MadeSocket()
@@ -319,6 +366,9 @@ def test_an_interface_that_was_deleted_is_looked_for_and_opened_again(made, cloc
     assert sock.closed
     assert new.sent == [pack(FRAME)]
     assert not can.off
+    new.hears(0x123, lost=2)
+    can.receive()
+    assert can.overflow == 12, "a new socket counts its losses from 0"
 
 
 def starve(bus, sock, clock):
@@ -360,6 +410,27 @@ def test_a_controller_that_is_to_stay_bus_off_is_not_restarted_by_its_death(
     assert can.off
     can.died()
     assert kernel[0] == dropped
+    assert can.off == (not dropped), "one that was restarted is used"
+
+
+def test_an_interface_that_was_taken_down_is_not_taken_up_by_its_death(made, kernel):
+    can, sock = made
+    sock.refuses = errno.ENETDOWN
+    can.send([FRAME])
+    can.died()
+    assert kernel[0] == []
+
+
+def test_a_frame_from_before_the_interface_went_down_does_not_prove_that_it_is_up(made):
+    can, sock = made
+    sock.refuses = errno.ENETDOWN
+    can.send([FRAME])
+    sock.hears(0x123, t_ns=time.time_ns() - SECOND)
+    can.receive()
+    assert can.off
+    sock.hears(0x123)
+    can.receive()
+    assert not can.off
 
 
 @pytest.mark.parametrize("cause", ["queue", "bus-off"])

@@ -245,9 +245,8 @@ class Nodes:
             self._move(n)
 
     def _move(self, n: int) -> None:
-        drives = self._drives
-        force = self._at_leg(drives.force)
-        self._length, self._rate = self._plant.step(force, drives.brake, self._wrench, n * self._h_s)
+        force, brake = self._at_leg(self._drives.force), self._drives.brake
+        self._length, self._rate = self._plant.step(force, brake, self._wrench, n * self._h_s)
         if self._present.not_finite:
             self._length = np.full(LEGS, np.nan)
         self._k += n
@@ -276,6 +275,7 @@ class Nodes:
         if self._present.crashes:
             raise PlantError("the plant crashed: fault plant_crash")
         self._drives.disturb(self._present, self._length, self._rate, t)
+        self._reading.begin(self._present)
         self._turns.switch_on(self._present.reset, self._length)
         self._memory = self._protocol.restarted(self._memory, np.flatnonzero(self._present.reset).tolist())
         self._weigh()

@@ -15,6 +15,11 @@ class Reading:
     def __init__(self) -> None:
         self._read: deque[tuple[int, Array, Array]] = deque()
 
+    def begin(self, present: Present) -> None:
+        """Begin with other faults: where no encoder is late any more, no reading is needed."""
+        if not any(present.late_ns):
+            self._read.clear()
+
     def spoil(self, present: Present, t_ns: int, length: Array, rate: Array) -> None:
         """Change lengths (6,) m and rates (6,) m/s that were read at `t_ns`."""
         longest = max(present.late_ns)
@@ -25,8 +30,6 @@ class Reading:
             for leg, late_ns in enumerate(present.late_ns):
                 if late_ns:
                     length[leg], rate[leg] = self._at(t_ns - late_ns, leg)
-        else:
-            self._read.clear()
         for leg, sigma_m, generator in present.noise:
             length[leg] += sigma_m * generator.standard_normal()
 

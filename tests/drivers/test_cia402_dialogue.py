@@ -7,12 +7,23 @@ import pytest
 
 from drivers.cia402 import dictionary
 from drivers.cia402 import objects as o
+from drivers.cia402.device import Device, control, reported
 from drivers.cia402.emergency import meaning
 from drivers.cia402.feedback import difference
 from drivers.cia402.set_up import Slope
-from drivers.cia402.states import State
+from drivers.cia402.states import State, commanded
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import Answer, DeviceCommand, DriveSetup, Frame, Received, Status, Sync, run_of
+from drivers.protocol import (
+    Answer,
+    DeviceCommand,
+    DriveSetup,
+    Frame,
+    Received,
+    Status,
+    Sync,
+    UnwatchedCommand,
+    run_of,
+)
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.faults.drive import DriveReset, DriveSilence
 from tests.drivers.cia402_drives import PERMILLE_N, SCREW_m, STEP_m, drives
@@ -22,6 +33,13 @@ RUN = Command(DriveMode.RUN, FORCE)
 READY = Command(DriveMode.READY, FORCE)
 RESET = Command(DriveMode.RESET, np.zeros(LEGS))
 HEARTBEAT = 0x77F
+
+
+def enabled() -> Device:
+    """Return leg 2's drive in Operation Enabled, set to cyclic torque."""
+    protocol = drives()
+    there = protocol._devices.set_up(protocol._settings, np.full(LEGS, DriveState.RUN)).devices[2]
+    return there._replace(word=0x0F)
 
 
 def states(ends: Ends) -> list[int]:
@@ -193,6 +211,19 @@ def test_a_drive_may_lack_what_is_optional(monkeypatch):
     Ends(drives()).until_set_up()
 
 
+def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(monkeypatch):
+    honest = dictionary.refused
+    monkeypatch.setattr(
+        "drivers.cia402.device.refused",
+        lambda values, k, v, n: 0x06090030 if k == o.COMMUNICATION_ERROR else honest(values, k, v, n),
+    )
+    ends = Ends(drives())
+    for _ in range(150):
+        ends.step()
+    for lack in ends.protocol.set_up_lacks(ends.dialogue):
+        assert lack.startswith("0x1029:1")
+
+
 def test_a_value_that_a_drive_does_not_keep_is_found_when_read_back(monkeypatch):
     honest = dictionary.with_value
     monkeypatch.setattr(
@@ -241,6 +272,73 @@ def test_an_emergency_stop_with_the_off_of_its_tick_stays_a_stop_until_a_reset()
     ends.step(set_up=False)
     assert states(ends) == [DriveState.OFF] * LEGS
     assert not ends.measurement["drive_fault"].any()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        # IEC 61800-7-201, quick stop: transitions 7, 10 and 11
+        (State.READY_TO_SWITCH_ON, State.DISABLED),
+        (State.SWITCHED_ON, State.DISABLED),
+        (State.ENABLED, State.QUICK_STOP),
+    ],
+)
+def test_a_quick_stop_leads_where_the_automaton_has_it(before, after):
+    assert commanded(0x02, before, rises=False) is after
+
+
+@pytest.mark.parametrize(("option", "after"), [(0, State.DISABLED), (2, State.QUICK_STOP)])
+def test_a_quick_stop_disables_at_once_where_its_option_code_says_so(option, after):
+    device = enabled()
+    device = device._replace(values=dictionary.with_value(device.values, o.QUICK_STOP, option))
+    device, _ = control(device, 0x02, 0)
+    assert device.state is after
+
+
+def test_every_quick_stop_is_shown_before_the_drive_is_disabled():
+    device = enabled()
+    for _ in range(2):
+        device, _ = control(device, 0x02, 0)
+        device, _ = reported(device, Status(device.leg, DriveState.FAULT, DriveFault.ESTOP))
+        assert device.state is State.QUICK_STOP
+        device, _ = reported(device, Status(device.leg, DriveState.FAULT, DriveFault.ESTOP))
+        assert device.state is State.DISABLED
+        for word in (0x06, 0x07, 0x0F):
+            device, _ = control(device, word, 0)
+        assert device.state is State.ENABLED
+
+
+def test_the_most_torque_of_a_drive_holds_in_both_directions():
+    device = enabled()
+    device = device._replace(values=dictionary.with_value(device.values, o.MAX_TORQUE, 500))
+    for torque, given in ((700, 500), (-700, -500), (-400, -400)):
+        _, messages = control(device, 0x0F, torque)
+        force = [each.force[0] for each in messages if isinstance(each, UnwatchedCommand)]
+        assert force == [given * device.N_per_permille]
+
+
+def test_a_drive_that_was_stopped_gets_no_torque_and_the_others_theirs():
+    protocol = drives()
+    dialogue = protocol.start(SETUP)._replace(states=(int(State.ENABLED),) * LEGS, stopped=1 << 2)
+    _, frames = protocol.command(dialogue, RUN, 1)
+    torques = [int.from_bytes(frame.data[2:4], "little", signed=True) for frame in frames[:LEGS]]
+    sent = protocol._permille(FORCE, (0.0,) * LEGS)
+    assert torques == [0 if leg == 2 else each for leg, each in enumerate(sent)]
+    assert sent[2] != 0
+
+
+def test_a_reset_from_before_the_set_up_reaches_a_drive_once_and_only_in_fault():
+    protocol = drives()
+    dialogue = protocol.start(SETUP)
+    states = (State.FAULT, State.DISABLED, *[State.FAULT] * 4)
+    done = tuple(len(plan) if leg < 3 else 0 for leg, plan in enumerate(dialogue.plans))
+    dialogue = dialogue._replace(states=tuple(map(int, states)), at=done, resets=0b111011)
+    words = []
+    for tick in (1, 2):
+        dialogue, frames = protocol.command(dialogue, OFF, tick)
+        words.append([int.from_bytes(frame.data[:2], "little") for frame in frames[:LEGS]])
+    assert words == [[0x80, 0, 0, 0, 0, 0], [0] * LEGS]
+    assert dialogue.resets == 0b111000, "these are not set up yet"
 
 
 def test_drives_that_rest_are_stopped_too():

@@ -134,6 +134,10 @@ def test_a_statusword_is_the_state_that_canopen_reads(vector):
         ("SWITCHED ON", DriveMode.RUN, "enable_operation"),
         ("OPERATION ENABLED", DriveMode.RUN, "enable_operation"),
         ("SWITCH ON DISABLED", DriveMode.RUN, "disable_voltage"),
+        ("OPERATION ENABLED", DriveMode.OFF, "shutdown"),
+        ("SWITCHED ON", DriveMode.OFF, "shutdown"),
+        ("QUICK STOP ACTIVE", DriveMode.OFF, "shutdown"),
+        ("SWITCH ON DISABLED", DriveMode.OFF, "disable_voltage"),
         ("READY TO SWITCH ON", DriveMode.RUN, "disable_voltage"),
         ("FAULT", DriveMode.RUN, "disable_voltage"),
         ("QUICK STOP ACTIVE", DriveMode.RUN, "disable_voltage"),
@@ -265,6 +269,20 @@ def test_an_answer_from_before_the_sync_is_a_tick_old():
     assert not P.fresh(Received(9, FIRST), 0, 10)
     assert P.fresh(Received(10, FIRST), 0, 10)
     assert decoded([FIRST])[1]["age"][LEG] == NEVER, "a length without its rate is none"
+
+
+def test_a_leg_is_as_old_as_the_older_one_of_its_two_tpdos():
+    last, m = new_record(), new_record()
+    last["tick"], last["age"], m["tick"] = 9, 3, 10
+    run = run_of([Received(9, SPEEDS[0]), Received(11, FIRST)])
+    P.decode(P.start(SETUP), run, last, m, 10)
+    assert m["age"][LEG] == 4, "the velocity is that of an older SYNC"
+
+
+def test_a_drive_that_boots_after_its_answer_is_in_boot():
+    _, m = decoded([FIRST, SPEEDS[0], Frame(0x705, b"\0")])
+    assert m["drive_state"][LEG] == DriveState.BOOT
+    assert m["age"][LEG] == NEVER
 
 
 def test_a_second_answer_to_one_sync_doubles_the_node():

@@ -24,7 +24,7 @@ from drivers.mit.fields import (
     unpack_command,
     unpack_motion,
 )
-from drivers.mit.protocol import MitProtocol
+from drivers.mit.protocol import ENABLE, MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.mit.variants import VARIANTS
 from drivers.motors import Heard
@@ -91,6 +91,50 @@ class TestRobStride(MitInTrouble):
     @pytest.fixture
     def protocol(self):
         return RobStrideProtocol(WIDE, (1, 2, 3, 4, 5, 127), 253, GEAR)
+
+
+# -- the dialogue of all variants ----------------------------------------------------------------------
+
+
+def in_dialogue(**changes: Any) -> tuple[MitProtocol, Any]:
+    """Return a Damiao codec, and its dialogue with some changes."""
+    protocol = MitProtocol("damiao", WIDE, NODES, 16, GEAR)
+    return protocol, protocol.start(SETUP)._replace(**changes)
+
+
+def test_a_run_that_is_asked_for_anew_enables_anew_though_nothing_was_heard_between():
+    off = (int(DriveState.OFF),) * 6
+    protocol, dialogue = in_dialogue(mode=DriveMode.RUN, ran=(True,) * 6, power=off)
+    torques = {frame.data for frame in protocol.begin(dialogue, 1)}
+    assert ENABLE not in torques, "it has been enabled, and fell back by itself"
+    for mode in (DriveMode.OFF, DriveMode.RUN):
+        dialogue, _ = protocol.command(dialogue, Command(mode, np.zeros(6)), 1)
+    assert {frame.data for frame in protocol.begin(dialogue, 2)} == {ENABLE}
+
+
+@pytest.mark.parametrize(
+    ("mode", "asks"), [(DriveMode.OFF, True), (DriveMode.READY, False), (DriveMode.RUN, False)]
+)
+def test_a_drive_is_not_set_up_while_it_is_to_hold_or_to_run(mode, asks):
+    off = (int(DriveState.OFF),) * 6
+    protocol, dialogue = in_dialogue(mode=mode, power=off, done=(6, 6, 3, 6, 6, 6))
+    tick = at_tick(100)
+    tick["age"] = 0
+    _, frames = protocol.set_up(dialogue, tick)
+    assert bool(frames) == asks
+    assert all(frame.data[0] == NODES[2] for frame in frames)
+
+
+def test_a_request_that_is_not_answered_waits_its_time_whatever_the_others_are_at():
+    off = (int(DriveState.OFF),) * 6
+    protocol, dialogue = in_dialogue(power=off, done=(6, 6, 3, 6, 6, 6))
+    asked = []
+    for number in range(100, 131):
+        tick = at_tick(number)
+        tick["age"] = 0
+        dialogue, frames = protocol.set_up(dialogue, tick)
+        asked += [number] * len(frames)
+    assert asked == [100, 110, 120, 130]
 
 
 # -- bytes that other people's code made ---------------------------------------------------------------
@@ -387,6 +431,13 @@ def test_another_controller_a_second_answer_and_a_stale_one_are_told_apart(make,
     assert (m["doubled"], m["foreign"], m["rejected"]) == (4, 0, 0)
     m = measured(answer, answer)
     assert m["doubled"] == 0, "the same again"
+    third = next(each for each in ends.received if ends.protocol.awaited(each.frame) == 3)
+    bits = third.frame.data[1] ^ 1
+    fourth = third._replace(
+        frame=third.frame._replace(data=bytes((third.frame.data[0], bits)) + third.frame.data[2:])
+    )
+    m = measured(answer, other, third, fourth)
+    assert m["doubled"] == 4 + 8, "two drives at once"
     m = measured(answer, Received(begun, ends.opening[1]))
     assert (m["doubled"], m["foreign"]) == (0, Foreign.COMMAND)
     m = measured(answer._replace(t_ns=begun - 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from importlib.metadata import version
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +144,17 @@ def test_replies_are_those_of_the_vectors(vector):
         assert heard.broken, "an error in place of what was asked for"
     elif fault:
         assert (heard.power, heard.fault) == (DriveState.FAULT, 0x100 + fault)
+
+
+@pytest.mark.parametrize("unknown", ["position", "velocity"])
+def test_a_drive_that_does_not_know_its_position_or_its_velocity_is_blind(unknown):
+    figures = [nan if unknown == name else 0.5 for name in ("position", "velocity", "torque")]
+    # int8 of the mode, 10; three floats from register 1; int8 of voltage, temperature and fault
+    data = b"\x21\x00\x0a\x2f\x01" + struct.pack("<3f", *figures) + b"\x23\x0d\x18\x1e\x00"
+    protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
+    heard = protocol.hear(Frame(NODES[2] << 8, pad(data), FD | BRS))
+    assert heard is not None
+    assert (heard.leg, heard.motion, heard.torque, heard.power) == (2, None, 0.5, DriveState.RUN)
 
 
 @given(st.floats(-1e3, 1e3), st.integers(0, 5))

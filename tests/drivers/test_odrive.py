@@ -173,6 +173,29 @@ def test_a_lost_encoder_is_a_blind_leg_and_another_controller_is_heard():
     assert m["foreign"] == Foreign.COMMAND
 
 
+def test_each_axis_is_told_by_its_own_state():
+    protocol = ODriveProtocol(NODES, 0.05, GEAR)
+    power = (
+        DriveState.RUN,
+        DriveState.OFF,
+        DriveState.FAULT,
+        DriveState.OFF,
+        DriveState.RUN,
+        DriveState.BOOT,
+    )
+    dialogue = protocol.start(SETUP)._replace(power=tuple(map(int, power)))
+    zeros = np.zeros(6)
+    idle, modes, clear = 0x07, 0x0B, 0x18
+    for mode, told in (
+        (DriveMode.READY, [idle, modes, idle, modes, idle, idle]),
+        (DriveMode.RESET, [idle, idle, clear, idle, idle, idle]),
+    ):
+        _, frames = protocol.command(dialogue, Command(mode, zeros), 0)
+        assert [frame.id for frame in frames] == [
+            node << 5 | kind for node, kind in zip(NODES, told, strict=True)
+        ]
+
+
 def test_an_axis_is_enabled_by_a_controller_that_never_sent_it_idle():
     nodes = Ends(unit()).nodes
     mode, closed = Frame(0x2B, struct.pack("<II", 1, 1)), Frame(0x27, struct.pack("<Ixxxx", 8))

@@ -91,13 +91,17 @@ def test_a_stamp_from_the_future_before_the_start_or_too_far_back_is_refused():
         assert (len(readings.tracker), readings.rejected) == (fine, 1 - fine), (tick, stamp)
 
 
-def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_passed_over():
-    first = decode(10, sample("tracker", 9, 14))
+@every_kind
+def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_passed_over(kind):
+    others = [
+        sample(other, 9, counter) for other, counter in zip(KINDS, (1, 14, 1), strict=True) if other != kind
+    ]
+    first = decode(10, sample(kind, 9, 14), *others)
     assert first.lost == 0
-    second = decode(15, sample("tracker", 14, 1), before=first)
-    assert (second.lost, len(second.tracker)) == (2, 1)
-    again = decode(16, sample("tracker", 14, 1), before=second)
-    assert (again.lost, again.tracker, again.rejected) == (0, (), 0)
+    second = decode(15, sample(kind, 14, 1), before=first)
+    assert (second.lost, len(getattr(second, kind))) == (2, 1)
+    again = decode(16, sample(kind, 14, 1), before=second)
+    assert (again.lost, getattr(again, kind), again.rejected) == (0, (), 0)
 
 
 def test_several_samples_of_a_tick_come_in_the_order_of_their_instants():

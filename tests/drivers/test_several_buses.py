@@ -24,6 +24,7 @@ from drivers.sensors import Readings, SensorProtocol
 from drivers.several_buses import off_bus
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
+from tests.drivers.protocol_contract import Ends
 
 HALVES = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
 ODD = ((0, 5), (1, 2, 3, 4))
@@ -216,6 +217,38 @@ def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it()
     kinds = [type(protocol.parse(memory, frame)[1][0]).__name__ for frame in commands]
     assert kinds == ["Rejected", "DeviceCommand"], "bus 0 has had no SYNC"
     assert protocol.parse(memory, first)[1] == (Sync(4, (0, 1, 2)),)
+
+
+@pytest.mark.parametrize("name", ["legs", "cia402", "odrive", "moteus"])
+def test_drives_of_each_bus_are_set_up_and_run_through_their_heartbeats(name):
+    ends = Ends(family(name, ODD))
+    ends.running(np.arange(1.0, 7.0))
+    for _ in range(20):
+        ends.step(Command(DriveMode.RUN, np.arange(1.0, 7.0)))
+    there = ends.nodes.snapshot()
+    assert there.state.tolist() == [DriveState.RUN] * 6
+    carried = ends.protocol.carried(ends.dialogue, np.arange(1.0, 7.0))
+    np.testing.assert_allclose(there.command, carried, rtol=0, atol=0.2)
+
+
+@pytest.mark.parametrize("name", ["legs", "cia402"])
+def test_strays_and_frames_of_a_bus_that_is_not_there_are_refused_with_what_is_damaged(name):
+    protocol = family(name)
+    zeros, state, memory = np.zeros(6), np.full(6, DriveState.OFF, np.int64), protocol.power_up()
+    if name == "cia402":
+        memory = (protocol.family._devices.set_up(protocol.family._settings, state),) * 2
+    _, answers = protocol.answer(memory, Sync(0), zeros + 0.1, zeros, zeros, state)
+    first, stray = answers[0][1], answers[-1][1]
+    frames = [
+        first._replace(data=first.data[:-1]),
+        stray._replace(flags=stray.flags - BUS),
+        protocol.begin(None, 0)[0]._replace(flags=protocol.begin(None, 0)[0].flags + 2 * BUS),
+    ]
+    last, tick = new_record(), new_record()
+    last["tick"], tick["tick"] = -1, 0
+    protocol.decode(protocol.start(SETUP), run_of([Received(5, each) for each in frames]), last, tick, 0)
+    assert tick["rejected"] == 3
+    assert tick["foreign"] == 0
 
 
 # the door to several buses

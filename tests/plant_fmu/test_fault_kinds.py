@@ -10,6 +10,7 @@ import pytest
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
+from drivers.legs.several import LegsOnBuses
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
@@ -21,6 +22,7 @@ from plant_fmu.faults.encoder import (
     EncoderDrift,
     EncoderFreeze,
     EncoderLate,
+    EncoderLost,
     EncoderNoise,
     EncoderScale,
     EncoderSign,
@@ -37,7 +39,7 @@ from plant_fmu.faults.load import PayloadStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.faults.plant import PlantCrash, PlantHang, PlantNaN
 from tests.drivers.legs_frames import command_frames
-from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
+from tests.plant_fmu.test_nodes import MASS, MS, REST, Masses, Rig, push
 from tests.plant_fmu.test_sensor_nodes import Mover, rotation
 
 FEEDBACK_3 = 0x283
@@ -80,6 +82,19 @@ def test_a_scaled_encoder_counts_the_motion_since_its_fault_began():
     assert read(rig, 6, leg=3) == pytest.approx((l, dl), abs=1e-9)
 
 
+def test_a_scaled_or_frozen_encoder_goes_on_as_it_began_whatever_else_begins():
+    rig = accelerating(
+        EncoderScale(leg=2, factor=1.5, at_s=2e-3),
+        EncoderFreeze(leg=3, at_s=2e-3),
+        EncoderLost(leg=3, at_s=3e-3, for_s=1e-3),
+        DriveGain(leg=5, factor=0.5, at_s=4e-3),
+    )
+    since, _ = motion(2)
+    l, dl = motion(6)
+    assert read(rig, 6) == pytest.approx((since + 1.5 * (l - since), 1.5 * dl), abs=1e-9)
+    assert read(rig, 6, leg=3) == pytest.approx((since, 0.0), abs=1e-9)
+
+
 def test_an_encoder_that_counts_backwards_starts_where_it_is():
     rig = accelerating(EncoderSign(leg=2, at_s=2e-3))
     since, rate = motion(2)
@@ -103,6 +118,23 @@ def test_a_reading_between_two_is_carried_on_by_its_rate():
     seen = [read(rig, t_ms) for t_ms in range(2, 6)]
     l, dl = motion(3)
     assert seen[-1] == pytest.approx((l + dl * 0.5e-3, dl))
+
+
+def test_encoders_are_late_each_by_its_own_time():
+    rig = accelerating(EncoderLate(leg=2, by_ms=3.0), EncoderLate(leg=4, by_ms=1.0))
+    for t_ms in range(7):
+        found = rig.sync(t_ms * MS)
+    for leg, late_ms in ((2, 3), (4, 1), (3, 0)):
+        l, dl = motion(6 - late_ms)
+        assert found["length"][leg] - REST[leg] == pytest.approx(l)
+        assert found["rate"][leg] == pytest.approx(dl)
+
+
+def test_an_encoder_that_is_late_again_stands_still_again_first():
+    rig = accelerating(*[EncoderLate(leg=2, by_ms=3.0, at_s=at_s, for_s=2e-3) for at_s in (2e-3, 6e-3)])
+    seen = [read(rig, t_ms) for t_ms in range(1, 8)]
+    assert seen[4] == pytest.approx(motion(5)), "it works meanwhile"
+    assert seen[5] == seen[6] == pytest.approx(motion(6))
 
 
 def test_noise_is_white_of_its_size_on_the_length_alone_and_repeats_with_its_seed():
@@ -275,6 +307,18 @@ def test_a_forger_is_obeyed_before_the_controller_and_both_ends_hear_him():
     assert rig.nodes.snapshot().repeated > 0
 
 
+@pytest.mark.parametrize("bus", [0, 1])
+def test_a_forger_on_several_buses_answers_each_sync_on_its_own_bus(bus):
+    protocol = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
+    nodes = Nodes(
+        Masses(), protocol, DriveEmulation(), DriveSettings(), FaultPlan([FramesForgedCommand(force_N=300.0)])
+    )
+    nodes.start(0)
+    own = protocol.command(None, Command(DriveMode.RUN, np.full(6, 300.0)), 0)[1][bus]
+    sent = nodes.step(1 * MS, [Received(1 * MS, protocol.begin(None, 0)[bus])])
+    assert [frame.bus for _, frame in sent if frame.id == own.id] == [bus]
+
+
 def test_a_second_node_of_a_number_answers_with_another_length():
     rig = Rig("fd", faults=[FramesForgedFeedback(leg=2, by_m=5e-3)])
     rig.configure()
@@ -360,12 +404,20 @@ def test_a_payload_needs_a_plant_that_knows_where_it_is():
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([-5e-3] * 6)
 
 
+class Pushed(Mover):
+    """A platform that says which forces its legs have."""
+
+    def truth(self):
+        return super().truth()._replace(applied_force=np.full(6, 7.0))
+
+
 def test_a_payload_weighs_where_its_moving_platform_is_by_now():
     """100 kg, 0.5 m along the x axis of a platform that turns."""
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
     faults = FaultPlan([PayloadStep(mass_kg=100.0, position_m=(0.5, 0.0, 0.0))], gravity=(0.0, 0.0, -10.0))
-    nodes = Nodes(Mover(), protocol, DriveEmulation(), DriveSettings(), faults)
+    nodes = Nodes(Pushed(), protocol, DriveEmulation(), DriveSettings(), faults)
     nodes.start(0)
+    assert nodes.snapshot().applied.tolist() == [7.0] * 6, "the plant's own word"
     for t_ms in (1, 200, 900):
         nodes.step(t_ms * MS, [Received(t_ms * MS, protocol.begin(None, t_ms)[0])])
         x, y, _ = 0.5 * rotation(1e-3 * t_ms)[:, 0]

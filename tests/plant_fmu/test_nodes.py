@@ -24,7 +24,8 @@ from drivers.signals import (
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.drive import at_motor
+from plant_fmu.drives.drive import Drives, at_motor
+from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.brake import BrakeStuckClosed, BrakeStuckOpen
 from plant_fmu.faults.drive import DriveSign, DriveSilence
@@ -374,6 +375,22 @@ def test_drives_clip_where_the_leg_that_loses_most_still_gets_the_rated_force():
     assert at_motor(DriveSettings(force_limit_N=100.0), Transmission.of(gear)).force_limit_N == 200.0
 
 
+def test_what_the_gears_lose_reaches_neither_the_legs_nor_the_feedback():
+    rig = Rig("ideal")
+    gear = TransmissionSettings(lead_m=0.01, efficiency=[1.0, 0.9, 0.8, 0.7, 0.6, 0.5])
+    exact = DriveEmulation(encoder_resolution_m=0.0)
+    rig.nodes = Nodes(rig.plant, rig.protocol, exact, DriveSettings(transmission=gear))
+    rig.nodes.start(0)
+    rig.run(1000.0)
+    rig.at(4 * MS)
+    rig.command(5 * MS, DriveMode.RUN, 1000.0)
+    rig.at(6 * MS)
+    left = [1000.0, 900.0, 800.0, 700.0, 600.0, 500.0]
+    assert rig.plant.calls[-1][1] == pytest.approx(left), "the legs move: all of the loss"
+    assert rig.sync(7 * MS)["drive_force"].tolist() == pytest.approx(left)
+    assert rig.nodes.snapshot().force.tolist() == [1000.0] * 6
+
+
 # watchdog and reactions
 
 
@@ -415,6 +432,39 @@ def test_each_drive_has_its_own_watchdog_and_reaction():
         for leg, ms in enumerate(watchdog_ms):
             if t_ms - 5 <= ms < t_ms:
                 assert told[0x701 + leg] == bytes([DriveState.FAULT, DriveFault.WATCHDOG])
+
+
+def test_a_heartbeat_at_the_instant_at_which_a_watchdog_ends_reports_the_fault():
+    rig = Rig()
+    rig.run()
+    for t_ms in range(5, 91, 5):
+        rig.command(t_ms * MS, DriveMode.RUN)
+    told = [frame.data[0] for t, frame in rig.at(101 * MS) if frame.id == 0x701 and t == 100 * MS]
+    assert told == [DriveState.FAULT] * 2, "the change, and the seventh beat of six drives in 100 ms"
+
+
+def test_a_heartbeat_feeds_the_watchdog_of_each_powered_drive_for_its_own_time():
+    drives = Drives(DriveSettings(), DriveEmulation(), 1e-4)
+    states = (
+        DriveState.OFF,
+        DriveState.READY,
+        DriveState.RUN,
+        DriveState.FAULT,
+        DriveState.BOOT,
+        DriveState.READY,
+    )
+    for leg, state in enumerate(states):
+        drives.enter(leg, int(state), int(DriveFault.NONE))
+    drives.watchdog_ns[:] = np.arange(1, 7) * MS
+    drives.heard(np.arange(1, 6), 100)
+    assert drives.deadline_ns.tolist() == [
+        NEVER_NS,
+        100 + 2 * MS,
+        100 + 3 * MS,
+        NEVER_NS,
+        NEVER_NS,
+        100 + 6 * MS,
+    ]
 
 
 def test_a_command_at_the_last_instant_is_in_time():

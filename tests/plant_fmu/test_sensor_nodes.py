@@ -16,6 +16,7 @@ from drivers.config import (
 )
 from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
+from drivers.legs.several import LegsOnBuses
 from drivers.protocol import Received
 from drivers.sensors import Readings, SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
@@ -23,6 +24,7 @@ from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
+from plant_fmu.faults.plant import PlantHang
 from plant_fmu.plant import Truth
 
 MS, US = 1_000_000, 1_000
@@ -194,6 +196,40 @@ def test_without_sync_there_is_no_stamp_and_no_sample():
     out = nodes.step(500 * MS, [])
     stamped = [t for t, frame in out if frame.id == 0x407]
     assert 200 * MS < max(stamped) < (201 + 66 + 6) * MS, "after that no stamp reaches back"
+
+
+@pytest.mark.parametrize("bus", [0, 1])
+def test_a_sensor_is_stamped_by_the_sync_of_its_own_bus(bus):
+    legs = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
+    settings = SensorSettings(imu=ImuSettings(channel="b"))
+    protocol = SensorProtocol(BusSettings.model_validate({"channels": legs}), settings)
+    drives = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
+    nodes = SensedNodes(
+        Mover(), drives, DriveEmulation(), DriveSettings(), None, protocol, settings, EXACT, G
+    )
+    nodes.start(0)
+    nodes.step(1 * MS, [Received(1 * MS, drives.begin(None, 0)[bus])])
+    sensed = [frame.bus for _, frame in nodes.step(20 * MS, []) if frame.id == 0x488]
+    assert sensed == [1] * len(sensed)
+    assert bool(sensed) == (bus == 1), "it hears the SYNC of its own bus alone"
+
+
+def test_a_plant_that_hangs_takes_its_sensors_with_it():
+    found, _ = run(EXACT, faults=FaultPlan([PlantHang(at_s=0.05, for_s=0.05)]))
+    for samples in found.values():
+        times = [at for _, at, _ in samples]
+        assert not [at for at in times if 0.0505 < at < 0.0995]
+        assert [at for at in times if at > 0.11]
+
+
+def test_a_new_start_forgets_what_was_under_way_and_which_sync_was_heard():
+    protocol = SensorProtocol(BusSettings(), ALL)
+    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, EXACT, G)
+    nodes.start(0)
+    nodes.step(1 * MS, [Received(1 * MS, DRIVES.begin(None, 0)[0])])
+    nodes.step(7 * MS, [])
+    nodes.start(0)
+    assert {frame.id for _, frame in nodes.step(20 * MS, [])} <= set(range(0x701, 0x707))
 
 
 def test_a_plant_without_a_pose_is_refused():

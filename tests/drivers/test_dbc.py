@@ -26,6 +26,7 @@ from drivers.protocol import (
     EXTENDED,
     FD,
     REMOTE,
+    Configure,
     DeviceCommand,
     EmergencyStop,
     Frame,
@@ -33,11 +34,14 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
+    run_of,
 )
 from drivers.sensors import SensorProtocol
-from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Reaction
+from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
+from drivers.tick_columns import new_record
 from tests.drivers.drives_end import answers, reports
-from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
+from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, parse
+from tests.drivers.protocol_contract import at_tick
 from tests.drivers.test_crc import bitwise_crc16
 
 FILES = [Path(drivers.__file__).parent / name for name in ("legs/legs.dbc", "sensors.dbc")]
@@ -309,6 +313,36 @@ def test_a_senseless_status_is_refused(data, sealed):
     measurement = decode(P["fd"], received(Frame(0x701, data + bytes([crc]))), 5)
     assert measurement["rejected"] == 1
     assert measurement["drive_fault"].tolist() == [0] * 6
+
+
+def test_all_that_is_doubled_altered_or_foreign_in_a_tick_is_told_and_not_the_last_alone():
+    protocol = P["fd"]
+    frames = [feedback("fd", 5, leg=leg, length=length) for length in (1.5, 1.6) for leg in (1, 4)]
+    frames += [reports(protocol, Status(leg, DriveState.OFF, 0, None))[0] for leg in (2, 5)]
+    frames += [reports(protocol, Status(3, DriveState.BOOT, 0, None))[0]]
+    frames += [*protocol.begin(None, 5), protocol.configure(0.01, Reaction.BRAKE)[0]]
+    m = decode(protocol, received(*frames), 5)
+    assert m["doubled"] == 1 << 1 | 1 << 4
+    assert m["altered"] == 1 << 2 | 1 << 5, "a drive that boots has none yet"
+    assert m["foreign"] == Foreign.SYNC | Foreign.CONFIG
+
+
+def test_each_drive_confirms_its_own_set_up_and_takes_its_own_word_back():
+    protocol = P["fd"]
+    dialogue = protocol.start(SETUP)._replace(sent=(1,) * 6)
+    held = [
+        reports(protocol, Status(leg, DriveState.OFF, 0, Configure(leg, 0.01, Reaction.BRAKE)))[0]
+        for leg in range(6)
+    ]
+    for frames, there in (
+        (held[:4], [True] * 4 + [False] * 2),
+        (held[4:], [True] * 6),
+        (reports(protocol, Status(3, DriveState.OFF, 0, None)), [True] * 3 + [False] + [True] * 2),
+    ):
+        run = run_of(received(*frames))
+        dialogue = protocol.decode(dialogue, run, new_record(), at_tick(5))
+        assert list(protocol.legs_set_up(dialogue)) == there
+    assert not any(protocol.legs_set_up(dialogue._replace(sent=(0,) * 6))), "we have sent none yet"
 
 
 @all_layouts

@@ -1,6 +1,8 @@
+import struct
 from itertools import accumulate
 
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.records import Metadata
 
@@ -87,6 +89,25 @@ def test_a_chunk_cut_in_its_middle_gives_the_ticks_before_the_cut(path, chunks, 
     assert "inside the chunk" in report.remarks[0]
 
 
+@pytest.mark.parametrize("missing", [200, 2000, 6000])
+def test_a_cut_chunk_gives_every_tick_that_another_one_follows_and_no_fewer(path, chunks, tmp_path, missing):
+    last = max(chunks, key=lambda c: c.chunk_length)
+    size = last.chunk_start_offset + last.chunk_length - missing
+    content = path.read_bytes()[last.chunk_start_offset + 9 : size]
+    # MCAP: start, end and uncompressed size of 8 bytes, CRC, name of the compression, size; then the records
+    (name,) = struct.unpack_from("<I", content, 28)
+    left = zstandard.ZstdDecompressor().decompressobj().decompress(content[32 + name + 8 :])
+    (tick,) = (n for n, c in mcap_summary(path).channels.items() if c.topic == "/tick")
+    at, begun = 0, 0
+    while at + 9 <= len(left):
+        opcode, length = struct.unpack_from("<BQ", left, at)
+        at += 9 + length
+        begun += opcode == 5 and at <= len(left) and struct.unpack_from("<H", left, at - length)[0] == tick
+    report = salvage(cut(path, tmp_path, size), tmp_path / "out.mcap")
+    assert begun > 1
+    assert report.ticks == ticks_before(path, last.chunk_start_offset) + begun - 1
+
+
 def test_only_the_index_missing_is_nothing_lost(path, tmp_path):
     report = salvage(cut(path, tmp_path, path.stat().st_size - 30), tmp_path / "out.mcap")
     assert (report.complete, report.ticks, report.bytes_lost) == (True, COUNT, 0)
@@ -101,12 +122,15 @@ def test_zeros_at_the_end_as_a_file_system_leaves_them_are_passed_over(path, chu
     assert_same(Log.open(tmp_path / "out.mcap").ticks(), TICKS[: report.ticks])
 
 
-def test_a_damaged_chunk_is_left_out_and_said(path, chunks, tmp_path):
+@pytest.mark.parametrize("damaged", [1, 2])
+def test_a_damaged_chunk_is_left_out_and_said_with_its_ticks(path, chunks, tmp_path, damaged):
     content = bytearray(path.read_bytes())
-    content[chunks[1].chunk_start_offset + chunks[1].chunk_length // 2] ^= 0x40
+    content[chunks[damaged].chunk_start_offset + chunks[damaged].chunk_length // 2] ^= 0x40
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(content)
     report = salvage(bad, tmp_path / "out.mcap")
+    assert report.ticks + report.ticks_lost == COUNT
+    assert report.ticks_lost > 0
     assert report.chunks == len(chunks) - 1
     assert not report.complete
     assert "damaged" in report.remarks[0]

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import math
 import re
+from functools import cache
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from drivers.signals import Mode
+from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
-from hil.app.replay import summary
+from hil.app.replay import replay_log, summary
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.loop.replay import Comparison, replay
@@ -45,10 +48,106 @@ class Edited:
         return iter(self.entries)
 
 
-def compared(entries, at, **columns):
+class Entries(Edited):
+    """Recorded ticks as they are."""
+
+    def __init__(self, entries):
+        self.entries = entries
+
+
+@cache
+def virtual():
+    """Return a cycle that each replay resets."""
     c = load("virtual")
-    cycle = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
-    return replay(Edited(entries, at, **columns), cycle)
+    return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
+
+
+def compared(entries, at, **columns):
+    return replay(Edited(entries, at, **columns), virtual())
+
+
+def verdict_on(entries):
+    return replay(Entries(entries), virtual())
+
+
+@pytest.mark.parametrize(
+    ("found", "exact", "equivalent"),
+    [
+        ({}, True, True),
+        ({"ticks": 0}, False, False),
+        ({"gaps": [(700, 3)]}, False, False),
+        ({"different_ticks": 1, "largest": 1e-9}, False, True),
+        ({"different_ticks": 1, "largest": 1.001e-9}, False, False),
+        ({"different_ticks": 1, "largest": math.inf}, False, False),
+        ({"different_ticks": 1, "wire_different_ticks": 1}, False, False),
+    ],
+)
+def test_exact_is_every_bit_and_equivalent_the_same_frames_with_columns_within_a_billionth(
+    found, exact, equivalent
+):
+    comparison = Comparison(**{"ticks": 1000, **found})
+    assert (comparison.exact, comparison.equivalent) == (exact, equivalent)
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+@pytest.mark.parametrize(
+    ("found", "there", "here"),
+    [
+        ({}, True, True),
+        ({"different_ticks": 1, "largest": 1e-10}, True, False),
+        ({"different_ticks": 1, "largest": 1e-8}, False, False),
+    ],
+)
+def test_a_replay_agrees_to_the_bit_and_on_another_processor_within_a_billionth(
+    log, monkeypatch, elsewhere, found, there, here
+):
+    monkeypatch.setattr("hil.app.replay.replay", lambda *_: Comparison(ticks=100, **found))
+    if elsewhere:
+        monkeypatch.setattr("hil.app.replay.environment", lambda: {"cpu": "another one"})
+    assert replay_log(log)[1]["agrees"] == (there if elsewhere else here)
+
+
+@pytest.mark.parametrize("name", COMPUTED_COLUMNS)
+def test_every_computed_column_is_compared_in_its_last_element(entries, name):
+    column, row = COLUMNS[name], entries[1].row
+    changed = np.array(row[name])
+    changed.reshape(-1)[-1] = 1.0 if np.isnan(changed.reshape(-1)[-1]) else changed.reshape(-1)[-1] + 1
+    verdict = compared(entries[:2], 1, **{name: changed})
+    assert [(each.tick, each.column) for each in verdict.first] == [(1, name)]
+    assert (verdict.largest == math.inf) == (column.type is not float or np.isnan(row[name]).any())
+    assert verdict.largest > 0.0
+
+
+def test_a_number_that_was_recorded_as_none_is_no_small_difference(entries):
+    lengths = entries[50].row["q"].copy()
+    lengths[5] = math.nan
+    assert compared(entries, 50, q=lengths).largest == math.inf
+
+
+def test_the_largest_difference_is_that_of_all_ticks(entries):
+    far, near = (
+        Edited(entries, at, q=entries[at].row["q"] + by).entries[at] for at, by in ((20, 9.0), (50, 0.1))
+    )
+    verdict = verdict_on([*entries[:20], far, *entries[21:50], near, *entries[51:]])
+    assert verdict.different_ticks == 2
+    assert verdict.largest == pytest.approx(9.0 / 10.59245, rel=1e-3), "9 m of the recorded 10.6"
+
+
+@pytest.mark.parametrize(("skipped", "missing"), [(0, 2), (1, 1)])
+def test_a_gap_is_what_is_missing_beyond_the_ticks_that_the_loop_skipped(entries, skipped, missing):
+    row = entries[42].row.copy()
+    row["skipped"] = skipped
+    verdict = verdict_on([*entries[:40], entries[42]._replace(row=row), *entries[43:]])
+    assert verdict.gaps == [(40, missing)]
+    assert verdict.ticks == 40
+
+
+def test_ticks_that_the_loop_skipped_are_no_gap(entries):
+    row = entries[42].row.copy()
+    row["skipped"] = 2
+    verdict = verdict_on([*entries[:40], entries[42]._replace(row=row), *entries[43:]])
+    assert verdict.gaps == []
+    assert verdict.ticks == len(entries) - 2
 
 
 def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(entries):
@@ -85,8 +184,7 @@ def test_the_summary_gives_the_speed_and_where_how_many_ticks_are_missing():
 def test_a_tick_whose_sent_frames_are_gone_is_a_difference_that_can_be_printed(entries):
     edited = [*entries]
     edited[50] = edited[50]._replace(sent=())
-    c = load("virtual")
-    verdict = replay(Edited(edited, 60), build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3))
+    verdict = replay(Edited(edited, 60), virtual())
     (difference,) = verdict.first
     assert str(difference).startswith("tick 50: sent frames: recorded (), replayed (Frame(")
 

@@ -222,6 +222,7 @@ def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(mon
         ends.step()
     for lack in ends.protocol.set_up_lacks(ends.dialogue):
         assert lack.startswith("0x1029:1")
+        assert "write refused" in lack
 
 
 def test_a_value_that_a_drive_does_not_keep_is_found_when_read_back(monkeypatch):

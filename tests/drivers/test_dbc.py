@@ -327,6 +327,15 @@ def test_all_that_is_doubled_altered_or_foreign_in_a_tick_is_told_and_not_the_la
     assert m["foreign"] == Foreign.SYNC | Foreign.CONFIG
 
 
+def test_a_drive_is_sent_its_set_up_while_it_is_heard_or_was_missed_once():
+    protocol = P["fd"]
+    for age, sent in ((0, True), (1, True), (2, False)):
+        tick = at_tick(3)  # the turn of leg 3
+        tick["age"] = [0 if leg != 3 else age for leg in range(6)]
+        _, frames = protocol.set_up(protocol.start(SETUP), tick)
+        assert bool(frames) == sent
+
+
 def test_each_drive_confirms_its_own_set_up_and_takes_its_own_word_back():
     protocol = P["fd"]
     dialogue = protocol.start(SETUP)._replace(sent=(1,) * 6)

@@ -140,11 +140,17 @@ def test_the_step_is_pure(bench):
 
 
 def test_reset_goes_back_to_the_first_tick(bench):
-    first = [bench.step().row.tobytes() for _ in range(5)]
+    fresh, again = Bench(), Bench()
+    bench.until(Mode.TRACKING)
+    bench.step(bus_off=True)
     bench.cycle.reset()
-    again = Bench()
+    assert bench.cycle.proven
+    assert not bench.cycle.faults
     again.cycle = bench.cycle
-    assert [again.step().row.tobytes() for _ in range(5)] == first
+    for _ in range(30):
+        a, b = fresh.step(), again.step()
+        assert a.frames == b.frames
+        assert a.row.tobytes() == b.row.tobytes()
 
 
 def test_a_silent_leg_is_carried_on_at_its_last_rate_then_faults(bench):
@@ -256,6 +262,67 @@ def test_without_a_ramp_the_law_begins_anew_and_no_brake_counts_as_proven_to_the
         bench.step()
         assert bench.tick < 5000
     assert not bench.cycle.proven
+
+
+def test_a_fault_that_strikes_while_parking_leaves_what_holds_the_platform_alone(bench, monkeypatch):
+    bench.until(Mode.APPROACH)
+    bench.step((Operator.STOP,))
+    while bench.cycle.mode is not Mode.PARKING:
+        bench.step()
+        assert bench.tick < 5000
+    assert not bench.cycle.faults
+    assert not bench.cycle._under_control & Fault.FOLLOWING
+    safety, judge = bench.cycle.parts.safety, bench.cycle.parts.safety.judge
+    monkeypatch.setattr(safety, "judge", lambda tick: judge(tick)._replace(faults=Fault.FOLLOWING))
+    bench.step()
+    monkeypatch.setattr(safety, "judge", judge)
+    assert bench.cycle.mode is Mode.PARKING
+    bench.drives.length = bench.drives.length + 5e-6  # a law would push back
+    for _ in range(5):
+        bench.step()
+        assert bench.cycle.mode is Mode.PARKING
+        np.testing.assert_allclose(bench.cycle.tick["tau_asked"], 3618.625746, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("fault", "provable"),
+    [
+        (Fault.DRIVE, True),
+        (Fault.STALE, True),  # heard again
+        (Fault.BRAKE, False),
+        (Fault.ENCODER, False),
+        (Fault.KINEMATICS, False),
+        (Fault.DUPLICATE_NODE, False),
+    ],
+)
+def test_no_test_of_the_brakes_is_believed_after_a_brake_or_an_encoder_has_failed(bench, fault, provable):
+    bench.until(Mode.APPROACH)
+    bench.cycle.faults = fault
+    assert bench.cycle._provable(bench.cycle.tick) == provable
+
+
+def test_a_leg_that_is_refused_its_force_gets_none_from_that_tick_on(bench, monkeypatch):
+    bench.until(Mode.APPROACH)
+    judge = bench.cycle.parts.safety.judge
+    monkeypatch.setattr(
+        bench.cycle.parts.safety, "judge", lambda tick: judge(tick)._replace(faults=Fault.FOLLOWING)
+    )
+    bench.step()
+    assert bench.cycle.mode is Mode.PARKING
+    watch = bench.cycle.obedience
+
+    def refuse(_tick, _tau):
+        news, watch.refused = watch.refused is None, 2
+        return news
+
+    monkeypatch.setattr(watch, "watch", refuse)
+    for _ in range(3):
+        row = bench.step().row
+        force = bench.drives.commands[-1].force
+        assert force[2] == 0.0
+        assert min(np.delete(force, 2)) > 3000.0
+        assert row["legs_refused"] == 1 << 2
+    assert bench.cycle.faults & Fault.DRIVE
 
 
 def test_a_stop_after_a_run_that_yielded_parks_by_its_law_again(bench):

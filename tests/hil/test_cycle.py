@@ -301,7 +301,10 @@ def test_no_test_of_the_brakes_is_believed_after_a_brake_or_an_encoder_has_faile
     assert bench.cycle._provable(bench.cycle.tick) == provable
 
 
-def test_a_leg_that_is_refused_its_force_gets_none_from_that_tick_on(bench, monkeypatch):
+def test_a_leg_that_is_refused_its_force_gets_none_from_that_tick_on(monkeypatch):
+    c = load("virtual")
+    gentle = {"force_step_N": 200.0}  # which a force that comes or goes at once is not held to
+    bench = Bench(c.model_copy(update={"limits": c.limits.model_copy(update=gentle)}))
     bench.until(Mode.APPROACH)
     judge = bench.cycle.parts.safety.judge
     monkeypatch.setattr(

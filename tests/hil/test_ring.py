@@ -82,6 +82,32 @@ def test_events_come_before_the_tick_that_follows_them_and_without_one_after_the
     assert not len(ring.take(100).items)
 
 
+def test_a_batch_that_leaves_rows_behind_leaves_the_events_behind_them_too(ring):
+    writer = Writer(ring)
+    for _ in range(3):
+        writer.row(1)
+    writer.item(EVENT, 77)
+    ring.counters[EVENTS] = writer.items
+    batch = ring.take(2)
+    assert batch.tick.tolist() == [0, 1]
+    ring.release(batch)
+    batch = ring.take(2)
+    assert batch.items["t_ns"].tolist() == [2, 77]
+    assert batch.tick.tolist() == [0, 1]
+
+
+def test_a_batch_ends_with_the_row_whose_items_fill_a_quarter_of_the_room(ring):
+    writer = Writer(ring)
+    for items in (1100, 1, 1022, 1, 1):
+        writer.row(items)
+    sizes = []
+    for _ in range(3):
+        batch = ring.take(10)
+        sizes.append((len(batch.rows), len(batch.items)))
+        ring.release(batch)
+    assert sizes == [(1, 1100), (3, 1024), (1, 1)]
+
+
 def test_a_second_mapping_of_the_descriptor_sees_the_same_memory(ring):
     other = Ring(ring.fd, DTYPE, 256)
     Writer(ring).row(1)

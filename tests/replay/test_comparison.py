@@ -20,6 +20,7 @@ from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.loop.replay import Comparison, replay
 from hil.record.log import Log
+from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary, rewrite_log
 
 
@@ -148,6 +149,11 @@ def test_ticks_that_the_loop_skipped_are_no_gap(entries):
     verdict = verdict_on([*entries[:40], entries[42]._replace(row=row), *entries[43:]])
     assert verdict.gaps == []
     assert verdict.ticks == len(entries) - 2
+    first = entries[2].row.copy()
+    first["skipped"] = 2
+    verdict = verdict_on([entries[2]._replace(row=first), *entries[3:]])
+    assert verdict.gaps == [], "nor are those before the first"
+    assert verdict.ticks == len(entries) - 2
 
 
 def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(entries):
@@ -187,6 +193,14 @@ def test_a_tick_whose_sent_frames_are_gone_is_a_difference_that_can_be_printed(e
     verdict = replay(Edited(edited, 60), virtual())
     (difference,) = verdict.first
     assert str(difference).startswith("tick 50: sent frames: recorded (), replayed (Frame(")
+
+
+def test_a_log_that_its_run_did_not_close_may_end_too_early_and_says_so(log, tmp_path):
+    cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size * 4 // 5])
+    salvage(cut, whole)
+    assert "(salvaged): it may end before the run did" in replay_log(whole)[1]["remark"]
+    assert "remark" not in replay_log(log)[1]
 
 
 def without_frame(sequence):

@@ -143,7 +143,10 @@ def test_reset_goes_back_to_the_first_tick(bench):
     fresh, again = Bench(), Bench()
     bench.until(Mode.APPROACH)
     bench.step(bus_off=True)
+    operating = bench.cycle.operating
+    operating.speed, operating.key_tick = 0.3, bench.tick
     bench.cycle.reset()
+    assert (operating.speed, operating.key_tick) == (1.0, None)
     assert bench.cycle.proven
     assert not bench.cycle.faults
     again.cycle = bench.cycle

@@ -115,6 +115,13 @@ def test_what_has_not_come_to_rest_says_so():
     assert not step_response(T, np.sin(2 * np.pi * 3 * T) + T, 0.0).settled
 
 
+@pytest.mark.parametrize(("by", "settled"), [(0.019, True), (0.021, False)])
+def test_an_answer_has_settled_within_two_per_cent_of_its_way(by, settled):
+    t = np.arange(100) * 1e-3
+    y = np.where(np.arange(100) % 2, 1.0 + by, 1.0 - by)
+    assert step_response(t, y, 0.0).settled is settled
+
+
 def test_what_does_not_answer_has_no_rise_and_no_bandwidth():
     still = np.full_like(T, 2.0)
     found = step_response(T, still, 2.0)

@@ -34,6 +34,8 @@ Act = Literal[
     "clamp",
     "free",
     "read_gauge",
+    "weigh",
+    "read_way",
     "hang",
     "take_down",
     "accept",
@@ -126,6 +128,10 @@ class Machine:
     """Of all frames of this protocol."""
     unasked_identifiers: frozenset[int] = frozenset()
     """Of what drives send by themselves: heartbeats, emergencies."""
+    platform_kg: float = 0.0
+    """Mass of the platform."""
+    presses: float = 0.0
+    """Cosine between gravity and the way from platform to base, > 0: its weight presses the legs."""
     losses: float = 0.0
     """Share of a force that may be lost between motor and leg."""
     heartbeat_s: float = 0.1
@@ -226,7 +232,7 @@ class Context:
             low, high = request.within or (answer, answer)
             if low <= answer <= high:
                 return answer
-            text = f"    {answer:g} cannot be: {low:g} to {high:g} are allowed, in m and N, not mm or kN"
+            text = f"    {answer:g} cannot be: {low:g} to {high:g} are allowed, in m, N and kg, not mm or kN"
             self.operator.tell(text)
             refused += 1
             if refused >= self.operator.patience:

@@ -10,7 +10,7 @@ _OTHERS = {"ids": "drives", "encoder": "drive", "opens": "legs"}
 
 
 def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None:
-    """Drop the facts about legs or their drives, that the platform was compared, and that steps have passed.
+    """Drop the facts about legs or their drives, those about the platform, and that steps have passed.
 
     Behind exchanged numbers a fact's own leg is another: what names a leg or its drive goes, too.
     """
@@ -18,6 +18,7 @@ def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None
     for step in BY_LEG:
         _forget(facts.get(step, {}), gone, _OTHERS.get(step))
     facts.pop("mounted", None)
+    facts.pop("load", None)
     facts.pop("passed", None)
 
 

@@ -44,6 +44,10 @@ class Stand(NamedTuple):
     """(6, 3) m."""
     platform_joints: Array
     """(6, 3) m."""
+    platform_kg: float
+    """What the platform weighs."""
+    presses: float
+    """> 0: its weight presses the legs together."""
 
 
 class RehearsalBench:
@@ -90,7 +94,7 @@ class RehearsalBench:
     def behind_cables(self, plant: Plant) -> WiredPlant:
         """Return a plant as this wiring connects it; encoders are right at the middle of the stroke."""
         middle = 0.5 * (self.stand.length_min + self.stand.length_max)
-        return WiredPlant(plant, self.wiring, np.full(LEGS, middle))
+        return WiredPlant(plant, self.wiring, np.full(LEGS, middle), self._rated_N)
 
     def length(self, leg: int) -> float:
         """Return the true length of a leg, m."""
@@ -149,17 +153,34 @@ class RehearsalBench:
         """Read the force gauge, N."""
         return self._legs.gauge() * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
 
+    def weigh(self) -> float:
+        """Weigh the platform, kg."""
+        mass = self.wiring.payload * self.stand.platform_kg
+        return mass * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+
+    def way(self) -> float:
+        """Return 1 where the platform's weight presses the legs together, -1 where it pulls at them."""
+        return float(np.sign(self.wiring.gravity * self.stand.presses))
+
     def hang(self, p: Array, R: Array) -> None:
-        """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3)."""
+        """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3), or where that is."""
         self.hung = True
-        s = self.stand
-        for leg in range(LEGS):
-            base = s.base_joints[self.wiring.base_joint[leg]]
-            self._legs.place(leg, float(np.linalg.norm(p + R @ s.platform_joints[leg] - base)))
+        base, platform = joints_of(self.wiring, self.stand.base_joints, self.stand.platform_joints)
+        there = p + np.array([0.0, 0.0, self.wiring.home_off_m])
+        for leg, length in enumerate(np.linalg.norm(there + platform @ R.T - base, axis=1)):
+            self._legs.place(leg, float(length))
 
     def take_down(self) -> None:
         """Take the platform off the legs, which lie on trestles again."""
         self.hung = False
+
+
+def joints_of(wiring: Wiring, base: Array, platform: Array) -> tuple[Array, Array]:
+    """Return base and platform joints (6, 3) m of the legs as they are mounted, of those they should have."""
+    radius = np.hypot(base[:, 0], base[:, 1])[:, None]
+    outwards = np.where(radius > 0.0, base / np.where(radius > 0.0, radius, 1.0), 0.0) * (1.0, 1.0, 0.0)
+    moved = base + np.array(wiring.joint_off_m)[:, None] * outwards
+    return moved[list(wiring.base_joint)], platform[list(wiring.platform_joint)]
 
 
 def drives_end(protocol: DriveProtocol, wiring: Wiring, settings: DriveSettings) -> DriveProtocol:

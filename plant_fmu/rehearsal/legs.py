@@ -17,8 +17,8 @@ from plant_fmu.plant import Truth, whole_steps
 
 GAUGE_YIELD_M = 5e-5
 """How far a gauge gives way under `LegBench.gauge_N`."""
-HAND_M = 3e-3
-"""A hand follows a leg that gives way so far."""
+HAND_M, HAND_m_s = 3e-3, 0.1
+"""A hand follows a leg that gives way so far, and so fast."""
 _DAMPING_N_s2_m2 = 2_000.0
 _STEP_S = 1e-4
 _NO_LEG = -1
@@ -60,7 +60,8 @@ def _advance(
         hand, from_m = state[_HAND, leg], state[_HAND_FROM, leg]
         f, friction = force[leg] + hand, legs[_FRICTION, leg] + brake[leg] * legs[_BRAKE, leg]
         x, v = state[_X, leg] - origin, state[_V, leg]
-        x, v = advance_leg(x, v, f, friction, _STEP_S, n, legs[_MASS, leg], _DAMPING_N_s2_m2, k, 0.0)
+        damping = max(_DAMPING_N_s2_m2, abs(hand) / HAND_m_s**2)
+        x, v = advance_leg(x, v, f, friction, _STEP_S, n, legs[_MASS, leg], damping, k, 0.0)
         x += origin
         low, high = legs[_SHORTEST, leg], legs[_LONGEST, leg]
         if hand < 0.0:

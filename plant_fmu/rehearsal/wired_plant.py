@@ -8,12 +8,14 @@ from drivers.signals import LEGS
 from plant_fmu.plant import Plant, Truth
 from plant_fmu.rehearsal.wiring import Wiring
 
-_MOTOR, _ENCODER, _OPENS, _DRIVEN, _STOPS, _FROZEN = range(6)
+_MOTOR, _ENCODER, _OPENS, _DRIVEN, _STOPS, _FROZEN, _ONE_WAY, _INVERTED = range(8)
 """Rows of a wiring's integers: leg of each drive's motor, and of its encoder; brakes that it opens (bit i:
-leg i); 1 where it takes part, where its encoder stops at mid-stroke, where that is frozen."""
-_GAIN, _SCALE, _OFFSET, _JUMP, _PLAY, _STUCK, _SHARE, _ORIGIN = range(8)
-"""Rows of its reals: of each drive N a N, m a m, m of offset, jump and play; of each leg where its brake is
-stuck, NaN for one that works, the brake's share, and the length at which a scale has no effect."""
+leg i); 1 where it takes part, where its encoder stops at mid-stroke, where that is frozen, where it gives no
+force below zero; of each leg: 1 where its brake shuts when it should open."""
+_GAIN, _MOST, _SCALE, _RATE, _OFFSET, _JUMP, _PLAY, _STUCK, _SHARE, _ORIGIN = range(10)
+"""Rows of its reals: of each drive N a N, most N, m a m, m/s a m/s, m of offset, jump and play; of each leg
+where its brake is stuck, NaN for one that works, the brake's share, and the length at which a scale has no
+effect."""
 
 
 @direct(OUT_INTEGER_MATRIX, MATRIX, VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)
@@ -22,11 +24,15 @@ def _connect(integers: Ints, reals: Array, force: Array, brake: Array, at_leg: A
     at_leg[:], held[:] = 0.0, 1.0
     for drive in range(LEGS):
         if integers[_DRIVEN, drive]:
-            at_leg[integers[_MOTOR, drive]] += reals[_GAIN, drive] * force[drive]
+            low = 0.0 if integers[_ONE_WAY, drive] else -reals[_MOST, drive]
+            given = min(max(force[drive], low), reals[_MOST, drive])
+            at_leg[integers[_MOTOR, drive]] += reals[_GAIN, drive] * given
             for leg in range(LEGS):
                 if integers[_OPENS, drive] >> leg & 1:
                     held[leg] = min(held[leg], brake[drive])
     for leg in range(LEGS):
+        if integers[_INVERTED, leg]:
+            held[leg] = 1.0 - held[leg]
         if not np.isnan(reals[_STUCK, leg]):
             held[leg] = reals[_STUCK, leg]
         held[leg] *= reals[_SHARE, leg]
@@ -57,7 +63,7 @@ def _read(
             place = (0.0 if integers[_STOPS, drive] else place) + reals[_JUMP, drive]
         scale = reals[_SCALE, drive]
         reads[drive] = reals[_ORIGIN, leg] + scale * place + reals[_OFFSET, drive]
-        rates[drive] = scale * rate[leg]
+        rates[drive] = scale * reals[_RATE, drive] * rate[leg]
         if integers[_FROZEN, drive] and not np.isnan(at_start[drive]):
             reads[drive], rates[drive] = at_start[drive], 0.0
 
@@ -69,17 +75,22 @@ class WiredPlant:
     those with play are.
     """
 
-    def __init__(self, plant: Plant, wiring: Wiring, origin: Array) -> None:
-        """Take the plant, and the lengths (6,) m of its legs at which a scale has no effect."""
+    def __init__(self, plant: Plant, wiring: Wiring, origin: Array, rated_N: float = 1.0) -> None:
+        """Take the plant, lengths (6,) m of its legs at which a scale has no effect, and the rated force."""
         self._plant = plant
         w = wiring
         opens = [sum(1 << leg for leg in legs) for legs in w.brake]
         driven = [here and not other for here, other in zip(w.present, w.other_protocol, strict=True)]
         stuck = [np.nan if at is None else at for at in w.stuck]
-        self._integers = np.array([w.motor, w.encoder, opens, driven, w.stops, w.frozen], np.int64)
-        self._reals = np.array(
-            [w.force_gain, w.scale, w.offset_m, w.jump_m, w.play_m, stuck, w.brake_share, origin]
+        most = rated_N * np.array(w.force_most)
+        self._integers = np.array(
+            [w.motor, w.encoder, opens, driven, w.stops, w.frozen, w.force_one_way, w.brake_inverted],
+            np.int64,
         )
+        self._reals = np.array([
+            w.force_gain, most, w.scale, w.rate_scale, w.offset_m, w.jump_m, w.play_m, stuck, w.brake_share,
+            origin,
+        ])  # fmt: skip
         self._at_start, self._followed = np.full(LEGS, np.nan), np.full(LEGS, np.inf)
         self.internal_step_s = plant.internal_step_s
 

@@ -3,9 +3,9 @@
 Every tuple has one element a drive, in the leg order of the configuration, unless it says a leg.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 from drivers.signals import LEGS
 
@@ -33,12 +33,20 @@ class Wiring:
     """m of reading for each m of the leg."""
     offset_m: tuple[float, ...] = ZEROS
     """Reading less length at the middle of the stroke."""
+    rate_scale: tuple[float, ...] = ONES
+    """m/s of rate for each m/s that the reading changes by."""
+    force_one_way: tuple[bool, ...] = (False,) * LEGS
+    """The drive gives no force that is below zero to its own mind."""
+    force_most: tuple[float, ...] = (inf,) * LEGS
+    """Most force that the drive gives, as a share of the rated one."""
     frozen: tuple[bool, ...] = (False,) * LEGS
     """The encoder reads what it read at power-up."""
     stuck: tuple[float | None, ...] = NONE
     """Of each leg: where its brake stays, 1 shut, 0 open; None for one that works."""
     brake_share: tuple[float, ...] = ONES
     """Of each leg: share of its force that the brake has."""
+    brake_inverted: tuple[bool, ...] = (False,) * LEGS
+    """Of each leg: its brake shuts when it should open."""
     jump_m: tuple[float, ...] = ZEROS
     """The reading is so much more beyond the middle of the stroke."""
     stops: tuple[bool, ...] = (False,) * LEGS
@@ -59,6 +67,16 @@ class Wiring:
     """Of each leg: share of the stroke that is missing at its long end."""
     base_joint: tuple[int, ...] = OWN
     """Of each leg: the base joint at which it is mounted."""
+    platform_joint: tuple[int, ...] = OWN
+    """Of each leg: the platform joint at which it is mounted."""
+    joint_off_m: tuple[float, ...] = ZEROS
+    """Of each leg: so far its base joint is outside of where it should be."""
+    home_off_m: float = 0.0
+    """The platform hangs so much above the known poses."""
+    payload: float = 1.0
+    """Mass and inertia of the platform are so many times what they should be."""
+    gravity: float = 1.0
+    """-1: the machine hangs from the ceiling."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +116,15 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "brake_crossed": (("brake",), 2, None, "brake cables of two drives exchanged"),
     "brake_of_another": (("brake",), 1, None, "the drive's output opens another leg's brake, too"),
     "mounted_elsewhere": (("base_joint",), 2, None, "two legs mounted at each other's base joint"),
+    "platform_end_elsewhere": (("platform_joint",), 2, None, "two legs at each other's platform joint"),
     "encoder_counts_another": (("encoder",), 1, None, "an encoder counts another leg, beside that leg's own"),
     "same_id": (("answers_as",), 1, None, "a drive has the node number of another one"),
     "encoder_sign": (("scale",), 1, -1.0, "the encoder counts backwards"),
     "encoder_scale": (("scale",), 1, 2.0, "the encoder counts too much or too little"),
+    "rate_sign": (("rate_scale",), 1, -1.0, "the drive's rate has the other sign than its position"),
+    "rate_scale": (("rate_scale",), 1, 2.0, "the drive's rate has another unit than its position"),
+    "force_one_way": (("force_one_way",), 1, 1.0, "the motor pulls, and does not push, or the reverse"),
+    "force_saturates": (("force_most",), 1, 0.008, "weak supply, or a limit: most force, share of rated"),
     "force_sign": (("force_gain",), 1, -1.0, "motor phases exchanged: force the other way, a runaway sign"),
     "force_scale": (("force_gain",), 1, 0.5, "force too large or too small"),
     "wrong_lead": (("scale", "force_gain"), 1, 1.25, "another lead or gear than the drive believes"),
@@ -113,6 +136,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "offset": (("offset_m",), 1, 4e-3, "homed at another length, m"),
     "brake_stuck_shut": (("stuck",), 1, 1.0, "the brake does not open"),
     "brake_stuck_open": (("stuck",), 1, 0.0, "the brake does not shut"),
+    "brake_inverted": (("brake_inverted",), 1, 1.0, "the brake shuts when it should open"),
     "brake_weak": (("brake_share",), 1, 0.01, "the brake has this share of its force"),
     "friction": (("friction",), 1, 0.012, "friction beyond the usual, share of the rated force"),
     "end_stop": (("shorter",), 1, 0.15, "an end stop in the way, share of the stroke"),
@@ -121,12 +145,25 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
     "watchdog_short": (("watchdog",), 1, 0.3, "the watchdog takes this share of what was set"),
     "absent": (("present",), 1, 0.0, "no power, or no bus, at a drive"),
     "wrong_protocol": (("other_protocol",), 1, 1.0, "the drive speaks CANopen as delivered"),
+    "joint_elsewhere": (("joint_off_m",), 1, 0.03, "the base joint is so much further outside, m"),
+    "wrong_home": (("home_off_m",), 0, 0.015, "the platform hangs so much above where it should, m"),
+    "payload": (("payload",), 0, 2.0, "the platform weighs so many times what is configured"),
+    "upside_down": (("gravity",), 0, -1.0, "the machine hangs from the ceiling"),
 }
-"""Name -> fields of Wiring that it changes, legs that take part, usual size, what it is."""
+"""Name -> fields of Wiring that it changes, legs that take part, usual size, what it is.
+
+One in which no leg takes part is of the whole machine.
+"""
 
 RANGES: dict[str, tuple[float, float]] = {
     "encoder_sign": (-4.0, -0.25),
-    "encoder_scale": (0.25, 4.0),
+    "encoder_scale": (0.01, 100.0),
+    "rate_sign": (-100.0, -0.01),
+    "rate_scale": (0.0, 100.0),
+    "force_saturates": (0.0, 1.0),
+    "joint_elsewhere": (-0.1, 0.1),
+    "wrong_home": (-0.1, 0.1),
+    "payload": (0.1, 10.0),
     "force_sign": (-4.0, -0.25),
     "force_scale": (0.0, 100.0),
     "wrong_lead": (0.25, 4.0),
@@ -154,7 +191,7 @@ def wired(*mistakes: Mistake) -> Wiring:
 
 
 def legs_of(name: str) -> int:
-    """Return how many legs a mistake has to name: `leg`, `other`, `third`."""
+    """Return how many legs a mistake has to name: `leg`, `other`, `third`; 0: it is of the whole machine."""
     return 2 if name in _ONTO_ANOTHER else MISTAKES[name][1]
 
 
@@ -171,11 +208,13 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
     if any(not 0 <= leg < LEGS for leg in legs) or len(set(legs)) != len(legs):
         raise ValueError(f"mistake {mistake.name}: different legs 0 to 5 are allowed, given: {list(legs)}")
     value = usual if mistake.value is None else mistake.value
-    changes: dict[str, tuple[object, ...]] = {}
+    changes: dict[str, object] = {}
     for field in fields:
         there = getattr(wiring, field)
         if count > 1:
             changes[field] = turned(there, *legs)
+        elif count == 0:
+            changes[field] = value
         elif len(legs) == 2:
             also = there[mistake.leg] | {mistake.other} if field == "brake" else mistake.other
             changes[field] = put(there, mistake.leg, also)
@@ -184,9 +223,9 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
             old = there[mistake.leg]
             new = bool(value) if isinstance(old, bool) else old * value if field in _FACTORS else value
             changes[field] = put(there, mistake.leg, new)
-    return Wiring(**{**vars(wiring), **changes})
+    return replace(wiring, **cast("Any", changes))
 
 
 _ONTO_ANOTHER = frozenset({"encoder_counts_another", "same_id", "brake_of_another"})
 """One leg's is that of another, which keeps its own."""
-_FACTORS = frozenset({"scale", "force_gain", "watchdog"})
+_FACTORS = frozenset({"scale", "rate_scale", "force_gain", "watchdog"})

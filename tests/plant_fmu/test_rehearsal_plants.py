@@ -1,6 +1,6 @@
 """Legs on trestles and the cables before them, by hand."""
 
-from math import cos, sqrt
+from math import cos, inf, sqrt
 
 import numpy as np
 import pytest
@@ -8,7 +8,8 @@ import pytest
 from drivers.arrays import Array
 from drivers.errors import PlantError
 from plant_fmu.plant import Truth
-from plant_fmu.rehearsal.legs import GAUGE_YIELD_M, HAND_M, LegBench, TrestleLegs
+from plant_fmu.rehearsal.bench import joints_of
+from plant_fmu.rehearsal.legs import GAUGE_YIELD_M, HAND_M, HAND_m_s, LegBench, TrestleLegs
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
 
@@ -75,9 +76,71 @@ def test_a_brake_is_open_where_one_drive_opens_it_and_as_strong_as_it_is():
     assert legs.brake.tolist() == [0.0, 0.0, 0.25, 0.0, 0.0, 0.5]
 
 
+def test_a_drive_gives_no_more_than_it_can_and_no_force_below_zero_where_it_has_none():
+    wiring = Wiring(
+        force_gain=(1.0, -1.0, 1.0, 1.0, 1.0, 1.0),
+        force_one_way=(True, True, False, False, False, False),
+        force_most=(inf, inf, 0.05, 0.05, inf, inf),
+    )
+    legs = Legs()
+    plant = WiredPlant(legs, wiring, MIDDLE, 100.0)
+    plant.reset()
+    plant.step(np.full(6, -8.0), np.ones(6), CALM, 1e-4)
+    assert legs.force.tolist() == [0.0, 0.0, -5.0, -5.0, -8.0, -8.0]
+    plant.step(np.full(6, 8.0), np.ones(6), CALM, 1e-4)
+    assert legs.force.tolist() == [8.0, -8.0, 5.0, 5.0, 8.0, 8.0]
+
+
+def test_an_inverted_brake_shuts_as_it_should_open_and_a_stuck_one_stays():
+    inverted, stuck = (True, True, False, True, False, False), (None, None, None, 1.0, None, None)
+    plant, legs = wired(Wiring(brake_inverted=inverted, stuck=stuck))
+    plant.step(CALM, np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0]), CALM, 1e-4)
+    assert legs.brake.tolist() == [1.0, 0.0, 0.0, 1.0, 1.0, 0.0]
+
+
+def test_a_rate_has_a_sign_and_a_unit_of_its_own():
+    plant, legs = wired(Wiring(rate_scale=(-1.0, 60.0, 0.0, 1.0, 1.0, 1.0), scale=(2.0, *(1.0,) * 5)))
+    legs.rate = np.full(6, 0.01)
+    reads, rates = plant.step(CALM, np.ones(6), CALM, 1e-4)
+    np.testing.assert_allclose(rates, [-0.02, 0.6, 0.0, 0.01, 0.01, 0.01])
+    np.testing.assert_allclose(reads[1:], legs.length[1:])
+
+
+def test_a_hand_follows_no_faster_than_a_hand():
+    mass, friction, brake, shortest, longest, start = (
+        np.full(6, x) for x in (20.0, 10.0, 1e4, 0.2, 0.8, 0.5)
+    )
+    figures = LegBench(mass, friction, brake, shortest, longest, start, 100.0)
+    legs = TrestleLegs(figures)
+    legs.push(2, 500.0)
+    rates = [legs.step(CALM, CALM, CALM, 1e-3)[1][2] for _ in range(20)]
+    assert max(rates) == pytest.approx(HAND_m_s, rel=0.02)
+
+
+def test_joints_are_those_at_which_a_leg_is_mounted_and_so_far_outside():
+    base = np.array(
+        [
+            [2.0, 0.0, 0.1],
+            [0.0, 3.0, 0.1],
+            [0.0, -1.0, 0.0],
+            [-1.0, 0.0, 0.0],
+            [3.0, 4.0, 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    top = 10.0 + base
+    wiring = Wiring(
+        base_joint=(1, 0, 2, 3, 4, 5), platform_joint=(0, 1, 3, 2, 4, 5), joint_off_m=(0.0,) * 4 + (0.5, 0.5)
+    )
+    there, above = joints_of(wiring, base, top)
+    np.testing.assert_allclose(there[[0, 1, 4, 5]], [base[1], base[0], [3.3, 4.4, 0.0], base[5]])
+    np.testing.assert_array_equal(above, top[[0, 1, 3, 2, 4, 5]])
+
+
 @pytest.mark.parametrize("off", ["present", "other_protocol"])
 def test_a_drive_that_takes_no_part_neither_pushes_nor_opens(off):
-    wiring = Wiring(**{off: tuple((leg == 2) != (off == "present") for leg in range(6))})
+    which = tuple((leg == 2) != (off == "present") for leg in range(6))
+    wiring = Wiring(present=which) if off == "present" else Wiring(other_protocol=which)
     plant, legs = wired(wiring)
     plant.step(np.full(6, 7.0), CALM, CALM, 1e-4)
     assert legs.force.tolist() == [7.0, 7.0, 0.0, 7.0, 7.0, 7.0]

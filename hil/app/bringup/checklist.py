@@ -29,7 +29,11 @@ def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str
 def _figures(c: Context, step: str) -> list[str]:
     if step == "mounted":
         poses = sorted(c.facts.get("mounted", {}).items())
-        return [f"pose {pose}: legs {', '.join(f'{q:.4f}' for q in fact['q_m'])} m" for pose, fact in poses]
+        mass = c.facts.get("load", {}).get("mass_kg")
+        load = [] if not mass else [f"weighs {mass:.4g} kg, configured are {c.machine.platform_kg:.4g} kg"]
+        return load + [
+            f"pose {pose}: legs {', '.join(f'{q:.4f}' for q in fact['q_m'])} m" for pose, fact in poses
+        ]
     return [f"leg {leg}: {text}" for leg in range(LEGS) if (text := _of_leg(c, step, leg))]
 
 
@@ -65,7 +69,9 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             at = "" if fact["hand_N"] is None else f" at {fact['hand_N']:.4g} N"
             held = c.known("held", leg)
             shut = "" if held is None else "; shut: " + _shut(held)
-            return f"its drive's brake frees leg {gives}{at}{shut}"
+            share = fact["rate_share"]
+            rate = "" if share is None else f"; its rate is {share:.2f} of what its reading changes by"
+            return f"its drive's brake frees leg {gives}{at}{shut}{rate}"
         case "force":
             parts = (f"{way} {_force(fact[way])}" for way in ("plus", "minus"))
             return "; ".join(parts)

@@ -17,6 +17,8 @@ SPEED_SHARE = 0.25
 """Of the configured limit of leg speed, for the first runs."""
 FIRST_S, FIRST_M = 2.0, 2e-3
 """The first motion of all six legs: up and down by so much in so long."""
+FOLLOWING_SHARE, FOLLOWING_M = 0.25, FIRST_M
+"""Of the configured following error, and at least so much, since legs stick: what goes wrong ends sooner."""
 
 
 def found_text(
@@ -64,7 +66,7 @@ def is_mended(c: Configuration, finding: Finding) -> bool:
 def _changes(
     c: Configuration, context: Context, findings: Sequence[Finding]
 ) -> tuple[dict[str, Any], dict[tuple[str, str], list[str]]]:
-    speed = SPEED_SHARE * c.limits.speed_m_s
+    speed, following = SPEED_SHARE * c.limits.speed_m_s, c.limits.following_error_m
     x, y, z = c.platform.home.position_m
     turned = list(c.platform.home.rotation_vector_deg)
     points = [
@@ -72,13 +74,17 @@ def _changes(
         for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
     ]
     changes: dict[str, Any] = {
-        "limits": {"speed_m_s": speed},
+        "limits": {
+            "speed_m_s": speed,
+            "following_error_m": min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M)),
+        },
         "engage": {"approach_speed_m_s": min(c.engage.approach_speed_m_s, 0.5 * speed)},
         "reference": {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points},
         "drives": {"node_ids": _nodes(c, context, findings)},
     }
     comments = {
         ("limits", "speed_m_s"): [f"reduced by the bring-up, {c.limits.speed_m_s:g} was configured"],
+        ("limits", "following_error_m"): [f"reduced by the bring-up, {following:g} was configured"],
         ("reference", "type"): ["first motion of all six legs, by the bring-up; then your own"],
         ("drives", "node_ids"): ["each leg moved by hand and by its drive"],
         ("drives", "watchdog_ms"): _watchdogs(context),

@@ -13,6 +13,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.bringup.context import Machine
 from hil.config.values import Pose
+from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 
 TILT_deg = (3.0, 2.0, 4.0)
@@ -62,10 +63,20 @@ def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
         joint_distances=np.array(joints),
         known_identifiers=known_identifiers(protocol),
         unasked_identifiers=unasked_identifiers(protocol),
+        platform_kg=float(platform.platform.mass),
+        presses=presses(platform, *poses[0]),
         losses=_losses(c),
         forgotten_m=_forgotten(c),
         heartbeat_s=1e-3 * c.drives.heartbeat_ms,
     )
+
+
+def presses(platform: Platform, p: Array, R: Array) -> float:
+    """Return the cosine between gravity and the way from the platform's joints, at p and R, to the base's."""
+    g = platform.gravity
+    way = platform.base_joints.mean(axis=0) - p - R @ platform.platform_joints.mean(axis=0)
+    sizes = float(np.linalg.norm(g) * np.linalg.norm(way))
+    return float(g @ way) / sizes if sizes > 0.0 else 0.0
 
 
 def _forgotten(c: Configuration) -> Array | None:

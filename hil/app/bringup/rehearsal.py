@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import PlantError
 from drivers.protocol import Frame, Received
-from hil.app.bringup.machine import known_poses
+from hil.app.bringup.machine import known_poses, presses
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_dict
@@ -17,7 +17,7 @@ from plant_fmu.config import PlantSettings, StewartPlant
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
-from plant_fmu.rehearsal.bench import RehearsalBench, Stand
+from plant_fmu.rehearsal.bench import RehearsalBench, Stand, joints_of
 from plant_fmu.rehearsal.wiring import Wiring
 from plant_fmu.stewart.plant import stewart_plant
 
@@ -52,6 +52,8 @@ def build_bench(
         length_max=c.platform.length_max_m,
         base_joints=platform.base_joints,
         platform_joints=platform.platform_joints,
+        platform_kg=float(platform.platform.mass),
+        presses=presses(platform, *known_poses(c)[0]),
     )
     return RehearsalBench(build_protocol(c), plant.drives, c.drives, stand, wiring, seed, faults)
 
@@ -146,6 +148,10 @@ class BenchHands:
                 bench.clamp(None)
             case "read_gauge":
                 self._answer = bench.read_gauge()
+            case "weigh":
+                self._answer = bench.weigh()
+            case "read_way":
+                self._answer = bench.way()
             case "hang":
                 bench.hang(*self._poses[round(request.value)])
             case "take_down":
@@ -166,15 +172,23 @@ def mounted(c: Configuration, wiring: Wiring) -> Plant:
     model = emulated(c).model
     assert isinstance(model, StewartPlant)
     robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
-    joints = np.array(robot["base_joints"])[list(wiring.base_joint)]
+    base, top = joints_of(wiring, np.array(robot["base_joints"]), np.array(robot["platform_joints"]))
+    body = robot["platform"]
+    inertia = wiring.payload * np.array(body["inertia"])
+    there = {
+        "base_joints": base.tolist(),
+        "platform_joints": top.tolist(),
+        "platform": body | {"mass": wiring.payload * body["mass"], "inertia": inertia.tolist()},
+        "gravity": (wiring.gravity * np.array(robot["gravity"])).tolist(),
+    }
     p, R = known_poses(c)[0]
     return stewart_plant(
         model,
         Robot(
-            robot | {"base_joints": joints.tolist()},
+            robot | there,
             length_min=np.full(6, c.platform.length_min_m),
             length_max=np.full(6, c.platform.length_max_m),
-            p0=p,
+            p0=p + np.array([0.0, 0.0, wiring.home_off_m]),
             R0=R,
         ),
     )

@@ -13,7 +13,7 @@ from hil.app.files import write_whole
 from hil.bringup.context import Finding
 from hil.bringup.facts import forget_legs
 
-VERSION = 4
+VERSION = 5
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 """Findings after which the bus is scanned again."""
 _STANDS = ("platform",)
@@ -118,6 +118,7 @@ _LEG_NAMES = frozenset(map(str, range(LEGS)))
 _NAMES: dict[str, frozenset[str]] = {
     "scan": _LEG_NAMES | {"bus"},
     "mounted": frozenset(("0", "1")),
+    "load": frozenset(("mass_kg", "presses")),
     "passed": frozenset(),
     "platform": frozenset(("hung",)),
 }
@@ -153,10 +154,11 @@ _FORMS: dict[str, dict[str, Any]] = {
         }
     },
     "held": {"": {"moved": _FLAG, "hand_N": _MAYBE}},
-    "opens": {"": {"legs": _LEGS, "hand_N": _MAYBE}},
+    "opens": {"": {"legs": _LEGS, "hand_N": _MAYBE, "rate_share": _MAYBE}},
     "force": {"": {"plus": _WAY, "minus": _WAY}},
     "gauge": {"": {"pairs_N": [[_NUMBER, 2], 0]}},
     "mounted": {"": {"q_m": [_NUMBER, LEGS]}},
+    "load": {"": _NUMBER},
     "passed": {"": _FLAG},
     "platform": {"": _FLAG},
 }

@@ -12,7 +12,7 @@ from typing import TextIO
 
 from hil.bringup.context import RefusedError, Request
 
-READINGS = frozenset({"measure", "read_gauge", "read_push", "read_held"})
+READINGS = frozenset({"measure", "read_gauge", "read_push", "read_held", "weigh", "read_way"})
 _CHUNK = 4096
 
 

@@ -22,9 +22,8 @@ def mistake_of(words: str) -> Mistake:
     more = [key for key in legs if key not in needed]
     if lacks or more or any(given[key] != leg for key, leg in legs.items()):
         wrong = f"without {', '.join(lacks)}" if lacks else f"given: {' '.join(rest)}"
-        raise ConfigurationError(
-            f"--mistake {words!r}: {wrong}, allowed: {name} with {', '.join(needed)}, legs 0 to 5"
-        )
+        legs_words = f" with {', '.join(needed)}, legs 0 to 5" if needed else " without legs"
+        raise ConfigurationError(f"--mistake {words!r}: {wrong}, allowed: {name}{legs_words}")
     value = given.get("value")
     if value is not None:
         _refuse_size(words, name, value)

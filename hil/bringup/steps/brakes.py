@@ -13,6 +13,10 @@ from hil.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Request
 from hil.bringup.step import Step
 
 PUSH_S = 0.15
+RATE_WITHIN = 0.6, 1.6
+"""A rate is so many times what its reading changes by: beyond that it has another sign or unit."""
+RATE_STEPS, RATE_STEP_M = 3, 5e-5
+"""So many steps of a reading, each by so much, tell its rate."""
 HIGH = 1.7
 """Friction of so many times the median of the legs is high,"""
 HIGH_SHARE = 0.003
@@ -32,15 +36,47 @@ def find(c: Context) -> None:
             continue
         firm = [leg for leg in range(LEGS) if not c.known("held", leg)["moved"]]
         likely = list(dict.fromkeys([drive, counts.get(drive, drive), *firm]))
-        fact: dict[str, Any] = {"legs": [], "hand_N": None}
+        fact: dict[str, Any] = {"legs": [], "hand_N": None, "rate_share": None}
         with c.opened(drive):
             for leg in likely:
-                moved, hand_N = gives_way(c, leg, partial(c.drive, drive))
+                by = next((d for d, counted in counts.items() if counted == leg), drive)
+                steps = Steps(c, by, partial(c.drive, drive))
+                moved, hand_N = gives_way(c, leg, steps.keep)
                 if moved:
                     others = [other for other in firm if other != leg]
-                    fact = {"legs": [leg, *give_way_too(c, drive, leg, others)], "hand_N": hand_N}
+                    legs = [leg, *give_way_too(c, drive, leg, others)]
+                    share = steps.share() if by == drive else None
+                    fact = {"legs": legs, "hand_N": hand_N, "rate_share": share}
                     break
         c.keep("opens", drive, fact)
+
+
+class Steps:
+    """The steps of a reading in time, and its rates. Mutable state: those so far, and the last reading."""
+
+    def __init__(self, c: Context, drive: int, keep: Callable[[], object]) -> None:
+        self._c, self._drive, self._keep = c, drive, keep
+        self._last: tuple[int, float, float] | None = None
+        self._steps: list[tuple[float, float]] = []
+
+    def keep(self) -> None:
+        """Do a tick, and take what the drive reads in it."""
+        self._keep()
+        record, drive = self._c.drives.record, self._drive
+        if record["age"][drive] != 0:
+            return
+        here = int(record["t_ns"]), float(record["length"][drive]), float(record["rate"][drive])
+        last, self._last = self._last, here
+        if last is not None and here[0] > last[0]:
+            seconds = 1e-9 * (here[0] - last[0])
+            self._steps.append((here[1] - last[1], 0.5 * (here[2] + last[2]) * seconds))
+
+    def share(self) -> float | None:
+        """Return how many times its change the rates make of a reading; None where it moved too little."""
+        moved = [(by_m, rate_m) for by_m, rate_m in self._steps if abs(by_m) > RATE_STEP_M]
+        if len(moved) < RATE_STEPS:
+            return None
+        return sum(by_m * rate_m for by_m, rate_m in moved) / sum(by_m * by_m for by_m, _ in moved)
 
 
 def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, float]:
@@ -95,13 +131,22 @@ def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[in
 def judge(c: Context) -> list[Finding]:
     """Name brakes that do not hold, do not open or belong to another drive, and exchanged drives."""
     found = []
+    counts = {drive: leg for drive, (leg, _) in c.reads().items()}
+    opens = {drive: c.known("opens", drive)["legs"] for drive in range(LEGS)}
+    inverted = {
+        counts.get(d, d): d
+        for d in range(LEGS)
+        if not opens[d] and c.known("held", counts.get(d, d))["moved"]
+    }
+    for leg, drive in inverted.items():
+        text = "it gives way to a hand while its brake should be shut, and holds while that should be open"
+        mend = "Turn the output or the brake's relay round: without power this leg falls; do not load it."
+        found.append(Finding("brake_inverted", tuple(sorted({leg, drive})), text, mend))
     for leg in range(LEGS):
-        if c.known("held", leg)["moved"]:
+        if c.known("held", leg)["moved"] and leg not in inverted:
             text = "it gives way to a hand with its brake commanded shut"
             mend = "Look at brake, its supply and its air gap; do not load this leg."
             found.append(Finding("brake_stuck_open", (leg,), text, mend))
-    counts = {drive: leg for drive, (leg, _) in c.reads().items()}
-    opens = {drive: c.known("opens", drive)["legs"] for drive in range(LEGS)}
     exchanged = {d: j for d, j in counts.items() if j != d and d not in opens[d]}
     crossed = {d: j for d, j in counts.items() if j != d and d in opens[d]}
     if exchanged:
@@ -118,7 +163,7 @@ def judge(c: Context) -> list[Finding]:
         )
         mend = "Exchange these drives' encoder cables."
         found.append(Finding("encoder_crossed", tuple(sorted(crossed)), text, mend))
-    stuck = [d for d in range(LEGS) if not opens[d]]
+    stuck = [d for d in range(LEGS) if not opens[d] and d not in inverted.values()]
     for drive in stuck:
         text = "its brake does not open: no leg gives way"
         mend = "Look at the brake, its cable, its supply. More friction than the push looks the same."
@@ -133,7 +178,20 @@ def judge(c: Context) -> list[Finding]:
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
         found.append(Finding("brake_crossed", tuple(sorted(wrong)), text, "Exchange the brakes' cables."))
-    return found + friction(c)
+    return found + rates(c) + friction(c)
+
+
+def rates(c: Context) -> list[Finding]:
+    """Name drives whose rate is not that of what they read: what should damp the platform would drive it."""
+    found = []
+    for drive in range(LEGS):
+        share = c.known("opens", drive)["rate_share"]
+        if share is None or RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
+            continue
+        name = "rate_sign" if share < -RATE_WITHIN[0] else "rate_scale"
+        text = f"as it moves its rate is {share:.3g} times what its reading changes by"
+        found.append(Finding(name, (drive,), text, "Look at sign and unit of the speed in the drive."))
+    return found
 
 
 def friction(c: Context) -> list[Finding]:

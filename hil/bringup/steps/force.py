@@ -104,6 +104,7 @@ def breakaway(fact: dict[str, Any]) -> float | None:
 def judge(c: Context) -> list[Finding]:
     """Name forces of the wrong sign, and legs that do not move by their drives."""
     found, still = [], []
+    limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
     for drive in range(LEGS):
         fact = c.known("force", drive)
         if fact is None:
@@ -115,11 +116,15 @@ def judge(c: Context) -> list[Finding]:
             found.append(Finding("force_sign", (drive,), text, mend))
         elif plus < 0 or minus > 0:
             found.append(_one_way(c, drive, "shorter" if plus < 0 else "longer"))
+        elif (plus == 0) != (minus == 0):
+            does, lacks = ("extends", "shorten") if plus else ("shortens", "extend")
+            text = f"its drive {does} it, and does not {lacks} it with {limit}"
+            mend = "Look at motor phases, supply, a limit of the drive that works one way, and end stops."
+            found.append(Finding("force_one_way", (drive,), text, mend))
         elif breakaway(fact) is None:
             still.append(drive)
     stiff = [d for d in still if c.known("opens", d)["hand_N"] > MOVES * c.machine.force_N]
     weak = [d for d in still if d not in stiff]
-    limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
     for drive in stiff:
         text = f"it does not move with {limit}; a hand needs {c.known('opens', drive)['hand_N']:.4g} N"
         found.append(Finding("friction", (drive,), text, "Look at guide, nut, seals, a brake that drags."))

@@ -18,6 +18,8 @@ LEVELS = (0.4, 0.6, 0.8, 1.0)
 RAMP_S, HOLD_S = 0.12, 0.06
 BEYOND = 1.15
 """Levels beyond so many times the breakaway force count."""
+FLAT = 0.35
+"""A force whose upper levels grow by less than this share of what its lower ones do has met a limit."""
 WITHIN = 0.06
 """Accepted error of a force scale, beside the losses of a transmission."""
 SAME = 0.08
@@ -92,6 +94,12 @@ def judge(c: Context) -> list[Finding]:
             found.append(Finding("force_scale", (drive,), text, mend))
     for drive, (g, error) in gain.items():
         leg, scale = read.get(drive, (drive, 0.0))
+        most = _limited(c, drive)
+        if most is not None:
+            text = f"its force grows no further than {most:.4g} N of {c.machine.force_N:.4g} N commanded"
+            mend = "Look at current limit, supply and rated torque of the drive."
+            found.append(Finding("force_saturates", (drive,), text, mend))
+            continue
         if scale <= 0.0:
             continue  # the drive takes its losses the wrong way round, or no encoder says how long its leg is
         low, high = c.known("encoder", leg)["tape_m"]
@@ -111,6 +119,15 @@ def judge(c: Context) -> list[Finding]:
             mend = "Set torque constant, current scale or rated force of the drive."
             found.append(Finding("force_scale", (drive,), text, mend))
     return found
+
+
+def _limited(c: Context, drive: int) -> float | None:
+    """Return the force, N, at which a drive meets a limit; None where it grows as far as it is commanded."""
+    pairs = c.known("gauge", drive)["pairs_N"]
+    (low, at_low), (middle, at_middle), (high, at_high) = pairs[0], pairs[1], pairs[-1]
+    begins = at_low / low, (at_middle - at_low) / (middle - low)
+    ends = (at_high - at_middle) / (high - middle)
+    return float(at_high) if ends < FLAT * max(begins) and at_high > 0.0 else None
 
 
 def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:

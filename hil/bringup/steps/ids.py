@@ -8,6 +8,8 @@ from hil.bringup.step import Step
 
 MOVE_SHARE = 0.1
 """Of the stroke, by hand."""
+COUNTS = 5e-3
+"""A reading that changes by this share of the move, and not by RESPONDS, counts far too little."""
 RESPONDS = 0.1
 """A reading that changes by this share of the move responds to it."""
 
@@ -59,14 +61,27 @@ def judge(c: Context) -> list[Finding]:
                 )
     for drive, legs in counted.items():
         if not legs:
-            text = "its encoder stands still while its leg moves"
-            found.append(Finding("encoder_frozen", (drive,), text, "Look at encoder, coupling and cable."))
+            found.append(_unmoved(c, drive))
     named = {f.legs[0] for f in found}
     found += [
         Finding("encoder_unseen", (leg,), "no encoder counts it", "Look at encoder, coupling and cable.")
         for leg in sorted(unseen - named)
     ]
     return found
+
+
+def _unmoved(c: Context, drive: int) -> Finding:
+    """Name an encoder that counts no leg: it stands still, or counts far too little."""
+    changes = [c.known("ids", leg)["changes_m"][drive] for leg in range(LEGS)]
+    most, by_m = max(changes, key=abs), MOVE_SHARE * c.machine.stroke
+    if abs(most) > COUNTS * by_m:
+        text = f"its reading changes by {1e3 * most:.2f} mm as a leg is moved by about {1e3 * by_m:.0f} mm"
+        mend = "Look at counts per m in the drive, lead and gear; and whether the leg went so far."
+        return Finding("encoder_scale", (drive,), text, mend)
+    text = "its encoder stands still while its leg moves"
+    return Finding(
+        "encoder_frozen", (drive,), text, "Look at encoder, coupling and cable, and that the leg can move."
+    )
 
 
 STEP = Step(

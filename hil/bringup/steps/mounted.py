@@ -13,14 +13,34 @@ FIT_M = 4e-3
 SAME_M = 1e-3
 """Differences at the poses that differ by less are one."""
 
-MEND = (
-    "Mount it at its joints, or mend the geometry. Take the platform off the legs first: what is mended is "
-    "measured again, one brake open at a time, on legs that carry nothing."
+MANY = 4
+"""Lengths of so many legs that are off at once, and fit no other joints, have one cause: the pose."""
+AFTER = (
+    "Take the platform off the legs first: what is mended is measured again, one brake open at a time, on "
+    "legs that carry nothing."
 )
+MEND = f"Mount it at its joints, or mend the geometry. {AFTER}"
+
+
+LOAD_WITHIN = 0.1
+"""Accepted error of the platform's mass: its weight is what the legs push as the brakes open."""
+HEAVIEST = 20.0
+"""A mass that is so many times the configured one was read in another unit."""
+UPRIGHT = 0.3
+"""Cosine between gravity and the way from base to platform from which a way is asked for."""
 
 
 def find(c: Context) -> None:
-    """Have the platform hung at the known poses and read the legs, all drives off."""
+    """Have the platform weighed, hung at the known poses, and read the legs, all drives off."""
+    load, m = c.facts.get("load", {}), c.machine
+    if load.get("mass_kg") is None:
+        text = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
+        ask = Request("weigh", -1, 0.0, text, within=(0.0, HEAVIEST * m.platform_kg))
+        c.keep("load", "mass_kg", c.ask(ask))
+    if load.get("presses") is None:
+        text = "Will its weight press the legs together, 1, or pull at them, -1"
+        ask = Request("read_way", -1, 0.0, text, within=(-1.0, 1.0))
+        c.keep("load", "presses", c.ask(ask) if abs(m.presses) > UPRIGHT else 0.0)
     for pose in range(len(c.machine.pose_lengths)):
         if c.facts.get("mounted", {}).get(str(pose)) is None:
             text = f"Mount the legs, levers on the brakes, and hang the platform at known pose {pose}"
@@ -32,15 +52,17 @@ def find(c: Context) -> None:
 
 def judge(c: Context) -> list[Finding]:
     """Name legs whose lengths fit other joints, or none."""
-    m, found = c.machine, []
+    m, found = c.machine, _load(c)
     q = np.array([c.facts["mounted"][str(k)]["q_m"] for k in range(len(m.pose_lengths))])
     for leg in range(LEGS):
         q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
-    for leg in range(LEGS):
-        off = q[:, leg] - m.pose_lengths[:, leg]
-        if np.abs(off).max() <= FIT_M:
-            continue
-        fits = _joints(m.joint_distances, q[:, leg])
+    away = q - m.pose_lengths
+    wrong = [leg for leg in range(LEGS) if np.abs(away[:, leg]).max() > FIT_M]
+    joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
+    if len(wrong) >= MANY and not any(joints.values()):
+        return [*found, _hangs_elsewhere(away, wrong)]
+    for leg in wrong:
+        off, fits = away[:, leg], joints[leg]
         if fits is None and np.ptp(off) < SAME_M:
             text = f"at the known poses it reads {1e3 * off.mean():+.1f} mm off, the same at each"
             mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {MEND}"
@@ -55,6 +77,33 @@ def judge(c: Context) -> list[Finding]:
     return found
 
 
+def _load(c: Context) -> list[Finding]:
+    """Name a weight, or a way of gravity, that the controller would be wrong about as the brakes open."""
+    m, found = c.machine, []
+    mass, presses = (c.facts["load"][key] for key in ("mass_kg", "presses"))
+    if mass > 0.0 and abs(mass / m.platform_kg - 1.0) > LOAD_WITHIN:
+        text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
+        mend = f"Write what it weighs into platform, or take off what is not part of it. {AFTER}"
+        found.append(Finding("payload", (), text, mend))
+    if presses * m.presses < 0.0:
+        does, would = (
+            ("presses the legs", "pull at them") if presses > 0.0 else ("pulls at the legs", "press")
+        )
+        text = f"the platform's weight {does}; by the configuration it would {would}"
+        found.append(Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}"))
+    return found
+
+
+def _hangs_elsewhere(away: Array, wrong: list[int]) -> Finding:
+    """Name a platform that hangs elsewhere than it should, since so many legs are off at once."""
+    poses = "; ".join(
+        f"pose {k}: {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm" for k, off in enumerate(away)
+    )
+    text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({poses})"
+    mend = f"Hang it at the known poses, or mend platform.home and the joints of the configuration. {AFTER}"
+    return Finding("wrong_home", tuple(wrong), text, mend)
+
+
 def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
     """Return base and platform joint between which lengths (poses,) m fit best, None where none do."""
     worst = np.abs(distances - q[:, None, None]).max(axis=0)
@@ -63,23 +112,27 @@ def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
 
 
 def gap(c: Context) -> Gap | None:
-    """Say where drives that forget their turns read alike at other joints."""
-    step = c.machine.forgotten_m
-    if step is None or float(step.min()) > 4.0 * FIT_M:
-        return None
-    return Gap(
-        f"they forget multiples of {1e3 * float(step.min()):.3g} mm, so a leg that is mounted elsewhere, or "
-        "has slipped, may read the length that it should have",
-        "Compare the length of each leg at both poses by tape",
-    )
+    """Say where drives that forget their turns read alike at other joints, and that nothing was weighed."""
+    step, texts, instead = c.machine.forgotten_m, [], []
+    if step is not None and float(step.min()) <= 4.0 * FIT_M:
+        texts.append(
+            f"they forget multiples of {1e3 * float(step.min()):.3g} mm, so a leg that is mounted elsewhere, "
+            "or has slipped, may read the length that it should have"
+        )
+        instead.append("Compare the length of each leg at both poses by tape")
+    if c.facts["load"]["mass_kg"] == 0.0:
+        texts.append("the platform was not weighed, so it may drop or leap as the brakes open")
+        instead.append(f"See that it weighs {c.machine.platform_kg:.4g} kg with all that is fixed to it")
+    return Gap("; ".join(texts), ". ".join(instead)) if texts else None
 
 
 STEP = Step(
     "mounted",
     "the platform on its legs",
-    "reads the legs with all drives off while the platform hangs at known poses",
+    "has you weigh the platform, and reads the legs with all drives off while it hangs at known poses",
     "Ctrl-C; no drive is powered",
     find,
     judge,
     gap=gap,
+    tables=("mounted", "load"),
 )

@@ -29,7 +29,7 @@ def with_robot(name, wiring):
     }
     facts = {
         "held": {str(k): {"moved": False} for k in range(LEGS)},
-        "opens": {str(k): {"legs": [k], "hand_N": 1e-3 * rated_N} for k in range(LEGS)},
+        "opens": {str(k): {"legs": [k], "hand_N": 1e-3 * rated_N, "rate_share": 1.0} for k in range(LEGS)},
         "encoder": {str(k): {"drive": k, "scale": 1.0} for k in range(LEGS)},
     }
     return Rehearsal(loads(with_changes(text, changes), name), wiring, facts=facts)

@@ -78,6 +78,22 @@ def test_what_nobody_listed_is_named(case):
     assert rehearsal.watched.most_open <= 1
 
 
+@pytest.mark.parametrize(
+    ("name", "mistake", "steps", "says"),
+    [
+        ("virtual", Mistake("rate_sign", 2), 5, "its rate is -0.997 times what its reading changes by"),
+        ("virtual", Mistake("brake_inverted", 1), 5, "holds while that should be open"),
+        ("virtual", Mistake("force_one_way", 1), 6, "its drive extends it, and does not shorten it"),
+        ("virtual", Mistake("force_saturates", 4), 7, "no further than 21"),
+    ],
+)
+def test_a_drive_that_is_half_right_is_named_with_what_it_does(name, mistake, steps, says):
+    rehearsal = Rehearsal(name, wired(mistake))
+    outcome = rehearsal.run(STEPS[:steps])
+    assert named(outcome) == {(mistake.name, (mistake.leg,))}
+    assert says in outcome.findings[0].line
+
+
 def test_two_brakes_on_one_output_are_named_with_both_legs_and_carry_no_force():
     rehearsal = Rehearsal("virtual", wired(Mistake("brake_of_another", 1, 4)))
     outcome = rehearsal.run(STEPS[:6])

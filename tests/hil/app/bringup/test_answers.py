@@ -105,7 +105,7 @@ def test_consent_is_asked_until_it_is_enter_or_no(typing):
 
 
 def state_with(facts: object, **changes: object) -> dict[str, object]:
-    return {"version": 4, "identity": {}, "facts": facts, **changes}
+    return {"version": 5, "identity": {}, "facts": facts, **changes}
 
 
 ENCODER = {"drive": 0, "tape_m": [0.55, 0.85], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
@@ -138,7 +138,7 @@ def test_facts_of_a_step_are_a_state(tmp_path):
         json.dumps(state_with({"ids": {"0": {"drives": [True], "changes_m": [0.0] * 6}}})),
         json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5}}})),
         json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5 + [float("nan")]}}})),
-        json.dumps(state_with({"opens": {"2": {"legs": [17], "hand_N": 1.0}}})),
+        json.dumps(state_with({"opens": {"2": {"legs": [17], "hand_N": 1.0, "rate_share": 1.0}}})),
         json.dumps(state_with({"ids": {"0": {"drives": [-1], "changes_m": [0.0] * 6}}})),
         json.dumps(state_with({"encoder": {"0": ENCODER | {"drive": 99}}})),
         json.dumps(state_with({"force": {"0": {"plus": WAY | {"leg": 6}, "minus": WAY}}})),
@@ -216,13 +216,14 @@ def test_a_mistake_names_its_legs_or_is_refused(words):
         ("ids_swapped leg=1 other=2 value=1", "ids_swapped has no size", "no value="),
         ("offset leg=2 leg=3", "'leg=3': leg is given twice", "once"),
         ("offset leg=1 value=100", "value=100", "-0.1 to 0.1"),
-        ("encoder_scale leg=1 value=1e9", "value=1e+09", "0.25 to 4"),
+        ("encoder_scale leg=1 value=1e9", "value=1e+09", "0.01 to 100"),
         ("brake_weak leg=1 value=5", "value=5", "0 to 1"),
         ("force_sign leg=1 value=1", "value=1", "-4 to -0.25"),
         ("watchdog_short leg=1 value=0", "value=0", "0.01 to 1"),
         ("offset leg=1 value=nan", "'value=nan'", "a finite number"),
         ("offset leg", "'leg'", "a finite number"),
         ("offset leg=1 value=0", "nothing is wired wrongly", "changes something"),
+        ("payload leg=1", "given: leg=1", "payload without legs"),
     ],
 )
 def test_a_mistake_of_a_size_that_cannot_be_is_refused_with_what_is_allowed(words, wrong, allowed):
@@ -247,7 +248,7 @@ def test_drives_without_a_watchdog_cannot_have_a_wrong_one(name):
 
 
 def test_every_mistake_has_its_usual_size_within_its_range():
-    sized = {name for name, (_, legs, size, _) in MISTAKES.items() if legs == 1 and size is not None}
+    sized = {name for name, (_, legs, size, _) in MISTAKES.items() if legs <= 1 and size is not None}
     assert set(RANGES) <= sized
     assert all(low <= (MISTAKES[name][2] or 0.0) <= high for name, (low, high) in RANGES.items())
 
@@ -274,5 +275,6 @@ def test_a_bench_that_reads_what_cannot_be_ends_after_five_readings_and_says_why
 
 def test_the_legs_of_a_mistake_are_those_that_are_named():
     assert wiring_of(["ids_rotated leg=1 other=2 third=4"], VIRTUAL).motor == (0, 2, 4, 3, 1, 5)
+    assert wiring_of(["payload value=3", "upside_down"], VIRTUAL) == Wiring(payload=3.0, gravity=-1.0)
     brakes = wiring_of(["brake_of_another leg=1 other=4"], VIRTUAL).brake
     assert [sorted(legs) for legs in brakes] == [[0], [1, 4], [2], [3], [4], [5]]

@@ -77,6 +77,7 @@ def test_the_found_configuration_loads_with_comments_and_reduced_limits():
     text = found_text(rehearsal.c, rehearsal.context, outcome.findings, released=True)
     found = loads(text, "found", rehearsal.c.folder)
     assert found.limits.speed_m_s == 0.5
+    assert found.limits.following_error_m == 0.0025
     assert "# proven by silence: 12 ms at the latest" in text
     assert "NOT RELEASED" not in text
     assert found.platform == rehearsal.c.platform

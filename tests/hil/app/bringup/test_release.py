@@ -62,7 +62,11 @@ def ended(tmp_path, monkeypatch):
     return end
 
 
-_FACTS = {"held": {"moved": False, "hand_N": 700.0}, "opens": {"legs": [0], "hand_N": 30.0}, "platform": True}
+_FACTS = {
+    "held": {"moved": False, "hand_N": 700.0},
+    "opens": {"legs": [0], "hand_N": 30.0, "rate_share": 1.0},
+    "platform": True,
+}
 NO_FAULT = Fault(0)
 FOUND = "virtual.rehearsal.yaml"
 

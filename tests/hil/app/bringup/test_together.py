@@ -46,6 +46,7 @@ def test_legs_that_stick_come_free_without_a_leap(friction_N, light):
     rehearsal = Rehearsal(c, Wiring())
     found = loads(found_text(c, rehearsal.context, ()), "found.yaml")
     assert found.limits.speed_m_s == pytest.approx(0.25 * c.limits.speed_m_s)
+    assert found.limits.following_error_m == pytest.approx(0.002), "a quarter is less"
     ending = six_legs(found, rehearsal.bench)
     assert ending.success, ending.trouble
 

@@ -36,7 +36,8 @@ class Watched:
     _open: bool = False
 
     def look(self, bench: RehearsalBench, force: Array, held: Array) -> None:
-        works = np.array([stuck is None for stuck in bench.wiring.stuck])
+        w = bench.wiring
+        works = np.array([stuck is None for stuck in w.stuck]) & ~np.array(w.brake_inverted)
         free, legs = int(((held == 0.0) & works).sum()), np.array([bench.length(leg) for leg in range(6)])
         self.most_open = max(self.most_open, free)
         self.opened_while_hung += bool(free) and bench.hung

@@ -1,6 +1,15 @@
 """Campaign files for tests, and what several of them ask for."""
 
+import os
+import signal
+import subprocess
+import sys
 import textwrap
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+ROOT = Path(__file__).parents[4]
 
 SMALL = """
 kind: campaign
@@ -27,3 +36,57 @@ def written(folder, text, name="c.yaml"):
     path = folder / name
     path.write_text(textwrap.dedent(text))
     return path
+
+
+@contextmanager
+def started(plan, out, *words):
+    """Start `hil campaign` of a plan as a process, in a group of its own of which nothing stays behind."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hil.cli", "campaign", str(plan.path), "--out", str(out), *words],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def wait_for_a_part(out, process, within_s=300.0):
+    """Wait until rows are on the disk that were not there yet."""
+    before, end = set((out / "parts").glob("part-*")), time.monotonic() + within_s
+    while set((out / "parts").glob("part-*")) <= before:
+        assert process.poll() is None, "it has ended"
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def kill_thrice(plan, out, chance, *words):
+    """Start a campaign three times, and end each with kill -9 at a random instant while rows run.
+
+    Its own workers end with it: nothing is left of the group.
+    """
+    for _ in range(3):
+        with started(plan, out, *words) as process:
+            wait_for_a_part(out, process)
+            time.sleep(chance.uniform(0.0, 1.0))
+            assert process.poll() is None, "it was over before"
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+            assert _gone(process.pid, 20.0)
+
+
+def _gone(group, within_s):
+    """Tell whether all processes of a group end within some time."""
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False

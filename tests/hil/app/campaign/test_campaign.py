@@ -1,12 +1,8 @@
 """Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
 
-import importlib.util
 import json
 import os
 import random
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -30,9 +26,7 @@ from hil.cli import main
 from hil.record.figures import figures
 from hil.record.log import Log
 from plant_fmu.stewart.build import build
-from tests.hil.app.campaign.campaigns import SMALL, written
-
-ROOT = Path(__file__).parents[4]
+from tests.hil.app.campaign.campaigns import SMALL, kill_thrice, written
 
 
 @pytest.fixture(scope="module")
@@ -263,20 +257,6 @@ def test_the_command_line(small, tmp_path, monkeypatch):
     assert (result.exit_code, "shipped campaigns are: builds, payload, wear" in result.stderr) == (2, True)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="Dask is installed")
-def test_without_dask_a_scheduler_is_refused_with_what_to_install(small, tmp_path):
-    with pytest.raises(ConfigurationError, match=r'pip install "hexapod-hil\[dask\]"'):
-        run_campaign(small[0], tmp_path, scheduler="tcp://127.0.0.1:1")
-
-
-@pytest.mark.long
-def test_the_table_is_the_same_on_a_dask_cluster(small, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        run_campaign(small[0], tmp_path, scheduler=cluster.scheduler_address)
-    assert (tmp_path / "table.parquet").read_bytes() == (small[1] / "table.parquet").read_bytes()
-
-
 @pytest.mark.long
 def test_the_shipped_campaign_is_valid():
     plan = read_plan(Path("payload"))
@@ -285,50 +265,16 @@ def test_the_shipped_campaign_is_valid():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(3))
-def test_after_kill_9_at_any_instant_the_table_is_the_same(small, tmp_path, seed):
-    """Its workers end with it: nothing is left of the process group but what the next start removes."""
-    plan, folder, _ = small
-    words = [
-        sys.executable,
-        "-m",
-        "hil.cli",
-        "campaign",
-        str(plan.path),
-        "--out",
-        str(tmp_path),
-        "--jobs",
-        "2",
-    ]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    chance = random.Random(seed)
-    for _ in range(2):
-        process = subprocess.Popen(
-            words,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        time.sleep(chance.uniform(1.0, 5.0))
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-        assert _gone(process.pid, 10.0)
-    run_campaign(plan, tmp_path, jobs=1)
-    assert (tmp_path / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
-
-
-def _gone(group, within_s):
-    """Tell whether all processes of a group end within some time."""
-    end = time.monotonic() + within_s
-    while time.monotonic() < end:
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.1)
-    os.killpg(group, signal.SIGKILL)
-    return False
+@pytest.mark.parametrize("seed", range(2))
+def test_after_kill_9_at_three_random_instants_the_table_is_the_same(tmp_path, seed):
+    plan = read_plan(written(tmp_path, SMALL.replace("count: 2", "count: 30")))
+    kill_thrice(plan, tmp_path / "killed", random.Random(seed), "--jobs", "2")
+    summary = run_campaign(plan, tmp_path / "killed", jobs=1)
+    assert 0 < summary["rows_kept"] < 60
+    assert [row["row"] for row in summary["matrix"]] == list(range(60))
+    run_campaign(plan, tmp_path / "whole", jobs=2)
+    tables = [(tmp_path / name / "table.parquet").read_bytes() for name in ("killed", "whole")]
+    assert tables[0] == tables[1]
 
 
 @pytest.mark.long

@@ -90,9 +90,9 @@ class StagedCycle(Cycle):
         super()._effort(tick)
         self.stamps.append(_now())
 
-    def _command(self, tick: Record) -> Command:
+    def _command(self, tick: Record, *, stops: bool) -> Command:
         self.stamps.append(_now())
-        return super()._command(tick)
+        return super()._command(tick, stops=stops)
 
     def _set_up(self, tick: Record) -> tuple[Frame, ...]:
         frames = super()._set_up(tick)

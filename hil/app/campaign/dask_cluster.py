@@ -54,7 +54,14 @@ def perform(
         for n in range(len(work)):
             if progress is not None:
                 progress(n, len(work))
-            yield next(outcomes)
+            try:
+                outcome = next(outcomes)
+            except (CancelledError, OSError) as error:
+                raise ConfigurationError(
+                    f"--scheduler {address}: it is gone, or has dropped rows ({error}); once it is back the "
+                    "same command goes on with the rows that are missing"
+                ) from None
+            yield outcome
 
 
 def run_at_worker(job: Job, wanted: str) -> Outcome | str:
@@ -74,7 +81,7 @@ def run_at_worker(job: Job, wanted: str) -> Outcome | str:
 
 
 def _outcomes(client: Any, address: str, jobs: Iterator[Job]) -> Iterator[Outcome]:
-    """Yield the outcomes of all jobs. Raises ConfigurationError."""
+    """Yield the outcomes of all jobs. Raises as `_until_lost`."""
     lost: list[Job] = []
     yield from _until_lost(client, address, jobs, _Room(client), lost)
     for job in lost:
@@ -100,7 +107,10 @@ class _Room:
 def _until_lost(
     client: Any, address: str, jobs: Iterator[Job], room: Callable[[], int], lost: list[Job]
 ) -> Iterator[Outcome]:
-    """Yield the outcomes of jobs; `lost` gets those that were at too many workers that died."""
+    """Yield the outcomes of jobs; `lost` gets those that were at too many workers that died.
+
+    Raises ConfigurationError; CancelledError, OSError: the scheduler is gone.
+    """
     from distributed import as_completed  # noqa: PLC0415 - an extra
     from distributed.scheduler import KilledWorker  # noqa: PLC0415
 
@@ -122,11 +132,8 @@ def _until_lost(
         except KilledWorker:
             lost.append(job)
             continue
-        except CancelledError:
-            raise ConfigurationError(
-                f"--scheduler {address}: it is gone, or has dropped row {job.number}; once it is back the "
-                "same command goes on with the rows that are missing"
-            ) from None
+        except (CancelledError, OSError):  # the scheduler's: nothing that a row raises comes this way
+            raise
         except Exception as error:
             raise ConfigurationError(
                 f"--scheduler {address}: a worker cannot run row {job.number}: {error!r}; allowed: "

@@ -26,12 +26,8 @@ def latch_ns(
     delays = [0] * LEGS
     for frame, t_ns in zip(opening, sent_ns, strict=False):
         if t_ns is not None:
-            legs = protocol.addressed(frame)
-            if len(legs) == LEGS:
-                delays = [t_ns - woke_ns] * LEGS
-            else:
-                for leg in legs:
-                    delays[leg] = t_ns - woke_ns
+            for leg in protocol.addressed(frame):
+                delays[leg] = t_ns - woke_ns
     return tuple(delays)
 
 

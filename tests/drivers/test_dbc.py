@@ -488,6 +488,21 @@ def test_an_old_feedback_without_a_length_says_nothing_and_a_valid_one_ends_the_
     assert (back["blind"][0], back["age"][0]) == (False, 0)
 
 
+@all_layouts
+@pytest.mark.parametrize("leg", [0, 3, 5])
+def test_the_answer_before_a_blind_one_may_come_again_and_at_another_leg_is_doubled(layout, leg):
+    """A blind answer tells the state of a held length, so the held answer and its state part."""
+    other = (leg + 1) % 6
+    frames = [feedback(layout, 5, leg=k, state=DriveState.READY) for k in (leg, other)]
+    held = decode(P[layout], received(*frames), 5)
+    blind = feedback(layout, 6, leg=leg, state=DriveState.RUN | INVALID)
+    blinded = decode(P[layout], received(blind), 6, held)
+    again = decode(P[layout], received(frames[0]), 7, blinded)
+    assert (again["doubled"], again["age"][leg], again["drive_state"][leg]) == (0, 2, DriveState.RUN)
+    seen = feedback(layout, 5, leg=other, state=DriveState.RUN)
+    assert decode(P[layout], received(seen), 7, blinded)["doubled"] == 1 << other
+
+
 # device side
 
 

@@ -185,6 +185,54 @@ def test_a_leg_that_moves_by_most_of_a_turn_a_tick_is_followed_by_its_rate():
     assert legs.homing.known
 
 
+def test_after_a_silent_tick_the_rate_leads_over_the_time_of_both():
+    """0.75 of a turn a tick: after two the reading is a turn and a half from the last one."""
+    legs = Leg()
+    legs.hear(forgotten(PARKED), braked=False, rate=0.75)
+    legs.hear(forgotten(PARKED), braked=False, rate=0.75, silent=range(6))
+    moved = PARKED + 0.75 * 2 * PERIOD_S
+    found = legs.hear(forgotten(moved), braked=False, rate=0.75)
+    np.testing.assert_allclose(found, moved, atol=1e-12)
+    assert legs.homing.known
+    assert not legs.homing.refusal
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.49, True), (-0.49, True), (0.51, False), (-0.51, False)])
+def test_half_a_turn_from_where_the_rate_leads_is_a_leap(share, known):
+    legs = Leg()
+    legs.hear(forgotten(PARKED), braked=False)
+    legs.hear(forgotten(PARKED + share * STEP * (np.arange(6) == 2)), braked=False)
+    assert legs.homing.known is known
+    assert ("leg 2: its drive was switched off" in legs.homing.refusal) is not known
+
+
+def test_a_drive_switched_off_behind_its_brake_is_found_where_it_was_last_and_not_where_it_was_parked():
+    legs = Leg()
+    moved = PARKED.copy()
+    legs.hear(forgotten(moved), braked=False)
+    for _ in range(3):
+        moved = moved + 0.2 * STEP[0]
+        legs.hear(forgotten(moved), braked=False)
+    reads = forgotten(moved)
+    reads[5] -= 8 * STEP[5]
+    np.testing.assert_allclose(legs.hear(reads), moved, atol=1e-12)
+    assert legs.homing.known
+
+
+def test_a_leg_that_is_lost_stays_lost_and_the_others_keep_their_turns():
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    reads = forgotten(PARKED)
+    reads[3] += 2 * STEP[3]
+    legs.hear(reads, braked=False)
+    before = legs.homing.added.copy()
+    for _ in range(3):
+        legs.hear(forgotten(PARKED))
+    assert legs.homing.refusal.startswith("leg 3: its drive was switched off")
+    assert not legs.homing.known
+    np.testing.assert_array_equal(legs.homing.added, before)
+
+
 def test_reset_forgets_what_was_found():
     legs = Leg()
     legs.hear(forgotten(PARKED), braked=False)

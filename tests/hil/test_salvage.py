@@ -1,10 +1,11 @@
 import struct
+import zlib
 from itertools import accumulate
 
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap.records import Metadata
+from mcap.records import Attachment, Chunk, Metadata
 
 from drivers.errors import LogError
 from hil.record.log import Log
@@ -203,3 +204,67 @@ def test_a_record_that_claims_some_bytes_of_the_next_costs_itself_alone(tmp_path
     lost, *whole = surviving(path)
     assert lost == Lost(starts[0], starts[1])
     assert [each[1] for each in whole] == starts[1:3]
+
+
+def attachment(data, *, checked=True):
+    """An attachment; its checksum, of all before it, is the last word, and may be left out as 0."""
+    whole = record_bytes(Attachment(log_time=0, create_time=0, name="log", media_type="x", data=data))
+    content = bytearray(whole[9:])
+    content[-4:] = struct.pack("<I", zlib.crc32(content[:-4]) if checked else 0)
+    return whole[:9] + bytes(content)
+
+
+def unpacked(data, *, crc, spare=b""):
+    """A chunk that is not compressed."""
+    content = record_bytes(
+        Chunk(
+            message_start_time=0, message_end_time=1, uncompressed_size=len(data), uncompressed_crc=crc,
+            compression="", data=data,
+        )
+    )[9:]  # fmt: skip
+    return struct.pack("<BQ", 6, len(content) + len(spare)) + content + spare
+
+
+INNER = metadata("x", x="1") + metadata("y", y="2")
+JUNK = b"\xff" * 50
+
+
+@pytest.mark.parametrize(
+    ("outer", "whole"),
+    [
+        (attachment(INNER), True),
+        (attachment(INNER, checked=False), False),
+        (attachment(INNER)[:-1] + b"\0", False),
+        (unpacked(INNER, crc=zlib.crc32(INNER)), True),
+        (unpacked(INNER, crc=0), False),
+        (unpacked(INNER, crc=zlib.crc32(INNER) ^ 1), False),
+        (unpacked(INNER, crc=zlib.crc32(INNER), spare=b"\0"), False),
+        (metadata("b", b=INNER.decode("latin-1")), False),
+    ],
+    ids=[
+        "attachment",
+        "no sum",
+        "wrong sum",
+        "chunk",
+        "chunk, no sum",
+        "wrong",
+        "spare byte",
+        "no sum by kind",
+    ],
+)
+def test_before_damage_a_record_that_holds_records_is_whole_where_its_own_checksum_says_so(
+    tmp_path, outer, whole
+):
+    first = metadata("a", a="1")
+    path, starts = placed(tmp_path, first, outer, JUNK, metadata("c", c="3"), metadata("d", d="4"))
+    found = list(surviving(path))
+    assert found[0][1] == starts[0]
+    if whole:
+        assert found[1].offset == starts[1]
+        assert found[1].whole == outer
+        assert found[2] == Lost(starts[2], starts[3])
+    else:
+        inside = starts[1] + outer.index(INNER)
+        assert found[1] == Lost(starts[1], inside)
+        assert found[2].offset == inside
+    assert [each.offset for each in found[-2:]] == starts[3:5]

@@ -1,0 +1,101 @@
+"""Which row of the plant's log belongs to which tick, and which two logs are of one run."""
+
+import numpy as np
+import pytest
+
+from drivers.errors import LogError
+from hil.record.alignment import CLOCK_NS, Side, plant_rows_of, require_one_run
+
+PERIOD_NS = 1_000_000
+LOG = Side("a.mcap", 0, lockstep=True, configuration=b"x: 1\n", run="7")
+PLACES = np.array([0, 1])
+
+
+def ticks_at(t_ns, lateness_ns=0):
+    rows = np.zeros(len(t_ns), [("t_ns", np.int64), ("lateness_ns", np.int64)])
+    rows["t_ns"], rows["lateness_ns"] = t_ns, lateness_ns
+    return rows
+
+
+def plant_at(t_ns, syncs):
+    rows = np.zeros(len(t_ns), [("t_ns", np.int64), ("syncs", np.int64)])
+    rows["t_ns"], rows["syncs"] = t_ns, syncs
+    return rows
+
+
+def test_the_row_of_a_tick_is_that_in_which_its_sync_was_counted_and_no_nearer_one():
+    plant = plant_at([0, 400_000, 800_000, 1_200_000], [1, 1, 1, 2])
+    found = plant_rows_of(ticks_at([0, PERIOD_NS], lateness_ns=10_000), plant, PERIOD_NS)
+    assert found.tolist() == [0, 3]
+
+
+def test_a_late_tick_is_looked_for_where_its_sync_went_out():
+    plant = plant_at([0, 1_000_000, 1_700_000], [1, 1, 2])
+    late = ticks_at([0, PERIOD_NS], lateness_ns=[0, 700_000])
+    assert plant_rows_of(late, plant, PERIOD_NS).tolist() == [0, 2]
+
+
+@pytest.mark.parametrize(("away_ns", "place"), [(PERIOD_NS // 2, 1), (PERIOD_NS // 2 + 1, -1)])
+def test_half_a_period_away_is_still_a_ticks_own_row_and_no_more(away_ns, place):
+    plant = plant_at([0, PERIOD_NS + away_ns], [1, 2])
+    assert plant_rows_of(ticks_at([0, PERIOD_NS]), plant, PERIOD_NS).tolist() == [0, place]
+
+
+def test_two_ticks_never_have_one_row():
+    found = plant_rows_of(ticks_at([0, PERIOD_NS // 4]), plant_at([10], [1]), PERIOD_NS)
+    assert found.tolist() == [0, -1]
+
+
+def test_a_plant_that_counts_no_sync_is_read_at_its_nearest_row():
+    plant = plant_at([0, 900_000, 1_900_000], [0, 0, 0])
+    assert plant_rows_of(ticks_at([0, PERIOD_NS, 2 * PERIOD_NS]), plant, PERIOD_NS).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("empty", ["ticks", "plant"])
+def test_without_rows_no_tick_has_one(empty):
+    ticks = ticks_at([] if empty == "ticks" else [0, 1])
+    plant = plant_at([] if empty == "plant" else [0], [] if empty == "plant" else [1])
+    assert plant_rows_of(ticks, plant).tolist() == [-1] * len(ticks)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        {},
+        {"epoch_ns": CLOCK_NS},
+        {"configuration": None},
+        {"run": None},
+    ],
+)
+def test_logs_of_one_simulation_belong_together(plant):
+    require_one_run(LOG, LOG._replace(path="b.mcap", **plant), PLACES)
+
+
+def test_in_real_time_the_plant_may_have_a_file_of_its_own():
+    live = LOG._replace(lockstep=False, run=None)
+    require_one_run(live, live._replace(path="b.mcap", configuration=b"y: 2\n"), PLACES)
+
+
+@pytest.mark.parametrize(
+    ("plant", "places", "why"),
+    [
+        ({"epoch_ns": CLOCK_NS + 1}, PLACES, "no tick of a.mcap is in it"),
+        ({"epoch_ns": -CLOCK_NS - 1}, PLACES, "no tick of a.mcap is in it"),
+        ({}, np.array([-1, -1]), "no tick of a.mcap is in it"),
+        ({"configuration": b"y: 2\n"}, PLACES, "its configuration is another one"),
+        ({"lockstep": False}, PLACES, "its configuration is another one"),
+        ({"run": "8"}, PLACES, "set-points, commands or faults were others"),
+    ],
+)
+def test_logs_of_two_runs_are_refused_with_what_differs(plant, places, why):
+    with pytest.raises(LogError, match=f"b.mcap is of another run: {why}; name the right one"):
+        require_one_run(LOG, LOG._replace(path="b.mcap", **plant), places)
+
+
+def test_a_log_in_real_time_and_a_plant_in_lockstep_are_of_two_runs():
+    with pytest.raises(LogError, match="its configuration is another one"):
+        require_one_run(LOG._replace(lockstep=False, run=None), LOG._replace(path="b.mcap"), PLACES)
+
+
+def test_a_log_without_a_tick_is_of_no_other_run():
+    require_one_run(LOG, LOG._replace(path="b.mcap"), np.array([], int))

@@ -1,0 +1,86 @@
+"""The figures of a run, each from rows that are made up for it."""
+
+import numpy as np
+import pytest
+
+from drivers.signals import Mode, Warn
+from drivers.tick_columns import ROW
+from hil.record.figures import certificate, figures
+
+
+def rows_of(count, mode=Mode.TRACKING, **columns):
+    rows = np.zeros(count, ROW)
+    rows["t_ns"] = 1_000_000 * np.arange(count)
+    rows["R"] = rows["R_d"] = np.eye(3)
+    rows["mode"] = mode
+    rows["lyapunov"] = np.nan
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
+
+
+def test_a_pull_counts_as_a_push_in_the_peak_force():
+    tau = np.zeros((4, 6))
+    tau[1, 2], tau[2, 5] = 300.0, -900.0
+    found = figures(rows_of(4, tau=tau))
+    assert found["peak_force_N"] == 900.0
+    assert found["tracking"]["peak_force_N"] == 900.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_leg_that_is_too_short_counts_as_one_that_is_too_long(sign):
+    q, dq = np.zeros((3, 6)), np.zeros((3, 6))
+    q[1, 4], dq[2, 0] = sign * 2e-3, sign * 0.5
+    tracking = figures(rows_of(3, q=q, dq=dq))["tracking"]
+    assert tracking["peak_leg_error_mm"] == pytest.approx(2.0)
+    assert tracking["rms_leg_error_mm"] == pytest.approx(2.0 / np.sqrt(18.0))
+    assert tracking["peak_leg_rate_m_s"] == 0.5
+
+
+def test_forces_outside_of_tracking_are_in_the_peak_of_the_run_alone():
+    tau = np.zeros((3, 6))
+    tau[0, 0] = -700.0
+    rows = rows_of(3, tau=tau)
+    rows["mode"][0] = Mode.LOADING
+    found = figures(rows)
+    assert (found["peak_force_N"], found["tracking"]["peak_force_N"]) == (700.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("alarms", "count"),
+    [
+        ([0, 0, 0, 0], 0),
+        ([1, 0, 0, 0], 1),
+        ([1, 1, 0, 0], 1),
+        ([0, 1, 1, 0], 1),
+        ([1, 0, 1, 0], 2),
+        ([0, 0, 0, 1], 1),
+    ],
+)
+def test_an_alarm_of_the_certificate_counts_once_from_its_first_tick_to_its_last(alarms, count):
+    rows = rows_of(
+        4,
+        lyapunov=1.0,
+        lyapunov_bound=4.0,
+        lyapunov_share=0.5,
+        warnings=int(Warn.CERTIFICATE) * np.array(alarms),
+    )
+    assert certificate(rows)["alarms"] == count
+
+
+def test_the_bound_is_that_of_the_tick_in_which_the_energy_peaks_while_it_is_watched():
+    found = certificate(
+        rows_of(
+            3,
+            lyapunov=[1.0, 3.0, 9.0],
+            lyapunov_bound=[10.0, 20.0, 30.0],
+            lyapunov_share=[0.2, 0.4, np.nan],
+        )
+    )
+    assert found == {
+        "peak_V_m2_s4": 9.0,
+        "watched_ticks": 2,
+        "bound_at_peak_m2_s4": 20.0,
+        "largest_share_percent": 40.0,
+        "alarms": 0,
+    }

@@ -134,5 +134,6 @@ def weight(masses: Sequence[tuple[float, Array]], truth: Truth, gravity: Array) 
     for mass, position in masses:
         force = mass * gravity
         wrench[:3] += force
-        wrench[3:] += np.cross(truth.R @ position, force)
+        (x, y, z), (X, Y, Z) = (truth.R @ position).tolist(), force.tolist()
+        wrench[3:] += (y * Z - z * Y, z * X - x * Z, x * Y - y * X)
     return wrench

@@ -44,12 +44,26 @@ NAMES = (
     "mounted_elsewhere",
     "friction",
     "end_stop",
+    "rate_of_the_other_sign",
+    "rate_in_another_unit",
+    "dead_rate",
+    "force_one_way",
+    "weak_supply",
+    "brake_inverted",
+    "platform_ends",
+    "payload",
+    "ceiling",
+    "counts_a_tenth",
 )
 OTHERWISE: dict[tuple[str, str], set[tuple[str, tuple[int, ...]]] | None] = {
     **{
         (family, case): None
         for family in UNWATCHED
         for case in ("no_watchdog", "slow_watchdog", "fast_watchdog")
+    },
+    **{
+        ("cia402_difference", case): None  # the drive sends no rate
+        for case in ("rate_of_the_other_sign", "rate_in_another_unit", "dead_rate")
     },
     # shorter than the time between two commands, or heartbeats, of the bring-up: it trips at once
     ("cia402_pdo", "fast_watchdog"): {("not_powered", (1,))},

@@ -231,7 +231,7 @@ def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch
     store.forget(bad.run().findings)
     good = Rehearsal("virtual", Wiring(), facts=Store(state, identity(c, ())).facts)
     assert good.run().success
-    assert {r.leg for r in good.hands.requests if r.act != "hang"} == {3}
+    assert {r.leg for r in good.hands.requests if r.leg >= 0} == {3}
 
 
 @pytest.mark.parametrize("name", ["absent", "same_id", "wrong_protocol", "second_controller", "set_up"])

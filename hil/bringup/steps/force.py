@@ -119,15 +119,15 @@ def judge(c: Context) -> list[Finding]:
         elif (plus == 0) != (minus == 0):
             does, lacks = ("extends", "shorten") if plus else ("shortens", "extend")
             text = f"its drive {does} it, and does not {lacks} it with {limit}"
+            if _stiff(c, drive):
+                found.append(_friction(c, drive, text))
+                continue
             mend = "Look at motor phases, supply, a limit of the drive that works one way, and end stops."
             found.append(Finding("force_one_way", (drive,), text, mend))
         elif breakaway(fact) is None:
             still.append(drive)
-    stiff = [d for d in still if c.known("opens", d)["hand_N"] > MOVES * c.machine.force_N]
-    weak = [d for d in still if d not in stiff]
-    for drive in stiff:
-        text = f"it does not move with {limit}; a hand needs {c.known('opens', drive)['hand_N']:.4g} N"
-        found.append(Finding("friction", (drive,), text, "Look at guide, nut, seals, a brake that drags."))
+    found += [_friction(c, d, f"it does not move with {limit}") for d in still if _stiff(c, d)]
+    weak = [d for d in still if not _stiff(c, d)]
     if len(weak) > 1:
         text = f"none moves under its own drive with {limit}, but each by hand"
         mend = "Look whether their motor cables are exchanged; else whether these motors give force at all."
@@ -138,6 +138,16 @@ def judge(c: Context) -> list[Finding]:
             Finding("no_force", tuple(weak), text, "Look at the motor's cable and the drive's scale.")
         )
     return found
+
+
+def _stiff(c: Context, drive: int) -> bool:
+    """Tell whether friction alone may keep a drive from moving its leg."""
+    return bool(c.known("opens", drive)["hand_N"] > MOVES * c.machine.force_N)
+
+
+def _friction(c: Context, drive: int, text: str) -> Finding:
+    text = f"{text}; a hand needs {c.known('opens', drive)['hand_N']:.4g} N"
+    return Finding("friction", (drive,), text, "Look at guide, nut, seals, a brake that drags.")
 
 
 def _one_way(c: Context, drive: int, way: str) -> Finding:

@@ -57,8 +57,9 @@ def perform(
             try:
                 outcome = next(outcomes)
             except (CancelledError, OSError) as error:
+                why = " ".join(str(error).split())  # one line: Dask's has several
                 raise ConfigurationError(
-                    f"--scheduler {address}: it is gone, or has dropped rows ({error}); once it is back the "
+                    f"--scheduler {address}: it is gone, or has dropped rows ({why}); once it is back the "
                     "same command goes on with the rows that are missing"
                 ) from None
             yield outcome

@@ -197,6 +197,11 @@ class Context:
         if silent:
             text = f"not heard for {int(self.drives.record['age'][silent[0]])} ticks, so what it reads is old"
             mend = "Look at bus cable, supply and encoder, and give the command again."
+            if self.drives.record["blind"][silent].all():
+                text = (
+                    "it answers, and calls its length of no use, or has left the range that its frames carry"
+                )
+                mend = "Look at encoder, counts a turn, lead and gear, and give the command again."
             raise StoppedError(Finding("not_heard", tuple(silent), text, mend))
         return np.array(self.drives.record["length"])
 

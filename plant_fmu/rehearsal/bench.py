@@ -24,6 +24,8 @@ TAPE_M = 2e-4
 """Standard deviation of a length that is measured by tape."""
 GAUGE_SHARE = 3e-3
 """Standard deviation of a reading of the force gauge, as a share of it."""
+LEVEL = 0.3
+"""Cosine between gravity and the legs' common way below which a weight neither presses nor pulls."""
 HAND_SHARE = 0.05
 """A hand, with a lever where it has to, pushes with this share of the rated force."""
 USUAL_FRICTION = 0.001
@@ -159,8 +161,9 @@ class RehearsalBench:
         return mass * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
 
     def way(self) -> float:
-        """Return 1 where the platform's weight presses the legs together, -1 where it pulls at them."""
-        return float(np.sign(self.wiring.gravity * self.stand.presses))
+        """Return 1 where the platform's weight presses the legs together, -1 where it pulls, 0: neither."""
+        way = self.wiring.gravity * self.stand.presses
+        return float(np.sign(way)) if abs(way) > LEVEL else 0.0
 
     def hang(self, p: Array, R: Array) -> None:
         """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3), or where that is."""

@@ -14,7 +14,7 @@ from drivers.signals import Fault
 from drivers.tick_columns import Record, row_of
 from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.checklist import checklist
-from hil.app.bringup.found import FIRST_M, found_text, is_mended
+from hil.app.bringup.found import FIRST_M, found_text, mended
 from hil.app.bringup.hands import RemoteHands, asked, hands_socket
 from hil.app.bringup.homing import mark_moved, state_lengths
 from hil.app.bringup.machine import WINDOW, bringup_rate, build_machine, known_poses
@@ -143,7 +143,7 @@ def _write_mended(
         said(line)
         return [line]
     write_whole(file, text)
-    done = [finding.name for finding in findings if is_mended(c, finding)]
+    done = [finding.name for finding in mended(c, findings)]
     line = f"next: hil bringup {file}{' --rehearse' if rehearsal else ''}"
     if len(done) < len(findings):
         line += ", once what was found at the machine is mended"

@@ -12,6 +12,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration
 from hil.bringup.context import Context, Finding
 from hil.bringup.steps.gauge import gains
+from hil.config.reference import WaypointReference
 
 SPEED_SHARE = 0.25
 """Of the configured limit of leg speed, for the first runs."""
@@ -43,8 +44,8 @@ def found_text(
     if rehearsed:
         head.append("# REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
     if findings:
-        left = [finding for finding in findings if not is_mended(c, finding)]
-        done = [finding for finding in findings if is_mended(c, finding)]
+        done = mended(c, findings)
+        left = [finding for finding in findings if finding not in done]
         first = "mend what follows, and give" if left else "give"
         head.append(f"# NOT RELEASED: {first} this file to `hil bringup` again.")
         head += [f"#   {finding.line}" for finding in left]
@@ -56,35 +57,47 @@ def found_text(
     return "\n".join(head) + "\n" + commented(text, comments)
 
 
-def is_mended(c: Configuration, finding: Finding) -> bool:
-    """Tell whether the configuration that is written makes up for a finding."""
-    return finding.name in {"ids", "stroke"} or (
-        c.drives.transmission is not None and finding.name in {"wrong_lead", "drive_reversed", "offset"}
-    )
+def mended(c: Configuration, findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings that the configuration that is written makes up for.
+
+    Behind exchanged numbers a drive was read with the sign, lead and zero of another leg: its numbers first.
+    """
+    names = {"ids", "stroke"}
+    if c.drives.transmission is not None and not _exchanged(findings):
+        names |= {"wrong_lead", "drive_reversed", "offset"}
+    return [finding for finding in findings if finding.name in names]
+
+
+def _exchanged(findings: Sequence[Finding]) -> bool:
+    return any(finding.name == "ids" for finding in findings)
 
 
 def _changes(
     c: Configuration, context: Context, findings: Sequence[Finding]
 ) -> tuple[dict[str, Any], dict[tuple[str, str], list[str]]]:
-    speed, following = SPEED_SHARE * c.limits.speed_m_s, c.limits.following_error_m
+    speed, following = c.limits.speed_m_s, c.limits.following_error_m
     x, y, z = c.platform.home.position_m
     turned = list(c.platform.home.rotation_vector_deg)
     points = [
         {"t_s": t, "position_m": [x, y, z + dz], "rotation_vector_deg": turned}
         for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
     ]
+    first = {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points}
+    reduced = WaypointReference.model_validate(first) == c.reference
+    """The given file is one that a bring-up has written: its limits are reduced already."""
+    if not reduced:
+        speed *= SPEED_SHARE
+    slower = min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M))
     changes: dict[str, Any] = {
-        "limits": {
-            "speed_m_s": speed,
-            "following_error_m": min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M)),
-        },
+        "limits": {"speed_m_s": speed, "following_error_m": following if reduced else slower},
         "engage": {"approach_speed_m_s": min(c.engage.approach_speed_m_s, 0.5 * speed)},
-        "reference": {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points},
+        "reference": first,
         "drives": {"node_ids": _nodes(c, context, findings)},
     }
+    was = "" if reduced else ", {:g} was configured"
     comments = {
-        ("limits", "speed_m_s"): [f"reduced by the bring-up, {c.limits.speed_m_s:g} was configured"],
-        ("limits", "following_error_m"): [f"reduced by the bring-up, {following:g} was configured"],
+        ("limits", "speed_m_s"): [f"reduced by the bring-up{was.format(c.limits.speed_m_s)}"],
+        ("limits", "following_error_m"): [f"reduced by the bring-up{was.format(following)}"],
         ("reference", "type"): ["first motion of all six legs, by the bring-up; then your own"],
         ("drives", "node_ids"): ["each leg moved by hand and by its drive"],
         ("drives", "watchdog_ms"): _watchdogs(context),
@@ -96,7 +109,7 @@ def _changes(
             "length_min_m": round(float(ends[:, 0].max()) + 1e-3, 4),
             "length_max_m": round(float(ends[:, 1].min()) - 1e-3, 4),
         }
-    if c.drives.transmission is not None:
+    if c.drives.transmission is not None and not _exchanged(findings):
         changes["drives"]["transmission"] = _transmission(c, context, findings)
         comments["drives", "transmission"] = ["signs, leads and zeros by tape; see the checklist"]
     return changes, comments
@@ -104,7 +117,7 @@ def _changes(
 
 def _nodes(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int]:
     nodes = list(c.drives.node_ids)
-    if any(f.name == "ids" for f in findings):
+    if _exchanged(findings):
         for drive, (leg, _) in context.reads().items():
             nodes[leg] = c.drives.node_ids[drive]
     return nodes

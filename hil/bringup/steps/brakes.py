@@ -5,18 +5,19 @@ The hand has a force gauge: what it reads as a leg gives way is the leg's fricti
 
 from collections.abc import Callable
 from functools import partial
+from math import nan
 from statistics import median
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Request
+from hil.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Gap, Request
 from hil.bringup.step import Step
 
 PUSH_S = 0.15
 RATE_WITHIN = 0.6, 1.6
 """A rate is so many times what its reading changes by: beyond that it has another sign or unit."""
-RATE_STEPS, RATE_STEP_M = 3, 5e-5
-"""So many steps of a reading, each by so much, tell its rate."""
+RATE_STEPS, RATE_STEP_M, RATE_STEP_S = 3, 2e-4, 0.2
+"""So many steps of a reading, each by so much within such a time, tell its rate."""
 HIGH = 1.7
 """Friction of so many times the median of the legs is high,"""
 HIGH_SHARE = 0.003
@@ -29,6 +30,7 @@ def find(c: Context) -> None:
     """Have each leg pushed with all brakes shut, then each with its drive's brake open."""
     for leg in range(LEGS):
         if c.known("held", leg) is None:
+            c.take_down()
             c.keep("held", leg, holds(c, leg))
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     for drive in range(LEGS):
@@ -52,11 +54,15 @@ def find(c: Context) -> None:
 
 
 class Steps:
-    """The steps of a reading in time, and its rates. Mutable state: those so far, and the last reading."""
+    """The steps of a reading, and what its rates make of them.
+
+    Mutable state: the steps so far, where the present one began, the last reading, and its way by the rates.
+    """
 
     def __init__(self, c: Context, drive: int, keep: Callable[[], object]) -> None:
         self._c, self._drive, self._keep = c, drive, keep
-        self._last: tuple[int, float, float] | None = None
+        self._begun = self._last = (0, nan, nan)
+        self._by_rates_m = 0.0
         self._steps: list[tuple[float, float]] = []
 
     def keep(self) -> None:
@@ -67,16 +73,19 @@ class Steps:
             return
         here = int(record["t_ns"]), float(record["length"][drive]), float(record["rate"][drive])
         last, self._last = self._last, here
-        if last is not None and here[0] > last[0]:
-            seconds = 1e-9 * (here[0] - last[0])
-            self._steps.append((here[1] - last[1], 0.5 * (here[2] + last[2]) * seconds))
+        self._by_rates_m += 0.5e-9 * (here[2] + last[2]) * (here[0] - last[0])
+        by_m, took_s = here[1] - self._begun[1], 1e-9 * (here[0] - self._begun[0])
+        if abs(by_m) > RATE_STEP_M and took_s <= RATE_STEP_S:
+            self._steps.append((by_m, self._by_rates_m))
+        elif abs(by_m) <= RATE_STEP_M and took_s <= RATE_STEP_S:
+            return
+        self._begun, self._by_rates_m = here, 0.0
 
     def share(self) -> float | None:
         """Return how many times its change the rates make of a reading; None where it moved too little."""
-        moved = [(by_m, rate_m) for by_m, rate_m in self._steps if abs(by_m) > RATE_STEP_M]
-        if len(moved) < RATE_STEPS:
+        if len(self._steps) < RATE_STEPS:
             return None
-        return sum(by_m * rate_m for by_m, rate_m in moved) / sum(by_m * by_m for by_m, _ in moved)
+        return sum(by_m * rate_m for by_m, rate_m in self._steps) / sum(by_m**2 for by_m, _ in self._steps)
 
 
 def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, float]:
@@ -139,7 +148,10 @@ def judge(c: Context) -> list[Finding]:
         if not opens[d] and c.known("held", counts.get(d, d))["moved"]
     }
     for leg, drive in inverted.items():
-        text = "it gives way to a hand while its brake should be shut, and holds while that should be open"
+        text = (
+            f"leg {leg}, behind drive {drive}, gives way to a hand while its brake should be shut, and holds "
+            "while that should be open"
+        )
         mend = "Turn the output or the brake's relay round: without power this leg falls; do not load it."
         found.append(Finding("brake_inverted", tuple(sorted({leg, drive})), text, mend))
     for leg in range(LEGS):
@@ -212,6 +224,19 @@ def friction(c: Context) -> list[Finding]:
     ]
 
 
+def gap(c: Context) -> Gap | None:
+    """Say whose rate was not seen: a leg that gave way too slowly, or too little."""
+    unseen = [leg for leg in range(LEGS) if c.known("opens", leg)["rate_share"] is None]
+    if not unseen:
+        return None
+    legs = ", ".join(map(str, unseen))
+    return Gap(
+        f"drives {legs} moved too little, or too slowly, for their rate to be compared with what they read",
+        f"Push again after `--again`, by {1e3 * RATE_STEPS * RATE_STEP_M:g} mm or more at "
+        f"{1e3 * RATE_STEP_M / RATE_STEP_S:g} mm/s or more; or compare sign and unit of their speed by hand",
+    )
+
+
 STEP = Step(
     "brakes",
     "brakes, by hand",
@@ -221,5 +246,6 @@ STEP = Step(
     find,
     judge,
     gate=False,
+    gap=gap,
     tables=("held", "opens"),
 )

@@ -24,6 +24,7 @@ def find(c: Context) -> None:
     for leg in range(LEGS):
         if c.known("encoder", leg) is not None:
             continue
+        c.take_down()
         tape, reads = [], []
         within = c.machine.length_min / FAR, c.machine.length_max * FAR
         for share, word in ((0.0, "shortest"), (1.0, "longest"), (0.5, "middle")):

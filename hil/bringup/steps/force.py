@@ -122,7 +122,10 @@ def judge(c: Context) -> list[Finding]:
             if _stiff(c, drive):
                 found.append(_friction(c, drive, text))
                 continue
-            mend = "Look at motor phases, supply, a limit of the drive that works one way, and end stops."
+            mend = (
+                "Lay the leg level on its trestle; look at motor phases, supply, a limit of the drive that "
+                "works one way, and end stops."
+            )
             found.append(Finding("force_one_way", (drive,), text, mend))
         elif breakaway(fact) is None:
             still.append(drive)
@@ -146,8 +149,9 @@ def _stiff(c: Context, drive: int) -> bool:
 
 
 def _friction(c: Context, drive: int, text: str) -> Finding:
-    text = f"{text}; a hand needs {c.known('opens', drive)['hand_N']:.4g} N"
-    return Finding("friction", (drive,), text, "Look at guide, nut, seals, a brake that drags.")
+    opens = c.known("opens", drive)
+    text = f"{text}; a hand needs {opens['hand_N']:.4g} N"
+    return Finding("friction", (opens["legs"][0],), text, "Look at guide, nut, seals, a brake that drags.")
 
 
 def _one_way(c: Context, drive: int, way: str) -> Finding:

@@ -75,7 +75,7 @@ def gains(c: Context) -> dict[int, Gain]:
             continue
         least = BEYOND * (breakaway(force) or 0.0)
         pairs = np.array([pair for pair in fact["pairs_N"] if pair[0] > least])
-        if len(pairs) >= 2:
+        if len(np.unique(pairs[:, :1])) >= 2:
             span = float(np.ptp(pairs[:, 0]))
             step = c.drives.force_step(drive, c.machine.force_N)
             found[drive] = Gain(float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0]), step / span)
@@ -88,9 +88,14 @@ def judge(c: Context) -> list[Finding]:
     read = c.reads()
     stiff = {leg for finding in friction(c) for leg in finding.legs}
     for drive in range(LEGS):
-        if c.known("gauge", drive) is not None and drive not in gain and drive not in stiff:
-            text = "its forces are too close to its friction for the gauge to tell their scale"
-            mend = "Set torque constant, current scale or rated force of the drive; look at friction."
+        if c.known("gauge", drive) is None or drive in gain:
+            continue
+        if c.known("opens", drive)["legs"][0] not in stiff:
+            text = "its forces are too close to its friction, or to each other, to tell their scale"
+            mend = (
+                "Set torque constant, current scale or rated force of the drive; look at friction, and at "
+                "the steps of its torque."
+            )
             found.append(Finding("force_scale", (drive,), text, mend))
     for drive, (g, error) in gain.items():
         leg, scale = read.get(drive, (drive, 0.0))
@@ -123,11 +128,13 @@ def judge(c: Context) -> list[Finding]:
 
 def _limited(c: Context, drive: int) -> float | None:
     """Return the force, N, at which a drive meets a limit; None where it grows as far as it is commanded."""
-    pairs = c.known("gauge", drive)["pairs_N"]
-    (low, at_low), (middle, at_middle), (high, at_high) = pairs[0], pairs[1], pairs[-1]
+    levels = sorted(dict(c.known("gauge", drive)["pairs_N"]).items())
+    if len(levels) < 3:
+        return None
+    (low, at_low), (middle, at_middle), (high, at_high) = levels[0], levels[1], levels[-1]
     begins = at_low / low, (at_middle - at_low) / (middle - low)
     ends = (at_high - at_middle) / (high - middle)
-    return float(at_high) if ends < FLAT * max(begins) and at_high > 0.0 else None
+    return float(at_high) if ends < FLAT * max(begins) and 0.0 < at_high < high else None
 
 
 def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:

@@ -20,6 +20,7 @@ def find(c: Context) -> None:
     for leg in range(LEGS):
         if c.known("ids", leg) is not None:
             continue
+        c.take_down()
         c.rest(0.02)
         before = c.lengths()
         text = f"Move leg {leg} alone, with the lever on its brake, longer by about {1e3 * by_m:.0f} mm"

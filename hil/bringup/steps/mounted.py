@@ -24,10 +24,11 @@ MEND = f"Mount it at its joints, or mend the geometry. {AFTER}"
 
 LOAD_WITHIN = 0.1
 """Accepted error of the platform's mass: its weight is what the legs push as the brakes open."""
-HEAVIEST = 20.0
+HEAVIEST = 500.0
 """A mass that is so many times the configured one was read in another unit."""
 UPRIGHT = 0.3
-"""Cosine between gravity and the way from base to platform from which a way is asked for."""
+"""Cosine between gravity and the way from base to platform from which its weight presses or pulls."""
+WAYS = {1: "presses the legs", 0: "neither presses the legs nor pulls at them", -1: "pulls at the legs"}
 
 
 def find(c: Context) -> None:
@@ -38,9 +39,8 @@ def find(c: Context) -> None:
         ask = Request("weigh", -1, 0.0, text, within=(0.0, HEAVIEST * m.platform_kg))
         c.keep("load", "mass_kg", c.ask(ask))
     if load.get("presses") is None:
-        text = "Will its weight press the legs together, 1, or pull at them, -1"
-        ask = Request("read_way", -1, 0.0, text, within=(-1.0, 1.0))
-        c.keep("load", "presses", c.ask(ask) if abs(m.presses) > UPRIGHT else 0.0)
+        text = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
+        c.keep("load", "presses", c.ask(Request("read_way", -1, 0.0, text, within=(-1.0, 1.0))))
     for pose in range(len(c.machine.pose_lengths)):
         if c.facts.get("mounted", {}).get(str(pose)) is None:
             text = f"Mount the legs, levers on the brakes, and hang the platform at known pose {pose}"
@@ -61,11 +61,12 @@ def judge(c: Context) -> list[Finding]:
     joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
     if len(wrong) >= MANY and not any(joints.values()):
         return [*found, _hangs_elsewhere(away, wrong)]
+    mends = f"See that the platform hangs at the known poses, not tilted. {MEND}" if len(wrong) > 1 else MEND
     for leg in wrong:
         off, fits = away[:, leg], joints[leg]
         if fits is None and np.ptp(off) < SAME_M:
             text = f"at the known poses it reads {1e3 * off.mean():+.1f} mm off, the same at each"
-            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {MEND}"
+            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {mends}"
             found.append(Finding("slipped", (leg,), text, mend))
             continue
         text = f"at the known poses it is {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm off"
@@ -73,7 +74,7 @@ def judge(c: Context) -> list[Finding]:
             text += ", and fits no pair of joints"
         else:
             text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
-        found.append(Finding("mounted_elsewhere", (leg,), text, MEND))
+        found.append(Finding("mounted_elsewhere", (leg,), text, mends))
     return found
 
 
@@ -85,11 +86,9 @@ def _load(c: Context) -> list[Finding]:
         text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
         mend = f"Write what it weighs into platform, or take off what is not part of it. {AFTER}"
         found.append(Finding("payload", (), text, mend))
-    if presses * m.presses < 0.0:
-        does, would = (
-            ("presses the legs", "pull at them") if presses > 0.0 else ("pulls at the legs", "press")
-        )
-        text = f"the platform's weight {does}; by the configuration it would {would}"
+    seen, configured = round(presses), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
+    if seen != configured:
+        text = f"the platform's weight {WAYS[seen]}; by the configuration it {WAYS[configured]}"
         found.append(Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}"))
     return found
 
@@ -101,7 +100,7 @@ def _hangs_elsewhere(away: Array, wrong: list[int]) -> Finding:
     )
     text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({poses})"
     mend = f"Hang it at the known poses, or mend platform.home and the joints of the configuration. {AFTER}"
-    return Finding("wrong_home", tuple(wrong), text, mend)
+    return Finding("wrong_home", (), f"legs {', '.join(map(str, wrong))}: {text}", mend)
 
 
 def _joints(distances: Array, q: Array) -> tuple[int, int] | None:

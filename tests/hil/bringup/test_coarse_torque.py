@@ -96,3 +96,40 @@ def test_a_leg_that_moves_one_way_alone_is_laid_to_its_friction_where_a_hand_nee
     assert (finding.name, finding.legs) == (name, (2,))
     assert "its drive shortens it, and does not extend it with 2 %" in finding.text
     assert ("; a hand needs 4.104 N" in finding.text) is (name == "friction")
+
+
+@pytest.mark.parametrize(
+    ("pairs", "most"),
+    [
+        ([[2.0, 1.9], [2.0, 2.0], [3.0, 3.0], [4.0, 4.0]], None),
+        ([[2.0, 1.9], [2.0, 2.0], [3.0, 2.1], [4.0, 2.1]], 2.1),
+        ([[2.0, 1.9], [2.0, 2.0], [3.0, 3.0], [3.0, 3.0]], None),
+        ([[2.0, 2.0]] * 4, None),
+        ([[1.6, 2.6], [2.4, 3.2], [3.2, 3.6], [4.0, 4.4]], None),  # a gauge that was not zeroed
+        ([[1.6, 1.6], [2.4, 1.7], [3.2, 1.7], [4.0, 1.7]], 1.7),
+    ],
+)
+def test_levels_that_are_one_command_tell_a_limit_or_nothing_and_never_fail(pairs, most):
+    c = Rehearsal("virtual", Wiring()).context
+    c.facts["gauge"] = {"0": {"pairs_N": pairs}}
+    assert gauge._limited(c, 0) == most
+
+
+def test_a_torque_that_is_one_command_at_all_levels_is_named_for_its_steps():
+    c = Rehearsal("virtual", Wiring()).context
+    way = {"force_N": 0.1, "leg": 0, "way": 1}
+    c.facts["force"] = {"0": {"plus": way, "minus": way | {"way": -1}}}
+    c.facts["opens"] = {str(k): {"legs": [k], "hand_N": 1.0, "rate_share": 1.0} for k in range(LEGS)}
+    c.facts["encoder"] = {}
+    c.facts["gauge"] = {"0": {"pairs_N": [[2.0, 2.0]] * 4}}
+    (finding,) = gauge.judge(c)
+    assert (finding.name, finding.legs) == ("force_scale", (0,))
+    assert "or to each other" in finding.text
+
+
+def test_friction_that_a_drive_meets_is_that_of_the_leg_it_moves():
+    c = Rehearsal("virtual", Wiring()).context
+    still = {"force_N": None, "leg": None, "way": 0}
+    c.facts["opens"] = {"1": {"legs": [4], "hand_N": c.machine.force_N, "rate_share": None}}
+    c.facts["force"] = {"1": {"plus": still, "minus": still}}
+    assert [(f.name, f.legs) for f in force.judge(c)] == [("friction", (4,))]

@@ -12,6 +12,7 @@ import pytest
 from hil.app.bringup.store import refuse_malformed
 from hil.bringup.context import StoppedError
 from hil.bringup.procedure import STEPS
+from hil.bringup.steps import brakes, encoder, ids
 from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
@@ -81,7 +82,7 @@ def test_what_nobody_listed_is_named(case):
 @pytest.mark.parametrize(
     ("name", "mistake", "steps", "says"),
     [
-        ("virtual", Mistake("rate_sign", 2), 5, "its rate is -0.997 times what its reading changes by"),
+        ("virtual", Mistake("rate_sign", 2), 5, "its rate is -1.01 times what its reading changes by"),
         ("virtual", Mistake("brake_inverted", 1), 5, "holds while that should be open"),
         ("virtual", Mistake("force_one_way", 1), 6, "its drive extends it, and does not shorten it"),
         ("virtual", Mistake("force_saturates", 4), 7, "no further than 21"),
@@ -207,6 +208,31 @@ def test_no_brake_opens_while_the_platform_hangs_on_the_legs():
     assert acts.count(("take_down", "down")) == 1
     assert rehearsal.watched.most_open == 1
     assert rehearsal.watched.opened_while_hung == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "gone", "steps"),
+    [
+        ("virtual", (), (ids.STEP,)),
+        ("virtual", (), (encoder.STEP,)),
+        ("cubemars", (), STEPS[2:3]),
+        ("virtual", ("held", "opens"), (brakes.STEP,)),
+    ],
+)
+def test_no_hand_moves_or_pushes_a_leg_that_the_platform_hangs_on(name, gone, steps):
+    """In the closed chain no leg gives way: a brake that slips would be taken for one that holds."""
+    facts: dict[str, dict[str, object]] = {}
+    if gone:
+        before = Rehearsal(name, Wiring())
+        before.run(STEPS[:5])
+        facts = {step: table for step, table in before.context.facts.items() if step not in {*gone, "passed"}}
+    if steps == (encoder.STEP,):
+        facts = {"ids": {str(k): {"drives": [k], "changes_m": [0.0] * 6} for k in range(6)}}
+    rehearsal = Rehearsal(name, Wiring(), facts=facts | {"platform": {"hung": True}})
+    rehearsal.bench.hung = True
+    rehearsal.run(steps)
+    assert rehearsal.hands.requests[0].act == "take_down"
+    assert not rehearsal.bench.hung
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from drivers.bus_address import BusAddress
 from drivers.errors import ConfigurationError, RunError
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.command import files_of, run_bringup
-from hil.app.bringup.found import commented, found_text
+from hil.app.bringup.found import commented, found_text, mended
 from hil.app.bringup.hands import RemoteHands, hands_socket, served_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
@@ -113,6 +113,40 @@ def test_a_wrong_lead_a_reversed_drive_and_a_zero_are_found_for_motors():
     # the bench's encoders are right at the middle of the stroke, 0.325 m, where the offset is; but legs 4, 5
     assert was.offset_m == 0.325
     assert np.array(gear.offset_m) - 0.325 == pytest.approx([0, 0, 0, 0, -5e-3, 5e-3], abs=1e-3)
+
+
+def test_behind_exchanged_numbers_the_file_mends_the_numbers_alone():
+    """Drives 1 and 4 were read with each other's sign: exchanged, they are right."""
+    rehearsal = Rehearsal("desktop", Wiring())
+    c = rehearsal.c
+    facts = {
+        str(leg): {"drive": drive, "tape_m": [0.25, 0.4], "scale": -1.0, "offset_m": 0.0, "bent_m": 0.0}
+        for leg, drive in ((1, 4), (4, 1))
+    }
+    rehearsal.context.facts["encoder"] = facts
+    findings = [
+        Finding("ids", (1, 4), "exchanged", ""),
+        Finding("drive_reversed", (1,), "", ""),
+        Finding("offset", (4,), "", ""),
+        Finding("wrong_lead", (4,), "", ""),
+    ]
+    assert mended(c, findings) == findings[:1]
+    assert mended(c, findings[1:]) == findings[1:]
+    found = loads(found_text(c, rehearsal.context, findings), "found", c.folder)
+    n = list(c.drives.node_ids)
+    assert list(found.drives.node_ids) == [n[0], n[4], n[2], n[3], n[1], n[5]]
+    assert found.drives.transmission == c.drives.transmission
+
+
+def test_limits_are_reduced_once_however_often_the_written_file_is_given_again():
+    rehearsal = Rehearsal("virtual", Wiring())
+    c = rehearsal.c
+    once = loads(found_text(c, rehearsal.context, []), "once", c.folder)
+    assert once.limits.speed_m_s == 0.25 * c.limits.speed_m_s
+    text = found_text(once, rehearsal.context, [])
+    twice = loads(text, "twice", c.folder)
+    assert (twice.limits, twice.engage) == (once.limits, once.engage)
+    assert "was configured" not in text
 
 
 def test_comments_stand_above_their_keys():

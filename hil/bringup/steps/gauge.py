@@ -74,8 +74,9 @@ def gains(c: Context) -> dict[int, Gain]:
         if fact is None:
             continue
         least = BEYOND * (breakaway(force) or 0.0)
-        pairs = np.array([pair for pair in fact["pairs_N"] if pair[0] > least])
-        if len(np.unique(pairs[:, :1])) >= 2:
+        beyond = [pair for pair in fact["pairs_N"] if pair[0] > least]
+        if len({commanded for commanded, _ in beyond}) >= 2:
+            pairs = np.array(beyond)
             span = float(np.ptp(pairs[:, 0]))
             step = c.drives.force_step(drive, c.machine.force_N)
             found[drive] = Gain(float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0]), step / span)

@@ -115,9 +115,10 @@ def test_levels_that_are_one_command_tell_a_limit_or_nothing_and_never_fail(pair
     assert gauge._limited(c, 0) == most
 
 
-def test_a_torque_that_is_one_command_at_all_levels_is_named_for_its_steps():
+@pytest.mark.parametrize("least", [0.1, 3.0])
+def test_a_torque_that_is_one_command_at_all_levels_is_named_for_its_steps(least):
     c = Rehearsal("virtual", Wiring()).context
-    way = {"force_N": 0.1, "leg": 0, "way": 1}
+    way = {"force_N": least, "leg": 0, "way": 1}
     c.facts["force"] = {"0": {"plus": way, "minus": way | {"way": -1}}}
     c.facts["opens"] = {str(k): {"legs": [k], "hand_N": 1.0, "rate_share": 1.0} for k in range(LEGS)}
     c.facts["encoder"] = {}

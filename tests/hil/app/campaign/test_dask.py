@@ -168,10 +168,11 @@ def test_a_scheduler_that_dies_ends_the_command_and_the_rows_so_far_are_kept(man
 
 
 @pytest.mark.long
-def test_ctrl_c_takes_its_rows_off_the_cluster(many, tmp_path):
+def test_ctrl_c_takes_its_rows_off_the_cluster(tmp_path):
+    plan = read_plan(written(tmp_path, MANY.replace("count: 40", "count: 400")))
     with (
         cluster(tmp_path, 1) as running,
-        started(many[0], tmp_path / "out", "--scheduler", running.address) as process,
+        started(plan, tmp_path / "out", "--scheduler", running.address) as process,
     ):
         wait_for_a_part(tmp_path / "out", process)
         process.send_signal(signal.SIGINT)

@@ -2,8 +2,9 @@
 
 import contextlib
 import time
-from itertools import pairwise
+from statistics import median
 
+import numpy as np
 import pytest
 
 from drivers.signals import DriveMode, DriveState
@@ -15,9 +16,19 @@ from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.bringup.families import family
 
 PERIOD_NS = 2_500_000
-MOST_s = 0.4e-3
-"""Of processor time for a tick of 25 steps. Compiled, it takes 0.08 ms on trestles and 0.12 ms with the platform;
-with one NumPy call an operation it takes 1.1 and 0.65 ms, and answers miss their window."""
+ADDITIONS = 1000
+"""Of six numbers by NumPy, which take longer than a tick of 25 steps: 0.5 ms where that takes 0.08 ms compiled on
+trestles and 0.12 ms with the platform. With one NumPy call an operation the tick takes 1.1 and 0.65 ms, and answers
+miss their window."""
+
+
+def additions_s():
+    """Return the processor time of the additions, s: how fast this machine is now."""
+    a, b = np.ones(6), np.ones(6)
+    began = time.process_time()
+    for _ in range(ADDITIONS):
+        a + b
+    return time.process_time() - began
 
 
 @pytest.mark.parametrize("hung", [False, True], ids=["trestles", "platform"])
@@ -35,11 +46,12 @@ def test_a_tick_in_which_a_drive_damps_takes_a_fraction_of_its_period(hung):
         assert nodes.snapshot().state[0] == DriveState.RUN
         began = (drives.tick + 20) * PERIOD_NS
         nodes.step(began, ())
-        instants = [time.process_time()]
+        shares = []
         for k in range(1, 101):
+            start = time.process_time()
             nodes.step(began + k * PERIOD_NS, ())
-            if k % 20 == 0:
-                instants.append(time.process_time())
+            took = time.process_time() - start
+            shares.append(took / additions_s())
         end = nodes.snapshot()
     assert (end.state[0], end.brake[0]) == (DriveState.FAULT, 0.0)  # it has damped all the time
-    assert min(b - a for a, b in pairwise(instants)) / 20 < MOST_s
+    assert median(shares) < 1.0

@@ -83,8 +83,8 @@ def _changes(
         for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
     ]
     first = {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points}
+    # a file that a bring-up has written: its limits are reduced already
     reduced = WaypointReference.model_validate(first) == c.reference
-    """The given file is one that a bring-up has written: its limits are reduced already."""
     if not reduced:
         speed *= SPEED_SHARE
     slower = min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M))

@@ -10,7 +10,7 @@ the package `moteus` 1.1.1.
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isinf, isnan, nan
 
 import numpy as np
@@ -115,7 +115,7 @@ def _is_code(value: float) -> bool:
     return 0.0 <= value < 128.0 and value.is_integer()
 
 
-def _who(leg: int, said: dict[int, float]) -> Said | None:
+def _who(leg: int, said: Mapping[int, float]) -> Said | None:
     """Return what registers say of who a drive is."""
     words = [said.get(each, nan) for each in ((FIRMWARE,) if FIRMWARE in said else _SERIAL)]
     if not all(map(float.is_integer, words)):
@@ -227,7 +227,7 @@ class MoteusProtocol(MotorProtocol):
         reply = self._reply_of(frame)
         return None if reply is None else _who(*reply)
 
-    def _reply_of(self, frame: Frame) -> tuple[int, dict[int, float]] | None:
+    def _reply_of(self, frame: Frame) -> tuple[int, Mapping[int, float]] | None:
         """Return leg and registers of a drive's reply to us, without any if it is not whole; else None."""
         identifier, data, flags = frame
         leg = self._answering_legs.get(identifier)
@@ -293,7 +293,7 @@ class MoteusProtocol(MotorProtocol):
         return memory, tuple(messages)
 
     def _obey(
-        self, memory: MotorMemory, leg: int, written: dict[int, float]
+        self, memory: MotorMemory, leg: int, written: Mapping[int, float]
     ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
         after, torque, mode = memory.enabled[leg], 0.0, written.get(MODE)
         modes: tuple[int, ...] = ()
@@ -337,7 +337,7 @@ class MoteusProtocol(MotorProtocol):
         said = self._states(sync, length, rate, force, state, fault)
         return memory, [(leg, self._reply(leg, *memory.asked[leg], held)) for leg, held in said]
 
-    def _reply(self, leg: int, host: int, wanted: Asked, said: dict[int, float]) -> Frame:
+    def _reply(self, leg: int, host: int, wanted: Asked, said: Mapping[int, float]) -> Frame:
         identifier = self._nodes[leg] << 8 | host
         return Frame(identifier, pad(reply_to(wanted, said)), FD | BRS | EXTENDED * (identifier > 0x7FF))
 

@@ -7,8 +7,11 @@ integer of a width stands for "not known".
 
 import struct
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from math import isfinite, nan
+from types import MappingProxyType
+from typing import NamedTuple
 
 NOP = 0x50
 WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
@@ -57,7 +60,8 @@ def _varuint(data: bytes, at: int) -> tuple[int, int]:
             return number, at
 
 
-def registers(data: bytes, kind: int) -> dict[int, float] | None:
+@lru_cache(maxsize=64)  # drives at rest are sent the same again and again
+def registers(data: bytes, kind: int) -> Mapping[int, float] | None:
     """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known.
 
     Registers without a scale come as they are. Errors (0x30, 0x31) end the frame. None if it is not whole.
@@ -75,7 +79,7 @@ def registers(data: bytes, kind: int) -> dict[int, float] | None:
                 found[first + k] = _value(first + k, width, raw)
     except IndexError:
         return None
-    return found
+    return MappingProxyType(found)
 
 
 def _groups(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
@@ -104,6 +108,9 @@ def _groups(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
 
 
 def _scale(register: int, width: int) -> float | None:
+    """Return the scale of a register, None where it comes as it is."""
+    if width == _FLOAT:
+        return None
     if register == TIMEOUT:
         return _TIME_SCALES[width]
     scales = _SCALES.get(_COMMAND_SCALES.get(register, register))
@@ -111,12 +118,13 @@ def _scale(register: int, width: int) -> float | None:
 
 
 def _value(register: int, width: int, raw: float) -> float:
-    scale = None if width == _FLOAT else _scale(register, width)
+    scale = _scale(register, width)
     if scale is None:
         return float(raw)
     return nan if raw == -(1 << (8 * _SIZES[width] - 1)) else raw * scale
 
 
+@lru_cache(maxsize=64)
 def asked(data: bytes) -> Asked:
     """Return what a frame asks for, in its order, up to where it is not whole."""
     found: list[tuple[int, int]] = []
@@ -129,18 +137,36 @@ def asked(data: bytes) -> Asked:
     return tuple(found)
 
 
-def reply_to(wanted: Asked, said: dict[int, float]) -> bytes:
+class _Part(NamedTuple):
+    """One group of a reply: its head, and how its values are packed."""
+
+    head: bytes
+    values: struct.Struct
+    fields: tuple[tuple[int, float, int], ...]
+    """Of each value: register, scale and largest integer, 0 for a float."""
+
+
+def reply_to(wanted: Asked, said: Mapping[int, float]) -> bytes:
     """Return the reply to what is asked for, not filled up; it ends where a frame is full.
 
     A state that the drive does not know is NaN, or the smallest integer; another register that is not among
     what it says is an error.
     """
     data = b""
+    for head, values, fields in _parts(wanted, tuple(said)):
+        data += head + values.pack(*[_raw(said.get(k, nan), scale, most) for k, scale, most in fields])
+    return data[: _LENGTHS[-1]]
+
+
+@lru_cache(maxsize=64)
+def _parts(wanted: Asked, known: tuple[int, ...]) -> tuple[_Part, ...]:
+    """Return the groups that answer what is asked for, of a drive that knows some registers."""
+    parts = []
     at = 0
     while at < len(wanted):
         first, width = wanted[at]
-        if first >= _READABLE and first not in said:
-            data += bytes((READ_ERROR, *_as_varuint(first), NO_REGISTER))
+        if first >= _READABLE and first not in known:
+            parts.append(_Part(bytes((READ_ERROR, *_as_varuint(first), NO_REGISTER)), struct.Struct(""), ()))
             at += 1
             continue
         count = 1
@@ -149,12 +175,14 @@ def reply_to(wanted: Asked, said: dict[int, float]) -> bytes:
         if first < _READABLE:
             count = min(count, _READABLE - first)
         else:
-            count = next((k for k in range(count) if first + k not in said), count)
+            count = next((k for k in range(count) if first + k not in known), count)
         head = (REPLY | width << 2 | count,) if count < 4 else (REPLY | width << 2, count)
-        data += bytes((*head, *_as_varuint(first)))
-        data += b"".join(_packed(first + k, width, said.get(first + k, nan)) for k in range(count))
+        most = 0 if width == _FLOAT else (1 << (8 * _SIZES[width] - 1)) - 1
+        fields = tuple((k, _scale(k, width) or 1.0, most) for k in range(first, first + count))
+        values = struct.Struct(f"<{count}{_FORMS[width]}")
+        parts.append(_Part(bytes((*head, *_as_varuint(first))), values, fields))
         at += count
-    return data[: _LENGTHS[-1]]
+    return tuple(parts)
 
 
 def _as_varuint(number: int) -> tuple[int, ...]:
@@ -165,11 +193,8 @@ def _as_varuint(number: int) -> tuple[int, ...]:
     return (*found, number)
 
 
-def _packed(register: int, width: int, value: float) -> bytes:
-    if width == _FLOAT:
-        return struct.pack("<f", value)
-    most = (1 << (8 * _SIZES[width] - 1)) - 1
-    raw = -most - 1
-    if isfinite(value):
-        raw = int(min(max(value / (_scale(register, width) or 1.0), -most), most))
-    return struct.pack("<" + _FORMS[width], raw)
+def _raw(value: float, scale: float, most: int) -> float:
+    """Return what is packed: the value as a float, or as an integer of its scale, within the largest."""
+    if not most:
+        return value
+    return int(min(max(value / scale, -most), most)) if isfinite(value) else -most - 1

@@ -5,6 +5,7 @@ The controller's end is `drivers.motors`.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,7 +88,7 @@ class MotorDrives(ABC):
     @staticmethod
     def finite(leg: int, *values: float) -> None:
         """Raise ProtocolError for a feedback that is no number."""
-        if not np.isfinite(values).all():
+        if not all(map(isfinite, values)):
             raise ProtocolError(f"feedback of leg {leg} is not a number: {values}")
 
     def motor(self, length: Array, rate: Array, force: Array) -> tuple[list[float], list[float], list[float]]:

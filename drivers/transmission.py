@@ -17,6 +17,7 @@ between; up to `full_loss_m_s` the loss grows with the rate, so that no force ju
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 from typing import TYPE_CHECKING
 
@@ -96,12 +97,12 @@ class Transmission:
             full_loss_m_s=settings.full_loss_m_s,
         )
 
-    @property
+    @cached_property
     def m_per_turn(self) -> Array:
         """(6,) m of leg a turn of the motor, signed: s l / N."""
         return self.sign * self.lead_m / self.gear
 
-    @property
+    @cached_property
     def N_per_Nm(self) -> Array:
         """(6,) N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
         return self.sign * (2.0 * pi) * self.gear / self.lead_m

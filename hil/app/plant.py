@@ -204,6 +204,42 @@ def _failures_logged(recording: Recording | None, clock: Clock) -> Iterator[None
         ) from error
 
 
+class _Rows:
+    """Rows of the plant's log: one when drives were heard or have spoken, and now and then while legs move.
+
+    Mutable state: the last snapshot, the number of rows, the frames since then, whether legs move, and
+    whether a row is due.
+    """
+
+    def __init__(self, recording: Recording | None, nodes: Nodes) -> None:
+        self._recording, self._nodes = recording, nodes
+        self._last = nodes.snapshot()
+        self._number, self._moving = 0, False
+        self._heard: list[Received] = []
+        self._sent: list[Frame] = []
+        self._due = False
+
+    def take(self, heard: list[Received], sent: list[Frame], now_ns: int) -> None:
+        """Note what the drives heard and sent until now."""
+        if self._recording is not None:
+            self._heard += heard
+            self._sent += sent
+            spoke = bool(sent) or self._nodes.syncs != self._last.syncs
+            self._due = self._due or spoke or (self._moving and self._is_old(now_ns))
+
+    def write(self, now_ns: int, *, answered: bool = True) -> None:
+        """Write the row that is due, if any; not before all is `answered`, unless the last one is old."""
+        if self._recording is not None and self._due and (answered or self._is_old(now_ns)):
+            self._last, self._due = self._nodes.snapshot(), False
+            self._moving = not at_rest(self._last)
+            self._recording.tick(plant_row(self._number, self._last), self._heard, self._sent)
+            self._number += 1
+            self._heard, self._sent = [], []
+
+    def _is_old(self, now_ns: int) -> bool:
+        return now_ns - self._last.t_ns >= SILENT_NS
+
+
 def _serve(
     bench: Bench,
     bus: Bus,
@@ -220,42 +256,36 @@ def _serve(
     nodes.start(now)
     end = None if duration_s is None else now + round(duration_s * 1e9)
     next_look = now
-    sent: list[Frame] = []
-    heard: list[Received] = []
     later: list[tuple[int, Frame]] = []
-    snapshot = nodes.snapshot()
-    row, moving = 0, False
+    rows = _Rows(recording, nodes)
     moved_ns = 0
-    while not stop.reason:
-        received = bus.wait(min((now + IDLE_NS, *(t_ns for t_ns, _ in later))))
-        now = bus.clock.now()
-        faults.strike(now)
-        bench.hands()
-        later += nodes.step(now, received)
-        outgoing = latest([frame for t_ns, frame in later if t_ns <= now], awaited)
-        later = [entry for entry in later if entry[0] > now]
-        if outgoing:
-            bus.send(outgoing)
-        if recording is not None:
-            heard += received
-            sent += outgoing
-            if outgoing or nodes.syncs != snapshot.syncs or (moving and now - snapshot.t_ns >= SILENT_NS):
-                snapshot = nodes.snapshot()
-                moving = not at_rest(snapshot)
-                recording.tick(plant_row(row, snapshot), heard, sent)
-                row += 1
-                heard, sent = [], []
-        if now >= next_look:
-            next_look = now + LOOK_NS
-            if end is not None and now >= end:
-                stop.reason = stop.reason or ("orphaned" if moved_ns else "duration")
-            if supervisor is not None and select.select([supervisor], [], [], 0)[0]:
-                supervisor, end, moved_ns = None, now + round(ORPHAN_S * 1e9), now
-            if moved_ns:
-                if not at_rest(nodes.snapshot()):
-                    moved_ns = now
-                elif now - moved_ns >= REST_NS:
-                    stop.reason = stop.reason or "orphaned"
+    try:
+        while not stop.reason:
+            received = bus.drain_now()
+            rows.write(now, answered=not received)
+            received = received or bus.wait(min((now + IDLE_NS, *(t_ns for t_ns, _ in later))))
+            now = bus.clock.now()
+            faults.strike(now)
+            bench.hands()
+            later += nodes.step(now, received)
+            outgoing = latest([frame for t_ns, frame in later if t_ns <= now], awaited)
+            later = [entry for entry in later if entry[0] > now]
+            if outgoing:
+                bus.send(outgoing)
+            rows.take(received, outgoing, now)
+            if now >= next_look:
+                next_look = now + LOOK_NS
+                if end is not None and now >= end:
+                    stop.reason = stop.reason or ("orphaned" if moved_ns else "duration")
+                if supervisor is not None and select.select([supervisor], [], [], 0)[0]:
+                    supervisor, end, moved_ns = None, now + round(ORPHAN_S * 1e9), now
+                if moved_ns:
+                    if not at_rest(nodes.snapshot()):
+                        moved_ns = now
+                    elif now - moved_ns >= REST_NS:
+                        stop.reason = stop.reason or "orphaned"
+    finally:
+        rows.write(now)
     return nodes.snapshot()
 
 
@@ -266,6 +296,8 @@ def latest(frames: list[Frame], awaited: Callable[[Frame], int]) -> list[Frame]:
     busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz. `awaited`, the
     protocol's, tells drives apart that share an identifier.
     """
+    if len(frames) < 2:
+        return frames
     newest = {(frame.id, frame.bus, awaited(frame)): frame for frame in frames}
     return frames if len(newest) == len(frames) else list(newest.values())
 

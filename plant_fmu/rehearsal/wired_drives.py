@@ -42,6 +42,8 @@ class WiredDrives:
         self._node_ids = tuple(node_ids)
         self._plain = wiring.answers_as == OWN and all(wiring.present) and not any(wiring.other_protocol)
         """Each drive answers, and under its own number."""
+        self._right = self._plain and set(wiring.watchdog) == {1.0}
+        """Each drive hears what it is told, as it is told."""
         self._mute = {k for k in range(LEGS) if not wiring.present[k] or wiring.other_protocol[k]}
 
     def power_up(self) -> Memory:
@@ -51,6 +53,8 @@ class WiredDrives:
     def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
         """Decode what a frame says to the drives that believe it to be theirs."""
         memory, messages = self._protocol.parse(memory, frame)
+        if self._right:
+            return memory, messages
         return memory, tuple(each for message in messages for each in self._heard(message))
 
     def _heard(self, message: DeviceMessage) -> list[DeviceMessage]:

@@ -134,7 +134,7 @@ def make_environment() -> list[str]:
 def install_dependencies(pip: list[str], locks: list[Path]) -> None:
     """Install the locks: hashes required, wheels only."""
     listed = [argument for lock in locks for argument in ("-r", str(lock))]
-    say("installing the locked dependencies (about 320 MB to fetch when nothing is cached) ...")
+    say("installing the locked dependencies (about 340 MB to fetch when nothing is cached) ...")
     run(
         [*pip, "install", "--quiet", "--require-hashes", "--only-binary", ":all:", "--no-deps", *listed],
         "the locked dependencies cannot be installed (no network, or a package index without them?):",

@@ -34,6 +34,7 @@ from tools.benchmarks.fmu import fmu
 from tools.benchmarks.laws import laws
 from tools.benchmarks.lockstep import recorder, replaying, simulation
 from tools.benchmarks.memory import memory_figures
+from tools.benchmarks.mujoco_model import MujocoRobot
 from tools.benchmarks.plain import (
     PlainPose,
     PlainRobot,
@@ -187,9 +188,6 @@ def test_plain_inverse_dynamics_agrees_with_the_engines_and_the_kernel(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_model_for_mujoco_is_the_same_mechanism(case):
-    pytest.importorskip("mujoco", reason="optional extra `benchmark`")
-    from tools.benchmarks.mujoco_model import MujocoRobot  # noqa: PLC0415 - needs the extra
-
     p, R, twist, dtwist = state_of(case)
     e = case["expected"]
     robot = MujocoRobot(PLATFORMS[case["geometry"]], p, R)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
+import control
 import numpy as np
 import pytest
 
@@ -58,7 +59,6 @@ def samples():
 
 @pytest.mark.parametrize("case", [2, 3, 5])
 def test_general_problems_have_the_optimum_that_slycot_finds(case):
-    control = pytest.importorskip("control")
     pytest.importorskip("slycot")
     P, n_y, n_u = samples()[case]
     *_, gamma, _ = control.hinfsyn(control.ss(*P[:4]), n_y, n_u)

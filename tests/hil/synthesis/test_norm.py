@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import log, pi, sqrt
 
+import control
 import numpy as np
 import pytest
 
@@ -57,7 +58,6 @@ def test_the_norm_is_the_top_of_a_dense_grid(seed, period_s):
 @pytest.mark.parametrize("period_s", [None, 1e-3])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_norm_is_the_one_that_slycot_finds(seed, period_s):
-    control = pytest.importorskip("control")
     pytest.importorskip("slycot")
     system = random(seed, period_s)
     peer = control.linfnorm(control.ss(*system[:4], 0 if period_s is None else 1.0))[0]

@@ -19,13 +19,14 @@ from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import Clock
 from drivers.errors import HilError, PlantError, RunError
-from drivers.protocol import Frame, Received
+from drivers.protocol import Frame
 from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
 from hil.app.plant_columns import PLANT
+from hil.app.plant_rows import PlantRows, at_rest
 from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
 from hil.loop.panel import signals_to
@@ -39,17 +40,12 @@ IDLE_NS = 2_000_000
 often; waking without need at real-time priority would starve the recorders beside it."""
 LOOK_NS = 20_000_000
 """How often it looks whether to end."""
-SILENT_NS = 5_000_000
-"""How often a moving platform is recorded when nobody asks."""
 ORPHAN_S = 3.0
 """A supervised plant outlives its supervisor by this at most: the drives shall bring the platform to rest."""
 REST_NS = 200_000_000
 """An orphan at rest for this long ends."""
-REST_RATE_m_s = 1e-3
-"""A leg slower than this is at rest."""
 CLOSING_S = 5.0
 """Closing an orphan's log takes no longer."""
-_ROW = PLANT.dtype
 
 
 class Bench(NamedTuple):
@@ -63,18 +59,6 @@ class Bench(NamedTuple):
 
 def _no_hands() -> None:
     """Nobody touches a plant but the drives."""
-
-
-def plant_row(number: int, s: Snapshot) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Return one row of PLANT."""
-    row = np.zeros((), _ROW)
-    truth = s.truth
-    row[()] = (
-        number, s.t_ns, s.syncs, s.commands, s.repeated, s.rejected, s.state, s.fault, s.length, s.rate,
-        s.command, s.force, s.applied, s.brake, s.wrench,
-        *((np.nan, np.nan, np.nan) if truth is None else (truth.p, truth.R, truth.twist)),
-    )  # fmt: skip
-    return row
 
 
 def run_plant(
@@ -204,42 +188,6 @@ def _failures_logged(recording: Recording | None, clock: Clock) -> Iterator[None
         ) from error
 
 
-class _Rows:
-    """Rows of the plant's log: one when drives were heard or have spoken, and now and then while legs move.
-
-    Mutable state: the last snapshot, the number of rows, the frames since then, whether legs move, and
-    whether a row is due.
-    """
-
-    def __init__(self, recording: Recording | None, nodes: Nodes) -> None:
-        self._recording, self._nodes = recording, nodes
-        self._last = nodes.snapshot()
-        self._number, self._moving = 0, False
-        self._heard: list[Received] = []
-        self._sent: list[Frame] = []
-        self._due = False
-
-    def take(self, heard: list[Received], sent: list[Frame], now_ns: int) -> None:
-        """Note what the drives heard and sent until now."""
-        if self._recording is not None:
-            self._heard += heard
-            self._sent += sent
-            spoke = bool(sent) or self._nodes.syncs != self._last.syncs
-            self._due = self._due or spoke or (self._moving and self._is_old(now_ns))
-
-    def write(self, now_ns: int, *, answered: bool = True) -> None:
-        """Write the row that is due, if any; not before all is `answered`, unless the last one is old."""
-        if self._recording is not None and self._due and (answered or self._is_old(now_ns)):
-            self._last, self._due = self._nodes.snapshot(), False
-            self._moving = not at_rest(self._last)
-            self._recording.tick(plant_row(self._number, self._last), self._heard, self._sent)
-            self._number += 1
-            self._heard, self._sent = [], []
-
-    def _is_old(self, now_ns: int) -> bool:
-        return now_ns - self._last.t_ns >= SILENT_NS
-
-
 def _serve(
     bench: Bench,
     bus: Bus,
@@ -257,7 +205,7 @@ def _serve(
     end = None if duration_s is None else now + round(duration_s * 1e9)
     next_look = now
     later: list[tuple[int, Frame]] = []
-    rows = _Rows(recording, nodes)
+    rows = PlantRows(None if recording is None else recording.tick, nodes)
     moved_ns = 0
     try:
         while not stop.reason:
@@ -300,9 +248,3 @@ def latest(frames: list[Frame], awaited: Callable[[Frame], int]) -> list[Frame]:
         return frames
     newest = {(frame.id, frame.bus, awaited(frame)): frame for frame in frames}
     return frames if len(newest) == len(frames) else list(newest.values())
-
-
-def at_rest(s: Snapshot) -> bool:
-    """Tell whether no drive is powered and no leg moves."""
-    powered = np.isin(s.state, (DriveState.READY, DriveState.RUN)).any()
-    return not powered and float(np.abs(s.rate).max()) < REST_RATE_m_s

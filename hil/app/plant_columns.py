@@ -32,6 +32,6 @@ PLANT = Table(
 )
 """The truth that the controller does not know.
 
-One row for every SYNC, for every other frame that the drives send, and every few milliseconds while
-something moves and nobody asks.
+One row for every SYNC, for every other frame that the drives send (for several of them where they come so
+fast that there is only time to answer), and every few milliseconds while something moves and nobody asks.
 """

@@ -6,8 +6,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import load
-from hil.app.plant import plant_row
 from hil.app.plant_columns import PLANT
+from hil.app.plant_rows import plant_row
 from hil.record import Recording
 from hil.record.log import Log
 

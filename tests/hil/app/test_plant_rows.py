@@ -1,0 +1,77 @@
+"""Rows of the plant's log in real time: none before what waits is answered, none lost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivers.protocol import DriveSetup, Frame, Received
+from drivers.signals import Reaction
+from hil.app.compose import build_nodes, build_protocol
+from hil.app.configuration.configuration import load
+from hil.app.plant_rows import SILENT_NS, PlantRows
+
+MS = 1_000_000
+
+
+class Log:
+    """Keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[Any, list[Received], list[Frame]]] = []
+
+    def tick(self, row: Any, heard: list[Received], sent: list[Frame]) -> None:
+        self.rows.append((row, list(heard), list(sent)))
+
+
+@pytest.fixture
+def served():
+    """Six drives that nobody has asked, their log and its rows, and the SYNC of a tick."""
+    c = load("virtual")
+    nodes, plant = build_nodes(c)
+    protocol = build_protocol(c)
+    dialogue = protocol.start(DriveSetup(0.1, Reaction.BRAKE, 1000.0))
+    nodes.start(0)
+    log = Log()
+    yield nodes, log, PlantRows(log.tick, nodes), lambda tick: protocol.begin(dialogue, tick)[0]
+    plant.close()
+
+
+def heard_at(served, t_ns):
+    nodes, _, rows, sync = served
+    heard = [(t_ns, sync(t_ns // MS))]
+    sent = [frame for _, frame in nodes.step(t_ns, heard)]
+    rows.take(heard, sent, t_ns)
+    return heard, sent
+
+
+def test_what_came_while_drives_had_to_answer_is_in_one_row_with_every_frame(served):
+    _, log, rows, _ = served
+    first, second = heard_at(served, MS), heard_at(served, 2 * MS)
+    rows.write(2 * MS, answered=False)
+    assert log.rows == []
+    rows.write(2 * MS)
+    ((row, heard, sent),) = log.rows
+    assert heard == first[0] + second[0]
+    assert sent == first[1] + second[1]
+    assert len(sent) >= 12
+    assert (row["syncs"], row["t_ns"], row["tick"]) == (2, 2 * MS, 0)
+
+
+def test_a_row_that_is_due_is_written_once(served):
+    _, log, rows, _ = served
+    rows.write(MS)
+    assert log.rows == [], "nobody was heard"
+    heard_at(served, MS)
+    rows.write(MS)
+    rows.write(MS)
+    assert len(log.rows) == 1
+
+
+def test_drives_that_have_to_answer_all_the_time_are_recorded_all_the_same(served):
+    _, log, rows, _ = served
+    for t_ns in range(MS, 13 * MS, MS):
+        heard_at(served, t_ns)
+        rows.write(t_ns, answered=False)
+    assert [int(row["t_ns"]) for row, _, _ in log.rows] == [MS + SILENT_NS, 2 * MS + 2 * SILENT_NS]

@@ -30,9 +30,11 @@ def serving(c: Configuration) -> Iterator[Nodes]:
         except Exception as error:  # noqa: BLE001 - raised in the test's thread below
             failed.append(error)
 
+    booted_ns = bus.clock.now() + round(1.5e6 * c.drives.heartbeat_ms)
     thread = threading.Thread(target=serve)
     thread.start()
-    time.sleep(1.5e-3 * c.drives.heartbeat_ms)  # within a heartbeat all have booted
+    while nodes.now_ns < booted_ns and thread.is_alive():  # the first steps of an FMU may take long
+        time.sleep(0.01)
     try:
         yield nodes
     finally:

@@ -81,7 +81,8 @@ def run_plant(
     assert c.plant is not None
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
-        if supervisor is not None and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
+        ours = supervisor is not None or bench is not None  # a foreign controller does not hold time
+        if ours and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
             bus.clock.hold()
         served = bench or Bench(*build_nodes(c), _no_hands)
         stack.callback(served.plant.close)

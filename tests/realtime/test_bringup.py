@@ -68,3 +68,21 @@ def test_exchanged_drives_are_named_over_the_bus_and_asked_for_again_when_mended
     assert not again.summary["success"]
     plant.interrupt()
     assert plant.wait() == 0, plant.errors
+
+
+@pytest.mark.realtime(patient=True)
+def test_a_good_machine_moves_at_the_end_while_the_time_of_its_bench_may_stand_still(
+    tmp_path: Path, start: Callable[..., Process]
+) -> None:
+    file = configuration(tmp_path, patient=False)
+    plant = start("plant", str(file), "--bench")
+    plant.wait_for_child("hil.record")
+    bringup = start("bringup", str(file), "--yes")
+    assert bringup.wait(120.0) == 0, bringup.errors
+    assert bringup.summary["passed"][-1] == "mounted"
+    assert bringup.summary["findings"] == []
+    logs = tmp_path.rglob("*.mcap")
+    (run,) = (log for log in logs if "plant" not in log.stem and "bringup" not in log.stem)
+    assert hil.Log(run).frame()["stretched_ns"].sum() > 0, "nobody held the bench's time"
+    plant.interrupt()
+    assert plant.wait() == 0, plant.errors

@@ -272,7 +272,8 @@ def _release(
         return Together(success=False, lines=[f"[ ] together: {refusal}"])
     if bench is None:
         state_lengths(found, context, said)
-        summary = run_daemon(found, draw=False, arm=True)
+        rehearsed = asked(hands_socket(found.bus.interface, found.bus.channel))
+        summary = run_daemon(found, draw=False, arm=True, on_bench=rehearsed)
         success, faults = summary["success"], summary.get("faults", ())
         lines = lines_of(success, summary["trouble"] or f"log {summary['log']}")
         together = Together(success, lines, str(Fault.BRAKE.name) in faults)

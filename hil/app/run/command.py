@@ -59,12 +59,13 @@ def run_daemon(
     wait_for_arm: bool = False,
     faults: Sequence[str] = (),
     with_watch: bool = False,
+    on_bench: bool = False,
 ) -> dict[str, Any]:
     """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
 
     arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for, or, with
     wait_for_arm, the operator channel's word alone. `faults` are words for its plant. with_watch: serve the
-    live page beside it.
+    live page beside it. on_bench: a rehearsal bench that another process serves is on the bus.
     Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
     """
     c = configuration
@@ -76,7 +77,7 @@ def run_daemon(
         stack.enter_context(_startable())
         stack.enter_context(panel.attached())
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
-        clock = bench_clock(c, bus) if with_plant else None
+        clock = bench_clock(c, bus) if with_plant or on_bench else None
         rate, watchdog_s = select_rate(c, with_plant=with_plant, stretching=clock is not None)
         keeper = Keeper(c, emulated=with_plant)
         cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)

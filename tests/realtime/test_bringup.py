@@ -13,8 +13,9 @@ import pytest
 
 import hil
 from hil.app.configuration.changes import with_changes
+from hil.record.log import Log
 from tests.hil.bringup.families import FAMILIES
-from tests.realtime.rig import CHANNEL, Process, configuration
+from tests.realtime.rig import CHANNEL, Process, configuration, gone
 
 pytestmark = pytest.mark.long
 SILENT_TICKS = 6 * (1 + 6)
@@ -92,6 +93,34 @@ def test_a_good_machine_moves_at_the_end_although_its_bench_is_held_up_for_a_whi
     assert bringup.wait(120.0) == 0, bringup.errors
     assert bringup.summary["passed"][-1] == "mounted"
     assert hil.Log(runs[0]).frame()["stretched_ns"].sum() > 30_000_000
+    plant.interrupt()
+    assert plant.wait() == 0, plant.errors
+
+
+@pytest.mark.realtime(patient=True)
+def test_the_steps_outlast_a_bench_and_a_bring_up_that_are_held_up_again_and_again(
+    tmp_path: Path, start: Callable[..., Process]
+) -> None:
+    file = configuration(tmp_path, patient=False)
+    plant = start("plant", str(file), "--bench", "--mistake", "force_sign leg=5")
+    plant.wait_for_child("hil.record")
+    bringup = start("bringup", str(file), "--yes")
+    bringup.wait_for_child("hil.record")
+    turn = stops = 0
+    while not gone(bringup.pid):
+        time.sleep(0.3)
+        if not gone(bringup.pid):
+            held = (plant, bringup)[turn := 1 - turn]
+            os.kill(held.pid, signal.SIGSTOP)
+            time.sleep(0.05)
+            os.kill(held.pid, signal.SIGCONT)
+            stops += 1
+    assert bringup.wait() == 1, bringup.errors
+    assert [line.split(":")[:2] for line in bringup.summary["findings"]] == [["force_sign", " leg 5"]]
+    events = Log.open(bringup.summary["log"]).events()
+    stood = [event.text for event in events if "bench time stood still" in event.text]
+    assert stops > 20
+    assert len(stood) == 1
     plant.interrupt()
     assert plant.wait() == 0, plant.errors
 

@@ -24,6 +24,7 @@ class BusLine:
         self._left = shut if watched else f"the drives {NO_WATCHDOG}"
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
         self._window_ns = round(1e9 * window_s)
+        self._rest_ns = self._deadlines.period_ns - self._window_ns
         bus.flush_tx()
         bus.drain_now()
 
@@ -42,6 +43,7 @@ class BusLine:
             if not heard:
                 break
             frames += heard
+        self._bus.clock.working(self._rest_ns)
         if self._bus.events().off:
             raise BusError(f"the bus is down: {self._left}; look at cable and power")
         return Heard(began, tuple(frames))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
+from drivers.can.localcan.bench_clock import BenchClock
 from drivers.errors import ConfigurationError, RunError
 from drivers.protocol import Frame, Received
 from drivers.signals import Fault
@@ -23,11 +24,12 @@ from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.together import Together, lines_of, six_legs
 from hil.app.bringup.words import wiring_of
-from hil.app.compose import attachments, build_protocol, build_scene
+from hil.app.compose import attachments, build_protocol, build_scene, drive_setup
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
 from hil.app.output import log_path
 from hil.app.run.command import run_daemon
+from hil.app.run.stretching import begin, bench_clock
 from hil.bringup.context import Context, Finding, Operator, RefusedError, Request
 from hil.bringup.drives import Drives
 from hil.bringup.line import Line
@@ -82,7 +84,8 @@ def run_bringup(
     """
     rehearsal = mistakes is not None
     words = tuple(mistakes or ())
-    rehearsed = rehearsal or asked(hands_socket(c.bus.interface, c.bus.channel))
+    served = not rehearsal and asked(hands_socket(c.bus.interface, c.bus.channel))
+    rehearsed = rehearsal or served
     if not rehearsal:
         c.require("run")
         if yes and not rehearsed:
@@ -100,12 +103,14 @@ def run_bringup(
         if not rehearsal:
             mark_moved(c, said)
         bench = build_bench(c, wiring) if wiring is not None else None
-        outcome, context, reason = _proceed(c, bench, store, said, yes=yes)
+        outcome, context, reason = _proceed(c, bench, store, said, yes=yes, served=served)
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
         together = Together(success=False, lines=[])
         if outcome.success and not reason:
             write_whole(files.found, text)
-            together = _release(loads(text, str(files.found), c.folder), bench, context, said, yes=yes)
+            together = _release(
+                loads(text, str(files.found), c.folder), bench, context, said, yes=yes, served=served
+            )
             if together.success:
                 text = found_text(c, context, (), released=True, rehearsed=rehearsed)
                 write_whole(files.found, text)
@@ -216,8 +221,12 @@ def _proceed(
     said: _Said,
     *,
     yes: bool,
+    served: bool,
 ) -> tuple[Outcome, Context, str]:
-    """Do the steps on an open line; return how far they came, what is known, and why they were ended."""
+    """Do the steps on an open line; return how far they came, what is known, and why they were ended.
+
+    served: a bench that another process serves is on the bus.
+    """
     protocol, rate = build_protocol(c), bringup_rate(c)
     machine = build_machine(c, protocol)
     with contextlib.ExitStack() as stack:
@@ -229,12 +238,17 @@ def _proceed(
             line, operator = BenchLine(bench.nodes, rate), BenchHands(bench, known_poses(c), agree, said)
         else:
             bus = stack.enter_context(Bus.open(c.bus, role="controller"))
-            address = BusAddress(c.bus.interface, c.bus.channel)
-            if asked(hands_socket(*address)):
+            window_s = WINDOW / rate
+            if served:
                 said("a rehearsal bench is served on this bus: its hands do what you are asked")
+                address = BusAddress(c.bus.interface, c.bus.channel)
                 operator = stack.enter_context(contextlib.closing(RemoteHands(address, terminal, agree)))
+                clock = bench_clock(c, bus)
+                if clock is not None:
+                    begin(clock, c, protocol, protocol.start(drive_setup(c, rate)), round(1e9 * window_s))
+                    stack.callback(_leave, clock, clock.stretched(), said)
             stack.enter_context(real_time(c.loop.priority, c.loop.cpu))
-            line = BusLine(bus, rate, WINDOW / rate, watched=protocol.has_watchdog)
+            line = BusLine(bus, rate, window_s, watched=protocol.has_watchdog)
         drives = Drives(protocol, line, machine.watchdog_s, said.tick)
         context = Context(machine, drives, operator, store.facts, store.save)
         try:
@@ -250,6 +264,16 @@ def _proceed(
         return Outcome(tuple(store.facts.get("passed", {})), (), stopped="ended"), context, why
 
 
+def _leave(clock: BenchClock, since_ns: int, said: _Said) -> None:
+    """Hold a bench's time no longer, and say by how much it has stood still since it was `since_ns`."""
+    clock.leave()
+    stood_ms = 1e-6 * (clock.stretched() - since_ns)
+    if stood_ms >= 1.0:
+        said(
+            f"bench time stood still for {stood_ms:.0f} ms where this machine was late: a real drive goes on"
+        )
+
+
 def _release(
     found: Configuration,
     bench: RehearsalBench | None,
@@ -257,6 +281,7 @@ def _release(
     said: _Said,
     *,
     yes: bool,
+    served: bool,
 ) -> Together:
     """Let all six legs move together, by the ordinary controller at the limits that were found.
 
@@ -272,8 +297,7 @@ def _release(
         return Together(success=False, lines=[f"[ ] together: {refusal}"])
     if bench is None:
         state_lengths(found, context, said)
-        rehearsed = asked(hands_socket(found.bus.interface, found.bus.channel))
-        summary = run_daemon(found, draw=False, arm=True, on_bench=rehearsed)
+        summary = run_daemon(found, draw=False, arm=True, on_bench=served)
         success, faults = summary["success"], summary.get("faults", ())
         lines = lines_of(success, summary["trouble"] or f"log {summary['log']}")
         together = Together(success, lines, str(Fault.BRAKE.name) in faults)

@@ -8,9 +8,9 @@ from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.localcan.bench_clock import BenchClock
+from drivers.protocol import Dialogue, DriveProtocol
 from drivers.several_buses import off_bus
 from hil.app.configuration.configuration import Configuration
-from hil.loop.cycle import Cycle
 from hil.safety.timing import HARMFUL_STRETCH_NS
 
 COUNTED_NS = 1_000_000
@@ -25,14 +25,15 @@ def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
     return clock if c.loop.on_stall == "stretch" and isinstance(clock, BenchClock) else None
 
 
-def begin(clock: BenchClock, c: Configuration, cycle: Cycle, window_ns: int) -> None:
+def begin(
+    clock: BenchClock, c: Configuration, protocol: DriveProtocol, dialogue: Dialogue, window_ns: int
+) -> None:
     """Let time stand still from now on, and hold it.
 
     Of what the frames of SYNC and feedback leave of the feedback window, on the fullest bus, a part each is
     for the controller to wake up in, for the drives to do so, and two for these to answer; the rest is kept.
     """
-    protocol = cycle.parts.protocol
-    asked = protocol.begin(cycle.dialogue, 0)
+    asked = protocol.begin(dialogue, 0)
     answers = [
         frame for frame in protocol.cyclic_frames() if protocol.awaited(frame) in protocol.feedback_ids
     ]

@@ -5,6 +5,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.can.bus import Bus, BusEvents
+from drivers.clock import Clock
 from drivers.errors import BusError
 from drivers.protocol import Frame, Received
 from hil.app.bringup.bus_line import BusLine
@@ -12,11 +13,12 @@ from hil.app.bringup.bus_line import BusLine
 POLL, ANSWER, LATE = Frame(1, b"p"), Frame(2, b"a"), Frame(3, b"l")
 
 
-class Clock:
+class Waited(Clock):
     """Time that passes when somebody waits for it."""
 
     def __init__(self) -> None:
         self.t_ns = 1_000_000
+        self.allowed_ns = 0
 
     def now(self) -> int:
         return self.t_ns
@@ -25,12 +27,15 @@ class Clock:
         del spin_ns
         self.t_ns = max(self.t_ns, t_ns)
 
+    def working(self, allowed_ns: int = 0) -> None:
+        self.allowed_ns = allowed_ns
+
 
 class FakeBus:
     """Answers each poll after 0.3 ms, and once more 1.6 ms later."""
 
     def __init__(self) -> None:
-        self.clock, self.off = Clock(), False
+        self.clock, self.off = Waited(), False
         self.due: list[Received] = []
         self.sent: list[Frame] = []
 
@@ -71,6 +76,12 @@ def test_a_tick_waits_as_long_as_its_window():
     bus = FakeBus()
     line = BusLine(cast("Bus", bus), 500.0, 1.95e-3, watched=True)
     assert [r.frame for r in line.exchange([POLL]).frames] == [ANSWER, LATE]
+
+
+def test_what_the_window_leaves_of_a_period_is_for_computing():
+    bus = FakeBus()
+    BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True).exchange([POLL])
+    assert bus.clock.allowed_ns == 700_000
 
 
 @pytest.mark.parametrize(("watched", "left"), [(True, "watchdogs shut"), (False, "cut their power now")])

@@ -174,20 +174,21 @@ def test_a_log_that_was_cut_at_the_end_is_no_success(ended):
     assert (summary["success"], FULL in summary["trouble"]) == (False, True)
 
 
+@pytest.mark.parametrize("served", [True, False])
 @pytest.mark.parametrize("agrees", [True, False])
-def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees):
+def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees, served):
     done: list[str] = []
     monkeypatch.setattr(Terminal, "consent", lambda *_: agrees or _refuse())
     monkeypatch.setattr(command, "state_lengths", lambda *_: done.append("stated"))
 
-    def run(*_, **__):
-        done.append("ran")
+    def run(*_, on_bench, **__):
+        done.append("on a bench" if on_bench else "ran")
         return {"success": False, "trouble": "x", "faults": ["BRAKE"]}
 
     monkeypatch.setattr(command, "run_daemon", run)
     said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
-    together = command._release(load("virtual"), None, None, said, yes=False)  # type: ignore[arg-type]
-    assert done == ["stated", "ran"] * agrees
+    together = command._release(load("virtual"), None, None, said, yes=False, served=served)  # type: ignore[arg-type]
+    assert done == ["stated", "on a bench" if served else "ran"] * agrees
     assert together.brake_failed is agrees
 
 

@@ -107,6 +107,7 @@ class Drives:
         live, rest = new_record(), new_record()
         for record in (live, rest):
             record["tick"], record["t_ns"] = tick, heard.since_ns
+            record["stretched_ns"] = heard.stretched_ns
         before, alike = self._records, leg is None and not self.locks
         self._live = self.protocol.decode(self._live, run, before[0], live, heard.since_ns)
         if alike:

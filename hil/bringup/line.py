@@ -13,6 +13,8 @@ class Heard(NamedTuple):
     """When the tick began."""
     frames: tuple[Received, ...]
     """All frames since the last tick, the answers to this one's first frames among them."""
+    stretched_ns: int = 0
+    """How long the bench's time has stood still since the last tick."""
 
 
 class Line(Protocol):

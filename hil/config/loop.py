@@ -23,8 +23,8 @@ class LoopSettings(Section):
     without_realtime: Literal["slow", "refuse"] = "slow"
     """Without SCHED_FIFO, or where `--plant` finds it not kept: drop to a rate that holds, or refuse."""
     on_stall: Literal["stretch", "fault"] = "stretch"
-    """With `--plant` on localcan, while this machine holds one side up: let bench time stand still, or go on
-    as on hardware, where a long stall ends in a fault."""
+    """With `--plant`, or at a served bench, on localcan, while this machine holds one side up: let bench time
+    stand still, or go on as on hardware, where a long stall ends in a fault."""
 
     def window_s(self, rate_Hz: float) -> float:
         """Return the longest wait for the six feedbacks at a rate, s."""

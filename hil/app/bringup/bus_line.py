@@ -11,7 +11,10 @@ from hil.loop.unheard import NO_WATCHDOG
 
 
 class BusLine:
-    """Ticks on an open bus. Mutable state: the deadlines, and the bus."""
+    """Ticks on an open bus.
+
+    Mutable state: the deadlines, the bus, and for how long its time has stood still.
+    """
 
     def __init__(self, bus: Bus, rate_Hz: float, window_s: float, *, watched: bool) -> None:
         """Take the open bus, the tick rate in Hz, and whether the drives have a watchdog of their own.
@@ -25,6 +28,7 @@ class BusLine:
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
         self._window_ns = round(1e9 * window_s)
         self._rest_ns = self._deadlines.period_ns - self._window_ns
+        self._stood_ns = bus.clock.stretched()
         bus.flush_tx()
         bus.drain_now()
 
@@ -35,6 +39,7 @@ class BusLine:
         """
         _, t_ns, lateness_ns, _ = self._deadlines.wait()
         began = t_ns + lateness_ns
+        before_ns, self._stood_ns = self._stood_ns, self._bus.clock.stretched()
         frames = self._bus.drain_now()
         self._bus.send(opening)
         end = began + self._window_ns
@@ -46,7 +51,7 @@ class BusLine:
         self._bus.clock.working(self._rest_ns)
         if self._bus.events().off:
             raise BusError(f"the bus is down: {self._left}; look at cable and power")
-        return Heard(began, tuple(frames))
+        return Heard(began, tuple(frames), self._stood_ns - before_ns)
 
     def send(self, frames: Sequence[Frame]) -> None:
         """Send the frames that end a tick."""

@@ -6,38 +6,38 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.bus_address import BusAddress
+import numpy as np
+
 from drivers.can.bus import Bus
-from drivers.can.localcan.bench_clock import BenchClock
+from drivers.clock import MONOTONIC, Clock
 from drivers.errors import ConfigurationError, RunError
-from drivers.protocol import Frame, Received
+from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import Fault
 from drivers.tick_columns import Record, row_of
-from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.checklist import checklist
+from hil.app.bringup.ends import Agree, End, machine_end, rehearsed_end, served_end
 from hil.app.bringup.found import FIRST_M, found_text, mended
-from hil.app.bringup.hands import RemoteHands, asked, hands_socket
+from hil.app.bringup.hands import asked, hands_socket
 from hil.app.bringup.homing import mark_moved, state_lengths
-from hil.app.bringup.machine import WINDOW, bringup_rate, build_machine, known_poses
-from hil.app.bringup.rehearsal import BenchHands, BenchLine, build_bench
+from hil.app.bringup.machine import bringup_rate, build_machine
+from hil.app.bringup.rehearsal import build_bench
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.together import Together, lines_of, six_legs
 from hil.app.bringup.words import wiring_of
-from hil.app.compose import attachments, build_protocol, build_scene, drive_setup
+from hil.app.compose import attachments, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
 from hil.app.output import log_path
 from hil.app.run.command import run_daemon
-from hil.app.run.stretching import begin, bench_clock
-from hil.bringup.context import Context, Finding, Operator, RefusedError, Request
+from hil.app.run.stretching import stretches, words_of
+from hil.bringup.context import Context, Finding, RefusedError, Request
 from hil.bringup.drives import Drives
-from hil.bringup.line import Line
 from hil.bringup.procedure import Outcome, bring_up
-from hil.loop.clock import real_time
 from hil.record import Recording
 from plant_fmu.rehearsal.bench import RehearsalBench
 
+_SERVED = "a bench that another process serves"
 _MOUNT = "Fix the platform to its legs, take the levers off the brakes, keep the hoist slack, and stand clear"
 
 
@@ -90,33 +90,49 @@ def run_bringup(
         c.require("run")
         if yes and not rehearsed:
             raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
-    wiring = wiring_of(words, build_protocol(c)) if rehearsal else None
+    protocol = build_protocol(c)
+    wiring = wiring_of(words, protocol) if rehearsal else None
     files = files_of(configuration, c, state, rehearsal=rehearsal)
-    store = Store(files.state, identity(c, words), again=again)
+    store = Store(files.state, identity(c, (*words, *[_SERVED] * served)), again=again)
     if store.changed:
         say(f"other hardware than in {files.state} ({store.changed}): everything is measured again")
     elif store.facts:
         say(f"{files.state}: what it holds is not asked again; --again begins anew")
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
-    with _log(c, path, lockstep=rehearsal) as recording:
+    with contextlib.ExitStack() as outer:
+        steps = outer.enter_context(contextlib.ExitStack())
+        bus = None if rehearsal else steps.enter_context(Bus.open(c.bus, role="controller"))
+        recording = outer.enter_context(_log(c, path, None if bus is None else bus.clock))
         said = _Said(say, recording)
-        if not rehearsal:
-            mark_moved(c, said)
-        bench = build_bench(c, wiring) if wiring is not None else None
-        outcome, context, reason = _proceed(c, bench, store, said, yes=yes, served=served)
+        terminal = Terminal(said)
+        agree = _agreed if yes else terminal.consent
+        bench = None if wiring is None else build_bench(c, wiring)
+        with steps:
+            if bus is None:
+                assert bench is not None
+                end = rehearsed_end(c, bench, agree, said)
+            else:
+                mark_moved(c, said)
+                ends = (
+                    served_end(c, bus, protocol, terminal, agree, said)
+                    if served
+                    else machine_end(c, bus, protocol, terminal)
+                )
+                end = steps.enter_context(ends)
+            outcome, context, reason = _proceed(c, protocol, end, store, said, hang=bench is None)
+        bench_time = stretches(np.array(said.stood_ns, np.int64))
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
         together = Together(success=False, lines=[])
         if outcome.success and not reason:
             write_whole(files.found, text)
-            together = _release(
-                loads(text, str(files.found), c.folder), bench, context, said, yes=yes, served=served
-            )
+            found = loads(text, str(files.found), c.folder)
+            together = _release(found, bench, context, said, agree, served=served)
             if together.success:
                 text = found_text(c, context, (), released=True, rehearsed=rehearsed)
                 write_whole(files.found, text)
             if together.brake_failed:
                 store.forget_brakes()
-        lines = checklist(context, outcome, together.lines)
+        lines = [*checklist(context, outcome, together.lines), *filter(None, [words_of(bench_time)])]
         if outcome.findings:
             lines += _write_mended(c, files.found, text, outcome.findings, said, rehearsal=rehearsal)
         write_whole(files.checklist, "\n".join([*_head(c, path, rehearsed=rehearsed), *lines]) + "\n")
@@ -127,7 +143,8 @@ def run_bringup(
     if closed.error:
         cut = f"{closed.error}: {closed.dropped + closed.lost} ticks are not in the log"
         reason = "; ".join(filter(None, (reason, cut)))
-    return _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
+    summary = _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
+    return summary | ({"bench_time": bench_time} if bench_time["stretches"] else {})
 
 
 def _write_mended(
@@ -181,7 +198,7 @@ def _summary(
 class _Said:
     """Says texts to the operator and into the log.
 
-    Mutable state: the time of the last tick, and why the log was cut.
+    Mutable state: the time of the last tick, why the log was cut, and for how long bench time stood still.
     """
 
     def __init__(self, say: Callable[[str], None], recording: Recording) -> None:
@@ -189,6 +206,8 @@ class _Said:
         self.t_ns = 0
         self.trouble = ""
         """Why the recorder has ended; empty while it lives."""
+        self.stood_ns: list[int] = []
+        """For how long bench time stood still before ticks, where it did."""
 
     def __call__(self, text: str) -> None:
         self.event(text)
@@ -210,68 +229,33 @@ class _Said:
     def tick(self, record: Record, received: Sequence[Received], sent: Sequence[Frame]) -> None:
         """Record a tick."""
         self.t_ns = int(record["t_ns"])
+        if record["stretched_ns"]:
+            self.stood_ns.append(int(record["stretched_ns"]))
         if self._recorded():
             self._recording.tick(row_of(record), received, sent)
 
 
 def _proceed(
-    c: Configuration,
-    bench: RehearsalBench | None,
-    store: Store,
-    said: _Said,
-    *,
-    yes: bool,
-    served: bool,
+    c: Configuration, protocol: DriveProtocol, end: End, store: Store, said: _Said, *, hang: bool
 ) -> tuple[Outcome, Context, str]:
-    """Do the steps on an open line; return how far they came, what is known, and why they were ended.
+    """Do the steps at an end; return how far they came, what is known, and why they were ended.
 
-    served: a bench that another process serves is on the bus.
+    hang: the platform is to be fixed to its legs in the end.
     """
-    protocol, rate = build_protocol(c), bringup_rate(c)
     machine = build_machine(c, protocol)
-    with contextlib.ExitStack() as stack:
-        terminal = Terminal(said)
-        agree = _agreed if yes else terminal.consent
-        line: Line
-        operator: Operator = terminal
-        if bench is not None:
-            line, operator = BenchLine(bench.nodes, rate), BenchHands(bench, known_poses(c), agree, said)
-        else:
-            bus = stack.enter_context(Bus.open(c.bus, role="controller"))
-            window_s = WINDOW / rate
-            if served:
-                said("a rehearsal bench is served on this bus: its hands do what you are asked")
-                address = BusAddress(c.bus.interface, c.bus.channel)
-                operator = stack.enter_context(contextlib.closing(RemoteHands(address, terminal, agree)))
-                clock = bench_clock(c, bus)
-                if clock is not None:
-                    begin(clock, c, protocol, protocol.start(drive_setup(c, rate)), round(1e9 * window_s))
-                    stack.callback(_leave, clock, clock.stretched(), said)
-            stack.enter_context(real_time(c.loop.priority, c.loop.cpu))
-            line = BusLine(bus, rate, window_s, watched=protocol.has_watchdog)
-        drives = Drives(protocol, line, machine.watchdog_s, said.tick)
-        context = Context(machine, drives, operator, store.facts, store.save)
-        try:
-            outcome = bring_up(context)
-            if outcome.success and bench is None:
-                context.ask(Request("mount", text=_MOUNT))
-        except RefusedError as refusal:
-            why = str(refusal)
-        except KeyboardInterrupt:
-            why = "ended by Ctrl-C: forces zero, brakes shut; what was found is kept"
-        else:
-            return outcome, context, ""
-        return Outcome(tuple(store.facts.get("passed", {})), (), stopped="ended"), context, why
-
-
-def _leave(clock: BenchClock, since_ns: int, said: _Said) -> None:
-    """Hold a bench's time no longer, and say by how much it has stood still since it was `since_ns`."""
-    clock.leave()
-    stood_ms = 1e-6 * (clock.stretched() - since_ns)
-    if stood_ms >= 1.0:
-        said(
-            f"bench time stood still for {stood_ms:.0f} ms where this machine was late: a real drive goes on"
-        )
+    drives = Drives(protocol, end.line, machine.watchdog_s, said.tick)
+    context = Context(machine, drives, end.operator, store.facts, store.save)
+    try:
+        outcome = bring_up(context)
+        if outcome.success and hang:
+            context.ask(Request("mount", text=_MOUNT))
+    except RefusedError as refusal:
+        why = str(refusal)
+    except KeyboardInterrupt:
+        why = "ended by Ctrl-C: forces zero, brakes shut; what was found is kept"
+    else:
+        return outcome, context, ""
+    return Outcome(tuple(store.facts.get("passed", {})), (), stopped="ended"), context, why
 
 
 def _release(
@@ -279,8 +263,8 @@ def _release(
     bench: RehearsalBench | None,
     context: Context,
     said: _Said,
+    agree: Agree,
     *,
-    yes: bool,
     served: bool,
 ) -> Together:
     """Let all six legs move together, by the ordinary controller at the limits that were found.
@@ -292,14 +276,17 @@ def _release(
     said("together: six legs at reduced limits")
     will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
     try:
-        (_agreed if yes else Terminal(said).consent)("six legs together", will, "Ctrl-C parks, twice stops")
+        agree("six legs together", will, "Ctrl-C parks, twice stops")
     except RefusedError as refusal:
         return Together(success=False, lines=[f"[ ] together: {refusal}"])
+    except KeyboardInterrupt:
+        return Together(success=False, lines=["[ ] together: ended by Ctrl-C before it began"])
     if bench is None:
         state_lengths(found, context, said)
         summary = run_daemon(found, draw=False, arm=True, on_bench=served)
         success, faults = summary["success"], summary.get("faults", ())
-        lines = lines_of(success, summary["trouble"] or f"log {summary['log']}")
+        stood = words_of(summary["bench_time"]) if "bench_time" in summary else ""
+        lines = lines_of(success, summary["trouble"] or f"log {summary['log']}", stood)
         together = Together(success, lines, str(Fault.BRAKE.name) in faults)
     else:
         ending = six_legs(found, bench)
@@ -322,15 +309,17 @@ def _head(c: Configuration, log: Path, *, rehearsed: bool) -> list[str]:
 
 
 @contextlib.contextmanager
-def _log(c: Configuration, path: Path, *, lockstep: bool) -> Iterator[Recording]:
+def _log(c: Configuration, path: Path, clock: Clock | None) -> Iterator[Recording]:
+    """Record a bring-up on a bus by its clock; None: a rehearsal, which has a time of its own."""
     with Recording.start(
         path,
         configuration=c.text,
         attachments=attachments(c),
         metadata={"kind": "bringup", "rate_Hz": bringup_rate(c), "protocol": c.drives.protocol},
         scene=build_scene(c),
-        can_channel=c.bus.channel,
+        can_channel=[each.channel for each in c.bus.buses],
         ring_ticks=c.recording.ring_ticks,
-        lockstep=lockstep,
+        lockstep=clock is None,
+        clock=clock or MONOTONIC,
     ) as recording:
         yield recording

@@ -6,21 +6,24 @@ come from the bench's truth, with the errors of tape and gauge.
 
 import contextlib
 import json
+import math
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import get_args
 
 from drivers.bus_address import BusAddress
 from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import RunError
+from drivers.signals import LEGS
 from hil.app.bringup.machine import known_poses
 from hil.app.bringup.rehearsal import PATIENCE, BenchHands, build_bench, mounted
 from hil.app.bringup.words import wiring_of
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.plant import Bench
-from hil.bringup.context import Operator, Request
+from hil.bringup.context import Act, Operator, Request
 
 _LONGEST = 4096
 
@@ -71,9 +74,12 @@ def _serve(door: socket.socket, hands: BenchHands) -> None:
         data, sender = door.recvfrom(_LONGEST)
         try:
             act, leg, value = json.loads(data)
-            hands.ask(Request(act, int(leg), float(value)))
-        except (TypeError, ValueError, LookupError):
+            request = Request(act, int(leg), float(value))
+        except (TypeError, ValueError):
             return  # no request of a bring-up
+        if act not in get_args(Act) or not -1 <= request.leg < LEGS or not math.isfinite(request.value):
+            return
+        hands.ask(request)
         with contextlib.suppress(OSError):
             door.sendto(json.dumps(hands.answer()).encode(), sender)
 
@@ -91,7 +97,7 @@ class RemoteHands:
         self._beside, self._agree = beside, agree
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        server = hands_socket(address.interface, address.channel)
+        self._server = server = hands_socket(address.interface, address.channel)
         self._own = server.with_name(f"{server.name}-{os.getpid()}")
         try:
             self._own.unlink(missing_ok=True)
@@ -122,7 +128,9 @@ class RemoteHands:
         try:
             answer = json.loads(self._socket.recv(_LONGEST))
         except BlockingIOError:
-            return None
+            if asked(self._server):
+                return None
+            raise RunError("the bench has ended; its own last line says why") from None
         except OSError as error:
             raise RunError(f"the bench does not answer any more: {error.strerror}") from None
         return None if answer is None else float(answer)

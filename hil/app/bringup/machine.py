@@ -5,7 +5,7 @@ import contextlib
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import ProtocolError
+from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import DriveProtocol, Status
 from drivers.signals import LEGS, DriveState
 from drivers.transmission import forgotten_length
@@ -18,6 +18,8 @@ from hil.robot.kinematics import leg_lengths
 
 TILT_deg = (3.0, 2.0, 4.0)
 """Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""
+TILT_SHARES = (1.0, 0.5, 0.25)
+"""Of that tilt, the largest which all legs reach."""
 FASTEST_Hz = 500.0
 """No faster, so that an adapter and a desktop computer keep up."""
 WINDOW = 0.9
@@ -33,11 +35,25 @@ def bringup_rate(c: Configuration) -> float:
 
 
 def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
-    """Return p (3,) m and R (3, 3) of the poses at which legs are compared: home, and tilted."""
-    home = c.platform.home
-    turned = np.add(home.rotation_vector_deg, TILT_deg).tolist()
-    tilted = Pose(position_m=home.position_m, rotation_vector_deg=(turned[0], turned[1], turned[2]))
-    return [pose_arrays(home), pose_arrays(tilted)]
+    """Return p (3,) m and R (3, 3) of the poses at which legs are compared: home, and tilted.
+
+    Raises ConfigurationError where even a small tilt takes a leg to the end of its stroke.
+    """
+    home, platform = c.platform.home, build_platform(c.platform)
+    low, high = c.platform.length_min_m, c.platform.length_max_m
+    for share in TILT_SHARES:
+        turned = np.add(home.rotation_vector_deg, np.multiply(share, TILT_deg)).tolist()
+        tilted = Pose(position_m=home.position_m, rotation_vector_deg=(turned[0], turned[1], turned[2]))
+        poses = [pose_arrays(home), pose_arrays(tilted)]
+        q = leg_lengths(platform, *poses[1])
+        if low < q.min() and q.max() < high:
+            return poses
+    leg = int(np.argmax(np.maximum(low - q, q - high)))
+    tilt_deg = share * float(np.linalg.norm(TILT_deg))
+    raise ConfigurationError(
+        f"platform.home: the second pose of a bring-up, tilted by {tilt_deg:.2g} deg, takes leg {leg} to "
+        f"{q[leg]:.4f} m; allowed: {low:g} to {high:g} m. Choose a home nearer to mid-stroke"
+    )
 
 
 def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:

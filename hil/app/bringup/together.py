@@ -44,9 +44,9 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
         plant.close()
 
 
-def lines_of(success: bool, words: str) -> list[str]:
-    """Return how the six legs ran, as lines of the checklist; `words`: what else is to be said of it."""
+def lines_of(success: bool, *words: str) -> list[str]:
+    """Return how the six legs ran, as lines of the checklist; `words`: what else is said, some empty."""
     mark = "x" if success else "!"
     done = "brakes carried the platform, first motion done, parked" if success else "ended early"
-    figures = f"{done}: {words}" if words else done
+    figures = ": ".join(filter(None, (done, "; ".join(filter(None, words)))))
     return [f"[{mark}] together: six legs at reduced limits", f"      {figures}"]

@@ -106,4 +106,4 @@ def counts(rows: Rows, powered: NDArray[np.bool_]) -> list[tuple[str, int]]:
 
 def stood_still(rows: Rows) -> dict[str, Any]:
     """Return the stretches of bench time; empty where it never stood still."""
-    return stretches(rows) if rows["stretched_ns"].any() else {}
+    return stretches(rows["stretched_ns"]) if rows["stretched_ns"].any() else {}

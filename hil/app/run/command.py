@@ -26,7 +26,7 @@ from hil.app.replay import replay_log
 from hil.app.run.consent import EnterKey
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import select_rate
-from hil.app.run.stretching import begin, bench_clock, stretches
+from hil.app.run.stretching import STRANGER, begin, bench_clock, stretches
 from hil.app.watch.process import WatchProcess
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
@@ -134,7 +134,7 @@ def run_daemon(
         if draw and result.get("tracking", {}).get("ticks"):
             _draw(result, c, closed.path)
     if interrupted:
-        warn("hil: a foreign participant has sent on this channel: bench time did not stand still any more")
+        warn(f"hil: {STRANGER}")
     if removed:
         result["removed_logs"] = removed
     if "recorder" in result and not closed.gave_up:
@@ -251,7 +251,7 @@ def _summary(
         return result | {"recorder": f"{result['recorder']}; {error}", "dropped_ticks": dropped}
     result |= figures(rows)
     if stretching:
-        result["bench_time"] = stretches(rows)
+        result["bench_time"] = stretches(rows["stretched_ns"])
     result["dropped_ticks"] = dropped
     _, result["replay"] = replay_log(closed.path)
     lossy = _missing(rows) == closed.dropped > 0 and not result["replay"]["different_ticks"]

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Rows
+from drivers.arrays import Ints
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.localcan.bench_clock import BenchClock
@@ -13,6 +13,7 @@ from drivers.several_buses import off_bus
 from hil.app.configuration.configuration import Configuration
 from hil.safety.timing import HARMFUL_STRETCH_NS
 
+STRANGER = "a foreign participant has sent on this channel: bench time did not stand still any more"
 COUNTED_NS = 1_000_000
 """Shorter stretches are not counted: each wake-up of a busy machine is one."""
 _LEAST_NS = 100_000
@@ -50,9 +51,8 @@ def begin(
     clock.hold()
 
 
-def stretches(rows: Rows) -> dict[str, Any]:
-    """Return what is reported of a run whose time could stand still; `rows` has dtype ROW."""
-    stood_ns = rows["stretched_ns"]
+def stretches(stood_ns: Ints) -> dict[str, Any]:
+    """Return what is reported of ticks before each of which bench time stood still for so many ns."""
     counted_ns = stood_ns[stood_ns >= COUNTED_NS]
     harmful = int(np.count_nonzero(counted_ns >= HARMFUL_STRETCH_NS))
     note = f"with real drives this machine would have ended the run: {harmful} of them are 4 ms or more"
@@ -62,3 +62,14 @@ def stretches(rows: Rows) -> dict[str, Any]:
         "longest_ms": round(1e-6 * float(stood_ns.max(initial=0)), 1),
         "note": note if harmful else None,
     }
+
+
+def words_of(bench_time: dict[str, Any]) -> str:
+    """Return `stretches` as a line; empty where none counts."""
+    if not bench_time["stretches"]:
+        return ""
+    times, longest = bench_time["stretches"], bench_time["longest_ms"]
+    return (
+        f"bench time stood still {times} times, {longest:g} ms at most, while this machine was late: "
+        "a real drive goes on"
+    )

@@ -18,7 +18,7 @@ class Waited(Clock):
 
     def __init__(self) -> None:
         self.t_ns = 1_000_000
-        self.allowed_ns = 0
+        self.allowed_ns = self.stood_ns = 0
 
     def now(self) -> int:
         return self.t_ns
@@ -29,6 +29,9 @@ class Waited(Clock):
 
     def working(self, allowed_ns: int = 0) -> None:
         self.allowed_ns = allowed_ns
+
+    def stretched(self) -> int:
+        return self.stood_ns
 
 
 class FakeBus:
@@ -82,6 +85,17 @@ def test_what_the_window_leaves_of_a_period_is_for_computing():
     bus = FakeBus()
     BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True).exchange([POLL])
     assert bus.clock.allowed_ns == 700_000
+
+
+def test_a_tick_says_for_how_long_time_stood_still_before_it():
+    bus = FakeBus()
+    bus.clock.stood_ns = 100
+    line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
+    stood = []
+    for more_ns in (0, 7_000_000, 0):
+        bus.clock.stood_ns += more_ns
+        stood.append(line.exchange([POLL]).stretched_ns)
+    assert stood == [0, 7_000_000, 0]
 
 
 @pytest.mark.parametrize(("watched", "left"), [(True, "watchdogs shut"), (False, "cut their power now")])

@@ -13,16 +13,20 @@ import pytest
 
 from drivers.bus_address import BusAddress
 from drivers.errors import ConfigurationError, RunError
+from hil.app.bringup import command
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.command import files_of, run_bringup
 from hil.app.bringup.found import commented, found_text, mended
 from hil.app.bringup.hands import RemoteHands, hands_socket, served_bench
+from hil.app.bringup.machine import build_machine
 from hil.app.bringup.store import Store, identity
 from hil.app.bringup.terminal import Terminal
 from hil.app.bringup.words import mistake_of, wiring_of
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load, loads
-from hil.bringup.context import Finding, RefusedError, Request
+from hil.bringup.context import Context, Finding, RefusedError, Request
+from hil.bringup.drives import Drives
+from hil.bringup.procedure import Outcome
 from hil.bringup.steps import encoder, ids, scan, silence
 from hil.record.log import Log
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
@@ -42,6 +46,29 @@ def test_another_node_number_is_other_hardware_and_nothing_is_kept(tmp_path):
     assert other.drives.node_ids[:2] == [2, 1]
     again = Store(path, identity(other, ()))
     assert (again.facts, again.changed) == ({}, "node numbers")
+
+
+def test_what_a_served_bench_has_shown_says_nothing_of_a_machine(tmp_path, short_folder, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", short_folder)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "_proceed", _stopped)
+    c = loads(
+        load("virtual").text.replace("folder: runs", f"folder: {tmp_path}/runs"), "x", load("virtual").folder
+    )
+    path, said = tmp_path / "state.json", list[str]()
+    with served_bench(c, []):
+        run_bringup("x", c, state=path, yes=True, say=said.append)
+    run_bringup("x", c, state=path, say=said.append)
+    assert f"other hardware than in {path} (rehearsal): everything is measured again" in said
+
+
+def _stopped(c, protocol, end, store, *_, **__):
+    """Keep a fact, and end."""
+    context = Context(
+        build_machine(c, protocol), Drives(protocol, end.line, 0.1), end.operator, store.facts, store.save
+    )
+    context.keep("held", 0, {"moved": False, "hand_N": 700.0})
+    return Outcome((), (), stopped="ended"), context, "ended"
 
 
 def test_what_is_to_be_mended_is_measured_again_and_the_rest_is_kept(tmp_path):
@@ -222,7 +249,10 @@ def test_the_hands_of_a_served_bench_are_asked_by_a_socket(short_folder, monkeyp
         with contextlib.closing(RemoteHands(address, beside, lambda *_: True)) as hands:
             lengths = []
             with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as stranger:
-                for nonsense in (b"nonsense", b"[1]", b'["measure", 9, 0]', b'["measure", {}, 0]'):
+                for nonsense in (
+                    *(b"nonsense", b"[1]", b'["measure", 9, 0]', b'["measure", {}, 0]'),
+                    *(b'["fly", 1, 0]', b'["move", 1, NaN]', b'["move", -2, 0.1]'),
+                ):
                     stranger.sendto(nonsense, str(hands_socket(address.interface, address.channel)))
                     bench.hands()
             for request in (Request("place", 2, 1.0), Request("measure", 2)):
@@ -232,6 +262,9 @@ def test_the_hands_of_a_served_bench_are_asked_by_a_socket(short_folder, monkeyp
                 lengths.append(hands.answer())
         with pytest.raises(RunError, match="another bench"), served_bench(c, []):
             pass
+        hands = RemoteHands(address, beside, lambda *_: True)
+    with contextlib.closing(hands), pytest.raises(RunError, match="the bench has ended"):
+        hands.answer()
     # stroke 0.75 to 2.2 m, and 2 % beyond it, less half of it
     assert lengths == [0.0, pytest.approx(2.2 + 0.02 * 1.45 - 0.5 * 1.45, abs=1e-3)]
 

@@ -50,7 +50,7 @@ def ended(tmp_path, monkeypatch):
             return Outcome(("scan",), findings)
 
         @contextlib.contextmanager
-        def log(_c, path, **_):
+        def log(_c, path, _clock):
             yield Recorder(path, fails_at)
 
         monkeypatch.setattr(command, "bring_up", steps)
@@ -148,6 +148,16 @@ def test_nothing_is_released_where_six_legs_were_refused(ended, tmp_path, monkey
     assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
 
 
+def test_ctrl_c_before_six_legs_leaves_a_checklist_and_releases_nothing(ended, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Terminal, "consent", interrupted)
+    summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), yes=False)
+    assert "[ ] together: ended by Ctrl-C" in (tmp_path / summary["checklist"]).read_text()
+    assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
+
+
 def _refuse(*_):
     raise RefusedError("ended by the operator")
 
@@ -183,13 +193,16 @@ def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, ag
 
     def run(*_, on_bench, **__):
         done.append("on a bench" if on_bench else "ran")
-        return {"success": False, "trouble": "x", "faults": ["BRAKE"]}
+        stood = {"stretches": 2, "longest_ms": 7.5}
+        return {"success": False, "trouble": "x", "faults": ["BRAKE"], "bench_time": stood}
 
     monkeypatch.setattr(command, "run_daemon", run)
     said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
-    together = command._release(load("virtual"), None, None, said, yes=False, served=served)  # type: ignore[arg-type]
+    agree = Terminal(said).consent
+    together = command._release(load("virtual"), None, None, said, agree, served=served)  # type: ignore[arg-type]
     assert done == ["stated", "on a bench" if served else "ran"] * agrees
     assert together.brake_failed is agrees
+    assert any("bench time stood still 2 times, 7.5 ms at most" in line for line in together.lines) is agrees
 
 
 def test_a_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):

@@ -15,6 +15,7 @@ import contextlib
 import fcntl
 import gc
 import os
+import signal
 import warnings
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -35,6 +36,10 @@ ATTEMPTS = 6
 """Tries of a real-time test, each after the first only beside a stall that was measured."""
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it; the suite has a process a processor
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # in the background of a script; what the tests start and interrupt would inherit that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextlib.contextmanager

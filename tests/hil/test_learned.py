@@ -131,6 +131,15 @@ def test_a_start_that_waits_for_the_operator_fades_them_out_and_in_again() -> No
     assert run.largest_step() < BUMPLESS
 
 
+def test_a_hold_in_the_approach_lets_them_come_back_before_the_reference_begins() -> None:
+    run = Run()
+    run.enter(Mode.APPROACH)
+    assert run.go(WAY - 300)[-1].all()
+    assert not run.go(300, speed=0.0)[-1].any()
+    assert run.go(260, speed=1.0)[-1].all()
+    assert run.largest_step() < BUMPLESS
+
+
 def test_they_join_only_when_what_was_there_has_gone() -> None:
     """The speed rises sooner than they fade; meanwhile the table goes on by 4 N a tick."""
     run = Run()

@@ -67,6 +67,27 @@ def test_no_set_points_lead_beyond_the_limits_of_an_axis(seed):
     np.testing.assert_allclose(words[-1], last, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_lower_speed_is_come_down_to_within_the_limits_in_either_direction(way):
+    trajectory = live()
+    trajectory.aim(START + way * np.array([1.0, 0.5, 0.0, 0.0, 0.3, 0.0]))
+    samples, share = [], {700: 0.25, 1600: 1.0}
+    for k in range(3000):
+        if k:
+            trajectory.advance(k, anywhere)
+        if k in share:
+            trajectory.limit(share[k])
+        samples.append(trajectory.sample(0.0))
+    words = six_words(samples)
+    v = way * np.diff(words, axis=0) / PERIOD
+    a = np.diff(v, axis=0) / PERIOD
+    assert np.abs(a).max() <= A * (1 + 1e-6)
+    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
+    assert v[699, 0] == pytest.approx(V)
+    assert v[1500, 0] == pytest.approx(0.25 * V)
+    assert v[2400, 0] == pytest.approx(V)
+
+
 def test_twist_and_its_rate_are_the_derivatives_of_the_pose():
     trajectory = live()
     samples = []
@@ -118,10 +139,11 @@ def test_it_holds_at_the_last_set_point_to_the_bit():
     assert not here.dtwist.any()
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("moment", [1, 80, 300, 600, 900])
-def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment):
+def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
     trajectory = live()
-    goal = off(0.25, 0, 0, 0.2, 0, 0)
+    goal = off(0.25 * way, 0, 0, 0.2 * way, 0, 0)
     before, _ = run(trajectory, {0: goal}, moment + 1)
     assert trajectory.duration_s is None
     trajectory.brake()

@@ -467,6 +467,18 @@ def test_a_heartbeat_feeds_the_watchdog_of_each_powered_drive_for_its_own_time()
     ]
 
 
+def test_a_command_that_feeds_no_watchdog_starts_that_of_a_drive_which_it_powers():
+    drives = Drives(DriveSettings(), DriveEmulation(), 1e-4)
+    for leg in range(6):
+        drives.enter(leg, int(DriveState.READY if leg % 2 else DriveState.OFF), int(DriveFault.NONE))
+    drives.watchdog_ns[:], drives.configured[:] = 5 * MS, True
+    drives.deadline_ns[1::2] = 3 * MS
+    zero = np.zeros(6)
+    drives.obey_unwatched(zero, zero, np.arange(6), zero, int(DriveMode.READY), 0, MS)
+    assert (drives.state == DriveState.READY).all()
+    assert drives.deadline_ns.tolist() == [6 * MS, 3 * MS] * 3
+
+
 def test_a_command_at_the_last_instant_is_in_time():
     rig = Rig()
     rig.run()

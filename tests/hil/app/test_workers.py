@@ -1,10 +1,16 @@
 """Jobs in processes: each has one outcome, whichever dies, and none is made long before its turn."""
 
 import os
+import signal
+import subprocess
+import sys
 from functools import partial
 from operator import call
 
+import pytest
+
 from hil.app.workers import AHEAD, perform
+from tests.realtime.rig import wait_until_gone
 
 
 class Work(list):  # type: ignore[type-arg]
@@ -29,3 +35,27 @@ def test_a_process_that_dies_takes_few_jobs_with_it_and_none_of_a_million_is_mad
     assert found.count("died") == 1
     alone = 2 * AHEAD  # as many as were under way
     assert len(set(found)) <= 2 + alone + 2
+
+
+LONG = """
+import os, time
+from functools import partial
+from operator import call
+from hil.app.workers import perform
+
+for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
+    print(found, flush=True)
+"""
+"""Tells its workers' numbers, and has them sleep."""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_who_started_them_in_the_middle_of_their_jobs(how):
+    with subprocess.Popen(
+        [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        workers = {int(process.stdout.readline()) for _ in range(8)}
+        process.send_signal(how)
+        wait_until_gone(process.pid, *workers)
+    assert process.returncode != 0

@@ -7,6 +7,7 @@ import socket
 import sys
 import threading
 import time
+from collections import UserList
 
 import distributed
 import pytest
@@ -15,6 +16,7 @@ from drivers.errors import ConfigurationError
 from hil.app.campaign import dask_cluster
 from hil.app.campaign.command import run_campaign
 from hil.app.campaign.plan import read_plan
+from hil.app.campaign.row import Job
 from tests.hil.app.campaign.campaigns import MANY, SMALL, kill_thrice, started, wait_for_a_part, written
 from tests.hil.app.campaign.clusters import cluster
 
@@ -76,6 +78,38 @@ def test_two_threads_of_a_worker_make_the_table_of_one_process(two, threads, tmp
     run_campaign(plan, tmp_path, scheduler=threads, progress=lambda *counts: seen.append(counts))
     assert (tmp_path / "table.parquet").read_bytes() == table
     assert seen == [(0, 2), (1, 2)]
+
+
+def counted(jobs, taken):
+    """Yield jobs, and keep which have been taken."""
+    for job in jobs:
+        taken.append(job)
+        yield job
+
+
+class Few(UserList[Job]):
+    """Jobs that are taken one by one. State: those that were."""
+
+    taken: list[Job]
+
+    def __iter__(self):
+        self.taken = []
+        return counted(self.data, self.taken)
+
+
+def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another(two, threads, monkeypatch):
+    """Two threads: eight rows at most are under way."""
+    ran = []
+
+    def run_row(job):
+        ran.append(job.number)
+        return {"row": job.number}
+
+    monkeypatch.setattr(dask_cluster, "run_row", run_row)
+    jobs = Few([two[0].job(0)] * 40)
+    for done, _ in enumerate(dask_cluster.perform(threads, jobs, None), 1):
+        assert len(jobs.taken) <= done + 2 * dask_cluster._AHEAD
+    assert len(ran) == 40
 
 
 def test_a_worker_of_another_version_runs_no_row(two, threads, tmp_path, monkeypatch):

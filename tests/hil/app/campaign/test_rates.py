@@ -73,6 +73,11 @@ def test_the_worst_rows_are_the_worst_of_each_cause():
     assert sorted(causes(rows)) == [("fault DRIVE", 2), ("limit", 2)]
 
 
+def test_the_worst_of_a_limit_from_below_is_the_farthest_below_it():
+    rows = [row(k, passed=False, peak_force_N=force) for k, force in enumerate((90.0, 10.0, 50.0))]
+    assert [r["row"] for r in worst(rows, {"peak_force_N": Limit(min=100.0)}, 3)] == [1, 2, 0]
+
+
 def test_why_a_row_has_failed_names_value_and_limit():
     assert why(row(0, passed=False, peak_force_N=110.5), LIMITS) == "peak_force_N 110.5, allowed: at most 100"
     ended = row(0, passed=False, ended="plant", trouble="the FMU failed\nfar away", peak_force_N=1.0)

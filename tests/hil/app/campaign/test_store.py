@@ -98,6 +98,18 @@ def test_rows_are_written_while_a_campaign_runs(tmp_path, monkeypatch):
         assert sorted(again.rows()) == list(range(6))
 
 
+def test_slow_rows_are_written_two_seconds_after_the_first_of_them(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("hil.app.campaign.store.time.monotonic", lambda: now[0])
+    store = opened(tmp_path)
+    for row, at_s in zip(ROWS[:5], (0.0, 1.0, 2.1, 2.2, 4.1), strict=True):
+        now[0] = 100.0 + at_s
+        store.add(row)
+    crash(store)
+    with opened(tmp_path) as again:
+        assert sorted(again.rows()) == [0, 1, 2]
+
+
 def test_rows_of_another_campaign_are_refused_with_what_has_changed_and_how_to_go_on(tmp_path):
     table(tmp_path, [ROWS])
     with pytest.raises(LogError, match=r"changed since: configuration, file a\.csv; allowed: .*--fresh"):
@@ -136,6 +148,18 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path):
     part.write_bytes(part.read_bytes()[:-9])
     with opened(tmp_path) as store, pytest.raises(LogError, match=r"part-000000\.parquet: .* remove it"):
         store.rows()
+
+
+def test_a_damaged_part_that_was_removed_costs_its_own_rows_alone(tmp_path):
+    with opened(tmp_path) as store:
+        for row in ROWS[:3]:
+            store.add(row)
+            store.flush()
+    (tmp_path / "parts" / "part-000001.parquet").unlink()
+    with opened(tmp_path) as again:
+        again.add(ROWS[5])
+        again.flush()
+        assert sorted(again.rows()) == [0, 2, 5]
 
 
 def test_rows_that_say_they_are_of_another_campaign_are_refused_wherever_they_come_from(tmp_path):

@@ -1,0 +1,130 @@
+"""Waiting on several buses: as long as is needed and no longer; and a bus that is busy is not dead."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.can.bus import Bus
+from drivers.can.link_group import DEAD_AFTER_NS, LinkGroup
+from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
+from drivers.signals import Command, DriveMode, DriveState
+from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, family
+
+DEADLINE_NS = 900_000_000
+
+
+class Sleeping(Still):
+    """A clock that passes by the sleep it is told. State: until when it was to sleep."""
+
+    def __init__(self) -> None:
+        self.until: list[int] = []
+
+    def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
+        self.until.append(t_ns)
+        self.t_ns = max(self.t_ns, t_ns)
+
+
+class Foreseeing(FakeLink):
+    """A link that knows when the frame under way will have ended, or has a file that is never readable."""
+
+    def __init__(self, clock: Any, end_ns: int | None = None, file: int = -1, *, quiet: bool = True) -> None:
+        super().__init__(clock)
+        self.foresees, self.file, self.quiet = end_ns, file, quiet
+
+    def foresee(self) -> int | None:
+        return self.foresees
+
+    def fileno(self) -> int:
+        return self.file
+
+    def arm(self, *, idle: bool = True) -> bool:
+        assert not idle
+        return self.quiet
+
+
+def group(*links: Any) -> LinkGroup:
+    return LinkGroup(links)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_frame_that_ends_first_on_some_bus_is_waited_for_and_none_behind_the_deadline(first):
+    clock, ends = Sleeping(), [400_000, 700_000]
+    links = [Foreseeing(clock, ends[first]), Foreseeing(clock, ends[1 - first])]
+    group(*links).block(DEADLINE_NS, frozenset())
+    assert clock.until == [400_000]
+    clock.t_ns, clock.until = 0, []
+    group(*links).block(100_000, frozenset())
+    assert clock.until == [100_000]
+
+
+def test_a_link_without_a_file_is_looked_at_again_after_a_fifth_of_a_millisecond():
+    clock = Sleeping()
+    both = group(Foreseeing(clock), Foreseeing(clock))
+    both.block(DEADLINE_NS, frozenset())
+    (until,) = clock.until
+    assert 200_000 < until < 210_000
+    clock.t_ns, clock.until = 0, []
+    both.block(50_000, frozenset())
+    assert clock.until == [50_000]
+
+
+@pytest.fixture
+def files() -> Iterator[list[int]]:
+    """Two descriptors on which nothing comes."""
+    with ExitStack() as stack:
+        pipes = [os.pipe() for _ in range(2)]
+        for end in (end for pipe in pipes for end in pipe):
+            stack.callback(os.close, end)
+        yield [pipe[0] for pipe in pipes]
+
+
+@pytest.mark.parametrize("came", [0, 1])
+def test_what_came_on_one_bus_between_two_looks_ends_the_wait_however_quiet_the_other_is(files, came):
+    clock = Sleeping()
+    links = [Foreseeing(clock, file=files[k], quiet=k != came) for k in range(2)]
+    begun = time.monotonic()
+    group(*links).block(10 * DEADLINE_NS, frozenset())
+    assert time.monotonic() - begun < 1.0, "it would have slept for nine seconds"
+
+
+def test_a_bus_that_takes_a_part_of_its_frames_is_busy_however_long():
+    clock = Still()
+    links = [FakeLink(clock), FakeLink(clock)]
+    bus = Bus(group(*links))
+    links[0].send = lambda frames: 1  # type: ignore[method-assign]
+    for _ in range(3):
+        assert bus.send([Frame(1, b""), Frame(2, b""), Frame(1, b"", BUS)]) == 1
+        assert bus.events().off == 0
+        clock.t_ns += DEAD_AFTER_NS
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_sync_heartbeat_and_stop_of_one_bus_reach_the_drives_of_that_bus_alone(name):
+    protocol = family(name, ODD)
+    dialogue, sent = protocol.start(SETUP), list(protocol.emergency_stop())
+    for tick in range(60):
+        sent += protocol.begin(dialogue, tick)
+        dialogue, frames = protocol.command(dialogue, Command(DriveMode.OFF, 0.0 * FORCE), tick)
+        sent += frames
+    for bus, there in enumerate(ODD):
+        memory, heard = protocol.power_up(), set()
+        if name == "cia402":
+            on = np.full(6, DriveState.READY, np.int64)
+            memory = (protocol.family._devices.set_up(protocol.family._settings, on),) * 2
+        for frame in sent:
+            if frame.bus == bus:
+                memory, messages = protocol.parse(memory, frame)
+                for each in messages:
+                    if isinstance(each, Sync | Alive | EmergencyStop):
+                        assert set(each.legs) <= set(there)
+                        heard.add(type(each))
+        assert Sync in heard
+        assert (EmergencyStop in heard) is (name in {"legs", "odrive"})
+        assert (Alive in heard) is (name == "cia402")

@@ -1,0 +1,143 @@
+"""What is asked for in a tick: the law's own, the entry offset, what was learned, and the window where it is held."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import Mode
+from drivers.tick_columns import Record, copy_of
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import load
+from hil.loop.effort import Effort
+from tests.records import record_of
+
+OWN = np.array([100.0, -200.0, 300.0, -400.0, 500.0, -600.0])
+HOLDING = np.array([900.0, 800.0, 700.0, 600.0, 500.0, 400.0])
+LEARNED = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+SHORTFALL = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+WRENCH = np.array([0.0, 0.0, -500.0, 10.0, 0.0, 0.0])
+
+
+class Law:
+    """Asks for the same always, or for what it is told. State: the tick that it saw last."""
+
+    def __init__(self) -> None:
+        self.own = OWN
+        self.seen: Record | None = None
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def effort(self, tick: Record) -> None:
+        self.seen = copy_of(tick)
+        tick["tau_law"] = self.own
+
+
+@pytest.fixture(scope="module")
+def parts() -> Any:
+    return build_cycle(load("virtual"), 1000.0, 0.01).parts
+
+
+def an_effort(parts: Any, **different: Any) -> tuple[Effort, Law, Any]:
+    """Return an effort with such a law, which stands at a sample with the holding force, and its motion."""
+    law = Law()
+    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
+    effort = Effort(replace(parts, law=law, **different), cycle.durations)
+    tick = record_of(tick=1)
+    cycle.motion.rest(parts.home_p, parts.home_R, 1)
+    effort.hold(tick, HOLDING, cycle.motion.sample(1))
+    return effort, law, cycle.motion
+
+
+def filled(
+    effort: Effort, motion: Any, mode: Mode, number: int = 2, *, free: bool = True, **columns: Any
+) -> Record:
+    tick = record_of(tick=number, **columns)
+    effort.fill(tick, mode, 1, motion, free=free, fixed=False, faulty=False)
+    return tick
+
+
+def test_at_entry_the_holding_force_is_asked_for_whatever_the_law_asks(parts):
+    effort, _, motion = an_effort(parts)
+    np.testing.assert_array_equal(filled(effort, motion, Mode.RELEASING)["tau_asked"], HOLDING)
+
+
+def test_held_again_the_entry_offset_is_whole_again(parts):
+    effort, _, motion = an_effort(parts)
+    effort.entry_tick = 2
+    late = 3 + round(parts.engage.blend_s * parts.rate_Hz)
+    np.testing.assert_array_equal(filled(effort, motion, Mode.TRACKING, late)["tau_asked"], OWN)
+    effort.hold(record_of(tick=late + 1), HOLDING, motion.sample(late + 1))
+    np.testing.assert_array_equal(filled(effort, motion, Mode.HELD, late + 2)["tau_asked"], HOLDING)
+
+
+def test_what_was_learned_is_added_to_what_is_asked_but_never_where_the_platform_is_held(parts):
+    effort, _, motion = an_effort(parts)
+    effort.learned = SimpleNamespace(step=lambda *_, **__: LEARNED)  # type: ignore[assignment]
+    moving = filled(effort, motion, Mode.TRACKING)
+    np.testing.assert_array_equal(moving["tau_asked"], HOLDING + LEARNED)
+    np.testing.assert_array_equal(moving["tau_learned"], LEARNED)
+    held = filled(effort, motion, Mode.HELD)
+    np.testing.assert_array_equal(held["tau_asked"], HOLDING)
+    assert not held["tau_learned"].any()
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_where_it_is_held_the_law_goes_no_further_from_the_holding_force_than_the_window(parts, way):
+    effort, law, motion = an_effort(parts)
+    law.own = OWN + way * 1e6
+    np.testing.assert_allclose(filled(effort, motion, Mode.HELD)["tau_asked"], HOLDING + way * effort.reach_N)
+    np.testing.assert_allclose(filled(effort, motion, Mode.TRACKING)["tau_asked"], HOLDING + way * 1e6)
+
+
+def test_after_a_reset_what_was_learned_begins_anew_too(parts):
+    effort, _, _ = an_effort(parts)
+    begun: list[bool] = []
+    effort.learned = SimpleNamespace(reset=lambda: begun.append(True))  # type: ignore[assignment]
+    effort.reset()
+    assert begun == [True]
+
+
+class Predictor:
+    """Moves nothing on. State: whether it was last told that the brakes are open."""
+
+    horizon_s = 1e-3
+    free: bool | None = None
+
+    def ahead(self, tick: Record, *, free: bool) -> None:
+        del tick
+        self.free = free
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_the_predictor_knows_whether_the_brakes_are_open(parts, free):
+    predictor = Predictor()
+    effort, _, motion = an_effort(parts, predictor=predictor)
+    filled(effort, motion, Mode.RELEASING, free=free)
+    assert predictor.free is free
+
+
+@pytest.mark.parametrize("predicts", [True, False])
+def test_the_law_sees_what_the_limits_took_of_its_last_force(parts, predicts):
+    effort, law, motion = an_effort(parts, predictor=Predictor() if predicts else None)
+    effort.shortfall = SHORTFALL
+    filled(effort, motion, Mode.TRACKING)
+    assert law.seen is not None
+    np.testing.assert_array_equal(law.seen["shortfall"], SHORTFALL)
+
+
+def test_the_external_wrench_comes_in_as_the_entry_offset_goes_out(parts):
+    effort, law, motion = an_effort(parts, wrench=SimpleNamespace(has_source=True))
+    effort.entry_tick = 10
+    blend = round(parts.engage.blend_s * parts.rate_Hz)
+    for number, share in ((10, 0.0), (10 + blend // 2, 0.5), (10 + blend, 1.0)):
+        tick = filled(effort, motion, Mode.TRACKING, number, wrench=WRENCH)
+        assert law.seen is not None
+        np.testing.assert_allclose(law.seen["wrench"], share * WRENCH, rtol=0.0, atol=1e-9)
+        np.testing.assert_array_equal(tick["wrench"], WRENCH)  # safety judges the whole
+        np.testing.assert_allclose(tick["tau_asked"], OWN + (1.0 - share) * (HOLDING - OWN))

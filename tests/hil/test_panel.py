@@ -1,0 +1,47 @@
+"""The signals that ask for an end, and what is theirs before and after."""
+
+import os
+import signal
+
+import pytest
+
+from hil.loop.panel import OperatorPanel
+from hil.signals import Operator
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+def _earlier(*_):
+    raise AssertionError("not theirs")
+
+
+@pytest.fixture(autouse=True)
+def _usual():
+    """Somebody has these signals already; afterwards they are as before."""
+    before = {each: signal.signal(each, _earlier) for each in SIGNALS}
+    yield
+    for each, handler in before.items():
+        signal.signal(each, handler)
+
+
+@pytest.mark.parametrize("asked", SIGNALS)
+def test_whatever_asks_for_an_end_of_a_run_stops_it_first_and_then_at_once(asked):
+    panel = OperatorPanel()
+    with panel.attached():
+        panel.running()
+        assert panel.take() == ()
+        os.kill(os.getpid(), asked)
+        assert panel.take() == (Operator.STOP,)
+        os.kill(os.getpid(), asked)
+        os.kill(os.getpid(), asked)
+        assert panel.take() == (Operator.ESTOP, Operator.ESTOP)
+        os.kill(os.getpid(), asked)
+        assert panel.take(held=True) == (Operator.STOP,), "only the force holds the platform"
+    assert signal.getsignal(asked) is _earlier
+
+
+@pytest.mark.parametrize("asked", SIGNALS)
+def test_before_the_loop_it_ends_the_start(asked):
+    panel = OperatorPanel()
+    with panel.attached(), pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), asked)

@@ -1,0 +1,205 @@
+"""What the real-time loop tells the step of its bus, its clock and its recorder, and what it does at its end."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.protocol import DeviceCommand, Frame, Received
+from drivers.signals import BusState, DriveMode
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import load
+from hil.loop.clock import Wake
+from hil.loop.daemon import Shell, _ask, run, switch_off
+from hil.loop.panel import OperatorPanel
+from hil.loop.run_end import Course
+from hil.signals import Operator, TickInput
+from tests.loop.test_run_end import Wire
+
+LATE_NS, OUT_NS = 70_000, 123_000
+TICKS = 6
+
+
+class Busy(Wire):
+    """A bus and a clock with something to tell in every tick, and frames that are refused.
+
+    State: how often frames were called back, and in which tick which frames are refused.
+    """
+
+    def __init__(self, nodes: Any, period_ns: int, refused: dict[tuple[int, str], int] | None = None) -> None:
+        super().__init__(nodes, period_ns)
+        self.refused = refused or {}
+        self.flushed: list[int] = []
+        self.all_sent: list[Frame] = []
+        self.asked = False
+        self.clock: Any = SimpleNamespace(
+            stretched=lambda: self.tick * (self.tick + 1), working=self.working, now=self.now
+        )
+
+    def working(self, _allowed_ns: int) -> None:
+        self.asked = True
+
+    def now(self) -> int:
+        return int(self.tick * self.period_ns) + LATE_NS
+
+    def wait(self) -> Any:
+        tick, t_ns, *_ = super().wait()
+        self.asked = False
+        return tick, t_ns, LATE_NS, tick % 3
+
+    def send(self, frames: Any) -> int:
+        what = "command" if self.asked else "opening"
+        self.all_sent += frames
+        return int(super().send(frames)) + self.refused.get((self.tick, what), 0)
+
+    def sent_ns(self) -> list[int]:
+        return [self.now() + OUT_NS]
+
+    def skew_ns(self) -> int:
+        return 1000 + self.tick
+
+    def flush_tx(self) -> None:
+        self.flushed.append(self.tick)
+
+    def events(self) -> Any:
+        return SimpleNamespace(errors=10 + self.tick, off=0, overflow=20 + self.tick, state=BusState.WARNING)
+
+
+def looped(
+    refused: dict[tuple[int, str], int] | None = None, commands: dict[int, tuple[Operator, ...]] | None = None
+) -> tuple[list[TickInput], Busy]:
+    """Run some ticks; return the inputs of the step, and the wire."""
+    c = load("ideal")
+    nodes, plant = build_nodes(c)
+    wire = Busy(nodes, round(1e9 / c.loop.rate_Hz), refused)
+    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+    step, inputs = cycle.step, list[TickInput]()
+
+    def watched(inp: TickInput) -> Any:
+        inputs.append(inp)
+        if len(inputs) > TICKS:
+            raise RuntimeError("enough")
+        return step(inp)
+
+    cycle.step = watched  # type: ignore[method-assign]
+    course = Course(cycle)
+    course.commands = lambda tick, _said=(): (commands or {}).get(tick, ())  # type: ignore[method-assign, assignment]
+    recording = SimpleNamespace(alive=True, dropped=5, tick=lambda *_: None, event=lambda *_: None)
+    run(course, Shell(wire, wire, recording, OperatorPanel(), 0))  # type: ignore[arg-type]
+    plant.close()
+    return inputs[:TICKS], wire
+
+
+def test_the_step_is_told_what_was_late_lost_and_skewed_in_its_tick():
+    inputs, _ = looped()
+    for tick, inp in enumerate(inputs):
+        assert (inp.tick, inp.lateness_ns, inp.skipped) == (tick, LATE_NS, tick % 3)
+        assert (inp.sync_skew_ns, inp.bus_errors, inp.bus_overflow) == (1000 + tick, 10 + tick, 20 + tick)
+        assert inp.bus_state is BusState.WARNING
+        assert inp.recorder_dropped == 5
+        assert inp.recorder_alive
+    assert [inp.stretched_ns for inp in inputs] == [2 * tick for tick in range(TICKS)]
+
+
+def test_when_a_drive_latched_counts_from_the_wake_up_however_late_that_was():
+    inputs, _ = looped()
+    assert {latch for inp in inputs for latch in inp.latch_ns} == {OUT_NS}
+
+
+def test_frames_that_the_bus_refused_are_told_once_each_in_the_next_step():
+    inputs, _ = looped({(1, "command"): 2, (2, "opening"): 1, (4, "opening"): 3})
+    assert [inp.sends_failed for inp in inputs] == [0, 0, 3, 0, 3, 0]
+
+
+@pytest.mark.parametrize(("operator", "tries"), [(Operator.RESET, 1), (Operator.STOP, 0)])
+def test_a_reset_calls_the_frames_of_a_dead_bus_back(operator, tries):
+    _, wire = looped(commands={3: (operator,)})
+    assert wire.flushed.count(3) == tries
+
+
+def modes(wire: Busy, protocol: Any) -> list[DriveMode]:
+    memory, found = protocol.power_up(), []
+    for frame in wire.all_sent:
+        memory, messages = protocol.parse(memory, frame)
+        found += [DriveMode(each.mode) for each in messages if isinstance(each, DeviceCommand)]
+    return found
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_whatever_leaves_the_loop_the_drives_are_told_to_switch_off_behind_all_that_waited(error):
+    c = load("ideal")
+    nodes, plant = build_nodes(c)
+    wire = Busy(nodes, 1)
+    cycle = build_cycle(c, c.loop.rate_Hz, 0.01)
+
+    def ends(_: TickInput) -> Any:
+        wire.all_sent.clear()
+        raise error
+
+    cycle.step = ends  # type: ignore[method-assign, assignment]
+    recording = SimpleNamespace(alive=True, dropped=0)
+    with pytest.raises(error):
+        run(Course(cycle), Shell(wire, wire, recording, OperatorPanel(), 0))  # type: ignore[arg-type]
+    plant.close()
+    assert wire.flushed == [0]
+    assert modes(wire, cycle.parts.protocol) == [DriveMode.OFF] * 5
+
+
+@pytest.mark.parametrize(("taken", "told"), [([0], True), ([4], True), ([], False)])
+def test_one_whole_command_that_the_bus_took_has_told_the_drives(taken, told):
+    cycle = build_cycle(load("ideal"), 1000.0, 0.01)
+    sends = iter(range(5))
+    bus = SimpleNamespace(flush_tx=lambda: None, send=lambda _: 0 if next(sends) in taken else 1)
+    deadlines = SimpleNamespace(tick=7, period_ns=1_000)
+    assert switch_off(cycle, bus, deadlines) is told  # type: ignore[arg-type]
+
+
+class Tail:
+    """A protocol whose answers name no SYNC: what came before it was asked for is an answer to the one before."""
+
+    feedback_ids = frozenset({1, 2})
+    command_delay_ticks = 0
+
+    def __init__(self, *, shares_identifiers: bool) -> None:
+        self.shares_identifiers = shares_identifiers
+
+    def awaited(self, frame: Frame) -> int:
+        return frame.data[0] if self.shares_identifiers else frame.id
+
+    def fresh(self, answer: Received, _tick: int, since_ns: int) -> bool:
+        return answer.t_ns >= since_ns
+
+    def addressed(self, _frame: Frame) -> tuple[int, ...]:
+        return ()
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_no_longer(shared):
+    def frame(number: int) -> Frame:
+        return Frame(9, bytes([number])) if shared else Frame(number, b"\0")
+
+    coming = [
+        Received(10, frame(1)),
+        Received(120, frame(2)),
+        Received(130, frame(1)),
+        Received(140, frame(2)),
+    ]
+    deadlines = []
+
+    def next_one(deadline_ns: int, _wanted: Any = None) -> list[Received]:
+        deadlines.append(deadline_ns)
+        return [coming.pop(0)]
+
+    refusing = SimpleNamespace(side_effect=None)
+    bus = SimpleNamespace(
+        clock=SimpleNamespace(now=lambda: 100), drain_now=list, send=lambda _: 0, sent_ns=list,
+        wait=next_one if shared else refusing, drain=refusing if shared else next_one,
+    )  # fmt: skip
+    cycle = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
+    shell = Shell(bus, None, None, OperatorPanel(), 75)  # type: ignore[arg-type]
+    heard, _, _ = _ask(cycle, shell, Wake(0, 0, 90, 0), (frame(0),))  # type: ignore[arg-type]
+    assert [each.t_ns for each in heard] == [10, 120, 130]
+    assert len(coming) == 1
+    assert set(deadlines) == {75}

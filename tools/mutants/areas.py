@@ -52,7 +52,10 @@ AREAS = {
     "cycle": Area(
         tuple(
             f"hil/loop/{name}.py"
-            for name in ("cycle", "parts", "ramps", "reference", "sight", "homing", "setup_moves", "clock")
+            for name in (
+                *("cycle", "parts", "ramps", "reference", "sight", "homing", "setup_moves", "clock"),
+                *("effort", "learned", "drives_say", "latches", "daemon", "panel", "unheard"),
+            )
         ),
         (
             "tests/hil/test_cycle.py",
@@ -61,6 +64,15 @@ AREAS = {
             "tests/hil/test_reference.py",
             "tests/hil/test_stage_columns.py",
             "tests/hil/test_fusion*.py",
+            "tests/hil/test_effort.py",
+            "tests/hil/test_sight.py",
+            "tests/hil/test_learned.py",
+            "tests/hil/test_drives_say.py",
+            "tests/hil/test_latches.py",
+            "tests/hil/test_daemon_answers.py",
+            "tests/hil/test_panel.py",
+            "tests/hil/test_unheard.py",
+            "tests/loop/test_daemon_inputs.py",
             "tests/loop/test_last_force.py",
             "tests/loop/test_release.py",
             "tests/loop/test_setpoints.py",

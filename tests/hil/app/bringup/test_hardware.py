@@ -1,12 +1,14 @@
 """What was measured holds for the hardware that the configuration names, and for no other."""
 
+from typing import Any
+
 import pytest
 
 from hil.app.bringup.store import Store, identity
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 
-OTHERS = {
+OTHERS: dict[str, tuple[str, dict[str, Any], str]] = {
     "watchdog": ("desktop", {"drives": {"watchdog_ms": 12}}, "drives"),
     "rated_force": ("desktop", {"drives": {"force_limit_N": 200}}, "drives"),
     "radius": ("desktop", {"drives": {"transmission": {"pulley_radius_m": 0.021}}}, "drives"),

@@ -55,6 +55,6 @@ def test_nobody_is_told_to_fix_the_platform_to_legs_that_are_to_be_mended(
     line = type("Line", (), {"rate_Hz": 500.0})()
     said = type("Said", (), {"tick": None})()
     end, store = End(line, operator), Store(tmp_path / "s.json", {})
-    found, _, why = command._proceed(c, build_protocol(c), end, store, said, hang=machine)  # type: ignore[arg-type]
+    found, _, why = command._proceed(c, build_protocol(c), end, store, said, hang=machine)
     assert (found, why) == (outcome, "")
     assert [request.act for request in operator.requests] == ["mount"] * (good and machine)

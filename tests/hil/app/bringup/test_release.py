@@ -2,6 +2,7 @@
 
 import contextlib
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -62,7 +63,7 @@ def ended(tmp_path, monkeypatch):
     return end
 
 
-_FACTS = {
+_FACTS: dict[str, Any] = {
     "held": {"moved": False, "hand_N": 700.0},
     "opens": {"legs": [0], "hand_N": 30.0, "rate_share": 1.0},
     "platform": True,
@@ -131,6 +132,19 @@ def test_where_the_file_makes_up_for_all_it_is_given_again_at_once(ended, tmp_pa
     assert "# NOT RELEASED: give this file to `hil bringup` again." in (tmp_path / FOUND).read_text()
     (line,) = [text for text in said if text.startswith("next: ")]
     assert line.startswith(f"next: hil bringup {FOUND} --rehearse; that file makes up for stroke")
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_what_was_measured_at_a_leg_with_a_finding_is_not_in_the_state_and_the_rest_is(ended, tmp_path, leg):
+    encoder = {"tape_m": [0.75, 2.2], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
+    facts = {"encoder": {str(k): {"drive": k, **encoder} for k in range(6)}}
+    facts |= {step: {str(k): _FACTS[step] | {"legs": [k]} for k in range(6)} for step in ("held", "opens")}
+    summary, _ = ended(ran(), facts=facts, findings=(Finding("encoder_sign", (leg,), "falls", "Mend it."),))
+    assert not summary["success"]
+    kept = Store(tmp_path / "virtual.rehearsal.state.json", {}).facts
+    assert {step: sorted(map(int, kept[step])) for step in facts} == {
+        step: [k for k in range(6) if k != leg] for step in facts
+    }
 
 
 def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):

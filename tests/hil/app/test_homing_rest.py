@@ -1,0 +1,62 @@
+"""A run's last lengths are written as parked where every leg was measured and believed, and else are not."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drivers.signals import DriveState, Fault, Mode
+from drivers.tick_columns import new_record
+from hil.app.homing.file import read_homing
+from hil.app.homing.keeping import Keeper
+from tests.hil.app.test_homing import configuration, state
+
+NOT_BELIEVED = (
+    Fault.STALE,
+    Fault.KINEMATICS,
+    Fault.ASSEMBLY,
+    Fault.CONDITION,
+    Fault.NOT_FINITE,
+    Fault.LAW,
+    Fault.ENCODER,
+    Fault.UNCERTAIN,
+    Fault.DUPLICATE_NODE,
+)
+BELIEVED = (Fault.NONE, Fault.DRIVE, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING, Fault.ESTOP, Fault.BRAKE)
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory):
+    """A function that ends a run whose legs rest, with a fault and one more change; the file's state."""
+    folder = tmp_path_factory.mktemp("rest")
+    c = configuration(folder)
+
+    def end(fault, *, known=True):
+        state(c)
+        tick = new_record()
+        tick["age"], tick["rate"], tick["length"] = 0, 0.0, 0.33
+        tick["drive_state"] = DriveState.OFF
+        homing = SimpleNamespace(known=known, raw=np.full(6, 0.5), opened=True)
+        keeper = Keeper(c, emulated=True)
+        mode = Mode.FAULT if fault else Mode.PARKED
+        keeper.begin(SimpleNamespace(tick=tick, homing=homing, faults=fault, mode=mode))  # type: ignore[arg-type]
+        keeper.close()
+        return read_homing(c, folder / "bench.yaml")
+
+    return end
+
+
+@pytest.mark.parametrize("fault", NOT_BELIEVED)
+def test_lengths_that_a_fault_has_made_doubtful_are_not_believed_by_the_next_run(ended, fault):
+    assert ended(fault).state == "moved"
+    assert ended(fault | Fault.ESTOP).state == "moved"
+
+
+@pytest.mark.parametrize("fault", BELIEVED)
+def test_lengths_at_rest_after_another_fault_are_kept(ended, fault):
+    file = ended(fault)
+    assert (file.state, list(file.lengths_m)) == ("parked", [0.33] * 6)
+
+
+def test_legs_whose_turns_were_never_found_are_not_written_as_parked(ended):
+    assert ended(Fault.NONE, known=False).state == "moved"

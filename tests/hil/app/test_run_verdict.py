@@ -1,0 +1,94 @@
+"""When a run is a success: with a whole log that replays, or one whose only lack was counted."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import Fault, Mode
+from drivers.tick_columns import ROW
+from hil.app.run import command
+from hil.loop.clock import RealTime
+from hil.loop.run_end import Ending
+from hil.record import LogSummary
+from hil.record.log import Log
+
+TICKS = 12
+PARKED = Ending(Mode.PARKED, Fault.NONE, "", TICKS)
+C: Any = SimpleNamespace(source="a.yaml", controller=None, bus=None, drives=None, sensors=None)
+CYCLE: Any = SimpleNamespace(parts=SimpleNamespace(rate_Hz=1000.0, law=None))
+FULL = "disk_full: No space left on device"
+
+
+@pytest.fixture
+def verdict(tmp_path, monkeypatch):
+    """A function that sums up a run that parked: ticks that are missing, dropped and lost; how it replays."""
+
+    def summed(*, missing=0, dropped=0, lost=0, different=0, agrees=True, error="", ticks=TICKS, trouble=""):
+        rows = np.zeros(ticks, ROW)
+        rows["tick"] = np.arange(ticks)
+        rows["tick"][ticks // 2 :] += missing
+        replay = {"agrees": agrees, "different_ticks": different}
+        monkeypatch.setattr(Log, "open", lambda _: SimpleNamespace(rows=lambda: rows))
+        monkeypatch.setattr(command, "replay_log", lambda _: (None, replay))
+        for name in ("figures", "law_figures", "loads"):
+            monkeypatch.setattr(command, name, lambda *_: {})
+        whole = not (dropped or lost or error)
+        closed = LogSummary(
+            tmp_path / "a.mcap", ticks, 0, dropped, lost, 0, 0.0, whole, error, gave_up=bool(error)
+        )
+        return command._summary(
+            C,
+            CYCLE,
+            PARKED,
+            trouble,
+            RealTime([], []),
+            closed,
+            stretching=False,
+        )
+
+    return summed
+
+
+def test_a_whole_log_that_replays_is_a_success(verdict):
+    found = verdict()
+    assert (found["success"], found["trouble"], found["dropped_ticks"]) == (True, None, 0)
+    assert "recorder" not in found
+    assert not verdict(agrees=False, different=1)["success"]
+    assert not verdict(trouble="a fault")["success"]
+
+
+@pytest.mark.parametrize(
+    ("dropped", "lost", "ticks"), [(0, 0, TICKS), (3, 0, TICKS), (0, 4, TICKS), (9, 9, 0)]
+)
+def test_a_run_whose_recorder_gave_up_is_no_success_although_what_the_log_has_replays(
+    verdict, dropped, lost, ticks
+):
+    found = verdict(error=FULL, missing=dropped, dropped=dropped, lost=lost, ticks=ticks)
+    assert not found["success"]
+    assert found["trouble"] == f"{FULL}: {dropped + lost} ticks are not in the log"
+    also = verdict(error=FULL, lost=1, trouble="a fault")
+    assert also["trouble"] == f"a fault; {FULL}: 1 ticks are not in the log"
+
+
+@pytest.mark.parametrize(
+    ("missing", "dropped", "different", "success"),
+    [
+        (5, 5, 0, True),
+        (1, 1, 0, True),
+        (6, 5, 0, False),
+        (4, 5, 0, False),
+        (50, 1, 0, False),
+        (1, 0, 0, False),
+        (0, 5, 0, False),
+        (5, 5, 1, False),
+    ],
+)
+def test_a_log_with_gaps_proves_a_run_only_where_each_missing_tick_was_counted_as_dropped(
+    verdict, missing, dropped, different, success
+):
+    """Beyond a gap a replay says nothing: it does not agree, and has no tick that differs."""
+    found = verdict(missing=missing, dropped=dropped, different=different, agrees=False)
+    assert found["success"] is success
+    assert found["dropped_ticks"] == dropped

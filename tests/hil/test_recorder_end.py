@@ -1,0 +1,63 @@
+"""The recorder ends with its producer, whoever else holds the pipe between the two."""
+
+import contextlib
+import json
+import os
+import subprocess
+
+import pytest
+
+from hil.record.recorder import _Control
+
+LONG_S = 10.0
+"""More than a killed process takes to be gone."""
+
+
+@pytest.fixture
+def held():
+    """Both ends of a pipe: the one that is written to stays open, as in a child that outlives its parent."""
+    reads, writes = os.pipe()
+    yield reads, writes
+    for end in (reads, writes):
+        with contextlib.suppress(OSError):
+            os.close(end)
+
+
+@pytest.fixture
+def producer(monkeypatch):
+    """A process that waits, in the place of the parent."""
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as process:
+        monkeypatch.setattr(os, "getppid", lambda: process.pid)
+        yield process
+        process.kill()
+
+
+def test_a_producer_that_was_killed_has_ended_although_a_child_of_it_holds_the_pipe(held, producer):
+    control = _Control(held[0], producer.pid)
+    assert not control.ended(0.0)
+    producer.kill()
+    assert control.ended(LONG_S)
+    assert control.ended(0.0), "and stays so"
+    assert control.summary is None
+
+
+def test_a_producer_that_had_died_before_it_was_watched_has_ended(held, producer, monkeypatch):
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    assert _Control(held[0], producer.pid).ended(0.0)
+
+
+def test_a_producer_that_lives_has_ended_once_its_summary_is_whole(held, producer):
+    control = _Control(held[0], producer.pid)
+    line = json.dumps({"ending": "PARKED"}).encode() + b"\n"
+    os.write(held[1], line[:5])
+    assert not control.ended(LONG_S)
+    os.write(held[1], line[5:])
+    assert control.ended(LONG_S)
+    assert control.summary == {"ending": "PARKED"}
+
+
+def test_a_producer_that_has_closed_its_pipe_has_ended(held, producer):
+    control = _Control(held[0], producer.pid)
+    os.close(held[1])
+    assert control.ended(LONG_S)
+    assert control.summary is None

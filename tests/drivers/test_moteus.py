@@ -329,6 +329,11 @@ def test_a_reply_that_is_not_whole_is_refused(data):
         ),
         ({"options": {}}, "timeout_mode of protocol moteus: allowed: one of stopped, zero_velocity"),
         ({"options": {"timeout_mode": "stopped", "host_id": 3}}, "drives.node_ids[2]: out of range"),
+        # 127 addresses all drives
+        (
+            {"options": {"timeout_mode": "stopped", "host_id": 127}},
+            "drives.options: host_id out of range, allowed: 0 to 126, given: 127",
+        ),
         # 300 N x 20 mm / 2 pi = 0.955 N m
         ({"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}}, "300 N need 0.9549 N m of the motor"),
         (

@@ -18,6 +18,7 @@ from drivers.errors import ConfigurationError
 from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
     REMOTE,
+    Configure,
     DeviceCommand,
     DriveSetup,
     Frame,
@@ -239,6 +240,18 @@ def test_a_row_names_what_it_does_not_have(change, message):
     with pytest.raises(ConfigurationError) as caught:
         PROTOCOLS["odrive"](BusSettings(layout="classic"), drives)
     assert message in str(caught.value)
+
+
+def test_the_watchdog_and_the_heartbeats_of_an_axis_are_those_of_the_configuration():
+    values = {"protocol": "odrive", "transmission": {"lead_m": 0.02}, "watchdog_ms": 40, "heartbeat_ms": 125}
+    protocol = PROTOCOLS["odrive"](BusSettings(layout="classic"), DriveSettings.model_validate(values))
+    dialogue: Any = protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0))
+    assert dialogue.patience_ticks == 94, "three heartbeats of 0.125 s, whole ticks"
+    idle = Frame(3 << 5 | 0x07, struct.pack("<Ixxxx", 1))
+    _, messages = protocol.parse(protocol.power_up(), idle)
+    (delivered,) = [each for each in messages if isinstance(each, Configure)]
+    assert delivered.leg == 2
+    assert delivered.watchdog_s == pytest.approx(0.04)
 
 
 def test_a_brake_is_the_axis_own_and_check_says_by_which_setting():

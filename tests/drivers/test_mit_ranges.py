@@ -1,0 +1,63 @@
+"""The ranges of MIT framing: those of each model as it is delivered, and those that a configuration sets."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers import PROTOCOLS
+from drivers.config import BusSettings, DriveSettings
+from drivers.mit.fields import Ranges
+from drivers.mit.variants import VARIANTS
+
+DATA = Path(__file__).parents[1] / "data" / "drives"
+LIBRARIES: dict[str, list[float]] = json.loads((DATA / "mit.json").read_text("utf-8"))["ranges"]
+ROBSTRIDE: dict[str, list[float]] = json.loads((DATA / "robstride.json").read_text("utf-8"))["ranges"]
+FAMILIES = [
+    ("mini_cheetah", "mini_cheetah"),
+    ("cubemars", "AK80-64"),
+    ("damiao", "DM4310"),
+    ("robstride", "rs-02"),
+]
+
+
+@pytest.mark.parametrize(
+    ("variant", "model", "name"),
+    [
+        ("mini_cheetah", "mini_cheetah", "classic_V65"),
+        ("cubemars", "AK80-9", "AK80-9_V50"),
+        ("cubemars", "AK10-9", "AK10-9_V50"),
+        ("cubemars", "AK80-6", "AK80-6_V76"),
+        ("cubemars", "AK80-64", "AK80-64_V8"),
+    ],
+)
+def test_the_ranges_of_a_model_are_those_of_its_libraries(variant, model, name):
+    # position, velocity, kp, kd, torque
+    assert list(VARIANTS[variant].models[model]) == LIBRARIES[name]
+
+
+@pytest.mark.parametrize("model", list(VARIANTS["robstride"].models))
+def test_the_ranges_of_a_robstride_are_those_of_its_library(model):
+    position, velocity, torque, kp, kd = ROBSTRIDE[model]
+    delivered = VARIANTS["robstride"].models[model]
+    assert delivered == pytest.approx(Ranges(position, velocity, kp, kd, torque), rel=1e-8)
+
+
+@pytest.mark.parametrize(("variant", "model"), FAMILIES)
+@pytest.mark.parametrize(
+    ("key", "field"), [("position_rad", "position"), ("velocity_rad_s", "velocity"), ("torque_N_m", "torque")]
+)
+def test_a_range_that_is_configured_takes_the_place_of_its_own_and_of_no_other(variant, model, key, field):
+    values: dict[str, Any] = {
+        "protocol": "mit",
+        "transmission": {"lead_m": 0.02},
+        "options": {"variant": variant, "model": model, key: 33.5},
+        "force_limit_N": 500.0,
+    }
+    protocol: Any = PROTOCOLS["mit"](BusSettings(layout="classic"), DriveSettings.model_validate(values))
+    delivered = VARIANTS[variant].models[model]._asdict()
+    assert 33.5 not in delivered.values()
+    assert protocol.ranges._asdict() == delivered | {field: 33.5}

@@ -104,6 +104,26 @@ def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_passed_over(kin
     assert (again.lost, getattr(again, kind), again.rejected) == (0, (), 0)
 
 
+def test_every_damaged_frame_of_a_tick_is_counted_whichever_sensor_sent_it():
+    bad = [damaged(sample(kind, 9, 1), 3) for kind in KINDS]
+    stray = sample("imu", 11, 2)  # a stamp in the future
+    for frames in ((*bad, *bad, stray), (stray, *bad, *bad), (*bad, stray, *bad)):
+        assert decode(10, *frames) == Readings(rejected=7)
+    assert decode(10, sample("imu", 9, 1), *bad).rejected == 3, "a good one before takes nothing back"
+    assert decode(10, *bad, sample("imu", 9, 1)).rejected == 3, "nor does one behind"
+
+
+@every_kind
+def test_all_gaps_of_a_tick_count_as_lost_whatever_comes_behind_them(kind):
+    last = decode(9, *(sample(each, 9, 0) for each in KINDS))
+    gaps = [sample(kind, 9, counter) for counter in (3, 4, 8, 9)]  # 1, 2, 5, 6 and 7 are missing
+    whole = [sample(each, 9, 1) for each in KINDS if each != kind]
+    for frames in ((*gaps, *whole), (*whole, *gaps), (*gaps[:3], *whole, gaps[3])):
+        assert decode(10, *frames, before=last).lost == 5
+    readings = decode(10, *(sample(each, 9, 3) for each in KINDS), before=last)
+    assert readings.lost == 6, "two of each sensor"
+
+
 def test_several_samples_of_a_tick_come_in_the_order_of_their_instants():
     readings = decode(20, sample("tracker", 18, 2), sample("tracker", 15, 1))
     assert [s.tick for s in readings.tracker] == [15, 18]

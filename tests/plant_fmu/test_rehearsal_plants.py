@@ -106,15 +106,23 @@ def test_a_rate_has_a_sign_and_a_unit_of_its_own():
     np.testing.assert_allclose(reads[1:], legs.length[1:])
 
 
-def test_a_hand_follows_no_faster_than_a_hand():
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("leg", range(6))
+def test_a_hand_follows_no_faster_than_a_hand_and_no_further_than_its_reach(side, leg):
     mass, friction, brake, shortest, longest, start = (
         np.full(6, x) for x in (20.0, 10.0, 1e4, 0.2, 0.8, 0.5)
     )
-    figures = LegBench(mass, friction, brake, shortest, longest, start, 100.0)
-    legs = TrestleLegs(figures)
-    legs.push(2, 500.0)
-    rates = [legs.step(CALM, CALM, CALM, 1e-3)[1][2] for _ in range(20)]
-    assert max(rates) == pytest.approx(HAND_m_s, rel=0.02)
+    legs = TrestleLegs(LegBench(mass, friction, brake, shortest, longest, start, 100.0))
+    legs.push(leg, side * 500.0)
+    rates = [legs.step(CALM, CALM, CALM, 1e-3)[1][leg] for _ in range(20)]
+    assert max(side * np.array(rates)) == pytest.approx(HAND_m_s, rel=0.02)
+    for k in (1, 2):  # laid on again it begins where the leg is
+        x, v = legs.step(CALM, CALM, CALM, 0.2)
+        reached = start.copy()
+        reached[leg] += k * side * HAND_M
+        np.testing.assert_allclose(x, reached, rtol=0, atol=1e-15)
+        assert v.tolist() == [0.0] * 6
+        legs.push(leg, side * 500.0)
 
 
 def test_joints_are_those_at_which_a_leg_is_mounted_and_so_far_outside():

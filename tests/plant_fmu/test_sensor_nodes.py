@@ -113,6 +113,26 @@ def test_a_tracker_without_noise_gives_the_true_pose_of_the_stamped_instant_some
         assert values[3:] == pytest.approx(AXIS * (0.2 + 0.7 * at), abs=1e-6)
 
 
+def test_between_two_steps_of_the_plant_the_pose_is_carried_on_about_the_axis_of_the_base_frame():
+    spin = np.array([3.0, -4.0, 2.0])
+    start = Rotation.from_rotvec([0.9, 0.4, -1.2])
+
+    class Spinner(Mover):
+        def truth(self):
+            t = self.n * 1e-4
+            R = (Rotation.from_rotvec(spin * t) * start).as_matrix()
+            return Truth(np.ones(3) + t, R, np.concatenate((np.ones(3), spin)), np.zeros(6))
+
+    found, _ = run(EXACT, SensorSettings(tracker=TrackerSettings(rate_Hz=370)), ticks=60, plant=Spinner())
+    assert len(found["tracker"]) > 15
+    between = [at for _, at, _ in found["tracker"] if 3e-5 < at % 1e-4 < 9e-5]
+    assert len(between) > 5
+    for _, at, values in found["tracker"]:
+        assert values[:3] == pytest.approx(np.ones(3) + at, abs=1e-6)
+        off = Rotation.from_rotvec(values[3:]) * start.inv() * Rotation.from_rotvec(-spin * at)
+        assert off.magnitude() < 1e-5, "the stamp has 1 us, the platform 5.4 rad/s"
+
+
 def test_an_imu_gives_rate_and_specific_force_in_the_platform_frame():
     found, _ = run(EXACT)
     assert len(found["imu"]) == pytest.approx(100, abs=2)

@@ -1,0 +1,87 @@
+"""Drives of the rehearsal that have no power or no bus, or speak another protocol, answer nobody."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.config import TransmissionSettings
+from drivers.mit.fields import Ranges
+from drivers.mit.protocol import MitProtocol
+from drivers.mit.robstride import RobStrideProtocol
+from drivers.odrive import ODriveProtocol
+from drivers.protocol import EXTENDED, REMOTE, Answer, Frame, Status
+from drivers.signals import LEGS, DriveState
+from drivers.transmission import Transmission
+from plant_fmu.rehearsal.wired_drives import WiredDrives
+from plant_fmu.rehearsal.wiring import Wiring
+from tests.drivers.cia402_drives import drives
+
+NODES = (1, 2, 3, 4, 5, 6)
+GEAR = Transmission.of(TransmissionSettings(lead_m=0.1))
+RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+
+
+def asked(name: str) -> tuple[Any, list[Frame]]:
+    """Return a codec, and a request to each drive that is answered at once, by no feedback."""
+    if name == "cia402":  # upload of 0x1000
+        return drives(NODES), [Frame(0x600 + node, bytes.fromhex("4000100000000000")) for node in NODES]
+    if name == "damiao":  # read register 9
+        protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
+        return protocol, [Frame(0x7FF, bytes((node, 0, 0x33, 9, 0, 0, 0, 0))) for node in NODES]
+    if name == "robstride":  # who are you
+        other = RobStrideProtocol(RANGES, NODES, 253, GEAR)
+        return other, [Frame(253 << 8 | node, bytes(8), EXTENDED) for node in NODES]
+    return ODriveProtocol(NODES, 0.05, GEAR), [Frame(node << 5 | 0x06, b"", REMOTE) for node in NODES]
+
+
+def wirings(mute: int) -> list[Wiring]:
+    """Return those in which one drive is there in no way."""
+    there = tuple(leg != mute for leg in range(LEGS))
+    return [Wiring(present=there), Wiring(other_protocol=tuple(not each for each in there))]
+
+
+def answering(name: str, wiring: Wiring) -> list[int]:
+    """Return the drives that answer a request to each, once they have booted."""
+    protocol, frames = asked(name)
+    wired = WiredDrives(protocol, wiring, NODES)
+    memory = protocol.power_up()
+    for leg in range(LEGS):
+        memory, _ = protocol.report(memory, Status(leg, DriveState.BOOT, 0))
+    found = []
+    for frame in frames:
+        memory, messages = wired.parse(memory, frame)
+        found += [each.leg for each in messages if isinstance(each, Answer)]
+    return found
+
+
+@pytest.mark.parametrize("name", ["cia402", "damiao", "robstride", "odrive"])
+def test_a_request_is_answered_by_the_drives_that_are_there_and_by_no_other(name):
+    assert answering(name, Wiring()) == list(range(LEGS))
+    for mute in range(LEGS):
+        for wiring in wirings(mute):
+            assert answering(name, wiring) == [leg for leg in range(LEGS) if leg != mute]
+
+
+@pytest.mark.parametrize("name", ["cia402", "damiao", "robstride", "odrive"])
+def test_a_number_that_no_drive_was_given_is_answered_by_nobody(name):
+    assert answering(name, Wiring(answers_as=(0, 1, 3, 3, 4, 5))) == [0, 1, 3, 4, 5]
+
+
+def test_a_drive_without_power_says_nothing_of_its_state_either():
+    protocol, _ = asked("odrive")
+    memory = protocol.power_up()
+    zeros = np.zeros(LEGS)
+    for mute in range(LEGS):
+        wired = WiredDrives(protocol, wirings(mute)[0], NODES)
+        reports = [wired.report(memory, Status(leg, DriveState.OFF, 0))[1] for leg in range(LEGS)]
+        assert [leg for leg, frames in enumerate(reports) if not frames] == [mute]
+        sync = wired.parse(memory, Frame(NODES[mute] << 5 | 0x09, b"", REMOTE))[1]
+        assert sync == ()
+        everybody = protocol.parse(memory, Frame(NODES[mute] << 5 | 0x09, b"", REMOTE))[1][0]
+        _, answers = wired.answer(
+            memory, everybody._replace(legs=tuple(range(LEGS))), zeros, zeros, zeros, zeros.astype(int)
+        )
+        assert [leg for leg, _ in answers] == [leg for leg in range(LEGS) if leg != mute]

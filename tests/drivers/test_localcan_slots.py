@@ -1,0 +1,79 @@
+"""localcan: whose wire it is, who is taken for dead, and what a newcomer has of who had its slot before."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from drivers.can.localcan.doorbell import Doorbell
+from drivers.can.localcan.layout import SLOT_DUE, SLOT_PID, SLOT_RUNG, SLOT_SERIAL, SLOTS, slot_at
+from drivers.can.localcan.wire import Wire
+from drivers.errors import BusError
+
+pytestmark = pytest.mark.usefixtures("runtime")
+
+
+@pytest.mark.parametrize("mode", [0o601, 0o602, 0o604, 0o610, 0o620, 0o640, 0o666, 0o777])
+def test_a_wire_that_others_may_use_is_refused(tmp_path, mode):
+    path = tmp_path / "t.wire"
+    path.touch()
+    path.chmod(mode)
+    with pytest.raises(BusError, match=r"t\.wire is not this user's alone; remove it"):
+        Wire(path)
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o660])
+def test_a_wire_that_another_user_owns_is_refused_whatever_its_mode(tmp_path, monkeypatch, mode):
+    path = tmp_path / "t.wire"
+    path.touch()
+    path.chmod(mode)
+    other = os.getuid() + 1
+    monkeypatch.setattr(os, "getuid", lambda: other)
+    with pytest.raises(BusError, match=r"t\.wire is not this user's alone; remove it"):
+        Wire(path)
+
+
+def test_a_wire_of_this_users_alone_is_the_bus_as_often_as_it_is_opened(tmp_path):
+    for _ in range(2):
+        wire = Wire(tmp_path / "t.wire")
+        assert wire.timing is None
+        wire.close()
+
+
+def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead():
+    listener, caller = Doorbell("t"), Doorbell("t")
+    listener.bind(65)
+    try:
+        assert {caller.ring(65) for _ in range(3000)} == {True}
+        with pytest.raises(BlockingIOError):  # there is no room for more
+            caller._socket.sendto(b"", f"{caller._prefix}65")
+        listener.silence()
+        assert caller.ring(65)
+        listener.close()
+        assert not caller.ring(65), "its socket has gone with it"
+        listener.remove(65)
+        assert not caller.ring(65), "nor is its name there any more"
+        assert not caller.ring(66), "nobody ever had that one"
+    finally:
+        listener.close()
+        caller.close()
+
+
+def test_who_takes_the_slot_of_one_killed_while_it_held_time_does_not_hold_it(join):
+    viewer, killed = join(), join()
+    # 1 ns to wake up, 1 ns to work: who does so holds time up at once
+    killed.clock.begin(1, 1)
+    killed.clock.hold()
+    killed.clock.working()
+    assert viewer.clock.stands()
+    words = viewer._wire.words
+    words[slot_at(killed.serial) + SLOT_RUNG] = 5
+    killed.forget()  # without a word to the others, as the kernel does it
+    newcomer = join()
+    at = slot_at(newcomer.serial)
+    assert newcomer.serial % SLOTS == killed.serial % SLOTS
+    assert [int(words[at + each]) for each in (SLOT_SERIAL, SLOT_PID)] == [newcomer.serial, os.getpid()]
+    assert [int(words[at + each]) for each in (SLOT_DUE, SLOT_RUNG)] == [0, 0]
+    assert not viewer.clock.stands()
+    assert not newcomer.clock.stands()

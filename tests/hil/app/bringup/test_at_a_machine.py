@@ -1,0 +1,90 @@
+"""Before the first step of a bring-up on a bus: who may agree to all of it, and the homing file is marked."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import RunError
+from hil.app.bringup import command
+from hil.app.bringup.command import run_bringup
+from hil.app.bringup.hands import served_bench
+from hil.app.bringup.machine import build_machine
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.homing.command import state_homing
+from hil.app.homing.file import read_homing
+from hil.bringup.context import Context
+from hil.bringup.drives import Drives
+from hil.bringup.procedure import Outcome
+from tests.hil.app.bringup.test_homing_file import forgetful
+from tests.hil.app.bringup.test_release import Recorder
+
+
+@pytest.fixture
+def stated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A machine whose homing file says where its legs stand."""
+    monkeypatch.chdir(tmp_path)
+    text = forgetful(tmp_path).text.replace("folder: runs", f"folder: {tmp_path}/runs")
+    c = loads(text, "forgetful", tmp_path)
+    state_homing(c, at_home=True)
+    with tempfile.TemporaryDirectory(prefix="hil-") as sockets:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", sockets)
+        yield c
+
+
+@pytest.fixture
+def begun(stated: Configuration, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the homing file said as the steps of each bring-up began."""
+    said: list[str] = []
+
+    def proceed(c: Configuration, protocol: Any, end: Any, store: Any, *_: Any, **__: Any) -> Any:
+        said.append(homing(c))
+        machine = build_machine(c, protocol)
+        context = Context(machine, Drives(protocol, end.line, 0.1), end.operator, store.facts, store.save)
+        return Outcome((), (), stopped="ended"), context, "ended"
+
+    @contextlib.contextmanager
+    def log(_c: Configuration, path: Path, _clock: Any) -> Any:
+        yield Recorder(path, 0)
+
+    monkeypatch.setattr(command, "_proceed", proceed)
+    monkeypatch.setattr(command, "_log", log)
+    return said
+
+
+def homing(c: Configuration) -> str:
+    return read_homing(c, c.folder / "legs.homing.yaml").state
+
+
+def test_nobody_agrees_to_all_steps_at_a_machine_beforehand(stated: Configuration, begun: list[str]) -> None:
+    before = sorted(stated.folder.iterdir())
+    with pytest.raises(RunError, match="for a bench: leave it out at a machine"):
+        run_bringup("forgetful", stated, yes=True, say=lambda _: None)
+    assert begun == []
+    assert homing(stated) == "stated"
+    assert sorted(stated.folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("served", [False, True])
+def test_the_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
+    stated: Configuration, begun: list[str], served: bool
+) -> None:
+    bench = served_bench(stated, []) if served else contextlib.nullcontext()
+    with bench:
+        for _ in range(2):
+            run_bringup("forgetful", stated, yes=served, say=lambda _: None)
+            assert homing(stated) == "moved", "it stays so until somebody says where the legs are"
+            state_homing(stated, at_home=True)
+    assert begun == ["moved"] * 2
+
+
+def test_a_rehearsal_in_this_process_leaves_the_homing_file_of_the_machine_alone(
+    stated: Configuration, begun: list[str]
+) -> None:
+    run_bringup("forgetful", stated, mistakes=[], yes=True, say=lambda _: None)
+    assert begun == ["stated"]
+    assert homing(stated) == "stated"

@@ -1,0 +1,175 @@
+"""`hil run` and the homing file: the file of the drives that it runs, marked while brakes may open."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from drivers.signals import DriveState, Fault, Mode
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.homing.command import state_homing
+from hil.app.homing.file import read_homing, write_homing
+from hil.app.homing.keeping import Keeper
+from hil.app.run import command
+from hil.loop.homing import LastPose
+from tests.hil.app.test_homing import configuration
+
+LENGTHS = [0.31, 0.32, 0.33, 0.34, 0.35, 0.36]
+FILES = {False: "real.yaml", True: "bench.yaml"}
+"""Of real and of emulated drives."""
+
+
+class EndsHere(BaseException):
+    """The process dies as the loop begins."""
+
+
+def cycle_of(**changes: Any) -> Any:
+    """Return what a keeper asks of a cycle: six drives that are off, at rest, measured and known."""
+    state = changes.pop("drive_state", int(DriveState.OFF))
+    tick = {
+        "age": np.zeros(6, int),
+        "rate": np.zeros(6),
+        "length": np.array(LENGTHS) + 0.005,
+        "drive_state": np.full(6, state),
+    }
+    homing = SimpleNamespace(known=True, opened=True, raw=np.array(LENGTHS))
+    there = {
+        "tick": tick | changes.pop("tick", {}),
+        "homing": homing,
+        "faults": Fault(0),
+        "mode": Mode.PARKED,
+    }
+    parts = SimpleNamespace(trajectory=SimpleNamespace(duration_s=1.0))
+    return SimpleNamespace(parts=parts, **there | changes)
+
+
+@pytest.fixture
+def stated(tmp_path: Path) -> Configuration:
+    """Drives of both kinds, whose files say other lengths."""
+    c = configuration(tmp_path)
+    state_homing(c, emulated=False, lengths_m=LENGTHS)
+    state_homing(c, emulated=True, lengths_m=LENGTHS[::-1])
+    return c
+
+
+@contextlib.contextmanager
+def sockets(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The path of a socket has 108 bytes."""
+    with tempfile.TemporaryDirectory(prefix="hil-") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+def states(c: Configuration) -> dict[bool, str]:
+    return {emulated: read_homing(c, c.folder / name).state for emulated, name in FILES.items()}
+
+
+@pytest.mark.parametrize("with_plant", [False, True])
+def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_loop_begins(
+    stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool
+) -> None:
+    told: list[LastPose] = []
+    during: list[dict[bool, str]] = []
+    cycle = cycle_of(tick={"age": np.full(6, 99)})
+
+    def build_cycle(*_: Any, last_pose: LastPose) -> Any:
+        told.append(last_pose)
+        return cycle
+
+    def begins(*_: Any) -> Any:
+        during.append(states(stated))
+        raise EndsHere
+
+    @contextlib.contextmanager
+    def nothing(*_: Any, **__: Any) -> Any:
+        yield SimpleNamespace(event=lambda *_: None)
+
+    for name in ("record", "SupervisedPlant"):
+        monkeypatch.setattr(command, name, nothing)
+    monkeypatch.setattr(command, "select_rate", lambda *_, **__: (400.0, 0.01))
+    monkeypatch.setattr(command, "build_cycle", build_cycle)
+    monkeypatch.setattr(command, "make_room", lambda *_: [])
+    monkeypatch.setattr(command, "real_time", begins)
+    for opened in (False, True):
+        cycle.homing.opened = opened
+        with sockets(monkeypatch), pytest.raises(EndsHere):
+            command.run_daemon(stated, with_plant=with_plant, arm=True, draw=False)
+        left = "moved" if opened else "stated"
+        assert states(stated) == {with_plant: left, not with_plant: "stated"}
+    assert during == [{with_plant: "moved", not with_plant: "stated"}] * 2
+    expected = LENGTHS[::-1] if with_plant else LENGTHS
+    assert [pose.length.tolist() for pose in told] == [expected] * 2
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_that_still_moves_either_way_as_a_run_ends_is_not_parked(
+    stated: Configuration, leg: int
+) -> None:
+    path = stated.folder / FILES[True]
+    before = read_homing(stated, path)
+    for rate, state in (
+        (0.0, "parked"),
+        (0.1, "moved"),
+        (-0.1, "moved"),
+        (1e-6, "parked"),
+        (-1e-6, "parked"),
+    ):
+        write_homing(stated, path, before)
+        keeper, rates = Keeper(stated, emulated=True), np.zeros(6)
+        rates[leg] = rate
+        cycle = cycle_of(tick={"rate": rates})
+        keeper.begin(cycle)
+        keeper.close()
+        file = read_homing(stated, path)
+        assert (rate, file.state) == (rate, state)
+        assert (file.lengths_m == cycle.tick["length"].tolist()) == (state == "parked")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mode": Mode.TRACKING},
+        {"faults": Fault.ENCODER},
+        {"drive_state": int(DriveState.RUN)},
+        {"tick": {"age": np.array([0, 0, 0, 0, 0, 6])}},
+        {"homing": SimpleNamespace(known=False, opened=True, raw=np.zeros(6))},
+    ],
+    ids=["not at its end", "an encoder is not believed", "powered", "not heard lately", "turns not known"],
+)
+def test_a_run_that_does_not_know_where_it_left_the_legs_stays_marked(
+    stated: Configuration, changes: dict[str, Any]
+) -> None:
+    keeper = Keeper(stated, emulated=False)
+    keeper.begin(cycle_of(**changes))
+    keeper.close()
+    assert states(stated) == {False: "moved", True: "stated"}
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        {"node_ids": [2, 1, 3, 4, 5, 6]},
+        {"node_ids": [1, 2, 3, 4, 6, 5]},
+        {"transmission": {"offset_m": 0.301}},
+        {"transmission": {"sign": [1, 1, 1, 1, 1, -1]}},
+        {"options": {"position_rad": 20.0}},
+        {"homing": {"forgotten_turns": 0.05}},
+    ],
+    ids=str,
+)
+def test_a_file_is_not_believed_once_a_leg_has_other_turns_by_number_gear_or_field(
+    stated: Configuration, drives: dict[str, Any]
+) -> None:
+    other = loads(with_changes(stated.text, {"name": "desktop", "drives": drives}), "desktop", stated.folder)
+    for emulated in (False, True):
+        assert Keeper(stated, emulated=emulated).last_pose is not None
+        with pytest.raises(ConfigurationError, match="another robot"):
+            Keeper(other, emulated=emulated)

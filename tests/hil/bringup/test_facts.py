@@ -24,8 +24,10 @@ OF_LEGS = {
 
 def all_facts() -> dict[str, dict[str, Any]]:
     """Return the facts of a machine that has passed every step."""
-    facts = {step: {str(k): fact(k) for k in range(6)} for step, fact in OF_LEGS.items()}
-    whole = {
+    facts: dict[str, dict[str, Any]] = {
+        step: {str(k): fact(k) for k in range(6)} for step, fact in OF_LEGS.items()
+    }
+    whole: dict[str, dict[str, Any]] = {
         "mounted": {"0": {"q_m": [1.0] * 6}, "1": {"q_m": [1.1] * 6}},
         "load": {"mass_kg": 1150.0, "presses": 1.0},
         "passed": dict.fromkeys([*OF_LEGS, "mounted"], True),
@@ -52,7 +54,12 @@ def test_nothing_that_was_proven_of_a_leg_or_its_drive_outlives_it(
 
 @pytest.mark.parametrize(
     ("step", "fact"),
-    [("ids", {"drives": [4]}), ("ids", {"drives": [2, 4]}), ("encoder", {"drive": 4}), ("opens", {"legs": [1, 4]})],
+    [
+        ("ids", {"drives": [4]}),
+        ("ids", {"drives": [2, 4]}),
+        ("encoder", {"drive": 4}),
+        ("opens", {"legs": [1, 4]}),
+    ],
 )
 def test_behind_exchanged_numbers_a_fact_that_names_the_drive_goes_with_it(
     step: str, fact: dict[str, Any]

@@ -22,10 +22,12 @@ class Pushed:
         self.machine = SimpleNamespace(rated_N=30_000.0)
         self.drives = SimpleNamespace(ticks=lambda _: 3)
         self.driven: list[int] = []
+        self.asked: list[str] = []
         self._act, self._way_m, self._legs = act, way_m, legs
         self._q = np.full(6, 1.5)
 
     def ask(self, request: Request, keep: Any = lambda: None) -> float:
+        self.asked.append(request.act)
         if request.act == self._act:
             self._q[list(self._legs)] += self._way_m
         keep()
@@ -54,7 +56,10 @@ def pushed(act: str, way_m: float, *legs: int) -> Context:
 def test_a_shut_brake_that_slips_does_not_hold_whichever_way_and_whenever_it_slips(
     leg: int, way_m: float, act: str
 ) -> None:
-    assert brakes.holds(pushed(act, way_m, leg), leg)["moved"]
+    c = pushed(act, way_m, leg)
+    read = [] if act == "push" else ["read_held"]
+    assert brakes.holds(c, leg) == {"moved": True, "hand_N": 700.0 if read else None}
+    assert c.asked == ["push", *read, "let_go"], "a leg that gives way holds no force to be read"  # type: ignore[attr-defined]
     assert not brakes.holds(pushed(act, way_m / 4.0, leg), leg)["moved"], "a leg and its joints bend"
 
 
@@ -67,7 +72,9 @@ def test_an_open_brake_gives_way_whichever_way_its_leg_is_pushed(leg: int, way_m
 
 @LEGS
 @WAYS
-def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(leg: int, way_m: float) -> None:
+def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(
+    leg: int, way_m: float
+) -> None:
     others = [other for other in range(6) if other != leg]
     for freed in ([], others[:1], others[-1:], others[1:4], others):
         c = pushed("push_others", way_m, *freed)

@@ -45,6 +45,23 @@ def test_stalls_that_no_rate_outlasts_are_foretold(ordinary):
     assert said == [f"{LACK}; stalls of 241 ms now: expect a controlled stop, or take load off this machine"]
 
 
+@pytest.mark.parametrize("held_Hz", [50.0, 125.0, 299.0])
+def test_real_drives_whose_watchdog_the_held_rate_would_trip_do_not_start(ordinary, held_Hz):
+    """Three periods of the loop within 10 ms; the configured 1000 Hz are not what runs."""
+    said = ordinary(held_Hz, 0.001)
+    with pytest.raises(RunError) as refused:
+        rate_selection.select_rate(load("virtual"), with_plant=False)
+    assert f"holds {held_Hz:g} Hz now, drives.watchdog_ms 10 needs at least 300 Hz" in str(refused.value)
+    assert said == []
+
+
+@pytest.mark.parametrize("held_Hz", [301.0, 500.0])
+def test_real_drives_keep_their_watchdog_at_a_lower_rate_that_it_allows(ordinary, held_Hz):
+    said = ordinary(held_Hz, 0.001)
+    assert rate_selection.select_rate(load("virtual"), with_plant=False) == (held_Hz, 0.01)
+    assert said == [f"{LACK}: the loop runs at {held_Hz:g} Hz instead of 1000 Hz"]
+
+
 @pytest.fixture
 def fifo(ordinary, monkeypatch):
     """Grant SCHED_FIFO on a machine with such a share of late wake-ups; return what is printed."""

@@ -1,0 +1,87 @@
+"""Which rows of a log teach: whole, at the configured rate, and not where a limit has cut the forces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import LogError
+from drivers.signals import Mode, Warn
+from hil.app.configuration.configuration import load
+from hil.app.identify.delay import Recorded
+from hil.app.learn import runs
+from hil.app.learn.runs import learning_run
+
+T, COUNT, LEAD = 1e-3, 300, 450
+PATH = Path("a.mcap")
+COLUMNS = [("tick", int), ("mode", int), ("faults", int), ("warnings", int), ("reference_time_s", float)]
+
+
+def rows_of(approach: int) -> Any:
+    """Return so many ticks of an approach, the ticks of a reference, and some behind it."""
+    rows = np.zeros(approach + COUNT + 100, COLUMNS)
+    rows["tick"] = 7000 + np.arange(len(rows))
+    rows["mode"] = Mode.PARKING
+    rows["mode"][: approach + COUNT] = Mode.TRACKING
+    rows["mode"][:approach] = Mode.APPROACH
+    rows["reference_time_s"][approach:] = T * np.arange(COUNT + 100)
+    return rows
+
+
+def whole(rows: Any) -> tuple[int, Any]:
+    return runs._whole(PATH, rows, T, COUNT)
+
+
+@pytest.mark.parametrize(("approach", "lead"), [(0, 0), (1, 1), (200, 200), (LEAD, LEAD), (900, LEAD)])
+def test_the_end_of_an_approach_leads_into_the_reference_without_a_gap(approach: int, lead: int) -> None:
+    found, rows = whole(rows_of(approach))
+    assert (found, len(rows)) == (lead, lead + COUNT)
+    np.testing.assert_array_equal(rows["tick"], 7000 + approach - lead + np.arange(lead + COUNT))
+
+
+@pytest.mark.parametrize("approach", [200, 900])
+@pytest.mark.parametrize("lost", [[1], [2, 3], [100], [150, 199], list(range(1, 60))])
+def test_an_approach_with_a_tick_lost_before_the_reference_leads_nowhere(
+    approach: int, lost: list[int]
+) -> None:
+    """lost: ticks before the reference's start."""
+    found, rows = whole(np.delete(rows_of(approach), approach - np.array(lost)))
+    assert found == 0
+    np.testing.assert_array_equal(rows["tick"], 7000 + approach + np.arange(COUNT))
+
+
+def test_a_tick_that_was_lost_long_before_the_reference_takes_nothing_away() -> None:
+    found, rows = whole(np.delete(rows_of(900), 900 - LEAD - 1))
+    assert (found, len(rows)) == (LEAD, LEAD + COUNT)
+
+
+@pytest.mark.parametrize(
+    "limit", [Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW], ids=lambda w: w.name
+)
+@pytest.mark.parametrize("at", [-LEAD, -1, 0, COUNT - 1], ids=str)
+def test_a_run_in_which_any_limit_has_cut_the_forces_teaches_nothing(limit: Warn, at: int) -> None:
+    rows = rows_of(500)
+    rows["warnings"][500 + at] = int(limit)
+    with pytest.raises(LogError, match="limits cut the forces at 1 ticks"):
+        whole(rows)
+
+
+@pytest.mark.parametrize("at", [-LEAD - 1, COUNT], ids=str)
+def test_what_a_limit_cut_before_or_behind_what_teaches_is_no_matter(at: int) -> None:
+    rows = rows_of(500)
+    rows["warnings"][500 + at] = int(Warn.FORCE_LIMIT | Warn.FORCE_STEP | Warn.FORCE_WINDOW)
+    assert whole(rows)[0] == LEAD
+
+
+@pytest.mark.parametrize("rate_Hz", [500.0, 999.0, 1001.0, 2000.0])
+def test_a_run_at_another_rate_than_the_configured_one_teaches_nothing(
+    monkeypatch: pytest.MonkeyPatch, rate_Hz: float
+) -> None:
+    """`hil run` slows down where a machine does not hold the rate; its period and delays are others then."""
+    recorded = Recorded(load("virtual"), rows_of(500), rate_Hz, {})
+    monkeypatch.setattr(runs, "recorded_run", lambda _: recorded)
+    with pytest.raises(LogError, match=f"ran at {rate_Hz:g} Hz, allowed: loop.rate_Hz, 1000 Hz"):
+        learning_run(PATH)

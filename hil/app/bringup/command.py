@@ -112,7 +112,8 @@ def run_bringup(
                 assert bench is not None
                 end = rehearsed_end(c, bench, agree, said)
             else:
-                mark_moved(c, said)
+                if not served:
+                    mark_moved(c, said)
                 ends = (
                     served_end(c, bus, protocol, terminal, agree, said)
                     if served
@@ -282,7 +283,8 @@ def _release(
     except KeyboardInterrupt:
         return Together(success=False, lines=["[ ] together: ended by Ctrl-C before it began"])
     if bench is None:
-        state_lengths(found, context, said)
+        if not served:
+            state_lengths(found, context, said)
         summary = run_daemon(found, draw=False, arm=True, on_bench=served)
         success, faults = summary["success"], summary.get("faults", ())
         stood = words_of(summary["bench_time"]) if "bench_time" in summary else ""

@@ -7,12 +7,14 @@ from typing import Any
 from drivers.signals import Mode
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_moved, write_homing
 from hil.app.homing.last_pose import last_pose_of
 from hil.loop import modes
 from hil.loop.cycle import Cycle
 from hil.loop.drives_say import any_powered
 from hil.loop.homing import LastPose, unwrapped_turns
+from hil.robot.kinematics import leg_lengths
 from hil.safety.standstill import REST_m_s
 
 _RESTING = frozenset({Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
@@ -26,16 +28,23 @@ class Keeper:
     Mutable state: the cycle whose run it keeps the file of, while that is marked.
     """
 
-    def __init__(self, c: Configuration, *, emulated: bool) -> None:
-        """Read the file, if the drives have one. Raises ConfigurationError as `read_homing`."""
+    def __init__(self, c: Configuration, *, emulated: bool, on_bench: bool = False) -> None:
+        """Read the file, if the drives have one; a rehearsal bench has none, and its platform hangs at home.
+
+        Raises ConfigurationError as `read_homing`.
+        """
         self._c = c
-        self._path = None if c.drives.homing is None else homing_path(c, emulated=emulated)
+        without = c.drives.homing is None or on_bench
+        self._path = None if without else homing_path(c, emulated=emulated)
         self._file = None
         self._cycle: Cycle | None = None
         if self._path is not None:
             self._file = read_homing(c, self._path)
             refuse_moved(c, self._path, self._file)
-        self.last_pose: LastPose | None = last_pose_of(c, self._file, emulated=emulated)
+        self.last_pose: LastPose | None = last_pose_of(c, self._file, emulated=emulated or on_bench)
+        if on_bench and self.last_pose is not None:
+            home = leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home))
+            self.last_pose = self.last_pose._replace(length=home)
 
     def begin(self, cycle: Cycle) -> None:
         """Mark the file: who dies from here on has not said where the legs are."""

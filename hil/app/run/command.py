@@ -79,7 +79,7 @@ def run_daemon(
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
         clock = bench_clock(c, bus) if with_plant or on_bench else None
         rate, watchdog_s = select_rate(c, with_plant=with_plant, stretching=clock is not None)
-        keeper = Keeper(c, emulated=with_plant)
+        keeper = Keeper(c, emulated=with_plant, on_bench=on_bench)
         cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)
         path = log_path(c.recording.folder, c.name, log)
         removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)

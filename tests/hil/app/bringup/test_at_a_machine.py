@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
 from drivers.errors import RunError
@@ -14,12 +15,16 @@ from hil.app.bringup import command
 from hil.app.bringup.command import run_bringup
 from hil.app.bringup.hands import served_bench
 from hil.app.bringup.machine import build_machine
+from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.homing.command import state_homing
-from hil.app.homing.file import read_homing
+from hil.app.homing.file import homing_file, read_homing, write_homing
+from hil.app.homing.keeping import Keeper
 from hil.bringup.context import Context
 from hil.bringup.drives import Drives
 from hil.bringup.procedure import Outcome
+from hil.robot.kinematics import leg_lengths
 from tests.hil.app.bringup.test_homing_file import forgetful
 from tests.hil.app.bringup.test_release import Recorder
 
@@ -69,22 +74,40 @@ def test_nobody_agrees_to_all_steps_at_a_machine_beforehand(stated: Configuratio
     assert sorted(stated.folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("served", [False, True])
 def test_the_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
-    stated: Configuration, begun: list[str], served: bool
+    stated: Configuration, begun: list[str]
 ) -> None:
-    bench = served_bench(stated, []) if served else contextlib.nullcontext()
-    with bench:
-        for _ in range(2):
-            run_bringup("forgetful", stated, yes=served, say=lambda _: None)
-            assert homing(stated) == "moved", "it stays so until somebody says where the legs are"
-            state_homing(stated, at_home=True)
+    for _ in range(2):
+        run_bringup("forgetful", stated, say=lambda _: None)
+        assert homing(stated) == "moved", "it stays so until somebody says where the legs are"
+        state_homing(stated, at_home=True)
     assert begun == ["moved"] * 2
 
 
-def test_a_rehearsal_in_this_process_leaves_the_homing_file_of_the_machine_alone(
-    stated: Configuration, begun: list[str]
+@pytest.mark.parametrize("served", [False, True])
+def test_a_rehearsal_leaves_the_homing_file_of_the_machine_alone(
+    stated: Configuration, begun: list[str], served: bool
 ) -> None:
-    run_bringup("forgetful", stated, mistakes=[], yes=True, say=lambda _: None)
+    with served_bench(stated, []) if served else contextlib.nullcontext():
+        run_bringup("forgetful", stated, mistakes=None if served else [], yes=True, say=lambda _: None)
     assert begun == ["stated"]
     assert homing(stated) == "stated"
+
+
+@pytest.mark.parametrize("said", ["stated", "moved"])
+def test_on_a_bench_the_legs_are_where_the_platform_hangs_whatever_the_file_of_the_machine_says(
+    stated: Configuration, said: Literal["stated", "moved"]
+) -> None:
+    path = stated.folder / "legs.homing.yaml"
+    elsewhere = [q + 0.01 for q in read_homing(stated, path).lengths_m]
+    write_homing(stated, path, homing_file(stated, said, elsewhere, None))
+    before = path.read_bytes()
+    keeper = Keeper(stated, emulated=False, on_bench=True)
+    assert keeper.last_pose is not None
+    home = leg_lengths(build_platform(stated.platform), *pose_arrays(stated.platform.home))
+    np.testing.assert_array_equal(keeper.last_pose.length, home)
+    cycle = build_cycle(stated, stated.loop.rate_Hz, 0.1, last_pose=keeper.last_pose)
+    keeper.begin(cycle)
+    keeper.close()
+    assert path.read_bytes() == before
+    assert "file" not in keeper.summary(cycle)["homing"]

@@ -214,7 +214,7 @@ def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, ag
     said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
     agree = Terminal(said).consent
     together = command._release(load("virtual"), None, None, said, agree, served=served)  # type: ignore[arg-type]
-    assert done == ["stated", "on a bench" if served else "ran"] * agrees
+    assert done == (["on a bench"] if served else ["stated", "ran"]) * agrees
     assert together.brake_failed is agrees
     assert any("bench time stood still 2 times, 7.5 ms at most" in line for line in together.lines) is agrees
 

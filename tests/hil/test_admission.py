@@ -56,6 +56,24 @@ def test_a_pose_is_refused_exactly_a_millimetre_before_a_soft_end(seed):
         assert admission(low=low, high=high, rated=1e12, **roomy)(chi) == expected
 
 
+@pytest.mark.parametrize("leg", range(6))
+def test_a_way_is_refused_exactly_where_a_leg_gets_shorter_or_longer_than_its_soft_ends(leg):
+    """Each leg in turn is the shortest one, and the longest one."""
+    toward = np.array(BOOK["geometry"]["base_joints"])[leg] * np.array([1.0, 1.0, 0.0])
+    roomy = {"force_N": 1e9, "condition": 1e9, "stroke_margin_m": 0.02, "rated": 1e12}
+    for way, end in ((0.3, np.argmin), (-0.3, np.argmax)):
+        p = HOME[:3] + way * toward / np.linalg.norm(toward)
+        q = lengths(np.array([*p, 0.0, 0.0, 0.0]))
+        assert end(q) == leg
+        there = PoseSample(p, np.eye(3), np.zeros(6), np.zeros(6))
+        for low, high, expected in (
+            (q.min() - 0.02 - 1e-9, q.max() + 0.02 + 1e-9, 0),
+            (q.min() - 0.02 + 1e-9, q.max() + 0.1, Refusal.STROKE),
+            (q.min() - 0.1, q.max() + 0.02 - 1e-9, Refusal.STROKE),
+        ):
+            assert admission(low=low, high=high, **roomy).on_the_way(there) == expected
+
+
 def test_the_force_at_rest_is_the_books():
     assert admission(force_N=STATIC * (1 + 1e-6))(HOME) == 0
     assert admission(force_N=STATIC * (1 - 1e-6))(HOME) == Refusal.FORCE
@@ -95,15 +113,32 @@ def test_more_than_half_a_turn_is_no_pose():
     assert admission()(off(0, 0, 0, 0, 3.2, 0)) == Refusal.NOT_A_POSE
 
 
+@pytest.mark.parametrize(("fall", "sign"), [(0.0, 1.0), (3.0, -1.0)], ids=["pushes", "pulls"])
+def test_a_leg_may_push_and_pull_on_the_way_with_no_more_than_its_force(fall, sign):
+    """At rest all legs push; down with three times the acceleration of free fall they pull."""
+    dtwist = np.array([*(fall * PLATFORM.gravity), 0.0, 0.0, 0.0])
+    tau = Model(PLATFORM).inverse_dynamics(HOME[:3], np.eye(3), np.zeros(6), dtwist)
+    assert (sign * tau > 0.9 * STATIC).all()
+    there = PoseSample(HOME[:3], np.eye(3), np.zeros(6), dtwist)
+    assert admission(force_N=np.abs(tau).max() * (1 + 1e-6)).on_the_way(there) == 0
+    assert admission(force_N=np.abs(tau).min() * (1 - 1e-6)).on_the_way(there) == Refusal.FORCE
+
+
+@pytest.mark.parametrize(("share", "steepest"), [(1.0, 1.5), (0.3, np.sqrt(4.5 * 0.3))])
 @pytest.mark.parametrize(
     ("twist", "stop_s"),
     [((0.2, 0, 0, 0, 0, 0), 0.5), ((0, 0, -0.3, 0, 0, 0), 2.0), ((0, 0, 0, 0, 0, 0.5), 0.1)],
 )
-def test_a_jogs_forces_change_within_250_ms_by_no_more_than_is_said_and_by_most_of_it(twist, stop_s):
-    """Forces of the motion itself: rest, sigma' = 1.5 / T, full speed, then sigma' = -1.5 / T, and 250 ms on."""
+def test_a_jogs_forces_change_within_250_ms_by_no_more_than_is_said_and_by_most_of_it(
+    twist, stop_s, share, steepest
+):
+    """Forces of the motion itself: rest, the steepest sigma', at speed, its steepest fall, and 250 ms on.
+
+    With |sigma''| <= 4.5 / T^2 a change by s has sigma' of up to sqrt(4.5 s) / T, and of 1.5 / T at most.
+    """
     model, twist = Model(PLATFORM), np.array(twist)
     here = PoseSample(HOME[:3], np.eye(3), twist, np.zeros(6))
-    said = admission(stop_s=stop_s).change_N(here, 1.0)
+    said = admission(stop_s=stop_s).change_N(here, share)
     forces = []
     for sigma, rate, t in [
         (0, 0, 0),
@@ -114,13 +149,13 @@ def test_a_jogs_forces_change_within_250_ms_by_no_more_than_is_said_and_by_most_
         (1, -1, 0.25),
         (0, -1, 0.25),
     ]:
-        R = Rotation.from_rotvec(t * twist[3:]).as_matrix()
-        motion = sigma * twist, rate * 1.5 / stop_s * twist
-        forces.append(model.inverse_dynamics(HOME[:3] + t * twist[:3], R, *motion))
+        R = Rotation.from_rotvec(share * t * twist[3:]).as_matrix()
+        motion = share * sigma * twist, rate * steepest / stop_s * twist
+        forces.append(model.inverse_dynamics(HOME[:3] + share * t * twist[:3], R, *motion))
     seen = float(np.ptp(forces, axis=0).max())
     assert 0.8 * said < seen <= said * (1 + 1e-9)
-    assert not admission(stop_s=stop_s, force_window_N=said * (1 + 1e-9)).too_sudden(here, 1.0)
-    assert admission(stop_s=stop_s, force_window_N=said * (1 - 1e-9)).too_sudden(here, 1.0)
+    assert not admission(stop_s=stop_s, force_window_N=said * (1 + 1e-9)).too_sudden(here, share)
+    assert admission(stop_s=stop_s, force_window_N=said * (1 - 1e-9)).too_sudden(here, share)
 
 
 def test_a_change_of_force_that_is_no_number_is_too_sudden():

@@ -169,10 +169,14 @@ def test_both_ends_of_the_stroke_count():
     )
 
 
-def test_the_limit_is_where_it_is_stated():
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_leg_beyond_the_limit_is_refused_whether_it_has_got_longer_or_shorter(leg, side):
     legs = Leg()
-    legs.hear(forgotten(PARKED + 1.1 * LIMIT * (np.arange(6) == 3)))
-    assert "leg 3 is" in legs.homing.refusal
+    legs.hear(forgotten(PARKED + side * 1.1 * LIMIT * (np.arange(6) == leg)))
+    assert f"leg {leg} is" in legs.homing.refusal
+    assert f"{side * 1.1e3 * LIMIT:+.3f} mm, allowed" in legs.homing.refusal
+    assert not legs.homing.known
 
 
 def test_a_leg_that_moves_by_most_of_a_turn_a_tick_is_followed_by_its_rate():

@@ -319,6 +319,19 @@ def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_and_one_that_come
     assert not samples[-1].twist.any()
 
 
+@pytest.mark.parametrize("fraction", [1.0, -1.0, 0.4, -0.4])
+def test_a_jog_is_judged_for_its_forces_at_the_share_of_its_speed_whichever_way_it_goes(fraction):
+    shares = []
+
+    def noted(_sample, share):
+        shares.append(share)
+        return False
+
+    Held(Box(1.0), too_sudden=noted).run(200, jog("x", fraction))
+    assert len(shares) == 200
+    np.testing.assert_allclose(shares, abs(fraction), rtol=1e-12)
+
+
 @pytest.mark.parametrize(("window_N", "moves"), [(12000.0, True), (1.0, False)])
 def test_the_controller_judges_jogs_by_the_force_window_of_its_configuration(window_N, moves):
     c = load("virtual")

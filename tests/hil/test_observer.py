@@ -119,6 +119,34 @@ def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed
     assert observe(each, 106, states[1]).any()
 
 
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("state", [DriveState.BOOT, DriveState.OFF, DriveState.FAULT], ids=lambda s: s.name)
+def test_one_drive_without_force_makes_the_estimate_zero(pushed, leg, state):
+    states, forces = pushed
+    each = observer()
+    assert follow(each, states[:10], forces)[-1].all()
+    drives = list(RUN)
+    drives[leg] = state
+    assert not observe(each, 10, states[10], drives).any()
+
+
+@pytest.mark.parametrize("unseen", [1, 20])
+def test_what_happens_while_a_direction_is_not_seen_does_not_count_afterwards(pushed, unseen):
+    """The estimate stays, and goes on from the first tick that is seen again."""
+    states, forces = pushed
+    each, kept, seen_again = observer(), np.zeros(6), 20 + unseen
+    for k, state in enumerate(states):
+        seen = not 20 <= k < seen_again
+        found = each.observe(altered(state, tick=k, drive_state=RUN), seen=seen)
+        if k == 19:
+            kept = found
+        if 20 <= k <= seen_again:
+            np.testing.assert_array_equal(found, kept)
+        each.sent(forces[min(k, len(forces) - 1)])
+    left = exp(-2 * pi * BANDWIDTH * T * (len(states) - 1 - seen_again))
+    np.testing.assert_allclose(found, WRENCH + (kept - WRENCH) * left, atol=0.05)
+
+
 def test_reset_repeats_to_the_bit(pushed):
     each = observer()
     first = follow(each, *pushed)

@@ -1,9 +1,11 @@
 """The straight ways to the first pose and back to the path: judged before they are followed, and what is said."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from drivers.signals import Mode, Refusal
 from hil.app.compose import build_admission, build_cycle
@@ -70,6 +72,28 @@ def test_every_pose_of_a_way_is_judged_a_few_a_tick_and_none_far_from_the_next()
     np.testing.assert_allclose((seen[0], seen[-1]), (0.0, 0.1), atol=1e-12)
     assert np.diff(seen).max() < 1.875 * APART_M * 1.01, "evenly in time, fastest in the middle"
     assert ticks == -(-len(seen) // PER_TICK)
+
+
+UNEVEN = replace(PLATFORM, platform_joints=PLATFORM.platform_joints * np.array([[0.2], *[[1.0]] * 4, [1.5]]))
+"""One joint nearer to the origin of the platform than the others, one farther out."""
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("platform", [PLATFORM, UNEVEN], ids=["even", "uneven"])
+def test_no_joint_moves_far_between_two_poses_that_are_judged_of_a_way_that_turns(platform):
+    seen: list[Any] = []
+
+    def good(sample):
+        seen.append(sample.p + platform.platform_joints @ sample.R.T)
+        return 0
+
+    inspection = Inspection(platform, good, "park", GeodesicMove(P, R, P, QUARTER_TURN @ R, 4.0))
+    while not inspection.step():
+        pass
+    apart = np.linalg.norm(np.diff(seen, axis=0), axis=2)
+    assert 0.9 * 1.875 * APART_M < apart.max() < 1.875 * APART_M * 1.01, (
+        "evenly in time, as on a straight way"
+    )
 
 
 def refusing(name, move):

@@ -110,6 +110,32 @@ def test_ctrl_c_ends_a_run_that_stays(cycle, goes_on, commands):
     assert Console(Course(cycle, goes_on=goes_on), panel).take().operator == commands
 
 
+@pytest.mark.parametrize("armed", [False, True])
+@pytest.mark.parametrize("mode", Mode)
+def test_enter_is_looked_at_and_arms_only_where_consent_is_waited_for(cycle, mode, armed):
+    asked = []
+
+    def consent():
+        asked.append(mode)
+        return True
+
+    cycle.mode = mode
+    console = Console(Course(cycle, armed=armed), OperatorPanel(), consent=consent)
+    waits = mode is Mode.IDLE and not armed
+    assert console.take().operator == (Operator.ENGAGE,) * waits
+    assert len(asked) == waits
+
+
+def test_enter_counts_once_and_not_again_after_a_fault_in_motion(cycle):
+    cycle.mode = Mode.IDLE
+    course = Course(cycle, armed=False)
+    console = Console(course, OperatorPanel(), consent=lambda: True)
+    assert course.commands(0, console.take().operator) == (Operator.ENGAGE,)
+    for tick, mode in enumerate((Mode.IDLE, Mode.LOADING, Mode.FAULT, Mode.WAITING, Mode.IDLE), 1):
+        cycle.mode = mode
+        assert course.commands(tick, console.take().operator) == ()
+
+
 def test_a_status_is_composed_once_in_ten_milliseconds_however_often_it_is_asked_for(
     cycle, ends, monkeypatch
 ):

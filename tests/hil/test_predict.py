@@ -87,6 +87,21 @@ def test_lengths_rates_and_jacobian_are_those_of_the_predicted_pose(case):
     assert (found["wrench"] == WRENCH).all()
 
 
+@pytest.mark.parametrize("skipped", [1, 2, 5])
+def test_over_skipped_periods_the_commands_under_way_get_as_old_as_in_periods_that_were_not(skipped):
+    """The drives go on with the last command; what it becomes is not there yet after one period."""
+    state, force = state_of(MOVING[0]), np.array(MOVING[0]["force"])
+    bridged, told = (predictor_at(state, force, CHANGE) for _ in range(2))
+    for tick in range(30, 30 + skipped):
+        moved(told, tick, state)
+        told.sent(force + CHANGE)
+    found, expected = (moved(each, 30 + skipped, state) for each in (bridged, told))
+    np.testing.assert_allclose(found["twist"], expected["twist"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found["p"], expected["p"], rtol=0, atol=1e-12)
+    too_young = moved(predictor_at(state, force, CHANGE), 30, state)
+    assert np.abs(too_young["twist"] - expected["twist"]).max() > 1e-4
+
+
 def test_behind_closed_brakes_nothing_moves():
     state = state_of(MOVING[0])
     found = moved(predictor_at(state, CHANGE, CHANGE), 30, state, free=False)

@@ -12,6 +12,7 @@ import pytest
 from drivers.sensors import Readings, Sample
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.estimation.external_wrench import ExternalWrench
 from hil.loop.sight import AGREED_m, Sight
 from tests.records import record_of
 
@@ -40,7 +41,8 @@ class Fusing:
         self.R, self.p = TURNED, np.array([0.1, 0.2, 0.9])
         self.legs, self.residual = ALL, 0.0
 
-    def estimate(self, tick: Any, *_: Any) -> None:
+    def estimate(self, tick: Any, *others: Any) -> None:
+        self.wrench = others[-1].copy()
         tick["p"], tick["R"] = self.p, self.R
         tick["legs_used"], tick["fk_residual"] = self.legs, self.residual
 
@@ -67,6 +69,25 @@ def test_the_newest_sample_of_the_load_counts_turned_by_the_pose_as_it_is_seen_n
     tick, values, R = hearing.heard
     assert (tick, tuple(values)) == (5, (2.0,) * 6)
     np.testing.assert_array_equal(R, TURNED if fusing else parts.home_R)
+
+
+@pytest.mark.parametrize("source", ["sensor", "observer"])
+def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(parts, source):
+    seen = np.array([100.0, -200.0, 300.0, 10.0, -20.0, 30.0])
+    watching: Any = SimpleNamespace(observe=lambda *_, **__: seen, reset=lambda: None)
+    wrench = ExternalWrench(watching if source == "observer" else None, 1000.0, 1e-3)
+    fusing = Fusing()
+    fusing.R = np.eye(3)
+    sight = Sight(replace(parts, wrench=wrench, fusion=fusing))
+    sight.located = sight.fusing = True
+    told = []
+    for n in range(2):
+        tick = hear(sight, Readings(wrench=(Sample(4, 0.0, tuple(seen)),) if n == 0 else ()), age=0)
+        sight.estimate(tick, record_of(), 0)
+        told.append(fusing.wrench)
+        wrench.fill(tick, fusing=True)
+        np.testing.assert_array_equal(tick["wrench"], seen)
+    np.testing.assert_array_equal(told, [np.zeros(6), seen])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,112 @@
+"""The rules on encoders where ticks are not alike: long and short steps, late latches, silences, pushes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.signals import Doubt, Warn
+from hil.safety import differences
+from hil.safety.certificate import CONSTANTS, Watch
+from hil.safety.encoder_limits import NONE
+from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
+from tests.hil.test_safety import Bench as Guarded
+from tests.hil.test_safety import certified
+
+STEPS = pytest.mark.parametrize(
+    ("T0", "T1"), [(1.0, 1.0), (1.0, 1.5), (1.5, 0.5), (3.0, 1.0), (1.0, 3.0)], ids=str
+)
+"""The step before and the last one."""
+
+
+@STEPS
+def test_a_slope_lags_by_what_the_worst_acceleration_between_three_lengths_makes_of_it(T0, T1):
+    """The slope of the parabola through them less the rate at their end, summed over short pulses of force."""
+    pulse = (T0 + T1) * 1e-4
+    at = np.arange(-T0 - T1, 0.0, pulse) + 0.5 * pulse
+    lengths = [np.zeros_like(at), np.clip(-T1 - at, 0.0, None) * pulse, -at * pulse]
+    last, before = (lengths[2] - lengths[1]) / T1, (lengths[1] - lengths[0]) / T0
+    wrong = last + (last - before) * T1 / (T0 + T1) - pulse
+    assert abs(wrong.sum()) < 1e-3, "a uniform acceleration leaves nothing"
+    assert differences.lag_of(T1, T0) == pytest.approx(np.clip(wrong, 0.0, None).sum(), rel=1e-3)
+
+
+@STEPS
+def test_a_leap_of_slopes_lags_by_its_three_rates_as_they_count_in_it(T0, T1):
+    """Of rates r0, r1, r2 it is r2 - r1 - (r1 - r0) T1 / T0; r0 and r1 lag alike."""
+    lags = 0.25, 0.125
+    counts = 1.0, 1.0 + T1 / T0, T1 / T0
+    expected = lags[0] * counts[0] + lags[1] * (counts[1] + counts[2])
+    assert differences.lag_of_leap(*lags, T1, T0) == pytest.approx(expected)
+
+
+LAG = {(1.0, 1.0): 1.0 / 3.0, (1.0, 1.5): 0.5 * 1.5 * 2.5 / 4.0, (1.5, 0.5): 0.5 * 0.5 * 2.0 / 2.5}
+"""Periods, by the step before and the last one."""
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+@pytest.mark.parametrize("after_it", [False, True], ids=["in a long step", "in the short one after it"])
+def test_a_slope_may_leap_by_what_steps_of_different_length_explain_and_no_more(leg, sign, after_it):
+    """The range is 16 m/s^2. A tick that is half a period late makes a step of 1.5 T, and the next of 0.5 T."""
+    if after_it:
+        step, lags = 0.5, LAG[1.5, 0.5] + LAG[1.0, 1.5] * (1.0 + 2.0 * 0.5 / 1.5)
+    else:
+        step, lags = 1.5, LAG[1.0, 1.5] + LAG[1.0, 1.0] * (1.0 + 2.0 * 1.5)
+    limit = 16.0 * T * (step + lags)
+    for share, doubts in ((0.999, False), (1.001, True)):
+        bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
+        bench.ticks(6)
+        if after_it:
+            bench.ticks(1, lateness=0.5)
+        leap = sign * share * limit
+        tick = bench.tick(rate=six(leap, leg), lateness=0.0 if after_it else 0.5)
+        assert doubted(tick, Doubt.LEAP, leg, leap, limit) if doubts else calm(tick)
+
+
+@pytest.mark.parametrize("leg", range(6))
+@BOTH_SIGNS
+def test_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_shorter(leg, sign):
+    """Of all legs that move the same delay; its largest leap is six times rate and delay."""
+    rates, bounds = sign * RATES, six(1e-3)
+    for share, is_time in ((0.99, True), (1.01, False)):
+        leaps = share * differences.TIME_LEAPS * 0.25 * rates
+        assert bool(differences.is_time(leg, leaps, rates, bounds, 0.25)) == is_time
+    alone = six(1.0, leg)
+    assert not differences.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
+
+
+def test_what_a_stall_excused_is_forgotten_over_a_long_silence():
+    bench = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3)
+    bench.ticks(2)
+    bench.ticks(3, unseen=[1])
+    bench.ticks(1, jump=six(0.05, 1))
+    assert bench.memory("excused")[1] > 0.04
+    bench.ticks(9, unseen=[1])
+    bench.ticks(1)
+    assert bench.memory("excused")[1] == 0.0
+    calm_until_now = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3)
+    calm_until_now.ticks(2)
+    just_allowed = 0.99 * (2e-3 + 128.0 * T * T / 8.0 + CREEP)
+    told = [
+        [int(each.tick(jump=six(just_allowed, 1))["doubt"]) for _ in range(12)]
+        for each in (bench, calm_until_now)
+    ]
+    assert told[0] == told[1]
+    assert told[0][-1] == Doubt.SLIP, "a slip is found as soon as if there had been no stall"
+
+
+@pytest.mark.parametrize("pushes", [True, False])
+def test_no_certificate_is_judged_by_forces_that_push_a_leg_that_stands(pushes):
+    """The watch of `certified` with three efforts, and one leg 0.2 m astray whose reading does not change."""
+    watch = Watch(certified().safety._watched[:CONSTANTS].copy(), 3)
+    legs = 0b111111 if pushes else 0
+    limits = NONE._replace(watched_legs=legs, length_noise_m=0.01, push_N=np.full(6, 8.0), push_ticks=3)
+    bench = Guarded(watch=watch, encoders=limits)
+    bench.tick(q_d=5.0)
+    bench.tick(q_d=5.0)
+    verdicts = [bench.tick(q_d=six(5.2, 3, 5.0)) for _ in range(5)]
+    assert any(v.tau[3] != 0.0 for v in verdicts) == pushes
+    assert not any(v.warnings & Warn.FORCE_STEP for v in verdicts)
+    judged = [bool(np.isfinite(v.certificate[2])) for v in verdicts]
+    assert judged == [True, *[not pushes] * 4]

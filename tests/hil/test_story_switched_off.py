@@ -1,0 +1,77 @@
+"""What is told of drives that were told to switch off: all six only once none is powered, each time anew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivers.signals import DriveState, Fault, Mode
+from hil.loop.story.narrator import Narrator
+from hil.signals import Operator
+from tests.hil.test_cycle import Bench
+from tests.hil.test_story import told
+from tests.records import altered
+
+OFF, READY, RUN = (int(state) for state in (DriveState.OFF, DriveState.READY, DriveState.RUN))
+
+
+@pytest.fixture(scope="module")
+def moving() -> Bench:
+    bench = Bench()
+    bench.until(Mode.APPROACH)
+    return bench
+
+
+class Watched:
+    """A cycle with a fault that goes from mode to mode as it is told, and who tells of it."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.cycle = bench.cycle
+        self.tick = altered(bench.cycle.tick, sends_failed=0)
+        self.number = bench.tick
+        self.cycle.mode = Mode.APPROACH
+        self.narrator = Narrator(self.cycle)
+        self.cycle.faults = Fault.REFUSED_FRAMES
+
+    def look(self, mode: Mode, drives: Any, *operator: Operator) -> str:
+        """One tick in a mode with all drives heard; what is told of it."""
+        self.number += 1
+        self.cycle.mode = mode
+        self.cycle.tick = altered(self.tick, tick=self.number, drive_state=drives, age=0)
+        self.narrator.look(operator)
+        return told(self.narrator).done_text
+
+
+@pytest.fixture
+def watched(moving):
+    cycle = moving.cycle
+    kept = cycle.tick, cycle.mode, cycle.faults
+    yield Watched(moving)
+    cycle.tick, cycle.mode, cycle.faults = kept
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("state", [READY, RUN])
+def test_six_drives_are_off_once_none_is_powered(watched, leg, state):
+    drives = [OFF] * 6
+    drives[leg] = state
+    watched.look(Mode.FAULT, RUN)
+    for _ in range(3):
+        text = watched.look(Mode.FAULT, drives)
+        assert f"not confirmed by drive {leg};" in text
+        assert "all six" not in text
+    assert "all six in OFF 4 ms later" in watched.look(Mode.FAULT, OFF)
+
+
+def test_drives_that_are_switched_off_a_second_time_confirm_it_anew(watched):
+    """Parked, then held as a brake slips, then released."""
+    watched.look(Mode.PARKED, READY)
+    assert "all six in OFF 1 ms later" in watched.look(Mode.PARKED, OFF)
+    watched.look(Mode.HELD, READY)
+    drives = [OFF, OFF, OFF, OFF, READY, OFF]
+    watched.look(Mode.FAULT, READY, Operator.RELEASE)
+    text = watched.look(Mode.FAULT, drives)
+    assert "not confirmed by drive 4;" in text
+    assert "all six" not in text
+    assert "all six in OFF 2 ms later" in watched.look(Mode.FAULT, OFF)

@@ -1,0 +1,47 @@
+"""When a run ends after its second stop or fault: what came before the fault does not count for it."""
+
+import numpy as np
+import pytest
+
+from drivers.signals import Fault, Mode
+from hil.loop.run_end import Course
+from hil.signals import Operator
+from tests.loop.test_run_end import cycle, first_end
+
+MOVES = np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.HELD])
+def test_an_emergency_stop_in_motion_does_not_leave_the_platform_that_moves_after_it(mode):
+    now = cycle(mode, rate=MOVES)
+    course = Course(now, stays=True)
+    course.commands(10, (Operator.ESTOP,))
+    now.mode, now.mode_tick, now.faults = Mode.FAULT, 10, Fault.ESTOP
+    assert all(course.ending(tick) is None for tick in range(10, 500))
+    now.tick["rate"] = 0.0
+    assert all(course.ending(tick) is None for tick in range(500, 524)), "0.25 s at rest"
+    assert course.ending(524) is not None
+
+
+def test_a_second_emergency_stop_leaves_it_once_the_first_one_has_led_to_the_fault():
+    now = cycle(Mode.TRACKING, rate=MOVES)
+    course = Course(now, stays=True)
+    course.commands(10, (Operator.ESTOP,))
+    now.mode, now.mode_tick, now.faults = Mode.FAULT, 10, Fault.ESTOP
+    assert course.ending(10) is None
+    course.commands(11, (Operator.ESTOP,))
+    assert course.ending(11) is not None
+
+
+@pytest.mark.parametrize(("rate", "ends"), [(MOVES, 2500), (np.zeros(6), 1600)], ids=["moves", "rests"])
+def test_a_platform_that_is_held_again_after_a_reset_is_held_for_as_long_as_the_first_time(rate, ends):
+    now = cycle(Mode.HELD, faults=Fault.STALE, rate=MOVES)
+    course = Course(now)
+    assert first_end(course, 800) is None
+    now.mode, now.mode_tick, now.faults = Mode.TRACKING, 800, Fault.NONE
+    assert all(course.ending(tick) is None for tick in range(800, 1500))
+    now.mode, now.mode_tick, now.faults = Mode.HELD, 1500, Fault.STALE
+    now.tick["rate"] = rate
+    ending = next((found for tick in range(1500, 3000) if (found := course.ending(tick))), None)
+    assert ending is not None
+    assert ending.ticks == ends

@@ -58,7 +58,7 @@ AREAS = {
             )
         ),
         (
-            "tests/hil/test_cycle.py",
+            "tests/hil/test_cycle*.py",
             "tests/hil/test_clock.py",
             "tests/hil/test_homing.py",
             "tests/hil/test_reference.py",
@@ -91,9 +91,9 @@ AREAS = {
             "tests/hil/test_jogging.py",
             "tests/hil/test_admission.py",
             "tests/hil/test_console.py",
-            "tests/hil/test_cycle.py",
+            "tests/hil/test_cycle*.py",
             "tests/hil/test_way_back.py",
-            "tests/loop/test_run_end.py",
+            "tests/loop/test_run_end*.py",
             "tests/loop/test_obedience.py",
             *_LOOP,
         ),

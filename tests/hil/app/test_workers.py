@@ -42,11 +42,13 @@ import os, time
 from functools import partial
 from operator import call
 from hil.app.workers import perform
+from hil.cli.interrupts import OF_THIS_PROCESS
 
-for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
-    print(found, flush=True)
+with OF_THIS_PROCESS.attached():
+    for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
+        print(found, flush=True)
 """
-"""Tells its workers' numbers, and has them sleep."""
+"""Tells its workers' numbers, and has them sleep. Ctrl-C is a command's: Python drops some, and it repeats them."""
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])

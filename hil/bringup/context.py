@@ -124,6 +124,8 @@ class Machine:
     """(poses, 6) m, leg lengths at the known poses."""
     joint_distances: Array
     """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
+    pose_words: tuple[str, ...]
+    """The known poses, as they are read."""
     known_identifiers: frozenset[int]
     """Of all frames of this protocol."""
     unasked_identifiers: frozenset[int] = frozenset()

@@ -39,21 +39,31 @@ def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
 
     Raises ConfigurationError where even a small tilt takes a leg to the end of its stroke.
     """
+    return [pose_arrays(pose) for pose in _known(c)]
+
+
+def _known(c: Configuration) -> list[Pose]:
     home, platform = c.platform.home, build_platform(c.platform)
     low, high = c.platform.length_min_m, c.platform.length_max_m
     for share in TILT_SHARES:
         turned = np.add(home.rotation_vector_deg, np.multiply(share, TILT_deg)).tolist()
         tilted = Pose(position_m=home.position_m, rotation_vector_deg=(turned[0], turned[1], turned[2]))
-        poses = [pose_arrays(home), pose_arrays(tilted)]
-        q = leg_lengths(platform, *poses[1])
+        q = leg_lengths(platform, *pose_arrays(tilted))
         if low < q.min() and q.max() < high:
-            return poses
+            return [home, tilted]
     leg = int(np.argmax(np.maximum(low - q, q - high)))
     tilt_deg = share * float(np.linalg.norm(TILT_deg))
     raise ConfigurationError(
         f"platform.home: the second pose of a bring-up, tilted by {tilt_deg:.2g} deg, takes leg {leg} to "
         f"{q[leg]:.4f} m; allowed: {low:g} to {high:g} m. Choose a home nearer to mid-stroke"
     )
+
+
+def _words(pose: Pose) -> str:
+    place, turn = (
+        ", ".join(f"{x:.6g}" for x in values) for values in (pose.position_m, pose.rotation_vector_deg)
+    )
+    return f"position {place} m, rotation vector {turn} deg"
 
 
 def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
@@ -77,6 +87,7 @@ def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
         brake_shut_s=c.engage.closing_s,
         pose_lengths=np.array([leg_lengths(platform, p, R) for p, R in poses]),
         joint_distances=np.array(joints),
+        pose_words=tuple(map(_words, _known(c))),
         known_identifiers=known_identifiers(protocol),
         unasked_identifiers=unasked_identifiers(protocol),
         platform_kg=float(platform.platform.mass),

@@ -43,7 +43,8 @@ def find(c: Context) -> None:
         c.keep("load", "presses", c.ask(Request("read_way", -1, 0.0, text, within=(-1.0, 1.0))))
     for pose in range(len(c.machine.pose_lengths)):
         if c.facts.get("mounted", {}).get(str(pose)) is None:
-            text = f"Mount the legs, levers on the brakes, and hang the platform at known pose {pose}"
+            where = f"known pose {pose}: {c.machine.pose_words[pose]}"
+            text = f"Mount the legs, levers on the brakes, and hang the platform at {where}"
             c.hung()
             c.ask(Request("hang", -1, float(pose), text))
             c.rest(0.02)

@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from drivers import PROTOCOLS
-from drivers.config import BusSettings, DriveSettings
+from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.mit.fields import Ranges
+from drivers.mit.protocol import MitProtocol
 from drivers.mit.variants import VARIANTS
+from drivers.transmission import Transmission
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
 LIBRARIES: dict[str, list[float]] = json.loads((DATA / "mit.json").read_text("utf-8"))["ranges"]
@@ -61,3 +63,17 @@ def test_a_range_that_is_configured_takes_the_place_of_its_own_and_of_no_other(v
     delivered = VARIANTS[variant].models[model]._asdict()
     assert 33.5 not in delivered.values()
     assert protocol.ranges._asdict() == delivered | {field: 33.5}
+
+
+@pytest.mark.parametrize(("variant", "host"), [("mini_cheetah", 0), ("cubemars", 0), ("damiao", 16)])
+def test_the_lengths_that_a_drive_can_report_end_with_the_range_of_its_position(variant, host):
+    """12.5 rad on a pulley of 20 mm are 0.25 m, either way from where the motor reads zero."""
+    gear = Transmission.of(
+        TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5])
+    )
+    ranges = Ranges(12.5, 30.0, 500.0, 5.0, 10.0)
+    found = MitProtocol(variant, ranges, (1, 2, 3, 4, 5, 6), host, gear).reported_lengths()
+    assert found is not None
+    shortest, longest = found
+    assert shortest == pytest.approx([0.75, 0.85, 0.95, 1.05, 1.15, 1.25])
+    assert longest == pytest.approx([1.25, 1.35, 1.45, 1.55, 1.65, 1.75])

@@ -8,6 +8,7 @@ import hashlib
 import importlib.resources
 import json
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
                     {"label": curve.label, "kind": curve.kind, "values": packed(values)}
                     for curve, values in zip(chart.curves, series, strict=True)
                 ],
-                "levels": list(chart.levels),
+                "levels": [level for level in chart.levels if isfinite(level)],
                 "names": [list(each) for each in chart.names],
             }
         )

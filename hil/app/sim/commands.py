@@ -15,6 +15,8 @@ from hil.signals import Operator
 
 LONGEST_S = 3600.0
 """A word is repeated for so long at most."""
+LATEST_S = 1e9
+"""No word comes later."""
 TimedCommand = tuple[float, str]
 """Simulated s since the first tick, and a word of the operator channel, as (2.5, "speed 40"); a word that a
 client repeats has its length behind it, as (2.5, "jog x 1 for 1.5")."""
@@ -97,8 +99,10 @@ def _repeated(t: float, text: str, source: str, n: int) -> list[TimedCommand]:
 
 def _tick(t: float, rate_Hz: float, source: str, n: int) -> int:
     """Return the first tick at or after a time."""
-    if not (math.isfinite(t) and t >= 0.0):
-        raise ConfigurationError(f"{source}: command {n}: time {t!r}, allowed: seconds from 0 on")
+    if not 0.0 <= t <= LATEST_S:
+        raise ConfigurationError(
+            f"{source}: command {n}: time {t!r}, allowed: seconds from 0 to {LATEST_S:g}"
+        )
     return math.ceil(t * rate_Hz - 1e-6)
 
 

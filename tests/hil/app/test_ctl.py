@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load
-from hil.app.sim.commands import read_commands
+from hil.app.sim.commands import CommandScript, read_commands
 from hil.cli import main
 from hil.operate.channel import OperatorChannel
 from hil.signals import Operator, Order, SetPoint
@@ -212,6 +212,15 @@ def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
     assert result.exit_code == 1
     assert "not now" in result.output
     assert controller.heard == [SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]
+
+
+@pytest.mark.parametrize("t", [-1e-9, float("nan"), float("inf"), 1e306, 1.1e9])
+def test_a_command_at_a_time_that_no_run_reaches_is_refused_with_its_place(t):
+    with pytest.raises(
+        ConfigurationError, match=r"o\.txt: command 2: time .*, allowed: seconds from 0 to 1e\+09"
+    ):
+        CommandScript([(0.0, "hold"), (t, "park")], 1000.0, "o.txt")
+    assert CommandScript([(1e9, "hold")], 1000.0).left == 1
 
 
 def test_a_file_of_commands_has_times_words_and_remarks(tmp_path):

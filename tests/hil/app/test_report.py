@@ -15,10 +15,11 @@ from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import with_faults
 from hil.app.report import sections
+from hil.app.report.charts import Chart, Curve
 from hil.app.report.command import report
 from hil.app.report.html import prose, tag
 from hil.app.report.margins import margins
-from hil.app.report.page import as_script
+from hil.app.report.page import as_script, drawn
 from hil.app.report.story import told
 from hil.app.report.thin import thin
 from hil.app.report.timeline import lanes, spells
@@ -413,6 +414,15 @@ def test_without_the_end_of_the_log_the_story_comes_from_its_events_and_rows():
 def test_a_story_that_is_none_of_ours_breaks_nothing(story):
     found = told({"summary": {"story": story}}, [], rows_of(5), RATE_Hz)
     assert "<" in sections.what_went_wrong(found)
+
+
+def test_a_limit_beyond_all_numbers_is_no_line_of_a_chart():
+    """The configuration in a damaged log may say 1e308 m, which are no number of mm."""
+    t = np.arange(3.0)
+    chart = Chart("key", "section", "title", "mm", (Curve("a", t),), levels=(np.inf, 5.0, -np.inf, np.nan))
+    (found,) = drawn([chart], t)
+    assert found["levels"] == [5.0]
+    as_script(found)
 
 
 def test_texts_of_a_log_are_escaped_wherever_they_stand():

@@ -16,7 +16,7 @@ from drivers.can.can_interface import CanInterface, Controller
 from drivers.can.socketcan import SocketCan, pack
 from drivers.config import BusSettings
 from drivers.errors import BusError
-from drivers.protocol import ERROR, Frame
+from drivers.protocol import BRS, ERROR, FD, Frame
 from drivers.signals import BusState
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0", layout="classic")
@@ -43,13 +43,14 @@ class MadeSocket:
             raise OSError(self.refuses, "made")
         self.sent.append(raw)
 
-    def recvmsg(self, _size, _ancillary):
+    def recvmsg(self, size, _ancillary):
         if not self.answers:
             raise BlockingIOError
         answer = self.answers.popleft()
         if isinstance(answer, OSError):
             raise answer
-        return answer
+        raw, *rest = answer
+        return (raw[:size], *rest)  # as the kernel cuts it
 
     def getsockopt(self, _level, option, *_size):
         # SO_MEMINFO begins with what was received, its limit, and what waits to be sent; SO_ERROR is a number
@@ -64,7 +65,11 @@ class MadeSocket:
         ancillary.append((1, TIMESTAMP, struct.pack("=qq", t_ns // SECOND, t_ns % SECOND)))
         if lost is not None:
             ancillary.append((1, LOST, struct.pack("=I", lost)))
-        self.answers.append((struct.pack("=IB3x8s", word, 8, data), ancillary, 0, None))
+        classic = len(data) <= 8
+        raw = (
+            struct.pack("=IB3x8s", word, 8, data) if classic else struct.pack("=IBB2x64s", word, 64, 1, data)
+        )
+        self.answers.append((raw, ancillary, 0, None))
 
 
 class Clock:
@@ -118,6 +123,14 @@ def test_a_frame_keeps_the_kernels_time_stamp(made, clock):
     (received,) = can.receive()
     assert received.frame == Frame(0x123, b"12345678")
     assert -4_000_000 < received.t_ns - clock.ns < -2_900_000
+
+
+def test_a_frame_of_64_bytes_comes_whole(made):
+    can, sock = made
+    sock.hears(0x123, bytes(range(64)))
+    (received,) = can.receive()
+    assert (received.frame.id, received.frame.data) == (0x123, bytes(range(64)))
+    assert received.frame.flags == FD | BRS
 
 
 def test_a_stall_between_the_looks_at_two_clocks_moves_no_time_stamp(made, clock):

@@ -7,6 +7,7 @@ import socket
 import struct
 import time
 from collections import deque
+from typing import Any, cast
 
 import pytest
 
@@ -49,7 +50,7 @@ class MadeSocket:
         answer = self.answers.popleft()
         if isinstance(answer, OSError):
             raise answer
-        raw, *rest = answer
+        raw, *rest = cast("tuple[Any, ...]", answer)
         return (raw[:size], *rest)  # as the kernel cuts it
 
     def getsockopt(self, _level, option, *_size):

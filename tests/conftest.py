@@ -37,10 +37,6 @@ ATTEMPTS = 6
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it; the suite has a process a processor
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # in the background of a script; what the tests start and interrupt would inherit that
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
 
 @contextlib.contextmanager
 def held(file: IO[str], kind: int) -> Iterator[None]:
@@ -111,6 +107,16 @@ def _note(item: pytest.Item, text: str) -> None:
 
 
 @pytest.hookimpl(trylast=True)
+def pytest_runtest_setup() -> None:
+    """Let what a test starts hear Ctrl-C, which it would inherit the deafness to.
+
+    In the background of a script SIGINT is ignored, and a command that was called in this process leaves it so.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the real-time tests last, since a mistake elsewhere shows sooner, but the patient ones first.
 

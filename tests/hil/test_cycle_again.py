@@ -19,25 +19,14 @@ from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 from tests.hil.control.test_pid import pid
 from tests.hil.test_cycle import Bench
+from tests.live_reference import LIVE_REFERENCE
 from tests.records import record_of
 
 VIRTUAL = load("virtual")
 BRISK = VIRTUAL.engage.model_copy(
     update={"force_ramp_s": 0.02, "brake_release_s": 0.005, "brake_close_s": 0.005, "blend_s": 0.05}
 )
-LIVE = LiveReference.model_validate(
-    {
-        "type": "live",
-        "limits": {
-            "velocity_m_s": 0.3,
-            "velocity_deg_s": 20,
-            "acceleration_m_s2": 1,
-            "acceleration_deg_s2": 60,
-            "jerk_m_s3": 10,
-            "jerk_deg_s3": 600,
-        },
-    }
-)
+LIVE = LiveReference.model_validate(LIVE_REFERENCE)
 HIGHER = (0.0, 0.0, 1.02, 0.0, 0.0, 0.0)
 
 

@@ -12,17 +12,11 @@ from hil.config.reference import HoldReference, LiveReference, MultisineReferenc
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.waypoints import SAME, require_closed
+from tests.live_reference import LIVE_REFERENCE
 
 HOME = Pose(position_m=(0.1, -0.2, 1.0), rotation_vector_deg=(3.0, -4.0, 5.0))
 ELSEWHERE = Pose(position_m=(-0.05, 0.15, 1.2), rotation_vector_deg=(-6.0, 2.0, 8.0))
-LIMITS = {
-    "velocity_m_s": 0.3,
-    "velocity_deg_s": 20,
-    "acceleration_m_s2": 1,
-    "acceleration_deg_s2": 60,
-    "jerk_m_s3": 10,
-    "jerk_deg_s3": 600,
-}
+LIMITS = LIVE_REFERENCE["limits"]
 COMPONENT = {"axis": "x_m", "amplitude": 0.1, "frequency_Hz": 0.7}
 LINES = {"axis": "x_m", "band_Hz": (0.5, 3.0), "lines": 5, "amplitude": 0.05}
 KINDS: dict[str, tuple[Any, str, dict[str, Any]]] = {

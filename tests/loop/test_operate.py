@@ -10,6 +10,7 @@ from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import Operator, Order
 from tests.broad import broad
+from tests.live_reference import LIVE_REFERENCE
 from tests.loop.operated import WITHIN, Changed, modes, simulated
 
 BRISK = {"setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
@@ -197,25 +198,12 @@ def test_a_script_that_no_controller_would_take_is_refused(tmp_path, command, co
         simulated(tmp_path, [command])
 
 
-LIVE = {
-    "type": "live",
-    "limits": {
-        "velocity_m_s": 0.3,
-        "velocity_deg_s": 20,
-        "acceleration_m_s2": 1,
-        "acceleration_deg_s2": 60,
-        "jerk_m_s3": 10,
-        "jerk_deg_s3": 600,
-    },
-}
-
-
 def test_a_live_reference_is_held_slowed_and_parked_and_refuses_set_points_on_hold(tmp_path):
     commands = [
         *[(1.5, "setpoint 0.2 0 1"), (2.0, "hold"), (3.2, "setpoint 0 0 1"), (3.4, "start")],
         *[(3.5, "speed 20"), (3.6, "setpoint 0.2 0 1"), (5.5, "park")],
     ]
-    run, rows = simulated(tmp_path, commands, duration_s=60.0, reference=LIVE, operator=BRISK)
+    run, rows = simulated(tmp_path, commands, duration_s=60.0, reference=LIVE_REFERENCE, operator=BRISK)
     assert run.success, run.summary
     assert run.summary["replay"]["different_ticks"] == 0
     assert run.summary["setpoints"]["taken"] == 2

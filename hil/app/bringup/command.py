@@ -30,7 +30,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
 from hil.app.output import log_path
 from hil.app.run.command import run_daemon
-from hil.app.run.stretching import stretches, words_of
+from hil.app.run.stretching import stood_still_line, stretches
 from hil.bringup.context import Context, Finding, RefusedError, Request
 from hil.bringup.drives import Drives
 from hil.bringup.procedure import Outcome, bring_up
@@ -133,7 +133,7 @@ def run_bringup(
                 write_whole(files.found, text)
             if together.brake_failed:
                 store.forget_brakes()
-        lines = [*checklist(context, outcome, together.lines), *filter(None, [words_of(bench_time)])]
+        lines = [*checklist(context, outcome, together.lines), *filter(None, [stood_still_line(bench_time)])]
         if outcome.findings:
             lines += _write_mended(c, files.found, text, outcome.findings, said, rehearsal=rehearsal)
         write_whole(files.checklist, "\n".join([*_head(c, path, rehearsed=rehearsed), *lines]) + "\n")
@@ -287,7 +287,7 @@ def _release(
             state_lengths(found, context, said)
         summary = run_daemon(found, draw=False, arm=True, on_bench=served)
         success, faults = summary["success"], summary.get("faults", ())
-        stood = words_of(summary["bench_time"]) if "bench_time" in summary else ""
+        stood = stood_still_line(summary["bench_time"]) if "bench_time" in summary else ""
         lines = lines_of(success, summary["trouble"] or f"log {summary['log']}", stood)
         together = Together(success, lines, str(Fault.BRAKE.name) in faults)
     else:

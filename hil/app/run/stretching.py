@@ -64,7 +64,7 @@ def stretches(stood_ns: Ints) -> dict[str, Any]:
     }
 
 
-def words_of(bench_time: dict[str, Any]) -> str:
+def stood_still_line(bench_time: dict[str, Any]) -> str:
     """Return `stretches` as a line; empty where none counts."""
     if not bench_time["stretches"]:
         return ""

@@ -9,11 +9,12 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.learn.model import belief_of, learner
 from hil.learning.convergence import Uncertainty, contraction
-from hil.learning.loop import AxisLoop, axis_loop, frequencies
+from hil.learning.loop import axis_loop, frequencies
 from hil.mathematics.linear_system import lag
 from hil.stability.prediction import predicting
 from hil.stability.sampled import gains
 from hil.stability.sampled_loop import sampled_axis
+from tests.hil.learning.test_condition import worst
 
 T, SAMPLES = 1e-3, 2500
 WN = [20.0, 20.0, 25.0, 15.0, 20.0, 30.0]
@@ -59,14 +60,3 @@ def test_of_unlike_legs_the_worst_bounds_the_contraction_whichever_leg_it_is() -
         c = contraction(order, f, known)
         assert (largest <= c * (1.0 + 1e-9))[1:].all()
     assert (worst(unlike[5], W) < 0.5 * largest)[1:10].any(), "they are unlike"
-
-
-def worst(loop: AxisLoop, W: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the largest |1 - P/P_0| of an axis G_0 (1 + delta), |delta| = W, in closed loop."""
-    L0, G0 = loop.T / loop.S, loop.P / loop.S
-    largest = np.zeros(len(L0))
-    for angle in np.linspace(0.0, 2.0 * np.pi, 91):
-        delta = W * np.exp(1j * angle)
-        P = G0 * (1.0 + delta) / (1.0 + L0 * (1.0 + delta))
-        largest = np.maximum(largest, np.abs(1.0 - P / loop.P))
-    return largest

@@ -109,6 +109,23 @@ def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_lo
     assert [pose.length.tolist() for pose in told] == [expected] * 2
 
 
+def test_a_run_on_a_rehearsal_bench_reads_and_marks_no_file_of_a_machine(
+    stated: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[dict[str, bool]] = []
+
+    def keeper(_c: Configuration, **kind: bool) -> Any:
+        made.append(kind)
+        raise EndsHere
+
+    monkeypatch.setattr(command, "Keeper", keeper)
+    monkeypatch.setattr(command, "select_rate", lambda *_, **__: (400.0, 0.01))
+    for on_bench in (False, True):
+        with sockets(monkeypatch), pytest.raises(EndsHere):
+            command.run_daemon(stated, arm=True, draw=False, on_bench=on_bench)
+    assert made == [{"emulated": False, "on_bench": on_bench} for on_bench in (False, True)]
+
+
 @pytest.mark.parametrize("leg", range(6))
 def test_a_leg_that_still_moves_either_way_as_a_run_ends_is_not_parked(
     stated: Configuration, leg: int

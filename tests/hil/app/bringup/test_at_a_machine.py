@@ -102,7 +102,11 @@ def test_on_a_bench_the_legs_are_where_the_platform_hangs_whatever_the_file_of_t
     elsewhere = [q + 0.01 for q in read_homing(stated, path).lengths_m]
     write_homing(stated, path, homing_file(stated, said, elsewhere, None))
     before = path.read_bytes()
-    keeper = Keeper(stated, emulated=False, on_bench=True)
+    assert stated.plant is not None
+    x, y, z = stated.platform.home.position_m
+    begins = stated.plant.model_copy(update={"initial_position_m": (x, y, z + 0.005)})
+    elsewhere_at_start = stated.model_copy(update={"plant": begins})
+    keeper = Keeper(elsewhere_at_start, emulated=False, on_bench=True)
     assert keeper.last_pose is not None
     home = leg_lengths(build_platform(stated.platform), *pose_arrays(stated.platform.home))
     np.testing.assert_array_equal(keeper.last_pose.length, home)

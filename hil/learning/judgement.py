@@ -98,7 +98,8 @@ def contradiction(
     P = np.array([loop.P for loop in loops]).T
     change = P * spectra(now.a - before.a)
     E0, E1 = spectra(before.e), spectra(now.e)
-    left = (c * np.linalg.norm(change, axis=1))[:, None]
+    changed = np.linalg.norm(change, axis=1)
+    left = np.multiply(c, changed, out=np.zeros_like(changed), where=changed > 0.0)[:, None]
     worst: Contradiction | None = None
     found = bands(f_Hz, Q.end_Hz)
     for f, inside in zip(found.centre_Hz.tolist(), found.members, strict=True):

@@ -5,7 +5,7 @@ import pytest
 
 from drivers.errors import ModelError
 from hil.learning.convergence import CONTRACTION, FLAT, Filter, Uncertainty, choose, contraction, stated
-from hil.learning.judgement import bands, floor, rms_in, state
+from hil.learning.judgement import bands, contradiction, floor, rms_in, state
 from hil.learning.loop import AxisLoop, axis_loop, frequencies
 from hil.learning.trial import LEAD_S, predicted, spectra, trial, updated
 from hil.mathematics.linear_system import lag
@@ -134,6 +134,22 @@ def test_the_bands_of_an_error_hold_all_of_it_up_to_the_filter() -> None:
     of_bands = np.array([rms_in(spectra(x), inside, 2500, 2500) ** 2 for inside in found.members])
     nyquist = np.abs(spectra(x)[-1]) ** 2 / 2500**2  # counted twice, as no other bin is
     np.testing.assert_allclose(of_bands.sum(axis=0) - nyquist, (x**2).mean(axis=0), rtol=1e-9)
+
+
+def test_an_error_that_grows_without_a_change_contradicts_where_nothing_is_known_of_an_axis_too() -> None:
+    """Beyond what is stated the contraction is infinite, and times no change still nothing."""
+    zero = np.zeros((LEAD + 1000, 6))
+    e = zero.copy()
+    e[LEAD:, 2] = 1e-4 * np.sin(2.0 * np.pi * 20.0 * T * np.arange(1000))
+    before, now = (trial(T, LEAD, k * e, zero, zero, np.full(6, 20.0)) for k in (1.0, 3.0))
+    f = frequencies(len(now.e), T)
+    loops = [axis_loop(AXIS, gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+    unknown = np.full(len(f), np.inf)
+    said = contradiction(before, now, loops, unknown, Filter(80.0), f, first_rms_m=before.rms_m, noise_m=0.0)
+    assert said is not None
+    assert said.axis == 2
+    assert said.factor == pytest.approx(3.0, rel=1e-6)
+    assert said.allowed == pytest.approx(1.5, rel=1e-6), "what it was, and the margin"
 
 
 def test_a_floor_has_the_cause_that_makes_most_of_it() -> None:

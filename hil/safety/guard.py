@@ -105,9 +105,13 @@ class Safety:
         self._memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
     def resume(self, tau: Array) -> None:
-        """Let the force (6,) N come back at once: changes are limited as if it had been on all the time."""
+        """Let the force (6,) N come back at once: changes are limited as if it had been on all the time.
+
+        A larger one than `limits.force_N` comes back as that.
+        """
+        most = float(self.limits["force_N"])
         for forces in (self._history, self._lows, self._highs):
-            forces[:] = tau
+            forces[:] = np.clip(tau, -most, most)
 
     @property
     def memory(self) -> Record:

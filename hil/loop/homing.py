@@ -121,8 +121,8 @@ class Homing:
         assert self._pose is not None
         if last["age"][leg] > SILENT_TICKS or tick["age"][leg] > last["age"][leg]:
             return False
-        elapsed_s = (int(last["age"][leg]) + 1) * self._period_s
-        expected = self.raw[leg] + last["rate"][leg] * elapsed_s
+        ticks = int(tick["tick"]) - int(last["tick"]) + int(last["age"][leg]) - int(tick["age"][leg])
+        expected = self.raw[leg] + last["rate"][leg] * ticks * self._period_s
         return bool(abs(raw[leg] - expected) >= 0.5 * self._pose.step_m[leg])
 
     def _forget(self, leg: int, length: float, *, braked: bool) -> None:

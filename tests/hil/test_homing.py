@@ -29,15 +29,15 @@ class Leg:
         self.last["age"] = NEVER
         self.number = -1
 
-    def hear(self, reported, *, braked=True, silent=(), rate=0.0):
-        self.number += 1
+    def hear(self, reported, *, braked=True, silent=(), rate=0.0, skipped=0, late=()):
+        self.number += 1 + skipped
         tick = new_record()
         tick["tick"] = self.number
         tick["rate"] = rate
         before = self.homing.before(self.last)
         for leg in range(6):
             quiet = leg in silent
-            tick["age"][leg] = self.last["age"][leg] + 1 if quiet else 0
+            tick["age"][leg] = self.last["age"][leg] + 1 if quiet else int(leg in late)
             tick["length"][leg] = before["length"][leg] if quiet else reported[leg]
         self.homing.correct(tick, self.last, braked=braked)
         self.last = tick
@@ -199,6 +199,28 @@ def test_after_a_silent_tick_the_rate_leads_over_the_time_of_both():
     np.testing.assert_allclose(found, moved, atol=1e-12)
     assert legs.homing.known
     assert not legs.homing.refusal
+
+
+@pytest.mark.parametrize("skipped", [1, 2, 4])
+def test_after_skipped_ticks_the_rate_leads_over_all_of_their_time(skipped):
+    """The loop was held up; 0.75 of a turn a tick."""
+    legs = Leg()
+    legs.hear(forgotten(PARKED), braked=False, rate=0.75)
+    moved = PARKED + 0.75 * (1 + skipped) * PERIOD_S
+    found = legs.hear(forgotten(moved), braked=False, rate=0.75, skipped=skipped)
+    np.testing.assert_allclose(found, moved, atol=1e-12)
+    assert legs.homing.known
+
+
+def test_a_reading_that_is_a_tick_old_is_where_the_rate_leads_until_then():
+    legs = Leg()
+    legs.hear(forgotten(PARKED), braked=False, rate=0.75)
+    for _ in range(2):
+        legs.hear(forgotten(PARKED), braked=False, rate=0.75, silent=range(6))
+    moved = PARKED + 0.75 * 2 * PERIOD_S
+    found = legs.hear(forgotten(moved), braked=False, rate=0.75, late=range(6))
+    np.testing.assert_allclose(found, moved, atol=1e-12)
+    assert legs.homing.known
 
 
 @pytest.mark.parametrize(("share", "known"), [(0.49, True), (-0.49, True), (0.51, False), (-0.51, False)])

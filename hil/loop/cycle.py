@@ -204,10 +204,7 @@ class Cycle:
         facts = Facts(
             operator,
             tick["drive_state"].tolist(),
-            self.mode is Mode.WAITING
-            and self.sight.located
-            and self.homing.known
-            and all_ready(tick, self.parts.protocol.legs_set_up(self.dialogue)),
+            self._ready(tick),
             elapsed,
             self._finished(tick),
             self.stop_requested is not Stop.NONE,
@@ -221,6 +218,13 @@ class Cycle:
             self._park(facts, tick)
         if self._yields and self.mode is Mode.PARKING:
             self.motion.rest(tick["p"], tick["R"], number)
+
+    def _ready(self, tick: Record) -> bool:
+        """Tell whether the drives are as an arming needs them; asked for until then."""
+        if self.mode not in {Mode.WAITING, Mode.IDLE} or not self.homing.known:
+            return False
+        set_up = self.parts.protocol.legs_set_up(self.dialogue)
+        return all(set_up) if self.mode is Mode.IDLE else self.sight.located and all_ready(tick, set_up)
 
     def _finished(self, tick: Record) -> bool:
         """Tell whether the motion has ended, with nothing to follow, and the legs are at rest."""

@@ -5,7 +5,7 @@ entered.
 
 ::
 
-    WAITING -> IDLE -> LOADING -> RELEASING -> APPROACH -> TRACKING -> PARKING -> UNLOADING -> PARKED
+    WAITING <-> IDLE -> LOADING -> RELEASING -> APPROACH -> TRACKING -> PARKING -> UNLOADING -> PARKED
                                                   +---> STOPPING <---+   ^
                                                             +------------+
     a fault in motion, by its reaction: ss1 -> STOPPING, sbc -> PARKING, or HELD where a leg is not measured,
@@ -70,7 +70,8 @@ class Facts(NamedTuple):
     drive_state: Sequence[int]
     """Six DriveState."""
     ready: bool
-    """All six legs heard lately, the pose found, all six drives set up; only WAITING asks for it."""
+    """All six drives set up and their turns known; in WAITING, which it ends, also all legs heard lately and
+    the pose found. Asked for in WAITING and IDLE."""
     elapsed: float
     """s since the present mode was entered."""
     finished: bool
@@ -159,6 +160,8 @@ def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
         return _STOPPED[mode]
     if mode is Mode.HELD and facts.provable and _NEXT[Mode.PARKING][1](facts, durations.close):
         return Mode.UNLOADING
+    if mode is Mode.IDLE and not facts.ready:  # a drive was switched off and on
+        return Mode.WAITING
     following, due = _NEXT[mode]
     if not due(facts, durations.least(mode)):
         return mode

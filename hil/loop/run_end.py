@@ -133,7 +133,7 @@ class Course:
         self._stop_tick = self._duration if armed else inf
         self._armed = armed
         self._reset = reset
-        self._engaged = self._requested = self._late = False
+        self._engaged = self._engages = self._requested = self._late = False
         self.goes_on = goes_on
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
         self._after_fault_since = self._held_since = -1
@@ -147,7 +147,11 @@ class Course:
             operator = (Operator.STOP, *operator)
         if self.cycle.mode is Mode.FAULT:
             self._armed = False  # what follows a RESET is the operator's to begin
+        if self._engages and self.cycle.mode is Mode.WAITING:  # a drive was switched off in that very tick
+            self._engaged = False
+        self._engages = False
         if not self._engaged and self.cycle.mode is Mode.IDLE:
+            self._engages = self._armed or Operator.ENGAGE in operator
             if self._armed:
                 self._engaged = True
                 operator = (Operator.ENGAGE, *operator)

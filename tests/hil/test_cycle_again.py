@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -211,3 +212,24 @@ def test_a_law_that_is_asked_what_it_asks_for_at_rest_keeps_nothing_of_it():
     assert asked[0].any()
     np.testing.assert_array_equal(asked[0], asked[1])
     assert not law.xi.any()
+
+
+# -- a drive that is switched off and on before the platform is armed
+
+
+@pytest.mark.parametrize("operator", [(), (Operator.ENGAGE,)])
+@pytest.mark.parametrize("what", ["its turn", "its set-up"])
+def test_a_drive_that_was_switched_off_while_the_operator_was_waited_for_is_not_armed(operator, what):
+    cycle: Any = build_cycle(VIRTUAL, 1000.0, 0.01)
+    protocol = SimpleNamespace(legs_set_up=lambda _: [True] * 6)
+    cycle.parts = replace(cycle.parts, protocol=protocol)
+    tick = record_of(tick=5, drive_state=int(DriveState.OFF), p=cycle.parts.home_p, R=np.eye(3), J=np.eye(6))
+    cycle.mode = Mode.IDLE
+    cycle._change_mode(SimpleNamespace(tick=5, operator=()), tick)
+    assert cycle.mode is Mode.IDLE, "all is ready"
+    if what == "its turn":
+        cycle.homing = SimpleNamespace(known=False)
+    else:
+        protocol.legs_set_up = lambda _: [True, True, False, True, True, True]
+    cycle._change_mode(SimpleNamespace(tick=6, operator=operator), tick)
+    assert cycle.mode is Mode.WAITING

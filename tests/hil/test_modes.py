@@ -34,6 +34,12 @@ def test_nothing_moves_without_engage():
     assert after(Mode.IDLE, operator=(Operator.ENGAGE,)) is Mode.LOADING
 
 
+def test_a_drive_that_was_switched_off_while_the_operator_was_waited_for_is_waited_for_again():
+    assert after(Mode.IDLE, ready=False) is Mode.WAITING
+    assert after(Mode.IDLE, ready=False, operator=(Operator.ENGAGE,)) is Mode.WAITING, "whatever was said"
+    assert after(Mode.IDLE, ready=False, operator=(Operator.STOP,)) is Mode.PARKED
+
+
 def test_brakes_open_only_with_all_six_drives_ready_and_the_force_built_up():
     ready = states(DriveState.READY)
     assert after(Mode.LOADING, elapsed=0.6, drive_state=ready) is Mode.RELEASING, "brake test, ramp"

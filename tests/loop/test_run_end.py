@@ -85,6 +85,25 @@ def test_engages_once_idle_and_never_twice():
     assert course.commands(2) == ()
 
 
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_consent_that_came_with_a_drive_that_was_switched_off_is_asked_for_again(armed):
+    """The cycle went back to WAITING in the tick of the consent; later it has all drives again."""
+    now = cycle(Mode.IDLE)
+    course = Course(now, 5.0, armed=armed)
+    said = () if armed else (Operator.ENGAGE,)
+    assert course.commands(0, said) == (Operator.ENGAGE,)
+    now.mode = Mode.WAITING
+    assert course.commands(1) == ()
+    now.mode = Mode.IDLE
+    assert course.commands(2, said) == (Operator.ENGAGE,)
+    now.mode = Mode.LOADING
+    assert course.commands(3) == ()
+    now.mode = Mode.WAITING  # parked, and reset by the operator
+    course.commands(5000)
+    now.mode = Mode.IDLE
+    assert course.commands(5001) == (), "that needs a new word"
+
+
 @pytest.mark.parametrize("duration_s", [None, 5.0])
 def test_a_fault_before_the_platform_moved_takes_the_consent_back(duration_s):
     now = cycle(Mode.FAULT, faults=Fault.ESTOP)

@@ -21,6 +21,8 @@ from hil.trajectory.multisine import schroeder
 
 DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST = 6, 10.0, 0.3
 """Lines of each axis, no two axes sharing one; their band in Hz and times the rate of the loop."""
+DELAY_SLOW_Hz = 150.0
+"""Of a slower loop the whole band is that of this rate, in proportion: it has no room for whole frequencies."""
 CARRIER_Hz, CARRIER_m = 1.0, 3e-3
 """Slow heave that keeps the legs sliding, or Coulomb friction would hold the small motion."""
 DELAY_RAMP_S = 0.5
@@ -47,7 +49,8 @@ def delay_excitation(
     All lines of an axis accelerate it equally, so each amplitude falls with the square of the frequency; the
     axes load the legs equally. A slow heave of 3 mm is underneath. duration_s includes fading in and out.
     """
-    frequency = _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz)
+    slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
+    frequency = slower * _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
     phases, axis = _phases_and_axes(len(frequency))
     forces = _directions(model, pose, "pose").forces
     acceleration = 1.0 / np.abs(forces).max(axis=0)[axis]

@@ -98,6 +98,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
     ) -> None:
         from hil.app.configuration.section_file import check_section_path
         from hil.app.design import command as app
+        from hil.app.files import write_whole
         from hil.app.output import console, picture_path, show_lines
         from hil.config.linear_controller import LinearController
 
@@ -108,7 +109,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
             controller, made, settings, axis = app.run_design(name, design, model, status.update, robot)
         show_lines(app.report(controller))
         if out is not None:
-            out.write_text(app.controller_text(controller, design), encoding="utf-8")
+            write_whole(out, app.controller_text(controller, design))
             click.echo(f"written: {out}")
         if picture is not None:
             from hil.app.design.plot import draw

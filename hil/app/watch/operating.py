@@ -13,7 +13,10 @@ KEY = "key"
 
 
 def line_of(body: bytes) -> str:
-    """Return the operator's line of a request, `{"line": "speed 40"}`. Raises ValueError for any other."""
+    """Return the operator's line of a request, `{"line": "speed 40"}`, a space between its words.
+
+    Raises ValueError for any other.
+    """
     found = json.loads(body)
     if not isinstance(found, dict) or set(found) != {"line"} or not isinstance(found["line"], str):
         raise ValueError('allowed: {"line": "word [numbers]"}')
@@ -22,7 +25,7 @@ def line_of(body: bytes) -> str:
     if not line.isprintable() or not words or words[0] not in WORDS:
         raise ValueError(f"allowed words: {', '.join(sorted(WORDS))}")
     parse(line)
-    return line
+    return " ".join(words)
 
 
 class Operating:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -51,6 +52,23 @@ def test_the_command_writes_controller_figures_and_picture(tmp_path):
     assert f"{summary['crossover_rad_s']:.1f} rad/s" in done.output
     assert files[2].read_bytes().startswith(b"\x89PNG")
     assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
+
+
+def test_a_full_disk_leaves_the_earlier_controller_as_it_was(tmp_path, monkeypatch):
+    out = tmp_path / "c.yaml"
+    assert design("hinf", "-o", out).exit_code == 0
+    earlier = out.read_bytes()
+
+    def full(self, text, encoding=None):
+        self.write_bytes(text.encode(encoding)[:100])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    done = design("hinf", "-o", out)
+    assert done.exit_code == 2
+    assert f"{out}: No space left on device" in done.output.replace("\n", "")
+    assert out.read_bytes() == earlier
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_an_identified_axis_goes_before_the_designs_own(tmp_path):

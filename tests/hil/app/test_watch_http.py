@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from http import HTTPStatus
 
 import pytest
@@ -172,6 +173,12 @@ def test_who_operates_has_the_token_and_the_page(given, status):
     assert status_of(LOCAL.check_operate, given) is status
     closed = Access(TOKEN, 8642, LOCAL.names, beyond=False, operate=False)
     assert status_of(closed.check_operate, given) is not HTTPStatus.OK, "the configuration decides first"
+
+
+@pytest.mark.parametrize("typed", ["estop ", "  estop", "speed   40 "])
+def test_a_line_is_its_words_whatever_room_is_around_them(typed):
+    """An E-stop and a key have ways of their own, known by the line."""
+    assert line_of(json.dumps({"line": typed}).encode()) == " ".join(typed.split())
 
 
 def test_the_words_of_the_page_are_passed_on_and_no_others():

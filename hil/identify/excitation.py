@@ -22,7 +22,7 @@ from hil.trajectory.multisine import schroeder
 DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST = 6, 10.0, 0.3
 """Lines of each axis, no two axes sharing one; their band in Hz and times the rate of the loop."""
 DELAY_SLOW_Hz = 150.0
-"""Of a slower loop the whole band is that of this rate, in proportion: it has no room for whole frequencies."""
+"""Of a slower loop the band is in proportion to that of this rate: it has no room for whole frequencies."""
 CARRIER_Hz, CARRIER_m = 1.0, 3e-3
 """Slow heave that keeps the legs sliding, or Coulomb friction would hold the small motion."""
 DELAY_RAMP_S = 0.5

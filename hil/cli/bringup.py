@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from hil.cli.interrupts import OF_THIS_PROCESS
 from hil.cli.shared import FILE, configuration_argument, finish_briefly, load, log_option, reporting
 
 
@@ -36,8 +37,8 @@ def command(
 
     Each step says what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
     the step `mounted`. At most one brake is open, its force at most 2 % of the rated one, and it is let go
-    after a tenth of a millimetre. Answers are kept: give the command again to go on. Ctrl-C at any moment
-    takes force and power away.
+    after a tenth of a millimetre. Answers are kept: give the command again to go on. Ctrl-C at any moment,
+    or a terminal that goes, takes force and power away.
 
     Writes the configuration that it has found and a checklist beside CONFIGURATION, never over it.
 
@@ -65,14 +66,15 @@ def command(
     loaded = load(configuration)
     from hil.app.bringup.command import run_bringup
 
-    summary = run_bringup(
-        configuration,
-        loaded,
-        mistakes=mistakes if rehearse else None,
-        log=log,
-        state=state,
-        again=again,
-        yes=yes,
-        say=click.echo,
-    )
+    with OF_THIS_PROCESS.also_where_the_terminal_goes():
+        summary = run_bringup(
+            configuration,
+            loaded,
+            mistakes=mistakes if rehearse else None,
+            log=log,
+            state=state,
+            again=again,
+            yes=yes,
+            say=click.echo,
+        )
     finish_briefly("bringup", summary, json_file)

@@ -74,6 +74,19 @@ class Interrupts:
             for number in (signal.SIGINT, signal.SIGALRM):  # a press that is repeated would end Python's end
                 signal.signal(number, signal.SIG_IGN)
 
+    @contextmanager
+    def also_where_the_terminal_goes(self) -> Iterator[None]:
+        """Let SIGTERM and SIGHUP be presses, too: a closed terminal leaves nothing under power."""
+        before = {
+            number: signal.signal(number, self.pressed)
+            for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+        }
+        try:
+            yield
+        finally:
+            for number, previous in before.items():
+                signal.signal(number, previous)
+
 
 OF_THIS_PROCESS = Interrupts()
 

@@ -226,10 +226,10 @@ def test_a_drive_that_was_switched_off_while_the_operator_was_waited_for_is_not_
     tick = record_of(tick=5, drive_state=int(DriveState.OFF), p=cycle.parts.home_p, R=np.eye(3), J=np.eye(6))
     cycle.mode = Mode.IDLE
     cycle._change_mode(SimpleNamespace(tick=5, operator=()), tick)
-    assert cycle.mode is Mode.IDLE, "all is ready"
+    assert cycle.mode == Mode.IDLE, "all is ready"
     if what == "its turn":
         cycle.homing = SimpleNamespace(known=False)
     else:
         protocol.legs_set_up = lambda _: [True, True, False, True, True, True]
     cycle._change_mode(SimpleNamespace(tick=6, operator=operator), tick)
-    assert cycle.mode is Mode.WAITING
+    assert cycle.mode == Mode.WAITING

@@ -135,7 +135,7 @@ def run_bringup(
                 store.forget_brakes()
         lines = [*checklist(context, outcome, together.lines), *filter(None, [stood_still_line(bench_time)])]
         if outcome.findings:
-            lines += _write_mended(c, files.found, text, outcome.findings, said, rehearsal=rehearsal)
+            lines += _write_mended(c, context, files.found, text, outcome.findings, said, rehearsal=rehearsal)
         write_whole(files.checklist, "\n".join([*_head(c, path, rehearsed=rehearsed), *lines]) + "\n")
         for line in lines:
             said.event(line)
@@ -150,6 +150,7 @@ def run_bringup(
 
 def _write_mended(
     c: Configuration,
+    context: Context,
     file: Path,
     text: str,
     findings: Sequence[Finding],
@@ -166,7 +167,7 @@ def _write_mended(
         said(line)
         return [line]
     write_whole(file, text)
-    done = [finding.name for finding in mended(c, findings)]
+    done = [finding.name for finding in mended(c, context, findings)]
     line = f"next: hil bringup {file}{' --rehearse' if rehearsal else ''}"
     if len(done) < len(findings):
         line += ", once what was found at the machine is mended"
@@ -253,7 +254,7 @@ def _proceed(
     except RefusedError as refusal:
         why = str(refusal)
     except KeyboardInterrupt:
-        why = "ended by Ctrl-C: forces zero, brakes shut; what was found is kept"
+        why = "interrupted: forces zero, brakes shut; what was found is kept"
     else:
         return outcome, context, ""
     return Outcome(tuple(store.facts.get("passed", {})), (), stopped="ended"), context, why
@@ -281,7 +282,7 @@ def _release(
     except RefusedError as refusal:
         return Together(success=False, lines=[f"[ ] together: {refusal}"])
     except KeyboardInterrupt:
-        return Together(success=False, lines=["[ ] together: ended by Ctrl-C before it began"])
+        return Together(success=False, lines=["[ ] together: interrupted before it began"])
     if bench is None:
         if not served:
             state_lengths(found, context, said)

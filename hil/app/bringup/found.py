@@ -44,7 +44,7 @@ def found_text(
     if rehearsed:
         head.append("# REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
     if findings:
-        done = mended(c, findings)
+        done = mended(c, context, findings)
         left = [finding for finding in findings if finding not in done]
         first = "mend what follows, and give" if left else "give"
         head.append(f"# NOT RELEASED: {first} this file to `hil bringup` again.")
@@ -57,19 +57,23 @@ def found_text(
     return "\n".join(head) + "\n" + commented(text, comments)
 
 
-def mended(c: Configuration, findings: Sequence[Finding]) -> list[Finding]:
+def mended(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[Finding]:
     """Return the findings that the configuration that is written makes up for.
 
-    Behind exchanged numbers a drive was read with the sign, lead and zero of another leg: its numbers first.
+    Behind exchanged numbers or crossed cables a drive was read with the sign, lead and zero of another leg:
+    these first.
     """
-    names = {"ids", "stroke"}
-    if c.drives.transmission is not None and not _exchanged(findings):
+    names = {"stroke"}
+    if _order(c, context, findings) is not None:
+        names |= {"ids"}
+    if c.drives.transmission is not None and not _misread(findings):
         names |= {"wrong_lead", "drive_reversed", "offset"}
     return [finding for finding in findings if finding.name in names]
 
 
-def _exchanged(findings: Sequence[Finding]) -> bool:
-    return any(finding.name == "ids" for finding in findings)
+def _misread(findings: Sequence[Finding]) -> bool:
+    """Tell whether some drive counts another leg than its own."""
+    return any(finding.name in {"ids", "encoder_crossed"} for finding in findings)
 
 
 def _changes(
@@ -92,7 +96,7 @@ def _changes(
         "limits": {"speed_m_s": speed, "following_error_m": following if reduced else slower},
         "engage": {"approach_speed_m_s": min(c.engage.approach_speed_m_s, 0.5 * speed)},
         "reference": first,
-        "drives": {"node_ids": _nodes(c, context, findings)},
+        "drives": {"node_ids": _order(c, context, findings) or list(c.drives.node_ids)},
     }
     was = "" if reduced else ", {:g} was configured"
     comments = {
@@ -109,18 +113,22 @@ def _changes(
             "length_min_m": round(float(ends[:, 0].max()) + 1e-3, 4),
             "length_max_m": round(float(ends[:, 1].min()) - 1e-3, 4),
         }
-    if c.drives.transmission is not None and not _exchanged(findings):
+    if c.drives.transmission is not None and not _misread(findings):
         changes["drives"]["transmission"] = _transmission(c, context, findings)
         comments["drives", "transmission"] = ["signs, leads and zeros by tape; see the checklist"]
     return changes, comments
 
 
-def _nodes(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int]:
-    nodes = list(c.drives.node_ids)
-    if _exchanged(findings):
-        for drive, (leg, _) in context.reads().items():
-            nodes[leg] = c.drives.node_ids[drive]
-    return nodes
+def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int] | None:
+    """Return the node numbers in the order of the legs, of the drives that were found exchanged; None: none.
+
+    None, too, where they are not exchanged among themselves: another mistake hides whose they are.
+    """
+    nodes, reads = list(c.drives.node_ids), context.reads()
+    exchanged = [drive for finding in findings if finding.name == "ids" for drive in finding.legs]
+    for drive in exchanged:
+        nodes[reads[drive][0]] = c.drives.node_ids[drive]
+    return nodes if exchanged and len(set(nodes)) == LEGS else None
 
 
 def _transmission(c: Configuration, context: Context, findings: Sequence[Finding]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 The hand has a force gauge: what it reads as a leg gives way is the leg's friction, whatever its drive does.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from math import nan
 from statistics import median
@@ -159,8 +159,8 @@ def judge(c: Context) -> list[Finding]:
             text = "it gives way to a hand with its brake commanded shut"
             mend = "Look at brake, its supply and its air gap; do not load this leg."
             found.append(Finding("brake_stuck_open", (leg,), text, mend))
-    exchanged = {d: j for d, j in counts.items() if j != d and d not in opens[d]}
-    crossed = {d: j for d, j in counts.items() if j != d and d in opens[d]}
+    crossed = {d: j for d, j in counts.items() if j != d and has_crossed_encoder(d, counts, opens)}
+    exchanged = {d: j for d, j in counts.items() if j != d and d not in crossed}
     if exchanged:
         nodes = c.machine.node_ids
         text = "; ".join(f"node {nodes[d]} is the drive of leg {j}, not {d}" for d, j in exchanged.items())
@@ -168,10 +168,15 @@ def judge(c: Context) -> list[Finding]:
         for drive, leg in exchanged.items():
             order[leg] = nodes[drive]
         mend = f"Write drives.node_ids: {order}, or give the drives the numbers of their legs."
+        if len(set(order)) < LEGS:
+            mend = "Mend the rest first: which number is whose will be seen then."
         found.append(Finding("ids", tuple(sorted(exchanged)), text, mend))
     if crossed:
         text = "; ".join(
-            f"drive {d} counts leg {j}, its brake is that of leg {d}" for d, j in crossed.items()
+            f"drive {d} counts leg {j}, its brake is that of leg {d}"
+            if d in opens[d]
+            else f"drive {d} counts leg {j}"
+            for d, j in crossed.items()
         )
         mend = "Exchange these drives' encoder cables."
         found.append(Finding("encoder_crossed", tuple(sorted(crossed)), text, mend))
@@ -191,6 +196,19 @@ def judge(c: Context) -> list[Finding]:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
         found.append(Finding("brake_crossed", tuple(sorted(wrong)), text, "Exchange the brakes' cables."))
     return found + rates(c) + friction(c)
+
+
+def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[int, list[int]]) -> bool:
+    """Tell whether a drive that counts another leg has its own brake, or may have, and is among such.
+
+    A brake that opens no leg says nothing of whose drive it is; those whose readings go round with it do.
+    """
+    if drive in opens[drive] or counts[drive] in opens[drive]:
+        return drive in opens[drive]
+    round_with_it = [drive]
+    while (following := counts.get(round_with_it[-1])) is not None and following not in round_with_it:
+        round_with_it.append(following)
+    return any(each in opens[each] for each in round_with_it)
 
 
 def rates(c: Context) -> list[Finding]:

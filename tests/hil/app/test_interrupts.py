@@ -198,3 +198,22 @@ def test_too_few_files_are_named_with_their_limit(process, monkeypatch):
     most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     assert code == 2
     assert said == f"hil: a process may open {most} files here, and that is too few: raise `ulimit -n`\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, monkeypatch):
+    """What its steps switched on they switch off on the way out."""
+    let_go = []
+
+    def steps(*_, **__):
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(5.0)
+        finally:
+            let_go.append(number)
+
+    before = signal.getsignal(number)
+    monkeypatch.setattr("hil.app.bringup.command.run_bringup", steps)
+    assert process("bringup", "virtual", "--rehearse", "--yes") == (INTERRUPTED, "hil: interrupted\n")
+    assert let_go == [number]
+    assert signal.getsignal(number) is before

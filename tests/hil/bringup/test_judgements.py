@@ -45,6 +45,48 @@ def test_brakes_that_open_for_another_drive_are_named_with_all_their_drives(cont
             assert "Exchange the brakes' cables" in finding.mend
 
 
+def found_with(context, counts, opens):
+    """Judge drives that count and open other legs than theirs; return the findings by name."""
+    encoder = context.facts["encoder"]
+    by_leg = {leg: drive for drive, leg in counts.items()}
+    context.facts["encoder"] = {str(k): encoder[str(k)] | {"drive": by_leg.get(k, k)} for k in LEGS}
+    for drive, legs in opens.items():
+        context.facts["opens"][str(drive)]["legs"] = legs
+    return {finding.name: finding for finding in brakes.judge(context)}
+
+
+def test_exchanged_numbers_beside_crossed_encoder_cables_change_their_own_legs_alone(context):
+    """Nodes 2 and 5 are exchanged; the encoders of legs 0 and 2 are."""
+    found = found_with(context, {1: 4, 4: 1, 0: 2, 2: 0}, {1: [4], 4: [1]})
+    assert found.keys() == {"ids", "encoder_crossed"}
+    assert found["ids"].legs == (1, 4)
+    assert "node_ids: [1, 5, 3, 4, 2, 6]" in found["ids"].mend
+    assert found["encoder_crossed"].legs == (0, 2)
+
+
+@pytest.mark.parametrize(("stuck", "other"), [(0, 2), (2, 0), (3, 5)])
+def test_a_stuck_brake_among_crossed_encoders_makes_no_number_of_it(context, stuck, other):
+    found = found_with(context, {stuck: other, other: stuck}, {stuck: []})
+    assert found.keys() == {"encoder_crossed", "brake_stuck_shut"}
+    assert found["encoder_crossed"].legs == tuple(sorted((stuck, other)))
+    assert f"drive {stuck} counts leg {other}, its brake" not in found["encoder_crossed"].text
+
+
+@pytest.mark.parametrize("opens", [{1: [4], 4: []}, {1: [], 4: [1]}, {1: [], 4: []}])
+def test_a_stuck_brake_among_exchanged_numbers_hides_none_of_them(context, opens):
+    found = found_with(context, {1: 4, 4: 1}, opens)
+    assert found.keys() == {"ids", "brake_stuck_shut"}
+    assert "node_ids: [1, 5, 3, 4, 2, 6]" in found["ids"].mend
+
+
+def test_no_order_of_numbers_is_named_that_has_one_twice(context):
+    """Of three drives whose readings go round one has its own brake."""
+    found = found_with(context, {0: 1, 1: 2, 2: 0}, {0: [1], 1: [1], 2: [0]})
+    assert found["ids"].legs == (0, 2)
+    assert "node_ids" not in found["ids"].mend
+    assert found["encoder_crossed"].legs == (1,)
+
+
 @pytest.fixture
 def ramped(monkeypatch):
     """The drives whose force has grown."""

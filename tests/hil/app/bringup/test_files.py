@@ -157,12 +157,43 @@ def test_behind_exchanged_numbers_the_file_mends_the_numbers_alone():
         Finding("offset", (4,), "", ""),
         Finding("wrong_lead", (4,), "", ""),
     ]
-    assert mended(c, findings) == findings[:1]
-    assert mended(c, findings[1:]) == findings[1:]
+    assert mended(c, rehearsal.context, findings) == findings[:1]
+    assert mended(c, rehearsal.context, findings[1:]) == findings[1:]
     found = loads(found_text(c, rehearsal.context, findings), "found", c.folder)
     n = list(c.drives.node_ids)
     assert list(found.drives.node_ids) == [n[0], n[4], n[2], n[3], n[1], n[5]]
     assert found.drives.transmission == c.drives.transmission
+
+
+def test_behind_crossed_encoder_cables_the_file_changes_no_transmission_and_no_number_but_the_exchanged():
+    """Drives 0 and 2 have each other's encoder, drives 1 and 4 each other's number."""
+    rehearsal = Rehearsal("desktop", Wiring())
+    c = rehearsal.c
+    reads = {0: 2, 2: 0, 1: 4, 4: 1}
+    rehearsal.context.facts["encoder"] = {
+        str(leg): {"drive": drive, "tape_m": [0.25, 0.4], "scale": -1.0, "offset_m": 2e-3, "bent_m": 0.0}
+        for drive, leg in reads.items()
+    }
+    crossed = Finding("encoder_crossed", (0, 2), "crossed", "")
+    others = [Finding("offset", (0,), "", ""), Finding("drive_reversed", (2,), "", "")]
+    exchanged = Finding("ids", (1, 4), "exchanged", "")
+    for findings, done in (([crossed, *others], []), ([exchanged, crossed, *others], [exchanged])):
+        assert mended(c, rehearsal.context, findings) == done
+        found = loads(found_text(c, rehearsal.context, findings), "found", c.folder)
+        n = list(c.drives.node_ids)
+        assert list(found.drives.node_ids) == ([n[0], n[4], n[2], n[3], n[1], n[5]] if done else n)
+        assert found.drives.transmission == c.drives.transmission
+
+
+def test_numbers_that_are_not_exchanged_among_themselves_are_not_written():
+    rehearsal = Rehearsal("desktop", Wiring())
+    c = rehearsal.c
+    known = {"tape_m": [0.25, 0.4], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
+    rehearsal.context.facts["encoder"] = {"1": {"drive": 0, **known}, "2": {"drive": 1, **known}}
+    findings = [Finding("ids", (0,), "exchanged", "")]
+    assert mended(c, rehearsal.context, findings) == []
+    found = loads(found_text(c, rehearsal.context, findings), "found", c.folder)
+    assert list(found.drives.node_ids) == list(c.drives.node_ids)
 
 
 def test_limits_are_reduced_once_however_often_the_written_file_is_given_again():

@@ -168,7 +168,7 @@ def test_ctrl_c_before_six_legs_leaves_a_checklist_and_releases_nothing(ended, t
 
     monkeypatch.setattr(Terminal, "consent", interrupted)
     summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), yes=False)
-    assert "[ ] together: ended by Ctrl-C" in (tmp_path / summary["checklist"]).read_text()
+    assert "[ ] together: interrupted before" in (tmp_path / summary["checklist"]).read_text()
     assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
 
 

@@ -12,6 +12,8 @@ import numpy as np
 from drivers.errors import HilError
 from hil.app.new import derive, drives, fineness
 from hil.app.new.robot import HOLD_SHARE, WORST_CONDITION, condition_at_home, joints_apart_m, robot_at_home
+from hil.app.new.text import DIGITS
+from hil.mathematics.rounding import rounded
 
 Answers = dict[str, Any]
 Trouble = Callable[[Answers], str | None]
@@ -87,7 +89,7 @@ def _number(text: str, unit: str = "") -> float:
         raise ValueError(f"allowed: a number{unit}, with a decimal point, given: {text}") from None
     if not isfinite(value):
         raise ValueError(f"allowed: a finite number, given: {text}")
-    return value
+    return rounded(value, DIGITS)
 
 
 def _moments(text: str) -> list[float] | None:

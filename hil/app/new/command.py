@@ -181,7 +181,7 @@ _COMMENTS = {
     "limits.stroke_margin_m": "2 % of the stroke",
     "limits.following_error_m": "2 % of the stroke",
     "reactions.silence": "what these drives do by themselves",
-    "limits.standstill_m": "1 % of the stroke, at most 0.5 mm",
+    "limits.standstill_m": "1 % of the stroke, at most 0.5 mm; no less than four steps of a reading",
     "operator": "at which a jog moves platform and legs, at most 80 % of limits.speed_m_s",
     "plant.model.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",
     "plant.drives.force_bandwidth_Hz": "current loops of servo drives close at some hundred Hz",

@@ -175,7 +175,7 @@ def limits_section(
         "stroke_margin_m": rounded(0.02 * a["stroke_m"]),
         "following_error_m": following_error_m(a),
         "following_error_s": 0.02,
-        "standstill_m": rounded(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a, rate_Hz)[0])),
+        "standstill_m": raised(max(min(5e-4, 0.01 * a["stroke_m"]), 4 * steps(a, rate_Hz)[0]), 3),
     }
 
 

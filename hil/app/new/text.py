@@ -12,6 +12,8 @@ _NOT_TEXT = frozenset(("true", "false", "null", "yes", "no", "on", "off", "y", "
 """What YAML 1.1 or 1.2 reads as something else."""
 COLUMN = 40
 """Where comments begin."""
+DIGITS = 7
+"""Of a float. Answers have no more: what follows from one is to fit the one that is written."""
 
 
 def yaml_text(head: list[str], sections: Mapping[str, Any], comments: Mapping[str, str]) -> str:
@@ -44,7 +46,7 @@ def _commented(line: str, comment: str | None) -> str:
 
 
 def _flow(value: Any) -> str:
-    """Return a value on one line; floats to seven digits as numbers of YAML 1.2, a Decimal as it is."""
+    """Return a value on one line; floats to `DIGITS` as numbers of YAML 1.2, a Decimal as it is."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{k}: {_flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -52,7 +54,7 @@ def _flow(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
-        return f"{value:.7g}"
+        return f"{value:.{DIGITS}g}"
     text = str(value)
     plain = not isinstance(value, str) or (_PLAIN.fullmatch(text) and text.lower() not in _NOT_TEXT)
     return text if plain else json.dumps(text, ensure_ascii=False)

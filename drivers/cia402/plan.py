@@ -30,8 +30,6 @@ class Settings(NamedTuple):
     """What all six drives are set to."""
 
     rated_torque_mNm: int
-    increments: int
-    """Encoder counts a turn; 0: not checked."""
     max_torque_permille: int
     heartbeat_ms: int
     """Of the drives."""
@@ -140,16 +138,19 @@ def _read_back(writes: list[Step]) -> list[Step]:
     return steps
 
 
-def plan(node: int, setup: DriveSetup, settings: Settings) -> tuple[Step, ...]:
-    """Return the steps for the drive of a node. Raises ProtocolError if the set-up does not fit."""
+def plan(node: int, setup: DriveSetup, settings: Settings, increments: int = 0) -> tuple[Step, ...]:
+    """Return the steps for the drive of a node. Raises ProtocolError if the set-up does not fit.
+
+    increments: counts a turn that its own encoder has; 0: not checked.
+    """
     first = [
         Step("read", o.DEVICE_TYPE, o.PROFILE_402, mask=0xFFFF),
         Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL),
         Step("read", o.SUPPORTED_MODES, o.SUPPORTS_CYCLIC_TORQUE, 4, True, o.SUPPORTS_CYCLIC_TORQUE),
         Step("read", o.RATED_TORQUE, settings.rated_torque_mNm),
     ]
-    if settings.increments:
-        first.append(Step("read", o.ENCODER_INCREMENTS, settings.increments, optional=True))
+    if increments:
+        first.append(Step("read", o.ENCODER_INCREMENTS, increments, optional=True))
         first.append(Step("read", o.MOTOR_REVOLUTIONS, 1, optional=True))
     writes = _pdo(o.RPDO, 0, o.RPDO_ID[0] + node, o.AT_ONCE, _RPDO1)
     writes += _pdo(o.TPDO, 0, o.TPDO_ID[0] + node, o.AT_EVERY_SYNC, _TPDO1)

@@ -100,10 +100,9 @@ class Cia402Protocol(Routes):
             (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
         )
         self._permille_per_N = [1.0 / scale for scale in N_per_permille]
-        counts = round(float(transmission.counts[0]))
+        self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
         self._settings = Settings(
             rated_torque_mNm=round(1e3 * rated_torque_Nm),
-            increments=counts if check_encoder else 0,
             max_torque_permille=max_torque(force_limit_N / float(transmission.driving.min()), N_per_permille),
             heartbeat_ms=min(max(round(heartbeat_ms), 1), 0xFFFF),
             controller_node=controller_node,
@@ -150,7 +149,9 @@ class Cia402Protocol(Routes):
         """
         watchdog_ms(setup)
         beat = max(2, int(setup.watchdog_s * setup.rate_Hz) // _BEATS)
-        return Cia402Dialogue(setup, tuple(plan(node, setup, self._settings) for node in self.node_ids), beat)
+        own = zip(self.node_ids, self._increments, strict=True)
+        plans = tuple(plan(node, setup, self._settings, increments) for node, increments in own)
+        return Cia402Dialogue(setup, plans, beat)
 
     def begin(self, _dialogue: Cia402Dialogue, _tick: int) -> tuple[Frame, ...]:
         """Return the SYNC, without counter."""

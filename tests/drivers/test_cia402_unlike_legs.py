@@ -15,7 +15,7 @@ from drivers.protocol import Frame, Received, run_of
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import new_record
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives, settings
-from tests.drivers.protocol_contract import SETUP
+from tests.drivers.protocol_contract import SETUP, Ends
 
 SIGN = (1, -1, 1, -1, 1, 1)
 LOSSES = [(0.8, 1.0), (1.0, 0.5)]
@@ -51,6 +51,20 @@ def test_the_drive_of_the_weakest_leg_may_give_the_rated_force(quantity, value, 
         PERMILLE_N if (quantity, others) in (("lead_m", 0.005), ("gear_ratio", 3.0)) else PERMILLE_N / 2
     )
     assert written(protocol, o.MAX_TORQUE) == [int(10_000 / weakest_N) + 1] * LEGS
+
+
+@pytest.mark.parametrize("leg", range(LEGS))
+def test_each_drive_is_asked_for_the_counts_of_its_own_leg(leg):
+    counts = but(leg, 4096, others=10_000)
+    plans = drives(counts_per_turn=counts).start(SETUP).plans
+    asked = [[s.value for s in plan if (s.kind, s.key) == ("read", (0x608F, 1))] for plan in plans]
+    assert asked == [[each] for each in counts]
+
+
+def test_drives_whose_encoders_are_unlike_are_all_set_up():
+    ends = Ends(drives(counts_per_turn=[10_000, 10_000, 10_000, 4096, 4096, 4096]))
+    ends.until_set_up()
+    assert ends.nodes._drives.configured.tolist() == [True] * LEGS
 
 
 @pytest.mark.parametrize("force_limit_N", [500.0, 60_000.0])

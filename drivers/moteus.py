@@ -4,9 +4,10 @@ Identifier: source << 8 | destination, bit 15 where a reply is wanted; extended 
 commands are, and replies of the ids from 8 on. What a frame holds is in `moteus_registers`. Torque goes as
 feed-forward of position mode without position and gains. Every such command carries the time after which the
 drive gives up (mode 11, until a stop), and a stop clears faults: outside RUN the polls are stops. A drive
-that restarts obeys the next command. An emulated drive answers whoever asks what he asks for; of modes it has
-stop and torque, refuses others, and still answers. Source: the reference of the moteus protocol (mjbots), and
-the package `moteus` 1.1.1.
+that restarts obeys the next command, and may answer it as enabled: then nobody sees the restart. One that
+says that it is stopped is not commanded again until RUN is asked for anew. An emulated drive answers whoever
+asks what he asks for; of modes it has stop and torque, refuses others, and still answers. Source: the
+reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 """
 
 import struct
@@ -209,9 +210,10 @@ class MoteusProtocol(MotorProtocol):
         return frame.id if super().awaited(frame) >= 0 else -1
 
     def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return a torque with its query, or a stop with its query."""
+        """Return a torque with its query, or a stop with its query: for one that stopped by itself, too."""
         data = STOP
-        if dialogue.mode == DriveMode.RUN:
+        fallen = dialogue.ran[leg] and dialogue.power[leg] == _OFF
+        if dialogue.mode == DriveMode.RUN and not fallen:
             data = pad(torque_command(dialogue.torque[leg], self._most, dialogue.watchdog_s))
         return Frame(self._command_ids[leg], data, EXTENDED | FD | BRS)
 

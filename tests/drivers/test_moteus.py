@@ -202,6 +202,22 @@ def test_a_drive_that_restarts_in_motion_obeys_again_from_the_next_command_on():
     assert ends.nodes.snapshot().state[3] == DriveState.RUN
 
 
+@pytest.mark.parametrize("leg", range(6))
+def test_a_drive_that_has_reported_a_stop_in_motion_is_not_enabled_again_until_run_is_asked_for_anew(leg):
+    ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
+    ends.running()
+    ends.nodes._drives.enter(leg, DriveState.OFF, DriveFault.NONE)
+    for _ in range(2):
+        ends.step(Command(DriveMode.RUN, np.zeros(6)))
+        assert ends.measurement["drive_state"][leg] == DriveState.BOOT
+        polls = ends.protocol.begin(ends.dialogue, ends.tick + 1)
+        assert [frame.data == STOP for frame in polls] == [each == leg for each in range(6)]
+    for mode, states in ((DriveMode.READY, [DriveState.READY] * 6), (DriveMode.RUN, [DriveState.RUN] * 6)):
+        for _ in range(3):
+            ends.step(Command(mode, np.zeros(6)))
+        assert ends.measurement["drive_state"].tolist() == states
+
+
 def asked_by_the_package(package: Any, width: str) -> tuple[Frame, dict[int, float]]:
     """Return a query of controller 5 to drive 3, and the steps of what it asks for at that width."""
     resolution = package.QueryResolution()

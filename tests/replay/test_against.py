@@ -163,6 +163,24 @@ def test_motions_are_aligned_by_the_first_tick_in_which_the_platform_moves(made)
         made(early, late, align="motion")
 
 
+@pytest.mark.parametrize(
+    "then",
+    [[], [Mode.FAULT], [Mode.UNLOADING, Mode.PARKED], [Mode.PARKED], [Mode.HELD], [Mode.PARKING]],
+    ids=str,
+)
+def test_a_run_that_ended_before_its_approach_never_moved_however_it_ended(then):
+    before = [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING, *then]
+    with pytest.raises(LogError, match=r"never moves, .* --align tick"):
+        first_motion(Made(range(len(before)), mode=before))
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
+def test_a_run_that_moves_after_an_end_without_motion_moves_first_there(mode):
+    """One that stays, was faulted in its brake test, reset and armed."""
+    modes = [Mode.LOADING, Mode.FAULT, Mode.WAITING, Mode.LOADING, Mode.RELEASING, mode, mode]
+    assert first_motion(Made(range(len(modes)), mode=modes)) == (5, 5_000_000)
+
+
 def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
     one, other = Made(range(4)), Made(range(4))
     one.columns = (*one.columns, COLUMNS["age"])

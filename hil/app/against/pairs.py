@@ -8,10 +8,11 @@ import numpy as np
 from drivers.arrays import Ints, Rows
 from drivers.errors import LogError
 from drivers.signals import Mode
+from hil.loop.modes import MOVING
 from hil.record.log import Log
 
-AT_REST = frozenset({Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING})
-"""Modes before the first motion."""
+MOVED = MOVING - {Mode.RELEASING}
+"""Modes in which the platform moves as planned; a run that ends before its approach has none."""
 
 
 @dataclass
@@ -47,7 +48,7 @@ def first_motion(log: Log) -> tuple[int, int]:
             f"{log.path}: has no column of modes, and --align motion asks for one; use --align tick"
         )
     for rows in log.blocks("tick", "t_ns", "mode"):
-        moving = np.flatnonzero(~np.isin(rows["mode"], [int(mode) for mode in AT_REST]))
+        moving = np.flatnonzero(np.isin(rows["mode"], [int(mode) for mode in MOVED]))
         if len(moving):
             return int(rows["tick"][moving[0]]), int(rows["t_ns"][moving[0]])
     raise LogError(f"{log.path}: its platform never moves, and --align motion asks when; use --align tick")

@@ -114,7 +114,8 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
             "a hold, a stop or another speed. Learn from a run at full speed without them"
         )
     most = round(LEAD_S / period_s)
-    approach = rows[(rows["mode"] == Mode.APPROACH) & (ticks[0] - rows["tick"] <= most)]
+    before = ticks[0] - rows["tick"]
+    approach = rows[(rows["mode"] == Mode.APPROACH) & (before > 0) & (before <= most)]
     if len(approach) and ticks[0] - approach["tick"][0] != len(approach):
         approach = approach[:0]
     teaching = np.concatenate([approach, along])

@@ -58,6 +58,20 @@ def test_a_tick_that_was_lost_long_before_the_reference_takes_nothing_away() -> 
     assert (found, len(rows)) == (LEAD, LEAD + COUNT)
 
 
+@pytest.mark.parametrize("approach", [0, 1, 200, 900])
+@pytest.mark.parametrize("again", [1, 200, 900])
+def test_a_second_approach_behind_the_reference_takes_nothing_from_the_first(
+    approach: int, again: int
+) -> None:
+    """A run that stays (`operator.stays`) was parked, armed again, and went along the path twice."""
+    once, twice = rows_of(approach), rows_of(again)
+    twice["tick"] += len(once)
+    found, rows = whole(np.concatenate([once, twice]))
+    lead = min(approach, LEAD)
+    assert (found, len(rows)) == (lead, lead + COUNT)
+    np.testing.assert_array_equal(rows["tick"], 7000 + approach - lead + np.arange(lead + COUNT))
+
+
 @pytest.mark.parametrize(
     "limit", [Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW], ids=lambda w: w.name
 )

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError, HilError
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
@@ -32,11 +32,11 @@ def rehearse(
 ) -> Rehearsal:
     """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
 
-    It ends early at the floor, where a run contradicts the condition, where one fails or cannot teach, and by
-    an interrupt behind the first run.
+    It ends early at the floor, where a run contradicts the condition, where one fails, cannot begin or cannot
+    teach, and by an interrupt behind the first run.
 
-    Raises ConfigurationError for what cannot run or learn, LogError where the first run cannot teach,
-    ModelError.
+    Raises what keeps the first run from being made or learned from: ConfigurationError, LogError, PlantError,
+    ModelError, OSError.
     """
     c.require("sim")
     refuse_unreachable(c)
@@ -51,20 +51,20 @@ def rehearse(
         for number in range(runs):
             log = folder / f"{c.name}-run-{number:02d}.mcap"
             file = folder / f"{c.name}-run-{number:02d}.csv"
-            made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
-            if not made["success"]:
-                why = made["trouble"] or ", ".join(made["faults"])
-                trouble = f"run {number}: {why}; its log is {log.name}, kept with --logs"
-                break
             try:
+                made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
+                if not made["success"]:
+                    why = made["trouble"] or ", ".join(made["faults"])
+                    trouble = f"run {number}: {why}; its log is {log.name}, kept with --logs"
+                    break
                 past = [*past[-1:], learning_run(log)]
-            except LogError as error:
-                if not past:
+                limit_N = limit_of(past[-1], known)
+                outcome = learned(past, known)
+            except (HilError, OSError) as error:
+                if not steps:
                     raise
                 trouble = f"run {number}: {error}"
                 break
-            limit_N = limit_of(past[-1], known)
-            outcome = learned(past, known)
             texts.append(text)
             steps.append(outcome.steps[-1])
             tell(steps[-1])

@@ -31,10 +31,11 @@ def perform(
     """Yield the outcome of every job, in the order in which they are ready; progress comes before each.
 
     function : of a module that a fresh interpreter imports; died : what is the outcome of a job whose process
-    dies; jobs : processes at once, default one a processor; 1 is this process.
+    dies; jobs : processes at once, default one a processor; 1 is this process, where a job that crashes takes
+    the command with it.
     """
     count = min(len(work), jobs or len(os.sched_getaffinity(0)))
-    outcomes = map(function, work) if count <= 1 else _in_processes(work, function, died, count)
+    outcomes = map(function, work) if jobs == 1 else _in_processes(work, function, died, count)
     for n in range(len(work)):
         if progress is not None:
             progress(n, len(work))
@@ -52,22 +53,29 @@ def _in_processes(
     rest = iter(work)
     while True:
         lost: list[Job] = []
-        with _pool(count, function) as pool:
-            try:
-                yield from _until_one_dies(pool, rest, function, AHEAD * count, lost)
-            except BaseException:
-                for process in active_children():  # they would finish their jobs first, for nobody
-                    process.kill()
-                pool.shutdown(cancel_futures=True)
-                raise
+        with _processes(count, function) as pool:
+            yield from _until_one_dies(pool, rest, function, AHEAD * count, lost)
         if not lost:
             return
         for job in lost:
-            with _pool(1, function) as pool:
+            with _processes(1, function) as pool:
                 try:
                     yield pool.submit(function, job).result()
                 except BrokenProcessPool:
                     yield died(job)
+
+
+@contextmanager
+def _processes(count: int, function: Callable[[Job], Outcome]) -> Iterator[ProcessPoolExecutor]:
+    """Lend processes that end at once where anything fails: they would finish jobs first, for nobody."""
+    with _pool(count, function) as pool:
+        try:
+            yield pool
+        except BaseException:
+            for process in active_children():
+                process.kill()
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _until_one_dies(

@@ -11,10 +11,10 @@ import contextlib
 import fcntl
 import json
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock, Timer
 from types import TracebackType
 from typing import IO, Self
 
@@ -36,7 +36,8 @@ _ROWS, _SECONDS = 1000, 2.0
 class Store:
     """Rows of one campaign on the disk, one process at a time.
 
-    Mutable state: the lock, the rows that are on no disk yet and since when, the number of the next part.
+    Mutable state: the lock, the rows that are on no disk yet and the timer that writes them, which failed or
+    not, the number of the next part.
     """
 
     def __init__(
@@ -48,7 +49,9 @@ class Store:
         """
         self.folder, self._columns, self._identity = folder, columns, identity
         self._waiting: list[Row] = []
-        self._since = 0.0
+        self._access = RLock()
+        self._timer: Timer | None = None
+        self._failed: LogError | None = None
         try:
             self._refuse_strange()
             made_folder(folder / "parts")
@@ -79,20 +82,35 @@ class Store:
         return _rows(self.folder, self._identity)
 
     def add(self, row: Row) -> None:
-        """Take a row in; now and then write what has come. Raises LogError."""
-        if not self._waiting:
-            self._since = time.monotonic()
-        self._waiting.append(row)
-        if len(self._waiting) >= _ROWS or time.monotonic() - self._since >= _SECONDS:
-            self.flush()
+        """Take a row in; now and then write what has come. Raises LogError, also of an earlier row."""
+        with self._access:
+            self._waiting.append(row)
+            if self._failed is not None or len(self._waiting) >= _ROWS:
+                self.flush()
+            elif self._timer is None:
+                self._timer = Timer(_SECONDS, self._flush_in_time)
+                self._timer.daemon = True
+                self._timer.start()
 
     def flush(self) -> None:
         """Write the rows that have come since as a part, whole and on the disk. Raises LogError."""
-        if not self._waiting:
-            return
-        self._write(self.folder / "parts" / f"part-{self._next:06d}.parquet", self._waiting)
-        self._next += 1
-        self._waiting = []
+        with self._access:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer = self._failed = None
+            if not self._waiting:
+                return
+            self._write(self.folder / "parts" / f"part-{self._next:06d}.parquet", self._waiting)
+            self._next += 1
+            self._waiting = []
+
+    def _flush_in_time(self) -> None:
+        """Write what waits, whenever the next row comes; of a failure its writer hears with that row."""
+        with self._access:
+            try:
+                self.flush()
+            except LogError as error:
+                self._failed = error
 
     def finish(self, rows: dict[int, Row]) -> Path:
         """Write the table of all rows by number, and remove the parts. Raises LogError."""

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from operator import call
 
@@ -61,3 +62,50 @@ def test_workers_end_with_who_started_them_in_the_middle_of_their_jobs(how):
         process.send_signal(how)
         wait_until_gone(process.pid, *workers)
     assert process.returncode != 0
+
+
+def test_one_job_has_a_process_of_its_own_unless_this_one_is_asked_for():
+    """One that crashes would take the command with it."""
+    (found,) = perform([os.getpid], call, str, None, None)
+    assert found != os.getpid()
+    assert list(perform([partial(os._exit, 1)], call, lambda _: "died", None, None)) == ["died"]
+    assert list(perform([os.getpid], call, str, 1, None)) == [os.getpid()]
+
+
+DIES_ONCE = """
+import os, time
+if not os.path.exists({file!r}):
+    open({file!r}, "w").close()
+    os._exit(1)
+with open({file!r} + ".new", "w") as file:
+    file.write(str(os.getpid()))
+os.rename({file!r} + ".new", {file!r})
+time.sleep(100.0)
+"""
+ALONE = """
+import sys
+import time
+from functools import partial
+from operator import call
+from hil.app.workers import perform
+from hil.cli.interrupts import OF_THIS_PROCESS
+
+with OF_THIS_PROCESS.attached():
+    list(perform([partial(exec, sys.argv[1])], call, str, 2, None))
+"""
+
+
+def test_ctrl_c_ends_a_job_that_runs_again_alone(tmp_path):
+    file = tmp_path / "worker"
+    code = DIES_ONCE.format(file=str(file))
+    with subprocess.Popen([sys.executable, "-c", ALONE, code], stderr=subprocess.DEVNULL) as process:
+        try:
+            end = time.monotonic() + 60.0
+            while not (file.exists() and file.read_text()):
+                assert time.monotonic() < end
+                time.sleep(0.02)
+            process.send_signal(signal.SIGINT)
+            process.wait(20.0)
+        finally:
+            process.kill()
+    wait_until_gone(int(file.read_text()))

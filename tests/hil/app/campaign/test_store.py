@@ -1,5 +1,6 @@
 """Rows on the disk: whole after a crash between any two steps, of one campaign, of one process."""
 
+import errno
 import json
 import random
 
@@ -98,16 +99,79 @@ def test_rows_are_written_while_a_campaign_runs(tmp_path, monkeypatch):
         assert sorted(again.rows()) == list(range(6))
 
 
-def test_slow_rows_are_written_two_seconds_after_the_first_of_them(tmp_path, monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr("hil.app.campaign.store.time.monotonic", lambda: now[0])
+class Timers:
+    """In the place of a timer: starts are noted, and time is over when the test says so."""
+
+    def __init__(self, monkeypatch):
+        self.running = []
+        timers = self
+
+        class Timer:
+            def __init__(self, seconds, function):
+                assert seconds == 2.0
+                self.function = function
+
+            def start(self):
+                timers.running.append(self)
+
+            def cancel(self):
+                if self in timers.running:
+                    timers.running.remove(self)
+
+        monkeypatch.setattr(store_of, "Timer", Timer)
+
+    def over(self):
+        (timer,) = self.running
+        self.running.clear()
+        timer.function()
+
+
+def test_rows_are_written_two_seconds_after_the_first_of_them_whether_or_not_another_comes(
+    tmp_path, monkeypatch
+):
+    timers = Timers(monkeypatch)
     store = opened(tmp_path)
-    for row, at_s in zip(ROWS[:5], (0.0, 1.0, 2.1, 2.2, 4.1), strict=True):
-        now[0] = 100.0 + at_s
+    for row in ROWS[:3]:
         store.add(row)
+    timers.over()
+    assert sorted(store.rows()) == [0, 1, 2]
+    store.add(ROWS[3])
+    timers.over()
+    store.add(ROWS[4])
     crash(store)
     with opened(tmp_path) as again:
-        assert sorted(again.rows()) == [0, 1, 2]
+        assert sorted(again.rows()) == [0, 1, 2, 3]
+
+
+def test_what_is_written_anyway_needs_no_timer(tmp_path, monkeypatch):
+    timers = Timers(monkeypatch)
+    with opened(tmp_path) as store:
+        store.add(ROWS[0])
+        store.flush()
+        assert not timers.running
+        store.add(ROWS[1])
+    assert not timers.running
+    with opened(tmp_path) as again:
+        assert sorted(again.rows()) == [0, 1]
+
+
+def test_a_disk_that_is_full_in_the_meantime_is_said_with_the_next_row_and_costs_none(tmp_path, monkeypatch):
+    timers = Timers(monkeypatch)
+    store = opened(tmp_path)
+    store.add(ROWS[0])
+    write = store_of.parquet.write
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(store_of.parquet, "write", full)
+    timers.over()
+    with pytest.raises(LogError, match="No space left on device"):
+        store.add(ROWS[1])
+    monkeypatch.setattr(store_of.parquet, "write", write)
+    store.flush()
+    assert sorted(store.rows()) == [0, 1]
+    crash(store)
 
 
 def test_rows_of_another_campaign_are_refused_with_what_has_changed_and_how_to_go_on(tmp_path):

@@ -111,15 +111,15 @@ class LegFault(LastingFault):
 
 
 class Passed:
-    """What a fault of passing frames remembers between them: its chance, and frames by direction and id."""
+    """What a fault of passing frames remembers between them: its chance, and frames by `Place`."""
 
     def __init__(self, generator: np.random.Generator) -> None:
         self.generator = generator
-        self.frames: dict[tuple[bool, int], list[Frame]] = {}
+        self.frames: dict[Place, list[Frame]] = {}
 
 
-Place = tuple[bool, int]
-"""Whether a frame is for the drives, and its identifier."""
+Place = tuple[bool, int, int]
+"""Whether a frame is for the drives, the index of its bus, and its identifier."""
 
 
 class Passage(LastingFault):

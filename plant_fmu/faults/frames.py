@@ -44,7 +44,7 @@ class FramesDelay(FrameFault):
 
 
 class FramesReorder(FrameFault):
-    """The frame arrives after the next one of its identifier."""
+    """The frame arrives after the next one of its identifier on its bus."""
 
     kind: Literal["frames_reorder"] = "frames_reorder"
 
@@ -73,12 +73,12 @@ class FramesCorrupt(FrameFault):
 
 
 class FramesOld(FrameFault):
-    """A third node sends an older frame of the same identifier after the frame. Both ends hear it."""
+    """A third node sends an older frame of the same identifier and bus after the frame. Both ends hear it."""
 
     kind: Literal["frames_old"] = "frames_old"
     adds: ClassVar[bool] = True
     back: Annotated[int, Field(ge=1, le=1000)] = 2
-    """How many frames of this identifier ago."""
+    """How many frames of this identifier ago, on its bus."""
 
     def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
         """Remember the frame, and repeat an older one at random."""

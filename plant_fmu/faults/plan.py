@@ -109,7 +109,7 @@ class Schedule:
         for n, fault in self.active(t_ns):
             if not isinstance(fault, Passage):
                 continue
-            place: Place = (to_drives, frame.id)
+            place: Place = (to_drives, frame.bus, frame.id)
             arriving = [
                 (*each, foreign or (k > 0 and fault.adds))
                 for at, before, foreign in arriving

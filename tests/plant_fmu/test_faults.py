@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import inf, nan
 from typing import Any, get_args
 
@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
-from drivers.protocol import Frame
+from drivers.protocol import BUS, Frame
 from plant_fmu.faults import FAULTS, KINDS
 from plant_fmu.faults.brake import BrakeSlipping, BrakeSlow, BrakeStuckClosed, BrakeStuckOpen
 from plant_fmu.faults.bus import BusFlood, BusOff, BusSecondController
@@ -277,6 +277,15 @@ def numbered(schedule: Schedule, identifiers: str = "aaaa") -> list[tuple[str, i
     return found
 
 
+def on_buses(schedule: Schedule, buses: Sequence[int], *, to_drives: bool) -> list[tuple[int, int]]:
+    """Pass frames of one identifier, one a ms, each on its bus; return bus and number of what arrives."""
+    found = []
+    for k, bus in enumerate(buses):
+        arriving = carry(schedule, k * MS, Frame(0x80, bytes([k]), BUS * bus), to_drives=to_drives)
+        found += [(frame.bus, frame.data[0]) for _, frame, _ in arriving]
+    return found
+
+
 def test_a_delayed_frame_is_late_by_so_much():
     schedule = Schedule(FaultPlan([FramesDelay(by_ms=1.5)]), 0)
     assert carry(schedule, 10 * MS) == [(11_500_000, FRAME, False)]
@@ -292,6 +301,20 @@ def test_frames_of_both_directions_do_not_change_places():
     assert carry(schedule, 0, to_drives=True) == []
     assert carry(schedule, 1, to_drives=False) == []
     assert len(carry(schedule, 2, to_drives=True)) == 2
+
+
+@pytest.mark.parametrize("to_drives", [True, False])
+def test_frames_of_one_identifier_on_several_buses_change_places_each_on_its_own(to_drives: bool):
+    schedule = Schedule(FaultPlan([FramesReorder()]), 0)
+    found = on_buses(schedule, (0, 1, 1, 0), to_drives=to_drives)
+    assert found == [(1, 2), (1, 1), (0, 3), (0, 0)]
+
+
+@pytest.mark.parametrize("to_drives", [True, False])
+def test_an_old_frame_comes_from_its_own_bus(to_drives: bool):
+    schedule = Schedule(FaultPlan([FramesOld(back=1)]), 0)
+    found = on_buses(schedule, (0, 1, 0, 1), to_drives=to_drives)
+    assert found == [(0, 0), (1, 1), (0, 2), (0, 0), (1, 3), (1, 1)]
 
 
 def test_an_old_frame_follows_the_present_one_and_is_a_strangers():

@@ -5,6 +5,7 @@
 
 from functools import partial
 from math import exp, inf, nan, pi
+from operator import itemgetter
 
 import numpy as np
 
@@ -33,13 +34,16 @@ class Drives:
 
     `enter`, `obey` and `actuate` are the kernels of these names, on these drives.
 
-    Mutable state: two matrices, whose rows are the attributes; `kernels` says what they are.
+    Mutable state: two matrices, whose rows are the attributes; `kernels` says what they are; where legs stood
+    when a fault began that scales what their encoders count.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
         """Power up; `step_s` is the plant's internal step, over which the force lag is exact."""
         self._integers = integers = np.zeros((kernels.FOLLOWED + 1, LEGS), np.int64)
         self._reals = reals = np.zeros((kernels.TRUE + 1, LEGS))
+        self._origins: dict[tuple[int, int], float] = {}
+        """m, by leg and the fault's beginning in ns."""
         self.state = integers[kernels.STATE]
         self.fault = integers[kernels.REASON]
         self.configured = integers[kernels.CONFIGURED]
@@ -110,9 +114,7 @@ class Drives:
         """
         reals, integers = self._reals, self._integers
         self.drift(present, t_ns)
-        begins = (reals[kernels.SCALE] == 1.0) & (np.array(present.scale) != 1.0)
-        reals[kernels.ORIGIN] = np.where(begins, length, reals[kernels.ORIGIN])
-        reals[kernels.SCALE] = present.scale
+        self._scale(present, length)
         integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
         reads, _, _ = self.encoders(length, rate)
         frozen = reals[kernels.FROZEN]
@@ -123,6 +125,18 @@ class Drives:
         for leg in np.flatnonzero(present.reset).tolist():
             self.enter(leg, BOOT, DriveFault.NONE)
             self.configured[leg], integers[kernels.COUNTER, leg] = False, _NO_COUNTER
+
+    def _scale(self, present: Present, length: Array) -> None:
+        """Let encoders count a multiple of what their legs move from where each of their faults began.
+
+        Of several faults of one leg a later one multiplies what the earlier ones make of the motion.
+        """
+        scale, shift = np.ones(LEGS), np.zeros(LEGS)
+        for leg, factor, since_ns in sorted(present.scales, key=itemgetter(2)):
+            origin = self._origins.setdefault((leg, since_ns), float(length[leg]))
+            shift[leg] += scale[leg] * (1.0 - factor) * origin
+            scale[leg] *= factor
+        self._reals[kernels.SCALE], self._reals[kernels.SHIFT] = scale, shift
 
     def drift(self, present: Present, t_ns: int) -> None:
         """Let encoders that drift be off by as much as they are by now."""

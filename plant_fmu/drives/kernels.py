@@ -54,7 +54,7 @@ truth."""
     FROZEN,
     OFFSET,
     SCALE,
-    ORIGIN,
+    SHIFT,
     DRIFT,
     GAIN,
     MOST,
@@ -66,8 +66,8 @@ truth."""
     TRUE,
 ) = range(16)
 """Rows of `reals`: N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the
-lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; how it scales motion, and
-m, from where on; m/s, its drift; gain of the wiring; N, most that the drive gives; what the plant gets: N,
+lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; how it scales length, and
+m, what it adds then; m/s, its drift; gain of the wiring; N, most that the drive gives; what the plant has: N,
 and 1 for an engaged brake; share of its force that a brake has; N, the drive's last force; 1 for a brake that
 has closed, 0 for one that has opened, as its drive counts and in truth."""
 LIMIT, DAMPING, STIFFNESS, LAGS, LAG_END, LAG_MEAN, OPENING, CLOSING = range(8)
@@ -105,8 +105,8 @@ def _encoder(integers: Ints, reals: Array, length: Array, rate: Array, leg: int)
     if integers[LOST, leg]:
         return 0.0, 0.0
     if np.isnan(reals[FROZEN, leg]):
-        origin, scale = reals[ORIGIN, leg], reals[SCALE, leg]
-        moved = length[leg] if scale == 1.0 else origin + scale * (length[leg] - origin)
+        scale = reals[SCALE, leg]
+        moved = scale * length[leg] + reals[SHIFT, leg]
         return moved + reals[OFFSET, leg], scale * rate[leg] + reals[DRIFT, leg]
     return reals[FROZEN, leg], 0.0
 

@@ -71,7 +71,7 @@ class EncoderScale(LegFault):
 
     def act(self, present: Present) -> None:
         """Several factors multiply."""
-        present.scale[self.leg] *= self.factor
+        present.scales.append((self.leg, self.factor, present.since_ns))
 
 
 class EncoderSign(LegFault):
@@ -81,7 +81,7 @@ class EncoderSign(LegFault):
 
     def act(self, present: Present) -> None:
         """Turn it round."""
-        present.scale[self.leg] *= -1.0
+        present.scales.append((self.leg, -1.0, present.since_ns))
 
 
 class EncoderLost(LegFault):

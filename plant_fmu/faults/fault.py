@@ -46,8 +46,8 @@ class Present:
         self.noise: list[tuple[int, float, np.random.Generator]] = []
         """Leg, standard deviation in m, its chance."""
         self.late_ns = [0] * LEGS
-        self.scale = [1.0] * LEGS
-        """Of what the encoder has moved since the fault began."""
+        self.scales: list[tuple[int, float, int]] = []
+        """Leg, multiple of what its encoder moves, since when in ns."""
         self.frozen = [False] * LEGS
         self.lost = [False] * LEGS
         self.forged_m: list[float | None] = [None] * LEGS

@@ -167,7 +167,7 @@ def test_jumps_drifts_gains_shares_and_wrenches_of_several_faults_are_joined():
     assert present.gain == [1, 9.0, 1, 1, 1, 1]
 
 
-def test_of_several_faults_delays_add_up_factors_multiply_and_the_smallest_limit_or_the_last_word_counts():
+def test_of_several_faults_delays_add_up_signs_multiply_and_the_smallest_limit_or_the_last_word_counts():
     faults = [
         *[EncoderLate(leg=5, by_ms=1.5)] * 2,
         *[EncoderScale(leg=4, factor=3.0)] * 2,
@@ -186,7 +186,7 @@ def test_of_several_faults_delays_add_up_factors_multiply_and_the_smallest_limit
     ]
     present = Schedule(FaultPlan(faults), 0).present(0)
     assert present.late_ns == [0, 0, 0, 0, 0, 3 * MS]
-    assert present.scale == [1, 1, 1, 1, -9.0, 1]
+    assert present.scales == [(4, 3.0, 0), (4, 3.0, 0), (4, -1.0, 0)]
     assert present.gain == [1, 1, 1, -1.0, 1, 1]
     assert present.saturation_N == [inf, inf, inf, 100.0, inf, inf]
     assert present.slow_ns == [0, 0, 40 * MS, 0, 0, 0]

@@ -1,14 +1,15 @@
-"""Faults that act together on one leg add up, and loads weigh whichever way gravity points."""
+"""Faults that act together on one leg add up or multiply, and loads weigh whichever way gravity points."""
 
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plant_fmu.faults.encoder import EncoderDrift, EncoderJump
+from plant_fmu.faults.encoder import EncoderDrift, EncoderJump, EncoderScale, EncoderSign
 from plant_fmu.faults.plan import weight
 from plant_fmu.plant import Truth
 from tests.plant_fmu.test_fault_kinds import accelerating, motion, read
@@ -43,3 +44,51 @@ def test_a_load_turns_the_platform_by_its_arm_whichever_way_gravity_points(along
             moment[third] = sign * side * 0.5 * 20.0 * (1.0 if (along - axis) % 3 == 1 else -1.0)
         np.testing.assert_allclose(wrench[:3], 6.0 * gravity, rtol=1e-15)
         np.testing.assert_allclose(wrench[3:], moment, rtol=0, atol=1e-14)
+
+
+SCALE, SIGN = partial(EncoderScale, leg=2, factor=1.5), partial(EncoderSign, leg=2)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(
+    ("kinds", "first", "second"),
+    [
+        ((SCALE, SIGN), 1.5, -1.0),
+        ((SIGN, SCALE), -1.0, 1.5),
+        ((SCALE, SCALE), 1.5, 1.5),
+        ((SIGN, SIGN), -1.0, -1.0),
+    ],
+)
+def test_an_encoder_that_is_scaled_once_more_goes_on_from_what_it_reads(kinds, first, second, swapped):
+    faults = [kinds[0](at_s=2e-3), kinds[1](at_s=4e-3)]
+    rig = accelerating(*(faults[::-1] if swapped else faults))
+    begun, again = motion(2)[0], motion(4)[0]
+    read_then = begun + first * (again - begun)
+    assert read(rig, 3) == pytest.approx(
+        (begun + first * (motion(3)[0] - begun), first * motion(3)[1]), abs=1e-9
+    )
+    both = first * second
+    for t_ms in (4, 6):
+        l, dl = motion(t_ms)
+        assert read(rig, t_ms) == pytest.approx((read_then + both * (l - again), both * dl), abs=1e-9)
+    l, dl = motion(7)
+    assert read(rig, 7, leg=3) == pytest.approx((l, dl), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", [SCALE, SIGN])
+def test_a_scale_that_outlasts_another_counts_from_its_own_beginning(kind):
+    factor = 1.5 if kind is SCALE else -1.0
+    rig = accelerating(kind(at_s=2e-3, for_s=3e-3), kind(at_s=4e-3))
+    l, dl = motion(6)
+    again = motion(4)[0]
+    assert read(rig, 6) == pytest.approx((again + factor * (l - again), factor * dl), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", [SCALE, SIGN])
+def test_a_scale_that_comes_a_second_time_counts_from_there(kind):
+    factor = 1.5 if kind is SCALE else -1.0
+    rig = accelerating(kind(at_s=1e-3, for_s=2e-3), kind(at_s=5e-3))
+    assert read(rig, 4) == pytest.approx(motion(4), abs=1e-9), "it works meanwhile"
+    l, dl = motion(7)
+    again = motion(5)[0]
+    assert read(rig, 7) == pytest.approx((again + factor * (l - again), factor * dl), abs=1e-9)

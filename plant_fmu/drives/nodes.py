@@ -178,8 +178,11 @@ class Nodes:
         return self._schedule.begun(self._now_ns)
 
     def snapshot(self) -> Snapshot:
-        """Return the plant's end as it is now; arrays are copies."""
-        truth = self._know()
+        """Return the plant's end as it is now; arrays are copies. A plant that has failed tells no truth."""
+        try:
+            truth = self._know()
+        except PlantError:  # the next step says so
+            truth = None
         return Snapshot(
             t_ns=self._grid_ns(),
             length=np.array(self._length),

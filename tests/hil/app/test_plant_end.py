@@ -1,0 +1,221 @@
+"""How `hil plant` ends and what it then says, in summary and log: of a plant that has failed, too."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from math import inf
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from drivers.config import DriveSettings
+from drivers.errors import PlantError
+from drivers.protocol import DriveSetup, Frame, Received
+from drivers.signals import Reaction
+from hil.app import plant
+from hil.app.compose import build_protocol
+from hil.app.configuration.configuration import load
+from hil.loop.clock import RealTime
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.plant import Truth
+
+MS = 1_000_000
+DIED = "its process died of SIGKILL"
+
+
+class Legs:
+    """Six legs of 1.5 m. State: time, whether it lives.
+
+    rates : m/s, at a time; dies_s : from then on it answers nothing; resets : how often it can be reset.
+    """
+
+    internal_step_s = 1e-3
+
+    def __init__(
+        self,
+        rates: Callable[[float], list[float]] = lambda _: [0.0] * 6,
+        *,
+        dies_s: float = inf,
+        resets: int = 2,
+    ) -> None:
+        self._rates, self._dies_s, self._resets = rates, dies_s, resets
+        self._t_s = 0.0
+        self._dead = False
+
+    def _answer(self) -> tuple[Array, Array]:
+        if self._dead:
+            raise PlantError(DIED)
+        return np.full(6, 1.5), np.array(self._rates(self._t_s))
+
+    def reset(self) -> tuple[Array, Array]:
+        self._resets -= 1
+        self._dead = self._resets < 0
+        return self._answer()
+
+    def step(self, _force: Array, _brake: Array, _wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        self._t_s += dt_s
+        self._dead = self._dead or self._t_s > self._dies_s
+        return self._answer()
+
+    def truth(self) -> Truth:
+        self._answer()
+        return Truth(np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6))
+
+    def applied_force(self) -> None:
+        """It knows of no lag."""
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+class Asked:
+    """A bus on which a SYNC comes every `period_ns`. State: its time and the number of the SYNC."""
+
+    def __init__(self, sync: Callable[[int], Frame], period_ns: int) -> None:
+        self.t_ns = 0
+        self.clock = SimpleNamespace(now=lambda: self.t_ns, leave=lambda: None)
+        self._sync, self._period_ns = sync, period_ns
+
+    def drain_now(self) -> list[Received]:
+        self.t_ns += self._period_ns
+        return [Received(self.t_ns, self._sync(self.t_ns // self._period_ns))]
+
+    def send(self, _frames: list[Frame]) -> None:
+        """Nobody hears the answers."""
+
+
+class Kept:
+    """What a recording was given."""
+
+    def __init__(self) -> None:
+        self.rows: list[Any] = []
+        self.events: list[tuple[str, str]] = []
+        self.closed: dict[str, Any] = {}
+
+    def tick(self, row: Any, _heard: Any, _sent: Any) -> None:
+        self.rows.append(row)
+
+    def event(self, _t_ns: int, level: str, text: str) -> None:
+        self.events.append((level, text))
+
+    def close(self, ending: dict[str, Any]) -> Any:
+        self.closed = ending
+        return SimpleNamespace(path="a.mcap", dropped=2, lost=3, complete=False, gave_up=False, error="full")
+
+
+class Served(SimpleNamespace):
+    """What came of a plant that was served."""
+
+    summary: dict[str, Any]
+    log: Kept
+    end_s: float
+    priority: int
+
+
+@pytest.fixture
+def serve(monkeypatch):
+    """Let the drives be asked every `period_ns` for 50 ms, or until a plant without a daemon ends."""
+
+    def run(
+        legs: Legs, *, period_ns: int = MS, orphan: bool = False, priority: int = 80, recorded: bool = True
+    ) -> Served:
+        c = load("virtual")
+        assert c.plant is not None
+        c = c.model_copy(
+            update={
+                "plant": c.plant.model_copy(update={"log": recorded}),
+                "loop": c.loop.model_copy(update={"priority": priority}),
+            }
+        )
+        protocol = build_protocol(c)
+        dialogue = protocol.start(DriveSetup(0.1, Reaction.BRAKE, 1000.0))
+        bus = Asked(lambda tick: protocol.begin(dialogue, tick)[0], period_ns)
+        log, asked = Kept(), []
+
+        def real_time(at: int, _cpu: int | None) -> Any:
+            asked.append(at)
+            return contextlib.nullcontext(RealTime())
+
+        monkeypatch.setattr(plant, "_open_bus", lambda _c, _patience_s: contextlib.nullcontext(bus))
+        monkeypatch.setattr(plant, "real_time", real_time)
+        monkeypatch.setattr(plant, "log_path", lambda *_: None)
+        start = SimpleNamespace(start=lambda *_, **__: contextlib.nullcontext(log))
+        monkeypatch.setattr(plant, "Recording", start)
+        nodes = Nodes(legs, protocol, DriveEmulation(), DriveSettings())
+        supervisor, held = os.pipe()
+        os.close(held)
+        try:
+            summary = plant.run_plant(
+                c,
+                duration_s=None if orphan else 0.05,
+                supervisor=supervisor if orphan else None,
+                bench=plant.Bench(nodes, legs, lambda: None),
+            )
+        finally:
+            os.close(supervisor)
+        (given,) = asked
+        return Served(summary=summary, log=log, end_s=1e-9 * bus.t_ns, priority=given)
+
+    return run
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+@pytest.mark.parametrize(
+    "legs", [lambda: Legs(dies_s=0.0115), lambda: Legs(resets=1)], ids=["later", "at once"]
+)
+def test_a_plant_that_has_died_and_answers_nothing_is_a_failure_that_summary_and_log_tell(
+    serve, legs, recorded
+):
+    found = serve(legs(), recorded=recorded)
+    assert (found.summary["success"], found.summary["trouble"]) == (False, DIED)
+    assert found.summary["final_states"] == ["BOOT"] * 6
+    if recorded:
+        assert ("error", DIED) in found.log.events
+        assert found.log.closed["trouble"] == DIED
+
+
+def test_the_last_row_of_a_plant_that_has_died_is_in_its_log_and_has_no_truth(serve):
+    found = serve(Legs(dies_s=0.0115))
+    assert [bool(np.isfinite(row["p"]).all()) for row in found.log.rows] == [True, False]
+    assert found.log.rows[-1]["syncs"] == found.summary["syncs"] > found.log.rows[0]["syncs"]
+    assert np.isfinite(found.log.rows[-1]["length"]).all()
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("rate_m_s", [0.25, -0.25])
+def test_the_summary_tells_the_fastest_leg_at_the_end_whichever_way_it_moves(serve, leg, rate_m_s):
+    rates = [0.125] * 6
+    rates[leg] = rate_m_s
+    found = serve(Legs(lambda _: rates), recorded=False)
+    assert found.summary["success"]
+    assert found.summary["peak_final_rate_m_s"] == 0.25
+
+
+def test_rows_that_were_dropped_and_rows_that_were_lost_are_told(serve):
+    found = serve(Legs())
+    assert (found.summary["dropped_ticks"], found.summary["recorder"]) == (5, "full")
+
+
+@pytest.mark.parametrize(("loop", "plants"), [(80, 70), (5, 1)])
+def test_the_plant_runs_below_the_loop_that_it_shares_the_machine_with(serve, loop, plants):
+    assert serve(Legs(), priority=loop, recorded=False).priority == plants
+
+
+@pytest.mark.parametrize("rate_m_s", [0.3, -0.3])
+@pytest.mark.parametrize(("rests_s", "end_s"), [(inf, plant.ORPHAN_S), (1.0, 1.2), (0.0, 0.2)])
+def test_an_orphan_ends_once_its_legs_have_been_at_rest_for_a_while_and_in_the_end_all_the_same(
+    serve, rate_m_s, rests_s, end_s
+):
+    """The daemon is gone from the beginning. All legs but one move."""
+    moving, still = [rate_m_s] * 5 + [0.0], [0.0] * 6
+    found = serve(
+        Legs(lambda t_s: moving if t_s < rests_s else still), period_ns=10 * MS, orphan=True, recorded=False
+    )
+    assert found.summary["ending"] == "orphaned"
+    assert found.end_s == pytest.approx(end_s, abs=0.05)

@@ -159,7 +159,7 @@ class Nodes:
 
     @property
     def now_ns(self) -> int:
-        """The end of the last step."""
+        """The end of the last step; of one that failed, how far it came."""
         return self._now_ns
 
     @property
@@ -227,6 +227,7 @@ class Nodes:
             elif edge <= self._next_beat_ns:
                 del self._edges[0]
                 self._advance(edge)
+                self._now_ns = max(self._now_ns, edge)
                 self._present = self._schedule.present(edge)
                 self._disturb(edge)
             else:

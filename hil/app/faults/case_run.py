@@ -71,7 +71,7 @@ def _judged(job: Job) -> dict[str, Any]:
     case = job.case
     trace, ending = _run(case)
     if trace is None:
-        why = f"the fault did not begin: the run ended {ending.mode.name} before {case.moment}"
+        why = f"the fault did not begin: the run ended in {ending.mode.name}"
         return failed(job, f"{why}. {ending.reason}".rstrip(". "))
     kind = str(case.fault.kind)
     seen = see(kind, trace)
@@ -168,6 +168,8 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
             except PlantError as error:
                 failure = str(error)
                 ending = course.failed(failure, tick)
+                if begun is None and nodes.now_ns >= fault_ns:
+                    begun = tick
                 break
             lengths.append(nodes.snapshot().length)
             desired.append(cycle.tick["q_d"].copy())
@@ -185,8 +187,6 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
                 raise RunError(f"it has not ended after {LONGEST_S:g} s, in {cycle.mode.name}")
     finally:
         physics.close()
-    if failure:
-        begun = len(modes) - 1
     if begun is None:
         return None, ending
     return Trace(

@@ -50,7 +50,7 @@ class Trace(NamedTuple):
     """(n,) Fault, the bits so far."""
     rate_Hz: float
     begun: int
-    """First tick with the fault."""
+    """First tick with the fault; that of a plant that fails in it is the one after the last."""
     leg: int | None
     """Whose fault it is."""
     success: bool

@@ -1,0 +1,147 @@
+"""A case of the fault matrix whose plant fails by itself, before or after the fault has begun."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from drivers.signals import Doubt, Fault, Mode
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import pose_arrays
+from hil.app.faults import case_run
+from hil.app.faults import cases as cases_module
+from hil.app.faults.case_run import Job, run_case
+from hil.app.faults.cases import cases
+from hil.app.faults.command import run_matrix
+from hil.app.faults.expected import PLANT_FAILS
+from hil.app.faults.sizes import draw, robot_of
+from hil.app.faults.verdict import Bounds
+from hil.trajectory.path import PoseSample
+from tests.records import record_of
+
+BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_s=0.01)
+REFUSED = "the FMU refused to step"
+
+
+@pytest.fixture
+def refuses(monkeypatch):
+    """Let the plant of a case refuse every step once it has lived for so long, s, or since its fault began."""
+    build = case_run.build_nodes
+
+    def from_s(at_s: float | None) -> None:
+        def built(*arguments: Any) -> Any:
+            nodes, physics = build(*arguments)
+            step = physics.step
+
+            def refuse(*given: Any) -> Any:
+                if nodes.begun if at_s is None else nodes.now_ns >= 1e9 * at_s:
+                    raise PlantError(REFUSED)
+                return step(*given)
+
+            physics.step = refuse
+            return nodes, physics
+
+        monkeypatch.setattr(case_run, "build_nodes", built)
+
+    return from_s
+
+
+def run(name: str) -> dict[str, Any]:
+    (case,) = cases(load("virtual"), [name])
+    return run_case(Job(case, BOUNDS))
+
+
+@pytest.mark.parametrize("kind", [*PLANT_FAILS, "encoder_jump"])
+@pytest.mark.parametrize("at_s", [0.0, 0.02], ids=["in the first tick", "later"])
+def test_a_plant_that_fails_before_the_fault_has_begun_is_not_judged_as_that_fault(refuses, kind, at_s):
+    refuses(at_s)
+    found = run(f"{kind}/LOADING")
+    assert not found["success"]
+    assert found["verdict"].startswith("could not be run: the fault did not begin")
+    assert found["verdict"].endswith(REFUSED)
+
+
+@pytest.mark.parametrize("kind", PLANT_FAILS)
+def test_a_plant_that_fails_by_its_fault_has_said_so(kind):
+    found = run(f"{kind}/LOADING")
+    assert found["success"], found
+    assert (found["ended"] == "plant failed") is (kind != "plant_hang")
+
+
+def test_a_plant_that_fails_after_a_fault_of_another_kind_has_begun_is_a_failure(refuses):
+    refuses(None)
+    found = run("encoder_jump/LOADING")
+    assert not found["success"]
+    assert found["verdict"].startswith("the plant failed, allowed of ")
+    assert found["reason"].startswith(REFUSED)
+
+
+def test_a_plant_that_fails_in_the_first_tick_of_a_case_does_not_end_the_matrix(refuses):
+    refuses(0.0)
+    found = run_matrix(load("virtual"), only=["plant_crash/LOADING", "drive_reset/LOADING"], jobs=1)
+    assert (found["cases"], found["failed"], found["success"]) == (2, 2, False)
+
+
+def seen(**columns: Any) -> Any:
+    """Return a cycle with such a tick."""
+    return SimpleNamespace(tick=record_of(**columns))
+
+
+def test_a_leg_whose_encoder_counted_for_nothing_for_a_while_is_known_at_the_end():
+    named = case_run._Named()
+    for lost in (0b000100, 0b100000, 0):
+        named.look(seen(legs_lost=lost))
+    assert named.lost == {2, 5}
+
+
+def test_legs_that_a_fault_has_named_in_any_tick_are_its_legs():
+    named = case_run._Named()
+    for leg in (1, 4):
+        named.look(seen(legs_moved=1 << leg, legs_doubted=1 << 3))
+    named.look(seen())
+    ending: Any = SimpleNamespace(faults=Fault.BRAKE | Fault.ENCODER, story=None)
+    cycle: Any = seen(doubt=Doubt.NONE)
+    assert named.causes(cycle, ending) == {"BRAKE": {1, 4}, "ENCODER": {3}}
+
+
+@pytest.mark.parametrize(("entered", "ended"), [(100, 400), (400, 100)])
+def test_a_platform_that_is_held_again_and_again_is_watched_no_longer_than_from_the_first_time(
+    entered, ended
+):
+    parts = SimpleNamespace(rate_Hz=1000.0)
+    cycle: Any = SimpleNamespace(mode=Mode.HELD, mode_tick=entered, parts=parts)
+    last = 100 + round(1000 * case_run.HELD_S)
+    assert [case_run._goes_on(cycle, tick, 0, ended) for tick in (last - 1, last, last + 1)] == [
+        True,
+        True,
+        False,
+    ]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_fault_in_motion_comes_where_a_leg_is_fastest_whichever_way_it_moves(monkeypatch, sign):
+    """Straight up and down: at 1 s with 1 m/s one way, at 2 s with half of that the other way."""
+    c = load("virtual")
+    home = pose_arrays(c.platform.home)
+
+    def sample(t: float) -> PoseSample:
+        speed = sign * (np.exp(-(((t - 1.0) / 0.1) ** 2)) - 0.5 * np.exp(-(((t - 2.0) / 0.1) ** 2)))
+        return PoseSample(*home, np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]), np.zeros(6))
+
+    monkeypatch.setattr(cases_module, "build_trajectory", lambda *_: SimpleNamespace(sample=sample))
+    monkeypatch.setattr(cases_module, "span_s", lambda _: None)
+    assert cases_module._fastest_s(c) == pytest.approx(1.0)
+
+
+def test_pushes_are_drawn_from_all_sides():
+    robot = robot_of(load("virtual"))
+    drawn = [draw("wrench_step", robot, 0, np.random.default_rng(seed))["force_N"] for seed in range(200)]
+    octants = {tuple(np.sign(force)) for force in drawn}
+    assert len(octants) == 8
+    sizes = np.linalg.norm(drawn, axis=1) / robot.weight_N
+    assert 0.0199 < sizes.min() < 0.03
+    assert 0.2 < sizes.max() < 0.2501

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from drivers.errors import PlantError
 from plant_fmu.bench import BRAKE_FORCE_N, Bench
 from plant_fmu.config import BenchPlant
 
@@ -62,3 +63,28 @@ def test_each_leg_has_its_own_brake():
     brake = np.array([0.0, 0.01, 0.02, 0.03, 0.04, 0.05])
     _, dq = plant.step(np.full(6, 2000.0), brake, CALM, 0.1)
     assert dq == pytest.approx((2000.0 - BRAKE_FORCE_N * brake) / 200.0 * 0.1, rel=1e-9)
+
+
+def test_under_the_opposite_force_it_moves_the_opposite_way():
+    """Damping and springs are odd: there, back through the rest length, and at the brake."""
+    force = np.array([500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16_000.0])
+    ahead, back = bench(), bench()
+    for k in range(100):
+        f, brake = (force if k < 30 else OPEN), np.full(6, float(k > 80))
+        q, dq = ahead.step(f, brake, CALM, 0.02)
+        q_back, dq_back = back.step(-f, brake, CALM, 0.02)
+        assert q_back - 1.6 == pytest.approx(1.6 - q, abs=1e-9)
+        assert dq_back == pytest.approx(-dq, abs=1e-9)
+        if k == 29:
+            assert (q - 1.6).min() > 0.05
+
+
+def test_a_step_that_diverges_leaves_the_bench_as_it_was():
+    ahead, same = (bench(stiffness_N_m3=1e9, internal_step_us=10_000.0) for _ in range(2))
+    moved = [each.step(np.full(6, 100.0), OPEN, CALM, 0.01) for each in (ahead, same)]
+    assert (moved[0][1] > 0.0).all()
+    with pytest.raises(PlantError, match="diverged"):
+        ahead.step(np.full(6, 1e7), OPEN, CALM, 1.0)
+    after = [each.step(OPEN, OPEN, CALM, 0.01) for each in (ahead, same)]
+    np.testing.assert_array_equal(*after)
+    assert np.isfinite(after[0]).all()

@@ -142,3 +142,20 @@ def test_a_compiler_that_fails_is_an_error_with_its_output(monkeypatch, tmp_path
 def test_an_unknown_fmi_version_is_refused():
     with pytest.raises(PlantError, match=r"allowed are 2\.0, 3\.0"):
         build("1.0")  # type: ignore[arg-type]
+
+
+def test_whatever_the_binary_depends_on_has_a_place_of_its_own_in_the_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(builder, "_compile", lambda *_: b"binary")
+    compiler = builder.find_compiler()
+    places = [build("3.0"), build("2.0")]
+    for name, other in (
+        ("FLAGS", (*builder.FLAGS, "-O0")),
+        ("find_compiler", lambda **_: compiler._replace(identity="another compiler")),
+        ("TARGETS", {key: each._replace(folder_3="other") for key, each in builder.TARGETS.items()}),
+    ):
+        with monkeypatch.context() as changed:
+            changed.setattr(builder, name, other)
+            places.append(build("3.0"))
+    assert len(set(places)) == 5
+    assert build("3.0") == places[0]

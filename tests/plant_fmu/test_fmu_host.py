@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import PlantError
+from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.spec import FmuSpec
@@ -255,3 +256,38 @@ def test_a_damaged_member_is_refused(tmp_path):
     (tmp_path / "bad.fmu").write_bytes(data)
     with pytest.raises(PlantError, match=r"damaged|unpacked"):
         FmuHost(spec(tmp_path / "bad.fmu"))
+
+
+def test_of_many_messages_the_last_are_told():
+    host = FmuHost(spec(build("3.0")))
+    for k in range(30):
+        host._log(f"message {k}".encode())
+    told = host._said()
+    host.close()
+    assert told == f": {'; '.join(f'message {k}' for k in range(10, 30))}"
+
+
+@pytest.mark.parametrize(
+    ("ended", "stepped"),
+    [
+        (fmu_call.INPUTS_REFUSED, False),
+        (fmu_call.STEP_REFUSED, False),
+        (fmu_call.OUTPUTS_REFUSED, True),
+        (fmu_call.OUTPUT_NOT_FINITE, True),
+    ],
+)
+def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(monkeypatch, ended, stepped):
+    host = FmuHost(spec(build("3.0")))
+    ends, begun_s = iter([(ended, 3), (fmu_call.DONE, 0)]), []
+
+    def exchange(_call, _force, _brake, _wrench, t_s, _dt_s, *_memory):
+        begun_s.append(t_s)
+        return next(ends)
+
+    monkeypatch.setattr(fmu_call, "exchange", exchange)
+    with pytest.raises(PlantError):
+        host.step(FORCE, np.zeros(6), np.zeros(6), 2e-3)
+    host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
+    monkeypatch.undo()
+    host.close()
+    assert begun_s == [0.0, 2e-3 if stepped else 0.0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from drivers.errors import PlantError
 from hil.cli import main
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant
+from plant_fmu.fmu.check import stated_unit
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.probe import probe
 from plant_fmu.fmu.propose import propose
@@ -203,3 +205,22 @@ def test_an_fmu_with_a_malformed_description_is_refused_and_closed(version, tmp_
     assert caught.value.__cause__ is not None, "its frames live on, and what they hold"
     opened = [fd for fd in Path("/proc/self/fd").iterdir() if fd.exists() and fd.samefile(path)]
     assert opened == []
+
+
+def test_of_two_sixes_that_fit_equally_well_neither_is_proposed(tmp_path):
+    """Brakes that are called forces, too."""
+    second = (rb'name="brake\[(\d)\]"', rb'name="other.force[\1]"')
+    path = rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, second)
+    found = propose(path)
+    assert found.missing == ("force",)
+    assert "force" not in found.mapped
+
+
+@pytest.mark.parametrize(
+    ("own", "of_type", "stated"),
+    [("kN", None, "kN"), ("kN", "mm", "kN"), (None, "mm", "mm"), (None, None, None), ("", "", None)],
+)
+def test_the_unit_of_a_variable_is_its_own_or_else_that_of_its_type(own, of_type, stated):
+    assert stated_unit(SimpleNamespace(unit=own, declaredType=SimpleNamespace(unit=of_type))) == stated
+    if not of_type:
+        assert stated_unit(SimpleNamespace(unit=own, declaredType=None)) == stated

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from drivers.config import TransmissionSettings
+from drivers.legs.protocol import LegsProtocol
 from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Answer, Frame, Status
+from drivers.protocol import EXTENDED, REMOTE, Answer, Frame, Received, Status
 from drivers.signals import LEGS, DriveState
 from drivers.transmission import Transmission
 from plant_fmu.rehearsal.wired_drives import WiredDrives
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.cia402_drives import drives
+from tests.drivers.legs_frames import decode
 
 NODES = (1, 2, 3, 4, 5, 6)
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1))
@@ -85,3 +87,24 @@ def test_a_drive_without_power_says_nothing_of_its_state_either():
             memory, everybody._replace(legs=tuple(range(LEGS))), zeros, zeros, zeros, zeros.astype(int)
         )
         assert [leg for leg, _ in answers] == [leg for leg in range(LEGS) if leg != mute]
+
+
+@pytest.mark.parametrize(("first", "second"), [(2, 3), (3, 2), (0, 5), (5, 0)])
+def test_two_drives_of_one_number_say_each_its_own(first, second):
+    """`second` was given the number of `first`: both answer under it, with what each measures."""
+    number = tuple(first if drive == second else drive for drive in range(LEGS))
+    protocol = LegsProtocol("fd", NODES)
+    wired = WiredDrives(protocol, Wiring(answers_as=number), NODES)
+    sync: Any = protocol.parse(protocol.power_up(), protocol.begin(None, 1)[0])[1][0]
+    length, rate = np.linspace(1.0, 1.5, LEGS), np.linspace(0.0, 0.05, LEGS)
+    force, state = np.linspace(0.0, 500.0, LEGS), np.array([DriveState.OFF] * LEGS)
+    state[second] = DriveState.READY
+    _, answers = wired.answer(protocol.power_up(), sync, length, rate, force, state)
+    assert [drive for drive, _ in answers] == list(range(LEGS))
+    for drive, frame in answers:
+        said = decode(protocol, [Received(0, frame)], 1)
+        leg = number[drive]
+        assert said["length"][leg] == pytest.approx(length[drive], abs=1e-6)
+        assert said["rate"][leg] == pytest.approx(rate[drive], abs=1e-6)
+        assert said["drive_force"][leg] == pytest.approx(force[drive], abs=2.0)
+        assert said["drive_state"][leg] == state[drive]

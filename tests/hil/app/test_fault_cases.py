@@ -10,6 +10,7 @@ import pytest
 
 from drivers.errors import PlantError
 from drivers.signals import Doubt, Fault, Mode
+from hil.app import compose
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import pose_arrays
 from hil.app.faults import case_run
@@ -30,19 +31,20 @@ REFUSED = "the FMU refused to step"
 @pytest.fixture
 def refuses(monkeypatch):
     """Let the plant of a case refuse every step once it has lived for so long, s, or since its fault began."""
-    build = case_run.build_nodes
+    build = compose.build_nodes
 
     def from_s(at_s: float | None) -> None:
         def built(*arguments: Any) -> Any:
             nodes, physics = build(*arguments)
-            step = physics.step
+            plant: Any = physics
+            step = plant.step
 
             def refuse(*given: Any) -> Any:
                 if nodes.begun if at_s is None else nodes.now_ns >= 1e9 * at_s:
                     raise PlantError(REFUSED)
                 return step(*given)
 
-            physics.step = refuse
+            plant.step = refuse
             return nodes, physics
 
         monkeypatch.setattr(case_run, "build_nodes", built)

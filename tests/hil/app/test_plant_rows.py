@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.protocol import DriveSetup, Frame, Received
-from drivers.signals import Reaction
+from drivers.signals import DriveState, Reaction
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
-from hil.app.plant_rows import SILENT_NS, PlantRows
+from hil.app.plant_rows import SILENT_NS, PlantRows, at_rest
 
 MS = 1_000_000
 
@@ -75,3 +76,42 @@ def test_drives_that_have_to_answer_all_the_time_are_recorded_all_the_same(serve
         heard_at(served, t_ns)
         rows.write(t_ns, answered=False)
     assert [int(row["t_ns"]) for row, _, _ in log.rows] == [MS + SILENT_NS, 2 * MS + 2 * SILENT_NS]
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize(
+    ("rate_m_s", "moves"), [(0.0, False), (0.9e-3, False), (-0.9e-3, False), (0.3, True), (-0.3, True)]
+)
+def test_a_platform_that_moves_is_recorded_while_nobody_asks_and_one_at_rest_is_not(
+    served, monkeypatch, leg, rate_m_s, moves
+):
+    nodes, log, rows, _ = served
+    real = nodes.snapshot()
+
+    def snapshot():
+        rate = np.zeros(6)
+        rate[leg] = rate_m_s
+        return real._replace(rate=rate, t_ns=now_ns)
+
+    now_ns = MS
+    monkeypatch.setattr(nodes, "snapshot", snapshot)
+    heard = [(MS, Frame(1, b""))]
+    rows.take(heard, [Frame(2, b"")], MS)
+    rows.write(MS)
+    assert len(log.rows) == 1
+    for now_ns in range(2 * MS, 22 * MS, MS):
+        rows.take([], [], now_ns)
+        rows.write(now_ns)
+    assert [int(row["t_ns"]) for row, _, _ in log.rows[1:]] == (
+        [MS + k * SILENT_NS for k in range(1, 5)] if moves else []
+    )
+
+
+@pytest.mark.parametrize("state", [DriveState.READY, DriveState.RUN])
+def test_a_platform_with_a_drive_that_is_powered_is_not_at_rest(served, state):
+    real = served[0].snapshot()
+    assert at_rest(real)
+    for leg in range(6):
+        states = real.state.copy()
+        states[leg] = state
+        assert not at_rest(real._replace(state=states))

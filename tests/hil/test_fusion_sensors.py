@@ -1,0 +1,171 @@
+"""When the filter takes samples, which sensors it misses, and from which forces it goes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.config import ImuSettings
+from drivers.sensors import Readings, Sample
+from drivers.signals import DriveState
+from hil.config.estimation import FusionSettings
+from hil.estimation import fusion
+from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
+from hil.estimation.fused_pose import PoseFusion
+from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
+from hil.robot.dynamics import Model
+from tests.hil.test_fusion import (
+    LEGS,
+    LOOSE,
+    LOOSE_LEGS,
+    MS,
+    PLATFORM,
+    TRACKER,
+    ZERO,
+    Fused,
+    T,
+    Truth,
+    estimator,
+    legs,
+    measurement,
+)
+from tests.records import altered, record_of
+
+PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)
+"""Ticks without a sample of use until the tracker is missed."""
+
+
+@pytest.mark.parametrize("stamped", [3, 4, 5, 6, 7])
+@pytest.mark.parametrize("offset_s", [-4e-4, 0.0, 4e-4])
+def test_a_sample_that_is_stamped_with_a_tick_that_the_loop_skipped_is_taken_at_its_own_instant(
+    stamped, offset_s
+):
+    """A platform that moves at 1 m/s, and ticks 4 to 6 are left out."""
+    start = Truth(4)
+    velocity = np.array([1.0, -0.5, 0.25])
+    found = estimator(LOOSE, LOOSE_LEGS, start)
+    seen = None
+    for tick in (1, 2, 3, 7, 8):
+        p = start.p + velocity * tick * T
+        then = start.p + velocity * (stamped * T + offset_s)
+        samples = (Sample(stamped, offset_s, (*then, *start.R.as_rotvec())),) if tick == 8 else ()
+        twist = np.concatenate((velocity, np.zeros(3)))
+        seen = Fused(found, tick, measurement(*legs(p, start.R, twist)), Readings(tracker=samples))
+    assert seen is not None
+    assert seen["tracker"] == 1
+    assert np.abs(seen["innovation_tracker"]).max() < 3e-4
+
+
+def silent_for(tracker: Any, imu: Any, ticks: int = 2 * PATIENCE) -> list[tuple[int, bool]]:
+    """Return since how many ticks nothing of use came of the tracker, and whether a sensor is missed."""
+    truth = Truth(7)
+    both = FusedEstimator(
+        PLATFORM, Model(PLATFORM), FusionSettings(), LEGS, TRACKER, ImuSettings(rate_Hz=200.0), T
+    )
+    both.start(0, 0, truth.p, truth.R.as_matrix())
+    m = measurement(*legs(truth.p, truth.R, ZERO))
+    seen = []
+    for tick in range(1, ticks):
+        readings = Readings(tracker=tracker(tick, truth), imu=imu(tick, truth))
+        health = Fused(both, tick, m, readings).health
+        seen.append((round(health.gap_s / T), health.missed))
+    return seen
+
+
+def tracked(off_m: float) -> Any:
+    """Return samples of a tracker every 5 ms that is off by so much."""
+
+    def samples(tick: int, truth: Truth) -> tuple[Sample, ...]:
+        pose = (*(truth.p + off_m), *truth.R.as_rotvec())
+        return (Sample(tick - 1, 0.0, pose),) if tick % 5 == 0 else ()
+
+    return samples
+
+
+def still(tick: int, truth: Truth) -> tuple[Sample, ...]:
+    """Return samples of an IMU at rest, every 5 ms."""
+    at_rest = (0.0, 0.0, 0.0, *truth.R.inv().apply(-PLATFORM.gravity))
+    return (Sample(tick - 1, 5e-4, at_rest),) if tick % 5 == 0 else ()
+
+
+def silent(_tick: int, _truth: Truth) -> tuple[Sample, ...]:
+    return ()
+
+
+@pytest.mark.parametrize("imu", [still, silent])
+@pytest.mark.parametrize("tracker", [tracked(0.05), silent], ids=["refused", "silent"])
+def test_a_tracker_that_is_of_no_use_is_missed_whatever_the_imu_does(tracker, imu):
+    seen = silent_for(tracker, imu)
+    assert seen == [(tick, tick > PATIENCE) for tick in range(1, 2 * PATIENCE)]
+
+
+def test_an_imu_that_is_silent_is_missed_beside_a_tracker():
+    seen = silent_for(tracked(0.0), silent)
+    assert seen == [(tick % 5, tick > PATIENCE) for tick in range(1, 2 * PATIENCE)]
+
+
+def test_sensors_that_are_heard_are_not_missed():
+    assert not any(missed for _, missed in silent_for(tracked(0.0), still))
+
+
+@pytest.fixture
+def forces(monkeypatch):
+    """The forces from which each interval's acceleration was found."""
+    seen: list[list[float]] = []
+
+    def accelerate(_constants: Any, _code: int, _x: Any, tau: Any, _wrench: Any, _u: Any) -> None:
+        seen.append(tau.tolist())
+
+    monkeypatch.setattr(fusion, "accelerate_kernel", accelerate)
+    return seen
+
+
+def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
+    truth = Truth(0)
+    m = measurement(*legs(truth.p, truth.R, ZERO))
+    return altered(m, drive_force=forces, drive_state=[DriveState.RUN] * 6, age=ages, blind=blind)
+
+
+def test_an_interval_has_the_mean_of_the_forces_at_its_ends(forces):
+    found = estimator()
+    said = [np.arange(6.0), -2.0 * np.arange(6.0), np.full(6, 10.0)]
+    for tick, tau in enumerate(said, 1):
+        found.update(altered(driven(tau), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+    assert forces == [said[0].tolist(), (-0.5 * np.arange(6.0)).tolist(), (5.0 - np.arange(6.0)).tolist()]
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_drive_without_an_encoder_that_speaks_is_believed_its_force_and_a_silent_one_gets_its_command(
+    forces, leg
+):
+    found = estimator()
+    other = (leg + 1) % 6
+    ages = [7 * (i in {leg, other}) for i in range(6)]
+    blind = [int(i == leg) for i in range(6)]
+    tick = altered(driven(np.arange(6.0) + 1.0, ages, blind), tick=1)
+    found.update(tick, MS, Readings(), np.full(6, 50.0), ZERO)
+    (taken,) = forces
+    assert taken == [50.0 if i == other else i + 1.0 for i in range(6)]
+
+
+def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():
+    """What turns with the platform is turned by the last attitude: nothing is left of the run before."""
+    found = PoseFusion(estimator(), FusionSettings())
+    for seed in (1, 2):
+        R = Truth(seed).R.as_matrix() @ np.diag([1.0, -1.0, -1.0] if seed == 2 else [1.0, 1.0, 1.0])
+        found.start(0, 0, Truth(seed).p, R)
+        np.testing.assert_array_equal(found.R, R)
+
+
+@pytest.mark.parametrize(("rate_Hz", "period_s"), [(100.0, 1e-3), (1000.0, 1e-3), (400.0, 4e-3)])
+def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(rate_Hz, period_s):
+    wrench = ExternalWrench(None, rate_Hz, period_s)
+    wrench.hear(10, (0.0,) * 6, np.eye(3))
+    late = []
+    for tick in range(10, 60):
+        wrench.fill(record_of(tick=tick), fusing=False)
+        late.append(wrench.late)
+    patience = SENSOR_PATIENCE / rate_Hz / period_s
+    assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]

@@ -1,0 +1,85 @@
+"""What drives with faults do by themselves and answer: they hold what they read, and hear each frame once."""
+
+from __future__ import annotations
+
+from math import exp, pi
+
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from drivers.protocol import Received
+from drivers.signals import DriveFault, DriveMode, Reaction
+from drivers.tick_columns import new_record
+from plant_fmu.config import DriveEmulation
+from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.frames import FramesForgedFeedback
+from plant_fmu.faults.plant import PlantCrash, PlantHang
+from tests.drivers.legs_frames import decode
+from tests.plant_fmu.test_fault_kinds import accelerating
+from tests.plant_fmu.test_nodes import MS, REST, Rig
+
+
+def test_a_drive_holds_where_it_stands_whatever_its_encoder_has_slipped_by():
+    slips = [1e-3, -2e-3, 3e-3, -4e-3, 5e-3, -6e-3]
+    rig = Rig(reaction=Reaction.HOLD, faults=[EncoderJump(leg=leg, by_m=by) for leg, by in enumerate(slips)])
+    rig.run()
+    rig.at(50 * MS)
+    snapshot = rig.nodes.snapshot()
+    assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6
+    assert snapshot.brake.tolist() == [0.0] * 6
+    np.testing.assert_allclose(snapshot.length, REST, rtol=0, atol=1e-9)
+
+
+def test_after_a_second_hang_the_frames_of_the_first_are_not_heard_once_more():
+    rig = accelerating(*[PlantHang(at_s=at_s, for_s=1e-3) for at_s in (2e-3, 5e-3)])
+    before, heard = rig.nodes.snapshot().syncs, []
+    for number, hang_ms in enumerate((2, 5)):
+        rig.at(hang_ms * MS)
+        assert rig.at(hang_ms * MS + MS // 2, *rig.protocol.begin(None, 200 + number)) == []
+        rig.at((hang_ms + 2) * MS)
+        heard.append(rig.nodes.snapshot().syncs - before)
+    assert heard == [1, 2]
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("by_m", [5e-3, -5e-3])
+def test_the_forged_answer_says_that_the_leg_is_longer_by_so_much(leg, by_m):
+    rig = Rig("fd", faults=[FramesForgedFeedback(leg=leg, by_m=by_m)])
+    rig.configure()
+    rig.tick = 1
+    sent = rig.at(1 * MS, *rig.protocol.begin(None, rig.tick))
+    answers = [Received(t, frame) for t, frame in sent if frame.id == 0x281 + leg]
+    said = [decode(rig.protocol, [each], rig.tick, new_record())["length"][leg] for each in answers]
+    assert said == pytest.approx([REST[leg], REST[leg] + by_m], abs=1e-6)
+
+
+@pytest.mark.parametrize("force_N", [200.0, -200.0])
+def test_a_force_that_lags_does_not_leap_when_the_command_does(force_N):
+    w = 2 * pi * 50.0
+    rig = Rig(emulation=DriveEmulation(encoder_resolution_m=0, force_bandwidth_Hz=50.0))
+    rig.run(force_N)
+    assert rig.nodes.snapshot().force.tolist() == [0.0] * 6
+    rig.at(5 * MS)
+    rig.command(5 * MS, DriveMode.RUN, -force_N)
+    reached = force_N * (1.0 - exp(-w * 5e-3))
+    np.testing.assert_allclose(rig.nodes.snapshot().force, reached, rtol=1e-9)
+
+
+def test_a_fault_has_begun_where_the_plant_fails_with_it_and_not_where_it_failed_on_the_way_there(
+    monkeypatch,
+):
+    crash = PlantCrash(at_s=2e-3)
+    rig = accelerating(crash)
+    with pytest.raises(PlantError, match="plant_crash"):
+        rig.at(3 * MS)
+    assert (rig.nodes.begun, rig.nodes.now_ns) == ((crash,), 2 * MS)
+
+    def refuse(*_given: object) -> None:
+        raise PlantError("refused")
+
+    rig = accelerating(crash)
+    monkeypatch.setattr(rig.plant, "step", refuse)
+    with pytest.raises(PlantError, match="refused"):
+        rig.at(3 * MS)
+    assert rig.nodes.begun == ()

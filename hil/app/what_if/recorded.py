@@ -20,6 +20,8 @@ OPEN_LOOP = (
 def record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recording:
     """Start the recorder of a what-if on a log; it never runs ahead of its reader.
 
+    What it says first stands at the first tick of the log, whose times it keeps.
+
     Raises LogError where the log cannot be begun.
     """
     recording = Recording.start(
@@ -40,5 +42,5 @@ def record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Record
         lockstep=True,
         ring_ticks=here.recording.ring_ticks,
     )
-    recording.event(0, "warning", f"a what-if on {source.path.name}, no run. {OPEN_LOOP}")
+    recording.event(source.origin_ns, "warning", f"a what-if on {source.path.name}, no run. {OPEN_LOOP}")
     return recording

@@ -10,7 +10,7 @@ from drivers.arrays import Rows
 from drivers.errors import LogError
 from hil.record.log import Log
 from hil.record.salvage import salvage
-from hil.record.schema import SALVAGE, SUMMARY
+from hil.record.schema import CLEAN, SALVAGE, SUMMARY
 
 
 class Readable(NamedTuple):
@@ -38,7 +38,7 @@ def readable(path: Path, columns: Collection[str] = ()) -> Iterator[Readable]:
     with tempfile.TemporaryDirectory(prefix="hil-read-") as folder:
         try:
             log = Log(path)
-            rows, remark = _rows(log, columns), _remark(log)
+            rows, remark = _rows(log, columns), lacking(log)
         except LogError as error:
             copy = Path(folder) / "salvaged.mcap"
             try:
@@ -55,12 +55,17 @@ def _rows(log: Log, columns: Collection[str]) -> Rows:
     return log.rows(*(column.name for column in log.columns if column.name in columns))
 
 
-def _remark(log: Log) -> str:
-    """Return what a log lacks, by its end or by what it says itself."""
+def lacking(log: Log) -> str:
+    """Return what a log lacks, by its end or by what it says; empty for one that its run has closed."""
     if log.cut:
         return f"the log is {log.cut.partition(' (')[0]}"
+    found = []
     salvaged = log.metadata.get(SALVAGE)
     if salvaged is not None:
-        return f"the log was salvaged, {salvaged.get('bytes_lost', '?')} bytes of the original are lost"
+        found.append(
+            f"the log was salvaged, {salvaged.get('bytes_lost', '?')} bytes of the original are lost"
+        )
     closed = log.metadata.get(SUMMARY, {}).get("closed", "unknown")
-    return "" if closed == "clean" else f"the log was not closed by its run ({closed})"
+    if closed != CLEAN:
+        found.append(f"the log was not closed by its run ({closed}): it may end before the run did")
+    return "; ".join(found)

@@ -11,12 +11,13 @@ from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing.last_pose import HOMING_JSON, recorded
+from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment
 from hil.record.log import Log
-from hil.record.schema import ENVIRONMENT, SUMMARY
+from hil.record.schema import ENVIRONMENT
 
 WHAT_IF = "what-if"
 """Kind of a log that holds what another controller would have answered: no run."""
@@ -105,9 +106,9 @@ def replay_log(
     if there != here:
         result |= {"recorded_on": there, "replayed_on": here}
     result["agrees"] = comparison.exact or (there != here and comparison.equivalent)
-    closed = log.metadata.get(SUMMARY, {}).get("closed", "unknown")
-    if closed != "clean":
-        result["remark"] = f"the log was not closed by its run ({closed}): it may end before the run did"
+    remark = lacking(log)
+    if remark:
+        result["remark"] = remark
     return comparison, result
 
 

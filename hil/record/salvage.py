@@ -29,7 +29,7 @@ from hil.record.mcap_read import (
     records,
     split,
 )
-from hil.record.schema import IDENTITY, LIBRARY, SALVAGE, SUMMARY
+from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 from hil.record.surviving import Lost, surviving
 
 _REMARKS = 20
@@ -62,7 +62,8 @@ class _Salvage:
 
     def __init__(self, out: Path, source: Path, size: int, descriptions: Descriptions) -> None:
         self.file = McapFile(out, f"{LIBRARY}/{product_version()}")
-        self.closed = False
+        self.end: dict[str, str] | None = None
+        """What the run has said of its end."""
         self.chunks = self.ticks = self.partial = self.lost = self.ticks_lost = 0
         self.remarks: list[str] = list(descriptions.remarks)
         self._source = source
@@ -138,9 +139,10 @@ class _Salvage:
     def _other(self, record: Record) -> None:
         if record.opcode == Opcode.METADATA:
             metadata = record.parse()
-            if metadata.name != IDENTITY:
+            if metadata.name == SUMMARY:
+                self.end = dict(metadata.metadata)
+            elif metadata.name != IDENTITY:
                 self.file.add_metadata(metadata.name, metadata.metadata)
-                self.closed |= metadata.name == SUMMARY
         elif record.opcode == Opcode.ATTACHMENT:
             file = record.parse()
             self.file.add_attachment(file.name, file.data, file.log_time, file.media_type)
@@ -279,7 +281,7 @@ def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageRepo
         partial_messages=work.partial,
         bytes_read=size,
         bytes_lost=work.lost,
-        complete=work.closed and not work.lost and not remarks,
+        complete=work.end is not None and not work.lost and not remarks,
         remarks=tuple(remarks),
         ticks_lost=work.ticks_lost,
     )
@@ -293,7 +295,11 @@ def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageRepo
             "remarks": "; ".join(remarks),
         },
     )
-    if not work.closed:
-        work.file.add_metadata(SUMMARY, {"closed": "salvaged", "ticks": str(work.ticks)})
+    end = work.end or {}
+    if not report.complete:
+        end["ticks"] = str(work.ticks)
+        if end.get("closed", CLEAN) == CLEAN:
+            end["closed"] = "salvaged"
+    work.file.add_metadata(SUMMARY, end)
     work.file.finish()
     return report

@@ -135,7 +135,10 @@ def test_a_damaged_chunk_is_left_out_and_said_with_its_ticks(path, chunks, tmp_p
     assert report.chunks == len(chunks) - 1
     assert not report.complete
     assert "damaged" in report.remarks[0]
-    assert 0 < len(list(Log.open(tmp_path / "out.mcap").ticks())) < COUNT
+    log = Log.open(tmp_path / "out.mcap")
+    assert log.summary.closed == "salvaged", "its run has closed another log"
+    assert log.metadata["summary"]["ticks"] == str(report.ticks)
+    assert 0 < len(list(log.ticks())) < COUNT
 
 
 def test_a_rewritten_log_without_chunks_can_be_salvaged_too(path, tmp_path):

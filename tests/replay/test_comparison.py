@@ -15,8 +15,10 @@ from drivers.signals import Mode
 from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.app.readable import readable
 from hil.app.replay import replay_log, summary
 from hil.app.sim.command import simulate
+from hil.app.what_if.command import what_if_log
 from hil.cli import main
 from hil.loop.replay import Comparison, replay
 from hil.record.log import Log
@@ -201,6 +203,23 @@ def test_a_log_that_its_run_did_not_close_may_end_too_early_and_says_so(log, tmp
     salvage(cut, whole)
     assert "(salvaged): it may end before the run did" in replay_log(whole)[1]["remark"]
     assert "remark" not in replay_log(log)[1]
+
+
+def test_a_salvaged_log_whose_last_chunk_was_damaged_says_what_is_lost_wherever_it_is_read(log, tmp_path):
+    """Nothing after it shows a gap: what replays is exact."""
+    data = bytearray(log.read_bytes())
+    chunk = mcap_summary(log).chunk_indexes[-1]
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0x40
+    bad, whole = tmp_path / "bad.mcap", tmp_path / "whole.mcap"
+    bad.write_bytes(data)
+    report = salvage(bad, whole)
+    assert report.ticks_lost > 0
+    comparison, found = replay_log(whole)
+    assert (comparison.exact, found["gaps"]) == (True, [])
+    assert f"salvaged, {report.bytes_lost} bytes of the original are lost" in found["remark"]
+    assert found["remark"] in what_if_log(whole)["remarks"]
+    with readable(whole, ("tick",)) as there:
+        assert there.remark == found["remark"]
 
 
 def without_frame(sequence):

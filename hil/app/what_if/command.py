@@ -26,6 +26,7 @@ from hil.app.files import new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import PNG, log_path
 from hil.app.plot.command import SUFFIXES
+from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
 from hil.app.replay import open_replayable
 from hil.app.terminal import one_line
@@ -42,7 +43,7 @@ from hil.loop.cycle import Cycle
 from hil.loop.what_if import Answer, what_if
 from hil.record import LogSummary, Recording, environment
 from hil.record.log import Log
-from hil.record.schema import ENVIRONMENT, SUMMARY
+from hil.record.schema import ENVIRONMENT
 from hil.signals import TickInput
 
 
@@ -220,9 +221,9 @@ def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
 def _remarks(log: Log, here: Configuration, answer: Answer, cycle: Cycle) -> list[str]:
     """Return what else is to be known of the figures."""
     found: list[str] = []
-    closed = log.metadata.get(SUMMARY, {}).get("closed", "unknown")
-    if closed != "clean":
-        found.append(f"the log was not closed by its run ({closed}): it may end before the run did")
+    missing = lacking(log)
+    if missing:
+        found.append(missing)
     there, own = log.metadata.get(ENVIRONMENT, {}), environment()
     names = {"version": "version", "git": "state of the sources", "cpu": "CPU"}
     other = [name for key, name in names.items() if there.get(key) != own.get(key)]

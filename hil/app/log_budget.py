@@ -13,6 +13,7 @@ from typing import NamedTuple
 from drivers.errors import HilError, LogError
 from hil.app.configuration.configuration import Configuration
 from hil.record.log import Log
+from hil.record.mcap_file import being_written
 from hil.record.schema import SUMMARY
 
 TICK_BYTES = 2000
@@ -40,9 +41,9 @@ def needed_bytes(c: Configuration, path_s: float | None, duration_s: float | Non
 def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[str]:
     """Remove old logs until the budget and the disk have room for `needed` bytes; return what was removed.
 
-    The oldest go first: those that ended without a fault, then the others. The newest stays. Without
-    `recording.budget_GB` nothing is removed. The folder has to be there. Raises LogError: the disk has less
-    than the run may need, or the budget is smaller than that.
+    The oldest go first: those that ended without a fault, then the others. The newest stays, and so does each
+    run that is being recorded meanwhile. Without `recording.budget_GB` nothing is removed. The folder has to
+    be there. Raises LogError: the disk has less than the run may need, or the budget is smaller than that.
     """
     folder = Path(c.recording.folder) if given is None else given.parent
     budget = None if c.recording.budget_GB is None else round(c.recording.budget_GB * GB)
@@ -83,12 +84,18 @@ def dated_logs(folder: Path, name: str) -> list[Dated]:
 
 def _going(logs: list[Dated]) -> Iterator[Dated]:
     """Yield what may go, in its order: a run's own log and its plant's go and stay together."""
-    if not logs:
-        return
-    old = [log for log in logs if log.stamp != logs[-1].stamp]
+    staying = {log.stamp for log in logs[-1:]} | {log.stamp for log in logs if _under_way(log.path)}
+    old = [log for log in logs if log.stamp not in staying]
     troubled = {log.stamp for log in old if _had_trouble(log.path)}
     yield from (log for log in old if log.stamp not in troubled)
     yield from (log for log in old if log.stamp in troubled)
+
+
+def _under_way(path: Path) -> bool:
+    try:
+        return being_written(path)
+    except OSError:  # gone meanwhile, or not ours to read
+        return False
 
 
 def _had_trouble(path: Path) -> bool:

@@ -5,6 +5,8 @@ a chunk is one buffer and its message index one array. Records other than Messag
 by `mcap.records`.
 """
 
+import contextlib
+import fcntl
 import os
 import struct
 import zlib
@@ -89,8 +91,24 @@ def record_bytes(record: McapRecord) -> bytes:
     return data
 
 
+def being_written(path: Path) -> bool:
+    """Tell whether a process is writing a file right now. Raises OSError where it cannot be opened."""
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    finally:
+        os.close(fd)
+    return False
+
+
 class McapFile:
     """An MCAP file being written. State: what the summary at its end will say.
+
+    It is locked for as long as it is written: `being_written` tells it from one that was cut.
 
     Raises FileExistsError when the file exists: nothing is ever overwritten.
     """
@@ -98,6 +116,8 @@ class McapFile:
     def __init__(self, path: Path, library: str) -> None:
         self.path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.position = 0
         self._crc = 0
         self._summary = {opcode: _Records() for opcode in _SUMMARY_ORDER}

@@ -13,7 +13,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Schema
 from mcap.stream_reader import StreamReader
 
-from hil.record.mcap_file import McapFile
+from hil.record.mcap_file import McapFile, being_written
 
 MESSAGES = 40
 
@@ -44,6 +44,8 @@ def read(path: Path) -> tuple[list[int], int]:
         assert summary.statistics.metadata_count == len(summary.metadata_indexes)
         values = [struct.unpack("<I", message.data)[0] for _, _, message in reader.iter_messages()]
         assert summary.statistics.message_count == len(values)
+        span = (summary.statistics.message_start_time, summary.statistics.message_end_time)
+        assert span == (values[0], values[-1]), "the value of a message is its time"
         return values, len(summary.chunk_indexes)
 
 
@@ -80,3 +82,39 @@ def test_a_disk_that_is_full_anywhere_in_the_end_keeps_the_first_chunks(share, t
     assert 0 < chunks < 12
     assert values == list(range(chunks * MESSAGES))
     assert (tmp_path / "a.mcap").stat().st_size <= room
+
+
+@pytest.mark.parametrize("end", [McapFile.finish, McapFile.close])
+def test_a_file_is_known_to_be_written_until_its_end_however_many_look(end, tmp_path):
+    path = tmp_path / "a.mcap"
+    file = with_chunks(path, 2)
+    with path.open("rb") as reader, path.open("rb") as other:
+        assert [being_written(path) for _ in range(2)] == [True, True]
+        assert reader.read() == other.read() != b"", "it can be read meanwhile"
+    file.add_metadata("end", {"why": "done"})
+    assert being_written(path)
+    end(file)
+    assert not being_written(path)
+
+
+def test_a_file_that_somebody_looks_at_is_written_all_the_same(tmp_path, monkeypatch):
+    """A file system may have no locks, or another process the only one."""
+
+    def refused(fd, kind):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refused)
+    with_chunks(tmp_path / "a.mcap", 3).finish()
+    assert read(tmp_path / "a.mcap") == (list(range(3 * MESSAGES)), 3)
+    assert not being_written(tmp_path / "a.mcap")
+
+
+def test_a_file_that_is_finished_is_on_the_disk_to_its_last_byte(tmp_path, monkeypatch):
+    """A power failure after it loses nothing of it."""
+    path, synced = tmp_path / "a.mcap", []
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
+    file = with_chunks(path, 3)
+    file.add_metadata("end", {"why": "done"})
+    assert synced == []
+    file.finish()
+    assert synced[-1:] == [path.stat().st_size]

@@ -21,6 +21,7 @@ from drivers.tick_columns import PER_LEG, RECORDED, ROW, XYZ, Column
 from hil.app.plant_columns import PLANT
 from hil.record import Recording, Scene
 from hil.record.log import Log
+from hil.record.mcap_file import being_written
 from hil.record.recorder import Histogram
 from hil.record.row import TICKS, Table, columns_of, describe
 from hil.record.salvage import salvage
@@ -264,9 +265,11 @@ def test_without_its_recorder_a_real_time_run_goes_on_and_counts(tmp_path):
     recording = Recording.start(tmp_path / "a.mcap", configuration="", ring_ticks=256)
     record(recording, random_ticks(50))
     assert recording.alive
+    assert being_written(recording.path)
     os.kill(recording._process.pid, signal.SIGKILL)
     recording._process.wait()
     assert not recording.alive
+    assert not being_written(recording.path)
     record(recording, random_ticks(400))
     summary = recording.close({"a": "b"})
     assert not summary.complete

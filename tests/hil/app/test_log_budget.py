@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from hil.app.configuration.fault_words import with_faults
 from hil.app.log_budget import TICK_BYTES, dated_logs, make_room, needed_bytes
 from hil.app.sim.command import simulate
 from hil.record.log import Log
+from hil.record.mcap_file import McapFile
 
 
 @pytest.fixture(scope="module")
@@ -111,3 +113,38 @@ def test_a_simulation_says_what_it_removed_in_summary_and_log(runs, monkeypatch)
     assert left(runs) >= OTHERS | {"virtual-20260101T000004"}
     events = [event.text for event in Log(summary["log"]).events()]
     assert any("virtual-20260101T000000.mcap" in text for text in events)
+
+
+def test_a_run_that_is_still_recorded_stays_with_both_of_its_logs_although_a_newer_one_has_begun(runs):
+    own, other = "virtual-20260101T000000-2", "virtual-20260101T000002-2"
+    both = {own, f"{own}-plant", other, f"{other}-plant"}
+    shutil.copy(runs / "mine.mcap", runs / f"{own}-plant.mcap")
+    shutil.copy(runs / "mine.mcap", runs / f"{other}.mcap")
+    open_files = [McapFile(runs / f"{name}.mcap", "a test") for name in (own, f"{other}-plant")]
+    c = configured(runs, 1e-6)
+    assert len(make_room(c, 0)) == 6
+    assert left(runs) == OTHERS | both | {"virtual-20260101T000004"}
+    for file in open_files:
+        file.close()
+    assert len(make_room(c, 0)) == 4
+    assert left(runs) == OTHERS | {"virtual-20260101T000004"}
+
+
+def test_the_newest_run_keeps_its_own_log_and_its_plants(runs):
+    newest = "virtual-20260101T000004"
+    shutil.copy(runs / "mine.mcap", runs / f"{newest}-plant.mcap")
+    make_room(configured(runs, 1e-6), 0)
+    assert left(runs) == OTHERS | {newest, f"{newest}-plant"}
+
+
+def test_old_logs_make_room_on_a_disk_that_is_nearly_full_although_the_budget_is_kept(runs, monkeypatch):
+    def size():
+        return sum(log.size for log in dated_logs(runs, "virtual"))
+
+    before, one = size(), (runs / "mine.mcap").stat().st_size
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=before - size()))
+    removed = make_room(configured(runs, 1.0), one + 1)
+    assert [path.rsplit("/", 1)[1] for path in removed] == [
+        "virtual-20260101T000000.mcap",
+        "virtual-20260101T000003.mcap",
+    ]

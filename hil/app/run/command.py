@@ -248,7 +248,11 @@ def _summary(
     try:
         rows = Log.open(closed.path).rows()
     except LogError as error:
-        return result | {"recorder": f"{result['recorder']}; {error}", "dropped_ticks": dropped}
+        if closed.error:
+            result["recorder"] += f"; {error}"
+        else:  # it was closed, and nothing proves what is in it
+            result |= {"success": False, "trouble": "; ".join(filter(None, (trouble, str(error))))}
+        return result | {"dropped_ticks": dropped}
     result |= figures(rows)
     if stretching:
         result["bench_time"] = stretches(rows["stretched_ns"])

@@ -200,7 +200,11 @@ def simulate(
         "wall_s": wall,
     }
     with leaving(lambda: f"after the run, which {_ended(ending)}; its log is whole: {path}"):
-        result |= _figures(path, rate, wall) | keeper.summary(cycle)
+        measured, unreadable = _figures(path, rate, wall)
+        result |= measured | keeper.summary(cycle)
+        if unreadable and not lost:
+            lost = unreadable
+            result |= {"success": False, "trouble": "; ".join(filter(None, (ending.trouble, lost)))}
         result["recorder_cpu_s"] = recorder.recorder_cpu_s
         result |= _injected(c, nodes) | _commands(commands, operator)
         if script is not None and script.left:
@@ -254,12 +258,12 @@ def _ended(ending: Ending) -> str:
     return f"ended in {ending.mode.name}" + (f": {ending.trouble}" if ending.trouble else "")
 
 
-def _figures(path: Path, rate_Hz: float, wall_s: float) -> dict[str, Any]:
-    """Return what is measured of a log; nothing of one that the recorder could not close."""
+def _figures(path: Path, rate_Hz: float, wall_s: float) -> tuple[dict[str, Any], str]:
+    """Return what is measured of a log, and why nothing is of one that cannot be read, else nothing."""
     try:
         rows = Log.open(path).rows()
-    except LogError:
-        return {}
+    except LogError as error:
+        return {}, str(error)
     if not len(rows):
-        return {}
-    return {"real_time_factor": (len(rows) - 1) / rate_Hz / wall_s, **figures(rows)}
+        return {}, ""
+    return {"real_time_factor": (len(rows) - 1) / rate_Hz / wall_s, **figures(rows)}, ""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.run import command
@@ -25,12 +26,28 @@ FULL = "disk_full: No space left on device"
 def verdict(tmp_path, monkeypatch):
     """A function that sums up a run that parked: ticks that are missing, dropped and lost; how it replays."""
 
-    def summed(*, missing=0, dropped=0, lost=0, different=0, agrees=True, error="", ticks=TICKS, trouble=""):
+    def summed(
+        *,
+        missing=0,
+        dropped=0,
+        lost=0,
+        different=0,
+        agrees=True,
+        error="",
+        ticks=TICKS,
+        trouble="",
+        unreadable="",
+    ):
+        def opened(_):
+            if unreadable:
+                raise LogError(unreadable)
+            return SimpleNamespace(rows=lambda: rows)
+
         rows = np.zeros(ticks, ROW)
         rows["tick"] = np.arange(ticks)
         rows["tick"][ticks // 2 :] += missing
         replay = {"agrees": agrees, "different_ticks": different}
-        monkeypatch.setattr(Log, "open", lambda _: SimpleNamespace(rows=lambda: rows))
+        monkeypatch.setattr(Log, "open", opened)
         monkeypatch.setattr(command, "replay_log", lambda _: (None, replay))
         for name in ("figures", "law_figures", "loads"):
             monkeypatch.setattr(command, name, lambda *_: {})
@@ -92,3 +109,19 @@ def test_a_log_with_gaps_proves_a_run_only_where_each_missing_tick_was_counted_a
     found = verdict(missing=missing, dropped=dropped, different=different, agrees=False)
     assert found["success"] is success
     assert found["dropped_ticks"] == dropped
+
+
+@pytest.mark.parametrize("dropped", [0, 3])
+def test_a_log_that_was_closed_and_cannot_be_read_again_is_no_success_and_its_summary_says_why(
+    verdict, dropped
+):
+    damaged = "a.mcap: damaged at byte 4711"
+    found = verdict(unreadable=damaged, missing=dropped, dropped=dropped)
+    assert (found["success"], found["trouble"], found["dropped_ticks"]) == (False, damaged, dropped)
+    also = verdict(unreadable=damaged, dropped=dropped, trouble="a fault")
+    assert also["trouble"] == f"a fault; {damaged}"
+
+
+def test_a_log_whose_recorder_died_is_said_to_be_cut_beside_the_reason(verdict):
+    found = verdict(unreadable="a.mcap: cut at 99 bytes", error="the recorder died", lost=4)
+    assert found["recorder"] == "the recorder died: 4 ticks are not in the log; a.mcap: cut at 99 bytes"

@@ -10,13 +10,17 @@ from click.testing import CliRunner
 
 import hil
 from drivers.errors import ConfigurationError, LogError
+from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import replay_log
+from hil.app.sim import command
 from hil.app.sim.command import run_identity
 from hil.cli import main
+from hil.loop.run_end import Ending
+from hil.record.log import Log
 from plant_fmu.faults.encoder import EncoderJump
 from plant_fmu.faults.plan import FaultPlan
 
@@ -201,3 +205,16 @@ def test_one_run_has_one_identity_and_none_of_another(run, tmp_path):
     ]
     assert len({first, *others}) == 9
     assert run_identity(c, 2.0, FaultPlan([EncoderJump(leg=0, at_s=2.0, by_m=5e-3)]), None, ()) == others[2]
+
+
+def test_a_log_that_was_closed_and_cannot_be_read_again_ends_in_a_summary_that_says_so(tmp_path, monkeypatch):
+    def unreadable(path):
+        raise LogError(f"{path}: damaged at byte 4711")
+
+    ended = Ending(Mode.PARKED, Fault.NONE, "", 0)
+    monkeypatch.setattr(command, "_run_to_end", lambda *_: ended)
+    monkeypatch.setattr(Log, "open", unreadable)
+    summary = command.simulate(load("virtual"), log=tmp_path / "a.mcap", duration_s=0.1)
+    assert not summary["success"]
+    assert summary["trouble"] == f"{tmp_path}/a.mcap: damaged at byte 4711"
+    assert "replay" not in summary

@@ -59,7 +59,9 @@ class Narrator:
         """The bus has taken a command to switch off."""
         self._all_off: tuple[int, str] | None = None
         """When all drives first said that they are, and their states."""
-        self._estops, self._estop_done = 0, False
+        self._estops: list[tuple[int, int]] = []
+        """Of each emergency stop: when it was first sent, and in how many ticks until all confirmed it."""
+        self._estop_done = False
         self._states = b""
         """States and reasons of all drives, as the last tick that was waited with has them."""
         self._powered = True
@@ -81,14 +83,16 @@ class Narrator:
 
     def _wait(self, cycle: Cycle) -> None:
         """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
-        tick = cycle.tick
+        tick, done = cycle.tick, self._estop_done
         states = tick.base[_STATES].tobytes()  # type: ignore[index]
         if states != self._states:
             self._states = states
             self._powered = any(each.powered for each in said(cycle))
             self._estop_done = confirmed(tick, cycle.parts.protocol.stop_latches)
-        if cycle.estop:
-            self._estops += not self._estop_done
+        if cycle.estop and not self._estop_done:
+            again = done or not self._estops
+            first, ticks = (int(tick["tick"]), 0) if again else self._estops.pop()
+            self._estops.append((first, ticks + 1))
         if self._off_tick is not None and self._all_off is None:
             self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
             if self._told and not self._powered and self._heard(tick):
@@ -167,10 +171,10 @@ class Narrator:
             if mode is Mode.PARKED and self._tested(n):
                 text += "; the brakes had passed their test"
             steps.append(Step(tick, tick / rate, mode.name, text))
-        if self._estops:
-            first = self._findings[0].tick
-            steps.append(Step(first, first / rate, "ESTOP", self._stopped()))
-        return steps
+        for first, ticks in self._estops:
+            text = self._stopped(ticks, last=first == self._estops[-1][0])
+            steps.append(Step(first, first / rate, "ESTOP", text))
+        return sorted(steps, key=lambda step: step.tick)
 
     def _tested(self, n: int) -> bool:
         """Tell whether the brake test passed before step n."""
@@ -207,13 +211,13 @@ class Narrator:
         number = int(self._cycle.tick["tick"])
         return [each.leg for each in said(self._cycle) if each.powered or number - each.age <= self._off_tick]
 
-    def _stopped(self) -> str:
-        """Say what became of the emergency stop."""
+    def _stopped(self, ticks: int, *, last: bool) -> str:
+        """Say what became of an emergency stop; one before the last has been confirmed."""
+        sent = f"the emergency stop was sent in {ticks} ticks"
+        if self._estop_done or not last:
+            return f"{sent}, until all six drives confirmed it"
         if self._off_tick is not None and not self._told and int(self._cycle.tick["tick"]) > self._off_tick:
             return "the emergency stop could not be sent: the bus takes no frames"
-        sent = f"the emergency stop was sent in {self._estops} ticks"
-        if self._estop_done:
-            return f"{sent}, until all six drives confirmed it"
         silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.stop_latches)
         return f"{sent}; not confirmed by drive {listed(silent)}"
 

@@ -70,11 +70,13 @@ class RealTime:
 @contextlib.contextmanager
 def collector_paused() -> Iterator[None]:
     """Keep the garbage collector out of a loop that makes no cycles: a full collection takes milliseconds."""
+    enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        gc.enable()
+        if enabled:
+            gc.enable()
 
 
 @contextlib.contextmanager
@@ -100,11 +102,11 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
     """Ask for real-time scheduling of this process, each part only as far as the rights go.
 
     SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep.
-    Undone on exit.
+    Undone on exit: policy and priority are what they were, as far as the rights go.
     """
     report = RealTime()
     latency = None
-    before = os.sched_getaffinity(0)
+    before, scheduling = os.sched_getaffinity(0), _scheduling()
     _attempt(report, "SCHED_FIFO", lambda: _fifo(priority))
     if report.fifo and cpu is not None:
         _attempt(report, f"CPU {cpu}", lambda: os.sched_setaffinity(0, {cpu}))
@@ -121,19 +123,20 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
         if latency is not None:
             os.close(latency)
         if report.fifo:
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            _reschedule(*scheduling)
         os.sched_setaffinity(0, before)
         with contextlib.suppress(OSError):
             _mlockall(0)
 
 
 def fifo_allowed(priority: int) -> bool:
-    """Say whether this process may have SCHED_FIFO at this priority; leaves it as it was."""
+    """Say whether this process may have SCHED_FIFO at this priority; leaves it as `real_time_rights` does."""
+    scheduling = _scheduling()
     try:
         _fifo(priority)
     except OSError:
         return False
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    _reschedule(*scheduling)
     return True
 
 
@@ -148,6 +151,25 @@ def _attempt(report: RealTime, name: str, action: Callable[[], None]) -> None:
 
 def _fifo(priority: int) -> None:
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _scheduling() -> tuple[int, os.sched_param]:
+    """Return the policy, with whether it is reset on fork, and its parameters."""
+    return os.sched_getscheduler(0), os.sched_getparam(0)
+
+
+def _reschedule(policy: int, parameters: os.sched_param) -> None:
+    """Go back to a policy from `_fifo`, as far as the rights go.
+
+    An ordinary user may not end the reset on fork.
+    """
+    try:
+        os.sched_setscheduler(0, policy, parameters)
+    except PermissionError:
+        with contextlib.suppress(
+            PermissionError
+        ):  # nor, once below it, go back to a priority above the limit
+            os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameters)
 
 
 def _mlockall(flags: int) -> None:

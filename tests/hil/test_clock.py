@@ -133,6 +133,27 @@ def test_the_rate_held_outlasts_the_longest_stall_expected() -> None:
     assert worst_s >= 0.0
 
 
+@pytest.mark.parametrize(
+    ("wakes", "worst_s", "rate_Hz"),
+    [
+        ([(9_000_000, 0)], 0.009, 1000.0),
+        ([(500_000, 49)], 0.0495, 1000.0),
+        ([(500_000, 50)], 0.0505, 500.0),
+        ([(900_000, 0), (500_000, 119), (0, 0)], 0.1195, 250.0),
+        ([(0, 0), (120_000_000, 3)], 0.123, 250.0),
+    ],
+)
+def test_the_rate_held_outlasts_twice_the_worst_stall_whole_periods_and_lateness_together(
+    monkeypatch: pytest.MonkeyPatch, wakes: list[tuple[int, int]], worst_s: float, rate_Hz: float
+) -> None:
+    """100 periods last 0.1 s at 1 kHz."""
+    again = itertools.cycle(wakes)
+    monkeypatch.setattr(Deadlines, "wait", lambda _: Wake(0, 0, *next(again)))
+    found_Hz, found_s = holdable_rate(1000.0, periods=100, seconds=0.01)
+    assert found_Hz == rate_Hz
+    assert found_s == pytest.approx(worst_s)
+
+
 def test_a_loop_slow_enough_keeps_its_rate() -> None:
     assert holdable_rate(50.0, periods=5, seconds=0.1)[0] == 50.0
 
@@ -142,3 +163,61 @@ def test_late_wake_ups_are_those_beyond_a_tenth_of_the_period_and_those_that_ski
     monkeypatch.setattr(Deadlines, "wait", lambda _: Wake(0, 0, *next(wakes)))
     assert late_share(1000.0, 1, seconds=0.4) == 0.5
     assert late_share(500.0, 1, seconds=0.4) == 0.25
+
+
+class Scheduler:
+    """The kernel's calls for one process: an ordinary user may not end the reset on fork."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, policy: int, priority: int, *, ordinary: bool
+    ) -> None:
+        self.now, self.ordinary = (policy, priority), ordinary
+        monkeypatch.setattr(os, "sched_getscheduler", lambda _: self.now[0])
+        monkeypatch.setattr(os, "sched_getparam", lambda _: os.sched_param(self.now[1]))
+        monkeypatch.setattr(os, "sched_setscheduler", self.set)
+        monkeypatch.setattr(clock, "_mlockall", lambda _: None)
+
+    def set(self, _pid: int, policy: int, parameters: os.sched_param) -> None:
+        if self.ordinary and self.now[0] & ~policy & os.SCHED_RESET_ON_FORK:
+            raise PermissionError(1, "no right")
+        self.now = policy, parameters.sched_priority
+
+
+POLICIES = [
+    (os.SCHED_OTHER, 0),
+    (os.SCHED_BATCH, 0),
+    (os.SCHED_IDLE, 0),
+    (os.SCHED_RR, 7),
+    (os.SCHED_FIFO, 42),
+]
+
+
+@pytest.mark.parametrize("reset", [0, os.SCHED_RESET_ON_FORK])
+@pytest.mark.parametrize(("policy", "priority"), POLICIES)
+@pytest.mark.parametrize("ordinary", [False, True])
+def test_a_process_goes_back_to_the_policy_and_priority_that_it_had(
+    monkeypatch: pytest.MonkeyPatch, policy: int, priority: int, reset: int, ordinary: bool
+) -> None:
+    """An ordinary user keeps the reset on fork that came with SCHED_FIFO: the policy itself is as it was."""
+    scheduler = Scheduler(monkeypatch, policy | reset, priority, ordinary=ordinary)
+    kept = os.SCHED_RESET_ON_FORK if ordinary else reset
+    assert fifo_allowed(80)
+    assert scheduler.now == (policy | kept, priority)
+    scheduler.now = policy | reset, priority
+    with clock.real_time_rights(80, None) as report:
+        assert report.fifo
+        assert scheduler.now == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 80)
+    assert scheduler.now == (policy | kept, priority)
+
+
+@pytest.mark.parametrize("enabled", [False, True])
+def test_the_collector_is_afterwards_as_it_was(enabled: bool) -> None:
+    was = gc.isenabled()
+    try:
+        (gc.enable if enabled else gc.disable)()
+        for _ in range(2):
+            with clock.collector_paused():
+                assert not gc.isenabled()
+            assert gc.isenabled() == enabled
+    finally:
+        (gc.enable if was else gc.disable)()

@@ -106,7 +106,7 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
             f"{path}: {len(along)} of {count} ticks along the reference, in one piece, are in it: allowed is "
             "a run from the reference's start to its end with no tick lost"
         )
-    off = np.abs(t - period_s * np.arange(count)) > APART
+    off = np.abs(t / period_s - np.arange(count)) > APART
     if off.any():
         first = int(off.argmax())
         raise LogError(

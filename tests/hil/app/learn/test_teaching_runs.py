@@ -99,3 +99,19 @@ def test_a_run_at_another_rate_than_the_configured_one_teaches_nothing(
     monkeypatch.setattr(runs, "recorded_run", lambda _: recorded)
     with pytest.raises(LogError, match=f"ran at {rate_Hz:g} Hz, allowed: loop.rate_Hz, 1000 Hz"):
         learning_run(PATH)
+
+
+@pytest.mark.parametrize("period_s", [1e-4, T, 2e-2])
+@pytest.mark.parametrize("at", [0, 1, COUNT // 2, COUNT - 1], ids=str)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_references_time_may_be_a_millionth_of_the_period_off_its_tick_whatever_that_is(
+    period_s: float, at: int, side: float
+) -> None:
+    rows = rows_of(0)
+    rows["reference_time_s"] *= period_s / T
+    rows["reference_time_s"][at] += side * 0.9e-6 * period_s
+    assert runs._whole(PATH, rows, period_s, COUNT)[0] == 0
+    rows["reference_time_s"][at] += side * 0.2e-6 * period_s
+    with pytest.raises(LogError, match="the reference's time is not the clock's") as refused:
+        runs._whole(PATH, rows, period_s, COUNT)
+    assert f"from {at * period_s:.3f} s after its start" in str(refused.value)

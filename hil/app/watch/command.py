@@ -100,6 +100,8 @@ def _listen(host: str, port: int | None) -> socket.socket:
         try:
             family, _, _, _, address = socket.getaddrinfo(host, each, type=socket.SOCK_STREAM)[0]
             return socket.create_server((str(address[0]), each), family=family, backlog=64)
+        except UnicodeError:  # of Python's own check, before anybody is asked
+            trouble = "such a name no host can have"
         except OSError as error:
             trouble = error.strerror or str(error)
     raise RunError(

@@ -44,7 +44,7 @@ def perform(
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # tracebacks of what is said below
     try:
         client = Client(address, timeout=WAIT_S, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+    except (OSError, TypeError, ValueError, TimeoutError) as error:  # TypeError: tls:// without certificates
         raise ConfigurationError(
             f"--scheduler {address}: no scheduler answers within {WAIT_S} s ({error}); allowed: the address "
             "that `dask scheduler` prints, as tcp://10.0.0.5:8786"

@@ -142,6 +142,18 @@ def test_an_address_where_nobody_answers_is_refused_with_what_is_allowed(two, tm
             run_campaign(two[0], tmp_path, scheduler=address)
 
 
+@pytest.mark.parametrize("said", [TypeError("TLS expects a `ssl_context`"), UnicodeError("label empty")])
+def test_an_address_that_dask_cannot_use_is_refused_with_what_is_allowed(two, tmp_path, monkeypatch, said):
+    """Of tls:// without certificates Dask says a TypeError, of a name that none can be a UnicodeError."""
+
+    def client(*_, **__):
+        raise said
+
+    monkeypatch.setattr(distributed, "Client", client)
+    with pytest.raises(ConfigurationError, match=r"no scheduler answers .* allowed: the address"):
+        run_campaign(two[0], tmp_path, scheduler="tls://a..b:1")
+
+
 def test_without_dask_a_scheduler_is_refused_with_what_to_install(two, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigurationError, match=r'pip install "hexapod-hil\[dask\]"'):

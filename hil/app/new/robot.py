@@ -9,7 +9,9 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.app.configuration.platform import build_platform, joint_list, pose_arrays
+from hil.app.new.text import DIGITS
 from hil.config.platform import JointCircle, PlatformSettings
+from hil.mathematics.rounding import rounded
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import condition, jacobian
@@ -70,9 +72,12 @@ def home_height_m(a: dict[str, Any]) -> float:
 
 
 def estimated_inertia(a: dict[str, Any]) -> list[float]:
-    """Return the moments (3,) kg m^2 of a thin disc of the mass and the radius of the platform joints."""
-    m, r = a["mass_kg"], a["platform_radius_m"]
-    return [m * r * r / 4, m * r * r / 4, m * r * r / 2]
+    """Return the moments (3,) kg m^2 of a thin disc of the mass and the radius of the platform joints.
+
+    To a digit less than is written: the moment about the axis has to stay the sum of the others.
+    """
+    across = rounded(a["mass_kg"] * a["platform_radius_m"] ** 2 / 4, DIGITS - 1)
+    return [across, across, 2 * across]
 
 
 def platform_section(a: dict[str, Any]) -> dict[str, Any]:

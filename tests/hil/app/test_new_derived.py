@@ -10,14 +10,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hil.app.configuration.consistency import standstill
+from hil.app.configuration.platform import build_platform
 from hil.app.configuration.yaml_positions import parse
 from hil.app.new import derive
 from hil.app.new.answers import QUESTIONS
 from hil.app.new.command import new_configuration
-from hil.app.new.robot import robot_at_home
+from hil.app.new.robot import platform_section, robot_at_home
 from hil.app.new.text import yaml_text
 from hil.app.reachability import Walk
 from hil.config.limits import LimitSettings
+from hil.config.platform import PlatformSettings
 from plant_fmu.config import PlantSettings
 
 TABLE = {
@@ -69,10 +71,23 @@ def test_the_tolerance_of_standstill_is_never_below_four_steps_of_an_encoder(tab
     assert limits["standstill_m"] == pytest.approx(needed, rel=0.011), "and hardly above"
 
 
+@given(mass_kg=st.floats(1e-3, 1e6), radius_m=st.floats(0.1, 0.34))
+@example(mass_kg=2.36, radius_m=0.1862699)
+def test_the_disc_that_is_estimated_is_a_body_with_the_digits_that_are_written(table, mass_kg, radius_m):
+    """Of a thin disc the moment about its axis is the sum of the others: no body has more."""
+    a = table[0] | {"mass_kg": mass_kg, "platform_radius_m": radius_m}
+    read: Any = parse(yaml_text([], {"platform": platform_section(a)}, {})).value
+    settings = PlatformSettings.model_validate(read["platform"])
+    body = build_platform(settings).platform
+    disc = mass_kg * radius_m**2 * np.diag([0.25, 0.25, 0.5])
+    np.testing.assert_allclose(body.inertia, disc, rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     "typed",
     [
         {"encoder_resolution_m": "1.3333e-4"},
+        {"mass_kg": "41.7", "platform_radius_m": "0.251"},
         {"rate_Hz": "333.33333333"},
         {"rate_Hz": "123.456789012", "brake_ms": "33.333333333"},
         {"stroke_m": "0.123456789012", "drive_force_N": "799.99999999", "brake_force_N": "799.99999999"},

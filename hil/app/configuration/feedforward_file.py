@@ -37,6 +37,8 @@ UNEVEN = 1e-6
 """Largest deviation of a time from its place, as a share of the step."""
 BEGINNING = b"# Made by hil learn"
 """By which an earlier file of the command is known."""
+DECIMALS = 4
+"""Of a force in the file."""
 _DIGITS = 16
 
 
@@ -88,11 +90,17 @@ def feedforward_path(settings: FeedforwardSettings, folder: Path) -> Path:
     return folder / settings.file
 
 
+def largest_written(limit_N: float) -> float:
+    """Return the largest force that a file can hold which is not above a limit, N."""
+    nearest = round(limit_N, DECIMALS)
+    return nearest if nearest <= limit_N else round(nearest - 10.0**-DECIMALS, DECIMALS)
+
+
 def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: float) -> str:
     """Return the text of a file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
     body = io.StringIO()
     rows = np.column_stack([(start + np.arange(len(tau))) * step_s, tau])
-    np.savetxt(body, rows, fmt=["%.9g"] + ["%.4f"] * 6, delimiter=",")
+    np.savetxt(body, rows, fmt=["%.9g"] + [f"%.{DECIMALS}f"] * 6, delimiter=",")
     written = np.loadtxt(io.StringIO(body.getvalue()), delimiter=",", ndmin=2)
     said = head.model_dump(mode="json") | {"digest": _digest_of(written)}
     top = yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=100)
@@ -225,8 +233,8 @@ def learned_forces(
     peak = float(np.abs(tau).max())
     if peak > settings.limit_N:
         raise ConfigurationError(
-            f"{path}: its largest force is above feedforward.limit_N, allowed: up to {settings.limit_N:g} N, "
-            f"given: {peak:g} N"
+            f"{path}: its largest force is above feedforward.limit_N, allowed: up to "
+            f"{settings.limit_N:.15g} N, given: {peak:.15g} N"
         )
     return LearnedForces(tau, start_s, step_s, settings.fade_s)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import LogError
-from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text
+from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text, largest_written
 from hil.app.learn.model import Learner, belief_of, learner
 from hil.app.learn.runs import LearningRun, learning_run
 from hil.app.leg_errors import leg_errors
@@ -99,7 +99,8 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
     tau = np.einsum("nij,nj->ni", last.force_per_acceleration, a)
     limit_N = limit_of(last, known)
     cut = int((np.abs(tau) > limit_N).any(axis=1).sum())
-    tau = np.clip(tau, -limit_N, limit_N)
+    most = largest_written(limit_N)
+    tau = np.clip(tau, -most, most)
     text = ""
     if goes == "learned":
         head = _head(last, model, first_rms_m, tau)

@@ -67,7 +67,7 @@ def lines(outcome: Outcome, limit_N: float, out: Path | None, *, series: bool = 
 
 def written(out: Path, limit_N: float, what: str = "") -> list[str]:
     """Return that a file is written, and the section that names it."""
-    return [f"written    {out}{what}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:g}}}"]
+    return [f"written    {out}{what}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:.15g}}}"]
 
 
 def _words(name: str) -> str:

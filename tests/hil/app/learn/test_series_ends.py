@@ -48,7 +48,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
         number = calls["learned"] - 1
         return _Learned(f"of run {number + 1}", [_Step(0.5**number)])
 
-    stand_ins = {
+    stand_ins: dict[str, Any] = {
         "_with": lambda *_: C,
         "simulate": lambda *_, **__: {"success": True},
         "learning_run": lambda _: None,

@@ -2,6 +2,7 @@
 
 import copy
 import re
+from itertools import pairwise
 from typing import Any
 
 from drivers.errors import ConfigurationError
@@ -11,6 +12,7 @@ from hil.app.configuration.fault_words import read_fault
 
 SEED = "seed"
 """The key that is no section: what varies all chance of the plant's end."""
+_FAULTS = ("plant", "faults")
 _WORD = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]+\])*)")
 
 
@@ -37,37 +39,49 @@ def put(value: dict[str, Any], key: str, given: Any) -> None:
 
     Raises ConfigurationError: a part of the key is no section or no list, or the list is too short.
     """
-    *above, last = path(key)
+    parts = path(key)
     place: Any = value
     done: tuple[str | int, ...] = ()
-    for item, below in zip(above, (*above[1:], last), strict=True):
+    for item, below in pairwise(parts):
         done = (*done, item)
         if isinstance(item, str):
             place = place.setdefault(item, {} if isinstance(below, str) else [])
         else:
             place = place[item]
         _fits(place, below, key, done)
-    place[last] = copy.deepcopy(given)  # another axis may reach into it
+    place[parts[-1]] = copy.deepcopy(given)  # another axis may reach into it
 
 
 def apply(value: dict[str, Any], axes: dict[str, ListedAxis], values: dict[str, Any]) -> dict[str, Any]:
     """Return the data of a configuration with the values of a row: options, then faults, then keys.
+
+    Of keys that reach into each other the outer ones come first, whatever their order in the file: those that
+    bring `plant.faults` before the faults of an axis.
 
     Raises ConfigurationError: words that are no fault, a key that fits nothing.
     """
     for name, axis in axes.items():
         if axis.options is not None:
             value = merged(value, axis.options[values[name]])
+    swept = [(path(key), key, name) for name, axis in axes.items() for key in keys(axis) if key != SEED]
+    swept.sort(key=lambda each: len(each[0]))
+    around, others = (
+        [each for each in swept if _brings_faults(each[0]) is brings] for brings in (True, False)
+    )
+    for _, key, name in around:
+        put(value, key, values[name])
     for name, axis in axes.items():
         if axis.faults is not None:
             given = [read_fault(words) for words in axis.faults[values[name]]]
             more = [fault.model_dump(mode="json", exclude_unset=True) for fault in given]
             value = merged(value, {"plant": {"faults": [*_faults(value), *more]}})
-    for name, axis in axes.items():
-        for key in keys(axis):
-            if key != SEED:
-                put(value, key, values[name])
+    for _, key, name in others:
+        put(value, key, values[name])
     return value
+
+
+def _brings_faults(place: tuple[str | int, ...]) -> bool:
+    return place == _FAULTS[: len(place)]
 
 
 def _faults(value: dict[str, Any]) -> list[Any]:

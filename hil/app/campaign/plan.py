@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from drivers.errors import ConfigurationError
 from hil.app.campaign.figures import METRICS
 from hil.app.campaign.keys import SEED, keys
+from hil.app.campaign.keys import path as key_path
 from hil.app.campaign.named_files import digests, find_beside
 from hil.app.campaign.row import Job, Subject, bare, row_configuration, row_seed
 from hil.app.campaign.sampling import draw, ends
@@ -123,14 +124,18 @@ def _named_twice(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
 
 
 def _swept_twice(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
-    owners: dict[str, str] = {}
+    owners: dict[Place, str] = {}
     for place, axes in _sections(settings):
         for name, axis in axes.items():
             for key in keys(axis):
-                if key in owners:
-                    message = f"{key} is swept by {owners[key]}, too, allowed: one axis for each key"
+                try:
+                    where = key_path(key)
+                except ConfigurationError:
+                    continue  # said where its values are tried
+                if where in owners:
+                    message = f"{key} is swept by {owners[where]}, too, allowed: one axis for each key"
                     yield (*place, name), message
-                owners.setdefault(key, name)
+                owners.setdefault(where, name)
 
 
 def _unknown_metrics(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.metadata import version
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ from hil.config.running import RecordingSettings
 Values = dict[str, Any]
 OWN_COLUMNS = ("row", "seed", "passed", "ended", "ended_s", "faults", "trouble")
 """Columns of the table beside axes and metrics."""
+MOST_ROWS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,9 @@ def read_plan(path: Path) -> Plan:
     """
     file = campaign_file(path)
     settings, document = read_section(file, CampaignSettings)
-    found = [*_named_twice(settings), *_swept_twice(settings), *_unknown_metrics(settings)]
+    found = [
+        *_named_twice(settings), *_swept_twice(settings), *_unknown_metrics(settings), *_too_many(settings),
+    ]  # fmt: skip
     if found:
         raise ConfigurationError(*lines(_placed(document, found), str(file)))
     subject = _subject(file, settings, document)
@@ -136,6 +140,19 @@ def _swept_twice(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
                     message = f"{key} is swept by {owners[where]}, too, allowed: one axis for each key"
                     yield (*place, name), message
                 owners.setdefault(where, name)
+
+
+def _too_many(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:
+    """Refuse more rows than MOST_ROWS, before any is made."""
+    samples = 1 if settings.sample is None else settings.sample.count
+    listed = [len(entries(axis)) for axis in (settings.list or {}).values()][:1]  # they have equally many
+    grid = [len(entries(axis)) for axis in (settings.grid or {}).values()]
+    rows = prod([samples, *listed, *grid])
+    if rows > MOST_ROWS:
+        yield (
+            ("grid" if grid else "list",),
+            f"{rows} rows, allowed: up to {MOST_ROWS} of sample, list and grid",
+        )
 
 
 def _unknown_metrics(settings: CampaignSettings) -> Iterator[tuple[Place, str]]:

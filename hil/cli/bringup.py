@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from hil.cli.interrupts import OF_THIS_PROCESS
-from hil.cli.shared import FILE, configuration_argument, finish_briefly, load, log_option, reporting
+from hil.cli.shared import OUTPUT, configuration_argument, finish_briefly, load, log_option, reporting
 
 
 @click.command()
@@ -19,7 +19,7 @@ from hil.cli.shared import FILE, configuration_argument, finish_briefly, load, l
     help='With --rehearse: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
 )
 @click.option("--yes", is_flag=True, help="Agree to all steps, on a bench only.")
-@click.option("--state", type=FILE, metavar="FILE", help="Where the answers are kept between runs.")
+@click.option("--state", type=OUTPUT, metavar="FILE", help="Where the answers are kept between runs.")
 @click.option("--again", is_flag=True, help="Measure everything again, whatever the state file holds.")
 @log_option
 @reporting

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, finish_lines, reporting
+from hil.cli.shared import FILE, OUTPUT, finish_lines, reporting
 
 
 @click.command()
 @click.argument("configuration")
 @click.argument("poses", type=FILE)
 @click.option(
-    "--out", type=FILE, metavar="FILE", help="Write the joints there as YAML; an existing file is refused."
+    "--out", type=OUTPUT, metavar="FILE", help="Write the joints there as YAML; an existing file is refused."
 )
 @reporting
 def command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:

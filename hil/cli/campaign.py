@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, finish, reporting
+from hil.cli.shared import FILE, OUTPUT, finish, reporting
 
 SAY_S = 20.0
 """Where there is no terminal for a bar, a line of progress comes that often."""
@@ -19,7 +19,7 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 @click.option("--out", type=FOLDER, metavar="FOLDER", help="Where the campaign's results are, if named.")
 @click.option(
     "--log",
-    type=FILE,
+    type=OUTPUT,
     is_flag=False,
     flag_value="",
     metavar="[FILE]",
@@ -77,12 +77,12 @@ class _OrRerun(click.Command):
 @click.option("--fresh", is_flag=True, help="Discard the rows that are there, and begin anew.")
 @click.option(
     "--page",
-    type=FILE,
+    type=OUTPUT,
     metavar="FILE",
     help="HTML page, an existing one is refused; default: report.html in the folder.",
 )
 @click.option(
-    "--junit", type=FILE, metavar="FILE", help="Write a case a row as JUnit XML; an earlier one goes."
+    "--junit", type=OUTPUT, metavar="FILE", help="Write a case a row as JUnit XML; an earlier one goes."
 )
 @reporting
 def command(

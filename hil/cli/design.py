@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, finish_lines, reporting
+from hil.cli.shared import FILE, OUTPUT, finish_lines, reporting
 
 METHODS = {
     "hinf": (
@@ -80,12 +80,12 @@ def _command(name: str, short: str, text: str) -> click.Command:
     @click.option(
         "-o",
         "--out",
-        type=FILE,
+        type=OUTPUT,
         metavar="FILE",
         help="Write the controller there; an earlier one is replaced.",
     )
     @click.option(
-        "--plot", type=FILE, metavar="FILE", help="PNG file: S, T, K S against their weights, and the loop."
+        "--plot", type=OUTPUT, metavar="FILE", help="PNG file: S, T, K S against their weights, and the loop."
     )
     @reporting
     def command(

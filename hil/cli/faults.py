@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, configuration_argument, finish, load, reporting
+from hil.cli.shared import OUTPUT, configuration_argument, finish, load, reporting
 
 
 def _legs(text: str | None) -> tuple[int, ...]:
@@ -38,7 +38,7 @@ def _legs(text: str | None) -> tuple[int, ...]:
 )
 @click.option(
     "--junit",
-    type=FILE,
+    type=OUTPUT,
     metavar="FILE",
     help="Write the verdicts there as JUnit XML, too; an earlier one goes.",
 )

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, finish_lines, log_option, reporting
+from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, finish_lines, log_option, reporting
 
 
 @click.command("payload")
@@ -19,7 +19,7 @@ from hil.cli.shared import FILE, NOT_NEGATIVE, finish_lines, log_option, reporti
 @click.option(
     "-o",
     "--out",
-    type=FILE,
+    type=OUTPUT,
     metavar="FILE",
     help="Write the block there as YAML; an earlier one is replaced.",
 )
@@ -109,7 +109,7 @@ class _OrPayload(click.Command):
 @click.option(
     "-o",
     "--model",
-    type=FILE,
+    type=OUTPUT,
     metavar="FILE",
     help="Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it.",
 )

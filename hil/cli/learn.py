@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, POSITIVE, finish_lines, reporting
+from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, reporting
 
 if TYPE_CHECKING:
     from hil.app.learn.command import Knowledge
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o",
     "--out",
-    type=FILE,
+    type=OUTPUT,
     metavar="FILE",
     help="CSV of the next run's feed-forward; an earlier one of this command is replaced.",
 )

@@ -6,14 +6,14 @@ from typing import Any
 import click
 
 from hil.cli import replay_forms
-from hil.cli.shared import FILE, complete_configuration, finish, reporting
+from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, reporting
 
 
 @click.command()
 @click.argument("log", type=FILE, required=False)
 @click.option(
     "--salvage",
-    type=FILE,
+    type=OUTPUT,
     metavar="OUT",
     help="Recover a log cut by power loss into the new file OUT first, and replay that.",
 )
@@ -32,9 +32,9 @@ from hil.cli.shared import FILE, complete_configuration, finish, reporting
     "CONFIG; may be repeated.",
 )
 @click.option(
-    "--plot", "picture", type=FILE, metavar="FILE", help="With a what-if: PNG or SVG of the forces."
+    "--plot", "picture", type=OUTPUT, metavar="FILE", help="With a what-if: PNG or SVG of the forces."
 )
-@click.option("--log", "out", type=FILE, metavar="OUT", help="With a what-if: write it as a log, too.")
+@click.option("--log", "out", type=OUTPUT, metavar="OUT", help="With a what-if: write it as a log, too.")
 @click.option(
     "--against", type=FILE, metavar="OTHER", help="Compare LOG with the log OTHER, column by column."
 )
@@ -64,7 +64,10 @@ from hil.cli.shared import FILE, complete_configuration, finish, reporting
     help="With --suite: processes at once; default: one a processor.",
 )
 @click.option(
-    "--junit", type=FILE, metavar="FILE", help="With --suite: a case a log as JUnit XML; an earlier one goes."
+    "--junit",
+    type=OUTPUT,
+    metavar="FILE",
+    help="With --suite: a case a log as JUnit XML; an earlier one goes.",
 )
 @reporting
 def command(log: Path | None, json_file: Path | None, **given: Any) -> None:

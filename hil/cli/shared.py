@@ -33,6 +33,10 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class Output(click.Path):
+    """A file that a command writes: no two of one command may be the same."""
+
+
 def complete_configuration(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
     """Offer the shipped configurations, and files."""
     del ctx, param
@@ -46,8 +50,9 @@ def complete_configuration(ctx: click.Context, param: click.Parameter, begun: st
 POSITIVE = FiniteRange(min=0, min_open=True)
 NOT_NEGATIVE = FiniteRange(min=0)
 FILE = click.Path(dir_okay=False, path_type=Path)
+OUTPUT = Output(dir_okay=False, path_type=Path)
 log_option = click.option(
-    "--log", type=FILE, metavar="FILE", help="Log file to write; an existing one is refused."
+    "--log", type=OUTPUT, metavar="FILE", help="Log file to write; an existing one is refused."
 )
 duration_option = click.option("--duration", type=POSITIVE, metavar="S", help="Stop after S seconds.")
 fault_option = click.option(
@@ -58,10 +63,10 @@ fault_option = click.option(
     help='What goes wrong at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
 )
 picture_option = click.option(
-    "--picture", type=FILE, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
+    "--picture", type=OUTPUT, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
 )
 out_option = click.option(
-    "--out", type=FILE, metavar="FILE", help="File to write; an existing one is refused."
+    "--out", type=OUTPUT, metavar="FILE", help="File to write; an existing one is refused."
 )
 force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
 configuration_argument = click.argument(
@@ -72,6 +77,8 @@ LEAST_BYTES = 768 * 2**20
 ends depends on the byte: in one line, with a traceback, by a signal, or not at all."""
 _LIGHT = frozenset({"ctl", "plot"})
 """Commands that load no Numba: 30 and 200 MB."""
+_NAMED = ("configuration", "design", "robot", "what_if")
+"""Arguments that name a file, or one that is shipped."""
 _RAN = 1
 """Exit code of what had begun."""
 _REPORTED = frozenset({"run", "sim"})
@@ -148,6 +155,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             from hil.app.picture_folder import choose_picture_folder
 
             choose_picture_folder()
+            _refuse_shared_outputs(kwargs)
             if kwargs["json_file"] is not None:
                 from hil.app.output import check_json_path
 
@@ -177,9 +185,29 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
-    names = ("configuration", "log", "salvage", "picture", "model", "out")
-    given = [arguments[name] for name in names if arguments.get(name) is not None]
-    return [Path(each) for file in given for each in (file if isinstance(file, tuple) else (file,))]
+    """Return the files of a command but that of --json."""
+    named = [Path(arguments[name]) for name in _NAMED if arguments.get(name)]
+    return named + [file for name in arguments if name != "json_file" for file in _files(arguments[name])]
+
+
+def _refuse_shared_outputs(arguments: dict[str, Any]) -> None:
+    """Refuse two output files of one command that are the same one. Raises LogError."""
+    from drivers.errors import LogError
+
+    seen: set[Path] = set()
+    for parameter in click.get_current_context().command.params:
+        if not isinstance(parameter.type, Output):
+            continue
+        for file in _files(arguments.get(str(parameter.name))):
+            if file.resolve() in seen:
+                raise LogError(
+                    f"{parameter.opts[0]} {file}: is another file of this command; name a file of its own"
+                )
+            seen.add(file.resolve())
+
+
+def _files(value: object) -> list[Path]:
+    return [each for each in (value if isinstance(value, tuple) else (value,)) if isinstance(each, Path)]
 
 
 def _refuse(message: str, code: int = 2) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import resource
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -12,6 +15,7 @@ from hil.app.replay import replay_log
 from hil.app.sim import command
 from hil.record import Recording
 from hil.record.log import Log
+from hil.record.recorder import _recorded
 from hil.record.recording import RecorderEndedError
 from tests.hil.samples import random_ticks, record
 
@@ -76,3 +80,33 @@ def test_a_simulation_on_a_full_disk_fails_and_names_it_and_its_log_replays(tmp_
     assert summary["ticks"] > 100
     comparison, _ = replay_log(tmp_path / "a.mcap")
     assert (comparison.exact, comparison.ticks) == (True, summary["ticks"])
+
+
+class Stopped:
+    """A recorder whose file takes no more, with so many messages in it."""
+
+    def __init__(self, number, messages):
+        self.number, self.file = number, SimpleNamespace(messages=messages)
+
+    def run(self, control):
+        raise OSError(self.number, "it says")
+
+    def close_full(self, error):
+        return {"closed": "disk_full", "error": error.strerror}
+
+
+def recorded(number, messages):
+    stopped: Any = Stopped(number, messages)
+    return _recorded(stopped, SimpleNamespace(summary={}))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
+def test_each_way_of_having_no_room_closes_the_log_with_what_fits_where_there_is_something(number):
+    assert recorded(number, 1) == {"closed": "disk_full", "error": "it says"}
+    with pytest.raises(OSError, match="it says"):
+        recorded(number, 0)
+
+
+def test_a_disk_that_fails_is_no_full_one():
+    with pytest.raises(OSError, match="it says"):
+        recorded(errno.EIO, 1)

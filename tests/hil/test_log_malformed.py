@@ -113,6 +113,30 @@ def test_a_small_file_that_unpacks_without_end_is_refused_in_little_memory(remad
     assert peak < 100e6
 
 
+def test_a_file_that_holds_more_messages_than_a_log_of_its_size_is_refused_by_every_reader(path, monkeypatch):
+    monkeypatch.setattr("hil.record.mcap_read.FREE_MESSAGES", 100)
+    monkeypatch.setattr("hil.record.mcap_read.LEAST_BYTES", 1 << 40)
+    log = Log(path)
+    for read in (log.rows, lambda: list(log.blocks("q")), lambda: list(log.ticks()), log.events):
+        with pytest.raises(LogError, match=r"more than 100 messages, which no log of a run has"):
+            read()
+
+
+@pytest.mark.parametrize(
+    ("limit", "says"),
+    [
+        ({"FREE_BYTES": 1000, "MAX_RATIO": 0}, "unpacks to more than 1000"),
+        ({"FREE_MESSAGES": 100, "LEAST_BYTES": 1 << 40}, "more than 100 messages"),
+    ],
+)
+def test_salvage_unpacks_no_more_of_a_file_than_reading_does(path, tmp_path, monkeypatch, limit, says):
+    for name, value in limit.items():
+        monkeypatch.setattr(f"hil.record.mcap_read.{name}", value)
+    report = salvage(path, tmp_path / "out.mcap")
+    assert (report.chunks, report.ticks) == (0, 0)
+    assert any(says in remark for remark in report.remarks)
+
+
 def test_messages_too_short_for_their_rows_are_refused(remade):
     def short(records):
         def many(content):
@@ -234,3 +258,20 @@ def test_reading_ends_where_no_record_is(tmp_path):
     assert len(found) == 2
     assert (last.opcode, last.complete) == (NOTHING, False)
     assert last.offset == len(whole)
+
+
+def test_figures_are_not_taken_from_an_index_in_which_a_bit_has_turned_over(path, damaged):
+    content = path.read_bytes()
+    (at,) = struct.unpack_from("<Q", content, len(content) - len(MAGIC) - 20)
+    whole = Log(path).summary
+    assert whole.ticks == COUNT
+    tried = 0
+    while content[at] != container.FOOTER:
+        (length,) = struct.unpack_from("<Q", content, at + 1)
+        last = at + 8 + length
+        with pytest.raises(LogError, match="damaged"):
+            _ = Log(damaged(last, bytes([content[last] ^ 1]))).summary
+        tried += 1
+        at = last + 1
+    assert tried > 10
+    assert Log(path).summary == whole

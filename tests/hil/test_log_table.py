@@ -6,6 +6,7 @@ import tracemalloc
 from math import prod
 from pathlib import Path
 
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 import zstandard
@@ -77,6 +78,9 @@ def test_the_index_is_the_time_from_the_first_row_in_seconds(path):
     index = Log(path).frame("tick").index
     assert index.name == "t_s"
     np.testing.assert_allclose(index, np.arange(COUNT) * 1e-3, atol=1e-12)
+    part = Log(path).frame("tick", start_s=0.3, stop_s=0.4)
+    np.testing.assert_allclose(part.index, part["tick"] * 1e-3, atol=1e-12, err_msg="and so is a part of it")
+    assert part["tick"].tolist() == list(range(300, 401))
 
 
 def test_enumerations_and_flags_stand_by_name(tmp_path):
@@ -252,6 +256,8 @@ def test_a_cut_log_gives_what_a_salvage_gives(path, tmp_path, fraction):
     frames = sum(len(tick.received) + len(tick.sent) for tick in TICKS[: report.ticks])
     assert log.summary[:2] == (report.ticks, frames)
     assert log.summary.closed == "cut"
+    t_ns = log.rows("t_ns")["t_ns"]
+    assert log.summary.duration_s == pytest.approx(1e-9 * (t_ns[-1] - t_ns[0]), abs=2e-3), "over all chunks"
     assert log.configuration == "a: 1\n"
     whole = Log(tmp_path / "whole.mcap")
     assert whole.cut == ""
@@ -260,15 +266,16 @@ def test_a_cut_log_gives_what_a_salvage_gives(path, tmp_path, fraction):
         Log.open(bad)
 
 
-def test_a_chunk_that_unpacks_to_too_much_is_refused_before_it_is_unpacked():
-    bomb = zstandard.compress(bytes(50_000_000))
-    honest = Chunk("zstd", bomb, 0, 0, 0, MAX_CHUNK + 1)
+@pytest.mark.parametrize(("name", "compress"), [("zstd", zstandard.compress), ("lz4", lz4.frame.compress)])
+def test_a_chunk_that_unpacks_to_too_much_is_refused_before_it_is_unpacked(name, compress):
+    bomb = compress(bytes(50_000_000))
+    honest = Chunk(name, bomb, 0, 0, 0, MAX_CHUNK + 1)
     with pytest.raises(LogError, match=f"at most {MAX_CHUNK}"):
         decompress(honest)
     tracemalloc.start()
     try:
         with pytest.raises(LogError, match="damaged"):
-            decompress(Chunk("zstd", bomb, 0, 0, 0, 1000))
+            decompress(Chunk(name, bomb, 0, 0, 0, 1000))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

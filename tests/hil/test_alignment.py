@@ -99,3 +99,10 @@ def test_a_log_in_real_time_and_a_plant_in_lockstep_are_of_two_runs():
 
 def test_a_log_without_a_tick_is_of_no_other_run():
     require_one_run(LOG, LOG._replace(path="b.mcap"), np.array([], int))
+
+
+@pytest.mark.parametrize(("tick_ns", "row_ns"), [(50 * PERIOD_NS, PERIOD_NS), (0, 50 * PERIOD_NS)])
+def test_a_row_from_long_before_or_after_is_no_ticks_own_although_none_is_nearer(tick_ns, row_ns):
+    assert plant_rows_of(ticks_at([tick_ns]), plant_at([row_ns], [1]), PERIOD_NS).tolist() == [-1]
+    counted = plant_at([row_ns, row_ns + 10], [0, 0])
+    assert plant_rows_of(ticks_at([tick_ns]), counted, PERIOD_NS).tolist() == [-1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.signals import Mode, Warn
+from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import ROW
 from hil.record.figures import certificate, figures
 
@@ -84,3 +84,18 @@ def test_the_bound_is_that_of_the_tick_in_which_the_energy_peaks_while_it_is_wat
         "largest_share_percent": 40.0,
         "alarms": 0,
     }
+
+
+def test_times_count_from_the_first_tick_whatever_the_clock_has_counted_before():
+    rows = rows_of(5, t_ns=3 * 86_400 * 10**9 + 1_000_000 * np.arange(5))
+    rows["mode"][:2] = Mode.APPROACH
+    found = figures(rows)
+    assert found["first_motion_s"] == pytest.approx(2e-3)
+    assert found["duration_s"] == pytest.approx(4e-3)
+
+
+def test_a_fault_that_was_reset_is_among_those_of_the_run():
+    faults = [Fault.NONE, Fault.STALE | Fault.SPEED, Fault.NONE, Fault.BUS, Fault.NONE]
+    found = figures(rows_of(5, faults=[int(each) for each in faults]))
+    assert sorted(found["faults"]) == ["BUS", "SPEED", "STALE"]
+    assert figures(rows_of(2))["faults"] == []

@@ -50,3 +50,20 @@ def test_a_broken_terminal_does_not_stop_the_recorder():
             raise BrokenPipeError
 
     LiveView(Broken(), None).show(rows(1))
+
+
+def test_a_line_has_the_latest_wake_up_since_the_line_before_and_none_from_earlier():
+    out = io.StringIO()
+    view = LiveView(out, None)
+
+    def show(lateness_us, *, due):
+        view._due = 0.0 if due else float("inf")
+        view.show(rows(1, lateness_ns=1000 * lateness_us))
+
+    show(5000, due=True)
+    show(300, due=False)
+    show(700, due=False)
+    show(40, due=True)
+    show(30, due=True)
+    said = [line.partition("late ")[2].partition("us")[0].strip() for line in out.getvalue().splitlines()]
+    assert said == ["5000", "700", "30"]

@@ -6,6 +6,7 @@ import socket
 import sys
 import threading
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from hil.app.compose import build_cycle, record, websocket
 from hil.app.configuration.configuration import load, loads
 from hil.record import Live, Recording
 from hil.record.encode import Encoder
+from hil.record.layout import RECORD_HEADER
 from hil.record.log import Log
 from hil.record.row import TICKS
 from hil.record.schema import Schema, message_class
@@ -132,3 +134,34 @@ def test_the_configuration_asks_for_it_and_simulated_time_has_none(tmp_path, mon
 
 def test_without_a_word_in_the_configuration_nothing_listens():
     assert websocket(load("virtual")) is None
+
+
+class Gone:
+    """A channel of a server that fails once it has sent so many messages."""
+
+    def __init__(self, heard=True, until=0):
+        self.heard, self.until, self.sent = heard, until, 0
+
+    def has_sinks(self):
+        return self.heard
+
+    def log(self, data, log_time):
+        if self.sent == self.until:
+            raise RuntimeError("the server has ended")
+        self.sent += 1
+
+
+@pytest.mark.parametrize("until", [0, 2])
+def test_a_server_that_fails_ends_itself_and_not_the_recorder(until):
+    stops: list[int] = []
+    socket_: Any = LiveSocket.__new__(LiveSocket)
+    channel, unheard = Gone(until=until), Gone(heard=False)
+    socket_._server = SimpleNamespace(stop=lambda: stops.append(1))
+    socket_._channels = {0: channel, 1: unheard}
+    messages: Any = SimpleNamespace(
+        channel=np.array([0, 1, 0, 0]), log_time=np.arange(4), data=[bytes(RECORD_HEADER + 1)] * 4
+    )
+    socket_.publish(messages)
+    socket_.publish(messages)
+    assert (channel.sent, unheard.sent, len(stops)) == (until, 0, 1)
+    assert socket_.close()

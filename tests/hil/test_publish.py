@@ -1,0 +1,101 @@
+"""What the recorder shows of a run: how many ticks wait, the last events, and the end of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.tick_columns import ROW
+from hil.record import Recording
+from hil.record.publish import LAST_EVENTS, Publisher
+from hil.record.ring import Ring
+from hil.record.row import TICKS
+
+
+class Shown:
+    """A mirror that keeps what was written last, and whether it was closed after that."""
+
+    def __init__(self) -> None:
+        self.tick, self.waiting, self.closed = -1, -1, False
+        self.events: list[tuple[int, str]] = []
+
+    def write(self, row, figures, text):
+        assert not self.closed
+        self.tick, self.waiting = int(row["tick"]), int(figures["waiting"])
+        self.events = [(each["number"], each["text"]) for each in json.loads(text)]
+
+    def close(self):
+        self.closed = True
+
+
+class Bench:
+    """Both ends of a ring, a publisher between them."""
+
+    def __init__(self) -> None:
+        self.ring = Ring.create(TICKS.dtype, 256)
+        nobody: Any = None
+        self.recording = Recording(self.ring, nobody, Path("a.mcap"), lockstep=False)
+        self.shown = Shown()
+        mirror: Any = self.shown
+        self.publisher = Publisher(self.ring, mirror)
+
+    def run(self, ticks):
+        row = np.zeros((), ROW)
+        for _ in range(ticks):
+            row["tick"] = self.recording.ticks
+            self.recording.tick(row, (), ())
+
+    def drain(self, limit=256):
+        batch = self.ring.take(limit)
+        self.publisher.drained(batch)
+        self.ring.release(batch)
+
+
+@pytest.fixture
+def bench():
+    bench = Bench()
+    yield bench
+    bench.ring.close_fd()
+
+
+def test_so_many_ticks_wait_as_were_recorded_and_not_written_yet(bench):
+    bench.run(7)
+    bench.publisher.publish(0)
+    assert (bench.shown.tick, bench.shown.waiting) == (6, 7)
+    bench.drain(3)
+    bench.publisher.publish(0)
+    assert bench.shown.waiting == 4
+    bench.run(2)
+    bench.publisher.publish(0)
+    assert (bench.shown.tick, bench.shown.waiting) == (8, 6)
+    bench.drain()
+    bench.publisher.publish(0)
+    assert bench.shown.waiting == 0
+
+
+def test_of_many_events_the_last_ones_are_shown(bench):
+    count = LAST_EVENTS + 25
+    for k in range(count):
+        bench.recording.event(k, "info", f"event {k}")
+        bench.run(1)
+        if k % 10 == 9:
+            bench.drain()
+    bench.drain()
+    bench.publisher.publish(0)
+    assert bench.shown.events == [(k + 1, f"event {k}") for k in range(count - LAST_EVENTS, count)]
+
+
+def test_the_end_of_a_run_is_shown_before_its_picture_is_closed(bench):
+    bench.run(3)
+    bench.publisher.publish(0)
+    bench.run(2)
+    bench.recording.event(5, "error", "why it ended")
+    bench.drain()
+    assert (bench.shown.tick, bench.shown.events) == (2, [])
+    bench.publisher.close()
+    assert (bench.shown.tick, bench.shown.events) == (4, [(1, "why it ended")])
+    assert bench.shown.closed

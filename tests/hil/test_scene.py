@@ -1,0 +1,70 @@
+"""What 3D viewers draw of a row: both poses, and each leg from its base joint to its platform joint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.timestamp_pb2 import Timestamp
+from scipy.spatial.transform import Rotation
+
+from drivers.tick_columns import ROW
+from hil.record import Scene
+from hil.record.scene import SceneDrawer, transforms
+
+ANGLES = np.deg2rad([0, 50, 120, 170, 240, 290])
+BASE = np.column_stack([2.0 * np.cos(ANGLES), 2.0 * np.sin(ANGLES), 0.1 * np.arange(6)])
+PLATFORM = np.column_stack([np.cos(ANGLES + 0.3), np.sin(ANGLES + 0.3), -0.05 * np.arange(6)])
+HERE, THERE = Rotation.from_rotvec([0.3, -0.2, 0.5]), Rotation.from_rotvec([-0.1, 0.4, -0.6])
+
+
+@pytest.fixture
+def row():
+    row = np.zeros((), ROW)
+    row["p"], row["p_d"] = [0.1, -0.2, 1.5], [0.4, 0.5, 1.2]
+    row["R"], row["R_d"] = (each.as_matrix().reshape(row["R"].shape) for each in (HERE, THERE))
+    return row
+
+
+def xyz(vector):
+    return [vector.x, vector.y, vector.z]
+
+
+def test_platform_and_reference_stand_each_at_its_own_pose(row):
+    found = {t.child_frame_id: t for t in map(FrameTransform.FromString, transforms(row, Timestamp()))}
+    assert list(found) == ["platform", "reference"]
+    for name, p, R in (("platform", row["p"], HERE), ("reference", row["p_d"], THERE)):
+        there = found[name]
+        assert xyz(there.translation) == p.tolist()
+        turned = Rotation.from_quat([*xyz(there.rotation), there.rotation.w])
+        assert (turned * R.inv()).magnitude() < 1e-12
+
+
+def legs_of(base, platform, row):
+    drawn = SceneDrawer(Scene(base.tolist(), platform.tolist())).update(row, Timestamp())
+    assert drawn is not None
+    (legs,) = [e for e in SceneUpdate.FromString(drawn).entities if e.id == "legs"]
+    return legs.cylinders
+
+
+def test_each_leg_leans_from_its_base_joint_to_its_platform_joint(row):
+    legs = legs_of(BASE, PLATFORM, row)
+    tops = row["p"] + HERE.apply(PLATFORM)
+    assert len(legs) == 6
+    for leg, a, b in zip(legs, BASE, tops, strict=True):
+        half = Rotation.from_quat([*xyz(leg.pose.orientation), leg.pose.orientation.w]).apply(
+            [0.0, 0.0, leg.size.z / 2.0]
+        )
+        np.testing.assert_allclose(xyz(leg.pose.position) - half, a, atol=1e-12)
+        np.testing.assert_allclose(xyz(leg.pose.position) + half, b, atol=1e-12)
+
+
+@pytest.mark.parametrize("height", [1.0, -1.0])
+def test_a_leg_that_stands_or_hangs_straight_is_drawn_so(row, height):
+    row["p"], row["R"] = [0.0, 0.0, height], np.eye(3).reshape(row["R"].shape)
+    leg = legs_of(BASE, BASE, row)[0]
+    q = leg.pose.orientation
+    np.testing.assert_allclose(
+        Rotation.from_quat([*xyz(q), q.w]).apply([0, 0, 1]), [0, 0, height], atol=1e-12
+    )

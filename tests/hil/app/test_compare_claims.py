@@ -1,5 +1,9 @@
 """What `hil compare` says of the control chapter: claims follow the figures, and are made only with them."""
 
+import math
+
+import pytest
+
 from hil.app.compare.claims import Evidence, judge
 from hil.app.compare.measure import Outcome
 from hil.control.inverse_dynamics import InverseDynamicsSettings
@@ -65,3 +69,16 @@ def test_where_the_law_that_is_the_measure_faulted_nothing_is_claimed():
 
 def test_a_claim_about_laws_that_were_not_compared_is_not_made():
     assert list(verdicts({"pd": 1.0})) == ["H takes less than 1 % of the force"]
+
+
+@pytest.mark.parametrize(
+    ("factor", "holds"), [(1.0, True), (0.96, True), (1.04, True), (0.94, False), (0.5, False), (1.06, False)]
+)
+def test_the_loop_is_the_linear_one_only_where_its_bandwidth_is_neither_less_nor_more(factor, holds):
+    """wn 20 rad/s, zeta 1: -3 dB at 0.6436 wn."""
+    e = evidence({"inverse_dynamics": 0.1})
+    row = e.rows["inverse_dynamics"]
+    figures = row.figures | {"bandwidth_Hz": factor * 0.6436 * WN / (2 * math.pi)}
+    found = judge(e._replace(rows={"inverse_dynamics": row._replace(figures=figures)}))
+    claims = {c["claim"]: c["holds"] for c in found}
+    assert claims["inverse dynamics leaves E'' + K_D E' + K_P E = 0"] is holds

@@ -235,3 +235,11 @@ def test_a_tick_that_is_missing_from_the_file_is_found(log, tmp_path):
     rewrite_log(log, gap, lambda topic, data, number: None if (topic, number) == ("/tick", 300) else data)
     found = against(gap, log)
     assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 300})
+
+
+@pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING])
+def test_a_platform_that_waits_or_stands_on_its_brakes_is_not_in_its_first_motion(mode):
+    rows = Made(range(10, 19), size=4, mode=[mode] * 6 + [Mode.APPROACH] * 3)
+    assert first_motion(rows) == (16, 16_000_000)
+    with pytest.raises(LogError, match="its platform never moves"):
+        first_motion(Made(range(9), mode=mode))

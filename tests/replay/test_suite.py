@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 from click.testing import CliRunner
 
 import hil
+from drivers.errors import LogError
 from hil.app import replay_suite
-from hil.app.replay_suite import logs_in, replay_case, run_suite
+from hil.app.replay_suite import died, logs_in, replay_case, run_suite, summary, verdicts
 from hil.cli import main
 from tests.hil.rewrite import rewrite_log
 
@@ -148,3 +151,29 @@ def test_options_of_different_questions_refuse_each_other(words, message):
     result = CliRunner().invoke(main, ["replay", *words])
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
+
+
+def test_a_log_at_which_its_process_dies_is_a_failure_of_the_suite(tmp_path):
+    killed = died(tmp_path / "killer.mcap")
+    good = killed._replace(log=str(tmp_path / "good.mcap"), verdict="pass", text="")
+    found = summary(tmp_path, [killed, good], 1.0)
+    assert (found["success"], found["passed"], found["failed"], found["skipped"]) == (False, 1, 1, 0)
+    (_, case) = verdicts(tmp_path, [killed, good])
+    assert (case.name, case.failure) == ("killer.mcap", "its process died")
+
+
+def test_a_folder_that_cannot_be_read_is_no_empty_one(tmp_path, monkeypatch):
+    """Its logs would be missing from a suite that succeeds."""
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    (tmp_path / "good.mcap").touch()
+    real = os.scandir
+
+    def scandir(path):
+        if Path(path) == closed:
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    with pytest.raises(LogError, match=f"folder {closed}: cannot be read: Permission denied"):
+        logs_in(tmp_path)

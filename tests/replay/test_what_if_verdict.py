@@ -1,0 +1,73 @@
+"""When a what-if is a success, and which files it says are others: without a run, from made-up answers."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
+from hil.app.configuration.configuration import load
+from hil.app.what_if import command
+from hil.loop.what_if import Answer
+from hil.record import LogSummary
+
+FULL = "disk_full: No space left on device"
+
+
+@pytest.fixture
+def verdict(tmp_path, monkeypatch):
+    """A function that sums up a what-if: its answer, and what became of its own log."""
+    virtual = load("virtual")
+    run = {"rate_Hz": virtual.loop.rate_Hz, "watchdog_s": 1e-3 * virtual.drives.watchdog_ms}
+    log = SimpleNamespace(
+        path=tmp_path / "run.mcap", attachments={}, metadata={"summary": {"closed": "clean"}}, cut=""
+    )
+
+    def summed(answer, error=""):
+        out = tmp_path / "answer.mcap"
+        closed = LogSummary(out, 5, 0, 0, 0, 0, 0.0, not error, error, gave_up=bool(error))
+        recording = SimpleNamespace(close=lambda _: closed)
+        monkeypatch.setattr(command, "open_replayable", lambda _: (log, run, virtual))
+        monkeypatch.setattr(command, "record", lambda *_: contextlib.nullcontext(recording))
+        monkeypatch.setattr(command, "_answer", lambda *_: answer)
+        return command.what_if_log(log.path, out=out)
+
+    return summed
+
+
+def test_a_what_if_whose_own_log_is_not_whole_is_no_success(verdict):
+    whole = verdict(Answer(ticks=5))
+    assert (whole["success"], whole["trouble"]) == (True, None)
+    full = verdict(Answer(ticks=5), FULL)
+    assert (full["success"], full["trouble"]) == (False, FULL)
+
+
+def test_a_what_if_that_stops_on_its_way_is_no_success_however_whole_its_own_log_is(verdict):
+    found = verdict(Answer(ticks=5, gaps=[(3, 2)]), FULL)
+    assert not found["success"]
+    assert found["trouble"] == f"2 ticks missing from tick 3: nothing after is answered; {FULL}"
+    assert not verdict(Answer(ticks=5, damage="damaged at byte 4711"))["success"]
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        (REFERENCE_CSV, "reference.path"),
+        (CONTROLLER_FILE, "controller.controller_file"),
+        (FEEDFORWARD_CSV, "feedforward.file"),
+    ],
+)
+def test_each_file_of_another_content_than_the_logs_is_named_by_its_key(monkeypatch, name, key):
+    log: Any = SimpleNamespace(path=Path("run.mcap"), attachments={name: b"before"})
+    here = load("virtual")
+
+    def others(files):
+        monkeypatch.setattr(command, "attachments", lambda _: list(files.items()))
+        return command._other_files(here, log)
+
+    assert others({name: b"after"}) == [f"{key}: the file has another content than that of the log"]
+    assert others({name: b"before"}) == others({}) == []

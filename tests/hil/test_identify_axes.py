@@ -140,6 +140,19 @@ def test_a_few_bent_lines_do_not_pull_the_gain(quiet):
     assert bound[-1] < 0.02
 
 
+def test_the_errors_of_the_fit_are_as_large_as_it_says_though_the_lines_scatter_by_more_than_they_say(quiet):
+    """Each line of its own off by 5 %, far beyond what its noise explains."""
+    truth_of = np.array([*GAIN, T, LAG, T + LAG + 0.5 * T])
+    z = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        off = 0.05 * (rng.normal(size=quiet.G.shape) + 1j * rng.normal(size=quiet.G.shape))
+        fit = fit_axes(quiet._replace(G=quiet.G * (1.0 + off)))
+        found = np.array([*fit.gain, fit.transport_s, fit.lag_s, fit.total_s])
+        z.append((found - truth_of) / [*fit.gain_std, fit.transport_std_s, fit.lag_std_s, fit.total_std_s])
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 2.5
+
+
 def test_noise_in_the_loop_does_not_bias_it_though_it_biases_the_plain_quotient():
     """Under noise alone position over demanded acceleration is -1 over the law, not the plant."""
     signals = run(multisine(27, HARMONICS), noise=24e-6, w_n=200.0)

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
+from hil.app.calibrate import read_pairs, run_calibration
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import platform_dict
 from hil.cli import main
@@ -118,6 +119,48 @@ def test_columns_may_come_in_any_order_and_deviations_give_a_chi_square(tmp_path
     text, figures = calibrated(tmp_path, small, [*HEADER, "length_std_m"])
     assert figures["chi_square"] / figures["degrees_of_freedom"] == pytest.approx(9, rel=0.3)
     assert "larger than chance allows" in " ".join(text.split())
+    (tmp_path / "c.json").unlink()
+    large = [[*row, NOISE * 3] for row in rows()]
+    text, figures = calibrated(tmp_path, large, [*HEADER, "length_std_m"])
+    assert figures["chi_square"] / figures["degrees_of_freedom"] == pytest.approx(1 / 9, rel=0.3)
+    assert "smaller than chance allows" in " ".join(text.split())
+
+
+def test_deviations_of_lengths_positions_and_angles_are_taken_in_their_units(tmp_path):
+    deviations = ["length_std_m", "position_std_m", "rotation_std_deg"]
+    table = [[*row, 2e-5, 3e-5, 0.06 * (n + 1)] for n, row in enumerate(rows(8))]
+    measured = read_pairs(write(tmp_path / "poses.csv", table, [*HEADER, *deviations])).measured
+    assert measured.length_std == pytest.approx(np.full(8, 2e-5))
+    assert measured.position_std == pytest.approx(np.full(8, 3e-5))
+    assert measured.rotation_std == pytest.approx(0.06 * np.pi / 180 * np.arange(1, 9))
+    assert measured.rotation_vector == pytest.approx(np.pi / 180 * np.array(table)[:, 3:6])
+
+
+def test_each_joint_of_the_fragment_stands_with_its_own_standard_deviations(tmp_path):
+    report = run_calibration("lab", write(tmp_path / "poses.csv", rows()))
+    std_mm = 1e3 * np.array(report.figures["std_m"])
+    section, found = "", []
+    for line in report.fragment.splitlines():
+        section = line.strip() if line.startswith("  ") and line.endswith("_m:") else section
+        if "# l" in line and "+-" in line:
+            found.append((section, int(line.partition("# l")[2][0]), line.partition("+- ")[2].split()))
+    joints = {"base_joints_m:": slice(0, 3), "platform_joints_m:": slice(3, 6)}
+    assert [(section, leg) for section, leg, _ in found] == [(s, leg) for s in joints for leg in range(1, 7)]
+    for section, leg, words in found:
+        assert [float(word) for word in words] == pytest.approx(std_mm[leg - 1, joints[section]], abs=5.1e-4)
+    assert np.abs(std_mm[:, :3] - std_mm[:, 3:6]).max() > 0.01, "they are not those of the other joint"
+
+
+def test_what_offsets_alone_would_leave_is_what_each_leg_leaves_about_its_own_mean(tmp_path):
+    table = rows()
+    _, figures = calibrated(tmp_path, table)
+    given = np.array(table)
+    R = Rotation.from_rotvec(np.deg2rad(given[:, 3:6])).as_matrix()
+    joints = given[:, None, :3] + np.einsum("kij,lj->kli", R, NOMINAL["platform_joints"])
+    left = given[:, 6:] - np.linalg.norm(joints - np.array(NOMINAL["base_joints"]), axis=2)
+    rms = np.sqrt(np.mean(left.var(axis=0)))
+    assert figures["residual_rms_offsets_alone_m"] == pytest.approx(rms, rel=1e-9)
+    assert rms < 0.7 * left.std(), "one offset for all legs leaves more"
 
 
 def test_poses_without_tilt_are_named(tmp_path):
@@ -132,11 +175,25 @@ def test_poses_without_tilt_are_named(tmp_path):
     assert "?" in text
 
 
-def test_a_slip_is_named_by_its_line(tmp_path):
+@pytest.mark.parametrize("slip", [2e-3, -2e-3])
+def test_a_slip_is_named_by_its_line(tmp_path, slip):
+    """A line that holds nothing counts as a line of the file."""
     table = rows()
-    table[20][7] += 2e-3
+    table[20][7] += slip
     text, _ = calibrated(tmp_path, table)
     assert "poses.csv:22: l2 is" in text
+    (tmp_path / "c.json").unlink()
+    text, _ = calibrated(tmp_path, [*table[:5], [], [" ", ""], *table[5:15], [], *table[15:]])
+    assert "poses.csv:25: l2 is" in text
+
+
+def test_a_refusal_names_the_line_of_a_file_with_blank_lines(tmp_path):
+    table = changed(30, 11, 0.1)
+    table[4][6] = "abc"
+    gaps = [*table[:2], [], [""], *table[2:]]
+    assert "poses.csv:8: l1_m: allowed: a finite number" in refused(tmp_path, gaps)
+    gaps[6][6] = table[3][6]
+    assert "poses.csv:34: l6_m is 0.1000 where the pose asks for" in refused(tmp_path, gaps)
 
 
 def changed(row, column, value):
@@ -157,6 +214,7 @@ BAD = [
     ([*rows(), [1, 2]], HEADER, "poses.csv:42: 2 values, allowed: 12"),
     (changed(3, 3, 200.0), HEADER, "poses.csv:5: rotation vector of 20"),
     (changed(30, 11, 0.1), HEADER, "poses.csv:32: l6_m is 0.1000 where the pose asks for"),
+    (changed(30, 11, 1.3), HEADER, "poses.csv:32: l6_m is 1.3000 where the pose asks for"),
     (scaled({0, 1, 2}, 1e3), HEADER, "would if these were positions in mm instead of m"),
     (scaled(set(range(6, 12)), 1e3), HEADER, "would if these were lengths in mm instead of m"),
     (scaled({3, 4, 5}, np.pi / 180), HEADER, "would if these were rotation vectors in rad instead of deg"),
@@ -173,9 +231,10 @@ def test_a_wrong_file_is_refused_with_the_place(tmp_path, table, header, message
     assert message in refused(tmp_path, table, header)
 
 
-def test_a_pose_out_of_reach_is_named(tmp_path):
+@pytest.mark.parametrize("height_m", [1.5, 0.45])
+def test_a_pose_out_of_reach_is_named(tmp_path, height_m):
     a, b, offset = robot()
-    p = np.array([0.0, 0.0, 1.5])
+    p = np.array([0.0, 0.0, height_m])
     legs = np.linalg.norm(p + b - a, axis=1) + offset
     message = refused(tmp_path, [*rows(), [*p, 0, 0, 0, *legs]])
     assert "poses.csv:42: out of reach: the pose asks" in message

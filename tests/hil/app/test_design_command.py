@@ -93,6 +93,7 @@ def test_a_measurement_that_bounds_little_is_named_where_the_weights_cannot_be_m
         ({"rate_Hz": 500}, "rate_Hz: 500.0, allowed: that of the design, 1000.0"),
         ({"axes": "pose"}, "axes: pose, allowed: that of the design, joint"),
         ({"nominal": {"gain": [1, 1, 1, 1, 1, 2]}}, "within 20 % of their mean"),
+        ({"nominal": {"gain": [1, 1, 0.6, 1, 1, 1]}}, "within 20 % of their mean"),
     ],
 )
 def test_an_axis_that_does_not_fit_the_design_is_refused(changes, says, tmp_path):

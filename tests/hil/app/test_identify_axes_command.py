@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError, IdentificationError, LogError
 from drivers.signals import Mode
@@ -19,6 +20,7 @@ from hil.cli import main
 from hil.config.axis_model import AxisModel
 from hil.config.reference import MultisineAxis, MultisineReference, Sinusoid, SinusoidReference
 from hil.config.values import Pose
+from hil.identify.excitation import axis_excitation
 from hil.robot.kinematics import jacobian
 
 
@@ -118,6 +120,40 @@ def test_each_leg_moves_alone_at_its_own_lines():
     assert (counted == 12).all()
     assert min(own) == 1.0
     assert max(own) == 100.0
+
+
+@pytest.mark.parametrize("space", ["joint", "pose"])
+def test_about_a_pose_that_is_turned_each_line_moves_its_own_axis_alone(space):
+    """By differences: legs, or shifts and turns about the axes of the base, of a small way along each line."""
+    model = linearised_law(load("virtual")).model
+    home = Pose(position_m=(0.05, -0.1, 1.05), rotation_vector_deg=(14.0, -11.0, 17.0))
+    made = axis_excitation(model, home, space, 1000.0, 300.0, None)
+    words = ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
+    lines: dict[float, np.ndarray] = {}
+    for c in made.components:
+        lines.setdefault(c.frequency_Hz, np.zeros(6))[words.index(c.axis)] = c.amplitude
+    at = np.array([*home.position_m, *home.rotation_vector_deg])
+
+    def axes(pose):
+        R = Rotation.from_rotvec(np.deg2rad(pose[3:]))
+        turn = R * Rotation.from_rotvec(np.deg2rad(at[3:])).inv()
+        if space == "pose":
+            return np.concatenate([pose[:3], turn.as_rotvec()])
+        joints = pose[:3] + R.apply(np.array(model.platform.platform_joints))
+        return np.linalg.norm(joints - model.platform.base_joints, axis=1)
+
+    counted = np.zeros(6, int)
+    for f, way in lines.items():
+        small = 1e-4 * way / np.abs(way).max()
+        moved = np.abs(axes(at + small) - axes(at - small))
+        if f >= 1.0:
+            axis = int(np.argmax(moved))
+            counted[axis] += 1
+            assert np.delete(moved, axis).max() < 1e-4 * moved[axis]
+        elif space == "joint":
+            assert np.ptp(moved) < 1e-4 * moved.max(), "underneath all legs extend at one speed"
+    assert (counted == 12).all()
+    assert len(lines) == 73
 
 
 def test_a_slow_loop_gets_longer_periods_for_as_many_lines():

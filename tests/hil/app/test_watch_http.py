@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 
 import pytest
 
 from hil.app.watch.access import Access
+from hil.app.watch.feed import Feed
 from hil.app.watch.http import BODY_BYTES, HEAD_BYTES, Refused, Request, read_request, refusal
 from hil.app.watch.operating import WORDS, line_of
+from hil.app.watch.server import MOST_COMMANDS, Server, Watcher
 
 TOKEN = "s3cret"
 LOCAL = Access(TOKEN, 8642, frozenset({"127.0.0.1", "localhost", "::1"}), beyond=False, operate=True)
@@ -204,3 +208,59 @@ def test_the_words_of_the_page_are_passed_on_and_no_others():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=r"."):
             line_of(body)
+
+
+class Deaf:
+    """A controller that answers nothing until it is `free`, but for the emergency stop."""
+
+    def __init__(self):
+        self.stops = 0
+        self.asked, self.free = threading.Semaphore(0), threading.Event()
+
+    def say(self, line):
+        if line == "estop":
+            self.stops += 1
+        else:
+            self.status()
+        return True, ""
+
+    def status(self):
+        self.asked.release()
+        self.free.wait()
+
+
+def operate(line):
+    return request("/operate", "POST", TOKEN, **GOOD)._replace(body=b'{"line": "%s"}' % line.encode())
+
+
+def test_an_emergency_stop_waits_for_no_answer_and_has_room_where_other_commands_are_refused(tmp_path):
+    """Eight commands and a question for the state wait; further ones get 503, but each emergency stop is passed on."""
+    deaf, watcher = Deaf(), Watcher(object())  # type: ignore[arg-type]
+    server = Server(Feed(tmp_path / "none"), LOCAL, {}, deaf)
+    server._watchers[watcher] = None
+
+    async def scene(elsewhere):
+        loop = asyncio.get_running_loop()
+        asking = asyncio.create_task(server._ask(deaf.status))
+        waiting = [asyncio.create_task(server._operate(operate("hold"))) for _ in range(MOST_COMMANDS)]
+        for _ in range(MOST_COMMANDS + 1):
+            await loop.run_in_executor(elsewhere, deaf.asked.acquire)
+        try:
+            for line in ("hold", "stop", "key"):
+                with pytest.raises(Refused) as refused:
+                    await server._operate(operate(line))
+                assert refused.value.status is HTTPStatus.SERVICE_UNAVAILABLE
+            for count in (1, 2, 3):
+                async with asyncio.timeout(10.0):
+                    answer = await server._operate(operate("estop"))
+                assert b'{"taken": true, "why": ""}' in answer
+                assert deaf.stops == count
+            assert not any(task.done() for task in waiting)
+        finally:
+            deaf.free.set()
+            asking.cancel()
+        assert len(await asyncio.gather(*waiting)) == MOST_COMMANDS
+        assert b'"taken": true' in await server._operate(operate("hold")), "there is room again"
+
+    with ThreadPoolExecutor(1) as elsewhere:
+        asyncio.run(scene(elsewhere))

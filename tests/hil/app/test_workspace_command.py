@@ -68,6 +68,17 @@ def test_the_json_file_holds_the_figures(mapped):
     assert summary["limits"]["base_joint_angle_deg"] is None
 
 
+def test_the_largest_cylinder_stands_at_heights_of_the_base_frame_about_home(mapped):
+    folder, output = mapped
+    summary = json.loads((folder / "lab.json").read_text())
+    cylinder, (low, high) = summary["largest_cylinder"], summary["positions"]["extents_m"]["z"]
+    bottom, top = cylinder["z_m"]
+    home = load("lab").platform.home.position_m[2]
+    assert low - 1e-6 <= bottom < home < top <= high + 1e-6
+    assert cylinder["volume_m3"] == pytest.approx(np.pi * cylinder["radius_m"] ** 2 * (top - bottom))
+    assert f"{bottom:.3f}" in output
+
+
 def test_the_picture_is_a_png_with_the_colours_of_the_limits(mapped):
     folder, _ = mapped
     image = imread(folder / "lab.png")

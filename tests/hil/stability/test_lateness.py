@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.stability.lateness import late
+from hil.stability.lateness import late, stale_s
 from hil.stability.sampled import Axis, analyse, gains
 
 AXIS = Axis(period_s=2e-3, transport_s=1.3e-3, lag_s=0.8e-3)
@@ -109,3 +109,11 @@ def test_every_stretch_counts():
     alone, _ = cost(step, (0.2, 0.3))
     assert loud.error == pytest.approx(alone.error)
     assert loud.error[0] > quiet.error[0]
+
+
+@pytest.mark.parametrize(
+    ("ahead_ms", "stale_ms"), [(0.0, 4.1), (1.3, 2.8), (2.0, 2.1), (2.8, 1.5), (4.1, 2.8), (10.0, 8.7)]
+)
+def test_the_state_that_a_force_was_computed_for_is_as_far_as_the_youngest_or_the_oldest(ahead_ms, stale_ms):
+    """Forces act from 1.3 ms after the measurement for 2 ms, and 0.8 ms of lag: too far ahead is as bad as late."""
+    assert stale_s(AXIS, 1e-3 * ahead_ms) == pytest.approx(1e-3 * stale_ms)

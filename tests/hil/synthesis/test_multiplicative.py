@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,29 @@ def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():
             real = np.eye(6) + bound * size * phases[:, :, None] * np.eye(6)
             smallest = min(smallest, np.abs(np.linalg.det(np.eye(6) + x * Gamma @ real)).min())
     assert smallest > 1e-3, "no perturbation of this size brings an eigenvalue of the loop to -1"
+
+
+def test_of_several_couplings_the_nearest_to_what_the_loop_stands_counts_whichever_it_is():
+    """Gamma = g I is one axis of g times the gain: |w T| of a double integrator under a PD."""
+    omega = frequencies(RATE_HZ)[::4]
+    w = profile((1, 0.3), (100, 0.3))
+
+    def open_loop(at):
+        s = 1j * at
+        return (40.0 * s + 400.0) / s**2
+
+    class Loop:
+        def response(self, at):
+            return open_loop(at)[:, None, None]
+
+    L: Any = Loop()
+    gains = (1.0, 0.25, 4.0, 0.5)
+    T = [g * open_loop(omega) / (1.0 + g * open_loop(omega)) for g in gains]
+    worst = np.max(w.at(omega) * np.abs(T), axis=0)
+    for turned in range(len(gains)):
+        found = together(w, L, [g * np.eye(6) for g in np.roll(gains, turned)], RATE_HZ)
+        assert found.norm == pytest.approx(worst.max(), rel=1e-9)
+        assert found.at_rad_s == omega[np.argmax(worst)]
 
 
 def test_a_control_weight_that_does_not_cover_is_raised_and_then_the_loop_stands_it():

@@ -1,0 +1,106 @@
+"""What `hil stability` says of springs that are asked too much, and which of several robots it judges by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.app.configuration.configuration import load, loads
+from hil.app.stability.command import JUDGES, WORST_FIRST, judge
+from hil.app.stability.subject import Stated, Subject
+from hil.config.model import ModelSettings
+from hil.stability.assessment import Assessment
+from tests.hil.app.test_stability_command import LEGS, POSE, bench
+
+BODY = (
+    "    payload:\n      - {mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}, mass_range_kg: [0, 80], "
+    "com_range_m: [[-0.1, 0.2], [0, 0], [0, 0.3]]}\n"
+)
+
+
+def changed(law, *changes):
+    """Return the bench that holds a pose under a law, with parts of its text replaced."""
+    text = bench(law, rest=True).text
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return loads(text, "my.yaml", Path())
+
+
+def test_a_law_is_as_good_as_its_verdict_with_the_worst_of_the_payloads(monkeypatch):
+    """Whichever of them that is; of equal ones none is preferred to a worse one."""
+    inertia = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"
+    c = changed(f"  law: pd\n{LEGS}", (inertia, inertia + BODY))
+    words = Subject(c, Stated()).carried
+    assert len(words) == 6
+    verdicts: dict[str, Any] = {}
+
+    def verdict(subject, *_, **__):
+        (carried,) = subject.carried
+        return Assessment(verdicts[carried], carried, [], [], {})
+
+    monkeypatch.setitem(JUDGES, "pd", verdict)
+    for k, worst in enumerate(words):
+        status, others = WORST_FIRST[k % 3 : k % 3 + 2]
+        verdicts.update(dict.fromkeys(words, others))
+        verdicts[words[k - 1]] = "proven"
+        verdicts[worst] = status
+        found = judge(c)
+        assert (found.status, found.claim) == (status, worst)
+
+
+def test_what_a_law_compensates_too_much_of_the_friction_counts_as_what_it_compensates_too_little():
+    """The drives of the lab lose 200 N s/m and 60 N; dry friction may meet that of the law with the other sign."""
+    subject = Subject(load("lab"), Stated())
+    assert subject.plant is not None
+    assert (subject.plant.viscous_friction_N_s_m, subject.plant.coulomb_friction_N) == (200.0, 60.0)
+    believed = [0.0, 100.0, 200.0, 300.0, 500.0, 1e4]
+    found = subject.friction(
+        ModelSettings(viscous_friction_N_s_m=believed, coulomb_friction_N=[0, 1, 2, 3, 4, 5])
+    )
+    assert found.viscous_N_s_m == pytest.approx([200.0, 100.0, 0.0, 100.0, 300.0, 9800.0])
+    assert found.coulomb_N == pytest.approx([60.0, 61.0, 62.0, 63.0, 64.0, 65.0])
+
+
+@pytest.mark.parametrize(
+    ("law", "soft_end"),
+    [
+        ("  law: pd\n  kp_N_m: 4e4\n  kv_N_s_m: 4e3\n", ("length_min_m: 0.75", "length_min_m: 1.52")),
+        (
+            "  law: pd_gravity\n  kp_N_m: 4e4\n  kv_N_s_m: 4e3\n  model: {inertia_scale: 2}\n",
+            ("length_max_m: 2.2", "length_max_m: 1.66"),
+        ),
+    ],
+)
+def test_a_platform_that_comes_to_rest_beyond_the_soft_end_of_a_leg_is_not_called_stable_there(law, soft_end):
+    """Home is inside; the springs of 40 kN/m carry the weight, or what is held up too much, 0.09 m away from it."""
+    inside = judge(changed(law), quick=True)
+    assert inside.status == "conditional"
+    assert inside.figures["energy"]["sag_mm"] > 60.0
+    found = judge(changed(law, soft_end), quick=True)
+    assert found.status == "not proven"
+    assert "it comes to rest outside its limits: leg" in found.claim
+
+
+@pytest.mark.parametrize("down", [-9.81, 9.81])
+def test_an_integral_has_to_carry_the_weight_whether_the_legs_push_or_pull(down):
+    """3.66 kN a leg: 102 % of the one limit and 99 % of the other; with gravity upwards the legs pull."""
+    gravity = "gravity_m_s2: [0, 0, -9.81]", f"gravity_m_s2: [0, 0, {down}]"
+    for limit, status in ((3500.0, "not proven"), (3800.0, "conditional")):
+        law = f"  law: pid\n{LEGS}  ki_N_m_s: 4e5\n  integral_limit_N: {limit}\n"
+        assert judge(changed(law, gravity)).status == status
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_pd_of_unlike_stiffnesses_of_rotation_has_no_energy_and_is_judged_by_small_errors(alike):
+    stiffnesses = "2e5" if alike else "[2e5, 1e5, 3e5]"
+    pose = POSE.replace("kp_rotation_N_m_rad: 2e5", f"kp_rotation_N_m_rad: {stiffnesses}")
+    found = judge(changed(f"  law: cartesian_pd\n{pose}"), quick=True)
+    assert found.status == "conditional"
+    assert ("energy" in found.figures) == alike
+    assert ("three stiffnesses of rotation" in found.claim) == (not alike)
+    assert ("errors are small" in found.conditions) == (not alike)
+    assert np.isfinite(found.figures["sampled"]["largest_pole"])

@@ -1,0 +1,133 @@
+"""What the live page is told of a row, and what it is told when another run begins or cannot be read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import NEVER, DriveFault
+from drivers.tick_columns import ROW
+from hil.app.configuration.configuration import load
+from hil.app.run_description import run_description
+from hil.app.watch.feed import Feed
+from hil.app.watch.server import Watcher
+from hil.app.watch.state import state
+from hil.record.mirror import FIGURES, Mirror, Piece
+from hil.record.row import TICKS, describe
+
+ABOUT = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
+SHORTEST, LONGEST, SILENT = 0.75, 2.2, 5
+"""m, the ends of the stroke, and the ticks from which a leg is silent, in configs/virtual.yaml."""
+
+
+def legs_of(**columns):
+    """Return what is shown of the legs of a row."""
+    row = np.zeros((), ROW)
+    for name, value in columns.items():
+        row[name] = value
+    rows: Any = row[()], np.zeros((), FIGURES)[()]
+    return state(Piece(1, *rows, []), ABOUT, 0)["legs"]
+
+
+def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():
+    low, high = SHORTEST + 0.01, LONGEST - 0.02
+    found = legs_of(q=[low, high, 0.5 * (SHORTEST + LONGEST), SHORTEST - 0.003, LONGEST + 0.004, high])
+    assert found["margin"] == pytest.approx([10.0, 20.0, 725.0, -3.0, -4.0, 20.0], abs=0.01)
+
+
+def test_a_leg_that_was_never_heard_has_no_margin_and_no_length():
+    found = legs_of(q=1.5, age=[0, NEVER, 3, NEVER, 0, 0])
+    heard = [True, False, True, False, True, True]
+    assert [x is not None for x in found["margin"]] == heard
+    assert [x is not None for x in found["q"]] == heard
+
+
+def test_a_leg_is_marked_silent_from_the_tick_of_the_fault_on_but_not_before_it_was_ever_heard():
+    found = legs_of(age=[0, SILENT - 1, SILENT, SILENT + 1, NEVER - 1, NEVER])
+    assert found["marked"] == ["", "", "silent", "silent", "silent", ""]
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_the_mark_of_each_leg_says_all_that_is_wrong_with_it(leg):
+    age, fault = np.zeros(6, int), np.zeros(6, int)
+    age[leg], fault[leg] = 200, DriveFault.OVERFORCE
+    found = legs_of(
+        age=age, drive_fault=fault, legs_doubted=1 << leg, legs_moved=1 << leg, legs_refused=1 << leg
+    )["marked"]
+    said = set(found.pop(leg).split(", "))
+    assert said == {"encoder doubted", "moved on its brake", "drive refuses", "silent", "overforce"}
+    assert found == [""] * 5
+
+
+class Page:
+    """A page that is open, and all that it was sent."""
+
+    def __init__(self):
+        self.data = b""
+        writer: Any = self
+        self._watcher = Watcher(writer)
+
+    @property
+    def transport(self):
+        return self
+
+    def is_closing(self):
+        return False
+
+    def get_write_buffer_size(self):
+        return 0
+
+    def write(self, data):
+        self.data += data
+
+    def told(self, feed, now, name):
+        """Return the data of the events of a name that come with a look."""
+        self.data = b""
+        fresh = feed.look(now)
+        self._watcher.send(feed, now, fresh=fresh)
+        parts = self.data.decode().split("\n\n")[:-1]
+        return [json.loads(p.partition("\ndata: ")[2]) for p in parts if p.startswith(f"event: {name}\n")]
+
+
+BEGUN = [{"number": 1, "t_ns": 5_000_000, "level": "info", "text": "begun"}]
+
+
+def shown(path, name, events=BEGUN, **changes):
+    """Return the mirror of a run with one row."""
+    about = {**ABOUT, "name": name, "columns": describe(TICKS.columns), **changes}
+    mirror = Mirror(path, about)
+    mirror.write(np.zeros((), ROW), np.zeros((), FIGURES), json.dumps(events).encode())
+    return mirror
+
+
+def test_of_each_run_that_follows_the_events_are_shown_though_they_are_those_of_the_former(tmp_path):
+    path, page = tmp_path / "mirror", Page()
+    feed = Feed(path)
+    for n, name in enumerate(("first", "second", "third")):
+        mirror = shown(path, name)
+        assert [e["text"] for e in page.told(feed, 10.0 * n, "events")[-1]] == ["begun"], name
+        mirror.close()
+
+
+def test_a_page_that_is_open_is_told_once_that_what_runs_now_cannot_be_read(tmp_path):
+    path, page = tmp_path / "mirror", Page()
+    feed = Feed(path)
+    mirror = shown(path, "good")
+    assert [about["name"] for about in page.told(feed, 0.0, "about")] == ["good"]
+    mirror.close()
+    path.write_bytes(b"of another version")
+    (about,) = page.told(feed, 10.0, "about")
+    assert "use the version that runs there" in about["trouble"]
+    assert page.told(feed, 20.0, "about") == [], "it is said once"
+    path.unlink()
+    mirror = shown(path, "good again")
+    assert [about["name"] for about in page.told(feed, 30.0, "about")] == ["good again"]
+    mirror.close()
+    mirror = shown(path, "other shapes", length_min_m=[0.0] * 5)
+    told = page.told(feed, 40.0, "about")
+    assert "use the version that runs there" in told[-1]["trouble"]
+    mirror.close()

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
+from hil.app.new.text import flow
 from plant_fmu.fmu.propose import Proposal, propose
 from plant_fmu.stewart.build import build
 
@@ -28,17 +29,18 @@ def plant_section(path: str, proposal: Proposal) -> list[str]:
     What nothing was found for is left empty, with a comment that says what is needed.
     """
     needed = {"force": "inputs, N, > 0 extends", "length": "outputs, m", "rate": "outputs, m/s"}
-    lines = ["type: fmu", f"path: {path}", "isolation: child_process"]
+    lines = ["type: fmu", f"path: {flow(path)}", "isolation: child_process"]
     if proposal.needs_tool:
         lines.append(f"allow_execution_tool: true   # needs {proposal.tool} at run time")
     for key, what in needed.items():
-        names = ", ".join(proposal.mapped.get(key, ()))
-        lines.append(f"{key}: [{names}]   # {what}" + ("" if names else ": name six in leg order"))
-    brakes = ", ".join(proposal.mapped.get("brake", ()))
-    lines.append(f"brake: [{brakes}]   # inputs, 1 holds the leg" + ("" if brakes else ": none, it falls"))
+        names = proposal.mapped.get(key, ())
+        lines.append(f"{key}: {flow(names)}   # {what}" + ("" if names else ": name six in leg order"))
+    brakes = proposal.mapped.get("brake", ())
+    lines.append(
+        f"brake: {flow(brakes)}   # inputs, 1 holds the leg" + ("" if brakes else ": none, it falls")
+    )
     if proposal.unstated:
-        units = ", ".join(f"{key}: {unit}" for key, unit in proposal.unstated.items())
-        lines.append(f"assume_unit: {{{units}}}   # the FMU states none")
+        lines.append(f"assume_unit: {flow(proposal.unstated)}   # the FMU states none")
     return lines
 
 

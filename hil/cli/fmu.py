@@ -76,8 +76,9 @@ def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
       2  no FMU, or not for co-simulation
     """
     from hil.app.fmu import show_fmu
+    from hil.app.terminal import one_line
 
     lines, summary = show_fmu(fmu)
     for line in lines:
-        click.echo(line)  # not folded: the section is to be copied
+        click.echo(one_line(line))  # not folded: the section is to be copied
     finish_lines((), summary, json_file)

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner
 from pydantic import ValidationError
 
 from drivers.errors import PlantError
+from hil.app.configuration.yaml_positions import parse
+from hil.app.fmu import plant_section
 from hil.cli import main
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant
@@ -160,14 +161,33 @@ def test_names_with_the_leg_in_their_middle_are_recognised_in_leg_order(names, t
         assert found.mapped[key] == tuple(name.format(i) for i in range(first, first + 6)), key
 
 
-def test_the_proposed_section_can_be_copied_from_the_terminal(tmp_path):
-    long = "a_long_name_of_the_{}_th_leg_"
-    names = [long + word for word in ("force", "length", "rate", "brake")]
-    path = rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, *platform_of_names(*names))
+@pytest.mark.parametrize("file", ["p.fmu", "a: b.fmu", "#1.fmu", "[a], 'b\".fmu"])
+@pytest.mark.parametrize("name", ["a_long_name_of_the_{}_th_leg", "leg[{}].port", "no, {}: {{#1}}"])
+def test_the_proposed_section_can_be_copied_from_the_terminal(name, file, tmp_path):
+    names = [f"{name}_{word}" for word in ("force", "length", "rate", "brake")]
+    path = rewritten("2.0", tmp_path / file, *UNITLESS, *platform_of_names(*names))
     done = CliRunner().invoke(main, ["fmu", "show", str(path)])
-    section = yaml.safe_load("plant:" + done.output.split("\nplant:")[1])
-    assert section["plant"]["model"]["force"] == [names[0].format(i) for i in range(6)]
-    FmuPlant.model_validate(section["plant"]["model"])
+    model = parse("plant:" + done.output.split("\nplant:")[1]).value["plant"]["model"]
+    found = propose(path)
+    assert len(found.mapped) == 4
+    assert {key: tuple(model[key]) for key in found.mapped} == found.mapped
+    assert (model["path"], model["assume_unit"]) == (file, UNITS)
+    FmuPlant.model_validate(model)
+
+
+def test_the_section_of_our_own_file_of_fmi_2_can_be_copied():
+    model = parse("\n".join(plant_section("a.fmu", propose(build("2.0"))))).value
+    assert model["force"] == [f"force[{i}]" for i in range(1, 7)]
+    FmuPlant.model_validate(model)
+
+
+def test_what_a_tool_is_called_adds_no_line_to_the_proposed_section(tmp_path):
+    named = (rb'generationTool="[^"]*"', b'generationTool="a&#10;path: other.fmu"')
+    needed = (rb"<CoSimulation ", b'<CoSimulation needsExecutionTool="true" ')
+    path = rewritten("2.0", tmp_path / "p.fmu", named, needed)
+    done = CliRunner().invoke(main, ["fmu", "show", str(path)])
+    model = parse("plant:" + done.output.split("\nplant:")[1]).value["plant"]["model"]
+    assert (model["path"], model["allow_execution_tool"]) == ("p.fmu", True)
 
 
 def test_nothing_is_proposed_for_names_that_say_nothing(tmp_path):

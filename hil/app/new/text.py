@@ -36,21 +36,21 @@ def _entry(path: tuple[str, ...], value: Any, comments: Mapping[str, str]) -> It
     elif isinstance(value, list) and value and isinstance(value[0], Mapping):
         yield _commented(f"{indent}{path[-1]}:", comment)
         for item in value:
-            yield f"{indent}  - {_flow(item)}"
+            yield f"{indent}  - {flow(item)}"
     else:
-        yield _commented(f"{indent}{path[-1]}: {_flow(value)}", comment)
+        yield _commented(f"{indent}{path[-1]}: {flow(value)}", comment)
 
 
 def _commented(line: str, comment: str | None) -> str:
     return line if comment is None else f"{line:<{COLUMN}} # {comment}"
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
     """Return a value on one line; floats to `DIGITS` as numbers of YAML 1.2, a Decimal as it is."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k}: {_flow(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{k}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_flow(v) for v in value) + "]"
+        return "[" + ", ".join(flow(v) for v in value) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

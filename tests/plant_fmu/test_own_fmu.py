@@ -6,6 +6,7 @@ import re
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -161,13 +162,21 @@ def test_names_with_the_leg_in_their_middle_are_recognised_in_leg_order(names, t
         assert found.mapped[key] == tuple(name.format(i) for i in range(first, first + 6)), key
 
 
+def read(text: str) -> dict[str, Any]:
+    """What the loader of configurations makes of a text."""
+    document = parse(text)
+    assert not document.problems
+    assert document.value is not None
+    return document.value
+
+
 @pytest.mark.parametrize("file", ["p.fmu", "a: b.fmu", "#1.fmu", "[a], 'b\".fmu"])
 @pytest.mark.parametrize("name", ["a_long_name_of_the_{}_th_leg", "leg[{}].port", "no, {}: {{#1}}"])
 def test_the_proposed_section_can_be_copied_from_the_terminal(name, file, tmp_path):
     names = [f"{name}_{word}" for word in ("force", "length", "rate", "brake")]
     path = rewritten("2.0", tmp_path / file, *UNITLESS, *platform_of_names(*names))
     done = CliRunner().invoke(main, ["fmu", "show", str(path)])
-    model = parse("plant:" + done.output.split("\nplant:")[1]).value["plant"]["model"]
+    model = read("plant:" + done.output.split("\nplant:")[1])["plant"]["model"]
     found = propose(path)
     assert len(found.mapped) == 4
     assert {key: tuple(model[key]) for key in found.mapped} == found.mapped
@@ -176,7 +185,7 @@ def test_the_proposed_section_can_be_copied_from_the_terminal(name, file, tmp_pa
 
 
 def test_the_section_of_our_own_file_of_fmi_2_can_be_copied():
-    model = parse("\n".join(plant_section("a.fmu", propose(build("2.0"))))).value
+    model = read("\n".join(plant_section("a.fmu", propose(build("2.0")))))
     assert model["force"] == [f"force[{i}]" for i in range(1, 7)]
     FmuPlant.model_validate(model)
 
@@ -186,7 +195,7 @@ def test_what_a_tool_is_called_adds_no_line_to_the_proposed_section(tmp_path):
     needed = (rb"<CoSimulation ", b'<CoSimulation needsExecutionTool="true" ')
     path = rewritten("2.0", tmp_path / "p.fmu", named, needed)
     done = CliRunner().invoke(main, ["fmu", "show", str(path)])
-    model = parse("plant:" + done.output.split("\nplant:")[1]).value["plant"]["model"]
+    model = read("plant:" + done.output.split("\nplant:")[1])["plant"]["model"]
     assert (model["path"], model["allow_execution_tool"]) == ("p.fmu", True)
 
 

@@ -246,8 +246,9 @@ class _Control:
         if self._fd in ready:
             data = os.read(self._fd, 65536)
             self._received += data
-            if self._received.endswith(b"\n"):
-                self.summary = json.loads(self._received)
+            line, whole, _ = self._received.partition(b"\n")  # a close that was interrupted sends another one
+            if whole:
+                self.summary = json.loads(line)
                 return True
             return not data
         return self._orphan or self._pidfd in ready

@@ -56,6 +56,14 @@ def test_a_producer_that_lives_has_ended_once_its_summary_is_whole(held, produce
     assert control.summary == {"ending": "PARKED"}
 
 
+@pytest.mark.parametrize("more", [b"{}\n", b"{", b"{}\n{}\n"])
+def test_the_first_summary_counts_where_an_interrupted_close_sends_more(held, producer, more):
+    control = _Control(held[0], producer.pid)
+    os.write(held[1], json.dumps({"ending": "PARKED"}).encode() + b"\n" + more)
+    assert control.ended(LONG_S)
+    assert control.summary == {"ending": "PARKED"}
+
+
 def test_a_producer_that_has_closed_its_pipe_has_ended(held, producer):
     control = _Control(held[0], producer.pid)
     os.close(held[1])

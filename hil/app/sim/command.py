@@ -180,8 +180,9 @@ def simulate(
             begun = time.perf_counter()
             ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
             wall = time.perf_counter() - begun
-            recorder = recording.close(closing(ending, ending.trouble))
-            lost = recorder.error or ("" if truth is None else truth.close().error)
+            with leaving(lambda: f"after the run, which {_ended(ending)}; its log: {path}"):
+                recorder = recording.close(closing(ending, ending.trouble))
+                lost = recorder.error or ("" if truth is None else truth.close().error)
     finally:
         physics.close()
     trouble = "; ".join(filter(None, (ending.trouble, lost)))

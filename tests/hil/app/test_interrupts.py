@@ -18,7 +18,7 @@ from hil.app.sim import command
 from hil.cli import check, main
 from hil.cli.interrupts import INTERRUPTED, Interrupts, comes_of_interrupt
 from hil.loop.panel import OperatorPanel
-from hil.record import Recording
+from hil.record import Recording, recording
 from hil.record.log import Log
 
 
@@ -164,6 +164,30 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
     log = Log.open(path)
     assert len(log.rows()) == 150
     assert log.metadata["summary"]["reason"] == "interrupted"
+
+
+def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process, monkeypatch, tmp_path):
+    path = tmp_path / "a.mcap"
+    send, answer, answered = recording.write_all, recording.answer, []
+
+    def send_to_a_busy_one(recorder, data):
+        os.kill(recorder.pid, signal.SIGSTOP)
+        send(recorder, data)
+
+    def interrupted_answer(recorder, timeout_s):
+        answered.append(timeout_s)
+        if len(answered) == 2:  # the first one was at the start
+            press()
+        os.kill(recorder.pid, signal.SIGCONT)
+        return answer(recorder, timeout_s)
+
+    monkeypatch.setattr(recording, "write_all", send_to_a_busy_one)
+    monkeypatch.setattr(recording, "answer", interrupted_answer)
+    code, said = process("sim", "ideal", "--duration", "0.1", "--log", path)
+    assert len(answered) == 3
+    assert (code, said) == (130, f"hil: interrupted after the run, which ended in PARKED; its log: {path}\n")
+    log = Log.open(path)
+    assert (log.cut, log.metadata["summary"]["ending"]) == ("", "PARKED")
 
 
 def test_an_interrupt_of_the_replay_after_a_simulation_says_how_it_ended(monkeypatch, tmp_path):

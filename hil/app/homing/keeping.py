@@ -47,15 +47,25 @@ class Keeper:
             self.last_pose = self.last_pose._replace(length=home)
 
     def begin(self, cycle: Cycle) -> None:
-        """Mark the file: who dies from here on has not said where the legs are."""
+        """Mark the file: who dies from here on has not said where the legs are.
+
+        An interrupt may come before the file is marked or behind: have `close` called in any case.
+        """
         if self._path is not None and self._file is not None:
+            self._cycle = cycle
             marked = homing_file(self._c, "moved", self._file.lengths_m, self._file.turns)
             write_homing(self._c, self._path, marked)
-            self._cycle = cycle
 
     def close(self) -> None:
         """Say where the legs are; the same as before if the brakes have not been open. Once."""
-        cycle, self._cycle = self._cycle, None
+        try:
+            self._say()
+        except KeyboardInterrupt:
+            self._say()  # no further press disturbs it
+            raise
+
+    def _say(self) -> None:
+        cycle = self._cycle
         if cycle is None:
             return
         assert self._path is not None
@@ -68,6 +78,7 @@ class Keeper:
             write_homing(self._c, self._path, parked)
         elif not cycle.homing.opened:
             write_homing(self._c, self._path, self._file)
+        self._cycle = None
 
     def summary(self, cycle: Cycle) -> dict[str, Any]:
         """Return what a run's summary says of it; nothing where no drive forgets."""

@@ -94,8 +94,8 @@ def run_daemon(
         channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
         if removed:
             recording.event(bus.clock.now(), "info", f"removed for recording.budget_GB: {', '.join(removed)}")
-        keeper.begin(cycle)
         stack.callback(keeper.close)
+        keeper.begin(cycle)
         bus.flush_tx()
         bus.drain_now()
         if bus.facts:

@@ -175,8 +175,8 @@ def simulate(
                 recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
-            keeper.begin(cycle)
             stack.callback(keeper.close)
+            keeper.begin(cycle)
             begun = time.perf_counter()
             ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
             wall = time.perf_counter() - begun

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,10 +16,12 @@ from drivers.errors import ConfigurationError
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.homing import keeping
 from hil.app.homing.command import state_homing
-from hil.app.homing.file import read_homing, write_homing
+from hil.app.homing.file import HomingFile, read_homing, write_homing
 from hil.app.homing.keeping import Keeper
 from hil.app.run import command
+from hil.app.sim import command as sim
 from hil.loop.homing import LastPose
 from tests.hil.app.test_homing import configuration
 
@@ -72,6 +75,20 @@ def states(c: Configuration) -> dict[bool, str]:
     return {emulated: read_homing(c, c.folder / name).state for emulated, name in FILES.items()}
 
 
+@contextlib.contextmanager
+def nothing(*_: Any, **__: Any) -> Any:
+    yield SimpleNamespace(event=lambda *_: None)
+
+
+def stand_in(monkeypatch: pytest.MonkeyPatch, build_cycle: Callable[..., Any]) -> None:
+    """Let a run have that cycle, and neither recorder nor plant."""
+    for name in ("record", "SupervisedPlant"):
+        monkeypatch.setattr(command, name, nothing)
+    monkeypatch.setattr(command, "select_rate", lambda *_, **__: (400.0, 0.01))
+    monkeypatch.setattr(command, "build_cycle", build_cycle)
+    monkeypatch.setattr(command, "make_room", lambda *_: [])
+
+
 @pytest.mark.parametrize("with_plant", [False, True])
 def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_loop_begins(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool
@@ -88,15 +105,7 @@ def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_lo
         during.append(states(stated))
         raise EndsHere
 
-    @contextlib.contextmanager
-    def nothing(*_: Any, **__: Any) -> Any:
-        yield SimpleNamespace(event=lambda *_: None)
-
-    for name in ("record", "SupervisedPlant"):
-        monkeypatch.setattr(command, name, nothing)
-    monkeypatch.setattr(command, "select_rate", lambda *_, **__: (400.0, 0.01))
-    monkeypatch.setattr(command, "build_cycle", build_cycle)
-    monkeypatch.setattr(command, "make_room", lambda *_: [])
+    stand_in(monkeypatch, build_cycle)
     monkeypatch.setattr(command, "real_time", begins)
     for opened in (False, True):
         cycle.homing.opened = opened
@@ -107,6 +116,74 @@ def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_lo
     assert during == [{with_plant: "moved", not with_plant: "stated"}] * 2
     expected = LENGTHS[::-1] if with_plant else LENGTHS
     assert [pose.length.tolist() for pose in told] == [expected] * 2
+
+
+def pressed(monkeypatch: pytest.MonkeyPatch, which: int, moment: str) -> list[str]:
+    """Let Ctrl-C come as the file is written for that time, before it is there or behind; what is written."""
+    written: list[str] = []
+
+    def write(c: Configuration, path: Path, file: HomingFile) -> None:
+        written.append(file.state)
+        if len(written) == which and moment == "before":
+            raise KeyboardInterrupt
+        write_homing(c, path, file)
+        if len(written) == which and moment == "behind":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(keeping, "write_homing", write)
+    return written
+
+
+MOMENTS = pytest.mark.parametrize("moment", ["before", "behind"])
+
+
+@MOMENTS
+@pytest.mark.parametrize("with_plant", [False, True])
+def test_an_interrupt_as_a_run_marks_its_file_leaves_it_as_it_was(
+    stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool, moment: str
+) -> None:
+    cycle = cycle_of(tick={"age": np.full(6, 99)})
+    cycle.homing.opened = False
+    stand_in(monkeypatch, lambda *_, **__: cycle)
+    written = pressed(monkeypatch, 1, moment)
+    with sockets(monkeypatch), pytest.raises(KeyboardInterrupt, match="nothing has moved"):
+        command.run_daemon(stated, with_plant=with_plant, arm=True, draw=False)
+    assert written == ["moved", "stated"]
+    assert states(stated) == {False: "stated", True: "stated"}
+
+
+@MOMENTS
+def test_an_interrupt_as_a_simulation_marks_its_file_leaves_it_as_it_was(
+    stated: Configuration, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    cycle = cycle_of(tick={"age": np.full(6, 99)})
+    cycle.homing.opened = False
+    monkeypatch.setattr(sim, "build_cycle", lambda *_, **__: cycle)
+    monkeypatch.setattr(sim, "build_nodes", lambda *_: (None, SimpleNamespace(close=lambda: None)))
+    monkeypatch.setattr(sim, "build_lockstep", lambda *_: None)
+    monkeypatch.setattr(sim, "record", nothing)
+    written = pressed(monkeypatch, 1, moment)
+    with pytest.raises(KeyboardInterrupt):
+        sim.simulate(stated, log=stated.folder / "a.mcap", duration_s=0.1)
+    assert written == ["moved", "stated"]
+    assert states(stated) == {False: "stated", True: "stated"}
+
+
+@MOMENTS
+@pytest.mark.parametrize(("opened", "left"), [(True, "parked"), (False, "stated")])
+def test_an_interrupt_as_a_run_says_where_the_legs_are_comes_too_late_to_lose_it(
+    stated: Configuration, monkeypatch: pytest.MonkeyPatch, opened: bool, left: str, moment: str
+) -> None:
+    cycle = cycle_of(tick={"age": np.full(6, 0 if opened else 99)})
+    cycle.homing.opened = opened
+    keeper = Keeper(stated, emulated=True)
+    written = pressed(monkeypatch, 2, moment)
+    keeper.begin(cycle)
+    with pytest.raises(KeyboardInterrupt):
+        keeper.close()
+    keeper.close()
+    assert written == ["moved", left, left]
+    assert states(stated) == {False: "stated", True: left}
 
 
 def test_a_run_on_a_rehearsal_bench_reads_and_marks_no_file_of_a_machine(

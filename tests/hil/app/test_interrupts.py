@@ -18,7 +18,7 @@ from hil.app.sim import command
 from hil.cli import check, main
 from hil.cli.interrupts import INTERRUPTED, Interrupts, comes_of_interrupt
 from hil.loop.panel import OperatorPanel
-from hil.record import Recording, recording
+from hil.record import Recording, child
 from hil.record.log import Log
 
 
@@ -168,7 +168,7 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
 
 def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    send, answer, answered = recording.write_all, recording.answer, []
+    send, answer, answered = child.write_all, child.answer, []
 
     def send_to_a_busy_one(recorder, data):
         os.kill(recorder.pid, signal.SIGSTOP)
@@ -181,8 +181,8 @@ def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process
         os.kill(recorder.pid, signal.SIGCONT)
         return answer(recorder, timeout_s)
 
-    monkeypatch.setattr(recording, "write_all", send_to_a_busy_one)
-    monkeypatch.setattr(recording, "answer", interrupted_answer)
+    monkeypatch.setattr("hil.record.recording.write_all", send_to_a_busy_one)
+    monkeypatch.setattr("hil.record.recording.answer", interrupted_answer)
     code, said = process("sim", "ideal", "--duration", "0.1", "--log", path)
     assert len(answered) == 3
     assert (code, said) == (130, f"hil: interrupted after the run, which ended in PARKED; its log: {path}\n")

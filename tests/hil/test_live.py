@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import io
+import os
+import struct
+import termios
 
 import numpy as np
+import pytest
 
 from drivers.signals import Mode, Warn
 from drivers.tick_columns import ROW
@@ -67,3 +72,39 @@ def test_a_line_has_the_latest_wake_up_since_the_line_before_and_none_from_earli
     show(30, due=True)
     said = [line.partition("late ")[2].partition("us")[0].strip() for line in out.getvalue().splitlines()]
     assert said == ["5000", "700", "30"]
+
+
+@pytest.fixture
+def terminal():
+    """A terminal whose width can be set, and what was written to it."""
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs, "w", encoding="utf-8") as out:
+
+        def wide(columns):
+            fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+
+        yield out, wide, lambda: os.read(ours, 65536).decode()
+    os.close(ours)
+
+
+@pytest.mark.parametrize(("columns", "most"), [(80, 79), (40, 39), (200, 199), (0, 79)])
+def test_a_line_on_a_terminal_stays_in_one_row_of_it_that_the_next_one_rewrites(terminal, columns, most):
+    out, wide, written = terminal
+    view = LiveView(out, 60.0)
+    tracking = rows(1, mode=Mode.TRACKING, reference_time_s=12.3)
+    whole = view.line(tracking[0])
+    assert 100 < len(whole) < 199
+    wide(columns)
+    view.show(tracking)
+    assert written() == f"\r\x1b[K{whole[:most]}"
+
+
+def test_a_terminal_that_becomes_narrower_is_asked_again(terminal):
+    out, wide, written = terminal
+    view = LiveView(out, 60.0)
+    tracking = rows(1, mode=Mode.TRACKING, reference_time_s=12.3)
+    for columns in (80, 50):
+        wide(columns)
+        view._due = 0.0
+        view.show(tracking)
+        assert len(written()) == len("\r\x1b[K") + columns - 1

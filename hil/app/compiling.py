@@ -11,6 +11,7 @@ import click
 
 from drivers.compiled.cache import before_compiling, elsewhere, while_compiling
 from drivers.compiled.progress import Compilation, Progress
+from drivers.terminal_row import rewriting
 
 EVERY_S = 10.0
 """From one plain line to the next."""
@@ -44,7 +45,7 @@ class Display:
             click.echo(f"hil: {elsewhere()}", err=True)
         if sys.stderr.isatty():
             over = at.done >= at.total
-            click.echo(f"\r\x1b[K{'' if over else line(at)}", err=True, nl=False)
+            click.echo(rewriting("" if over else line(at), sys.stderr), err=True, nl=False)
         elif not at.done or at.elapsed_s - self._last_s >= EVERY_S:
             self._last_s = at.elapsed_s
             click.echo(line(at), err=True)

@@ -1,6 +1,5 @@
 """The live status line of a run, drawn from the rows that the recorder drains."""
 
-import os
 import time
 from typing import Any, TextIO
 
@@ -8,13 +7,12 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.signals import Mode, Warn
+from drivers.terminal_row import rewriting
 
 TERMINAL_S = 0.2
 """Time between two lines on a terminal, which overwrite one another."""
 PLAIN_S = 5.0
 """Time between two lines elsewhere."""
-_COLUMNS = 80
-"""Of a terminal that does not say how wide it is."""
 
 
 class LiveView:
@@ -70,13 +68,7 @@ class LiveView:
 
     def _draw(self, text: str) -> None:
         try:
-            if self._terminal:
-                text = text[: self._columns() - 1]
-            self._out.write(f"\r\x1b[K{text}" if self._terminal else f"{text}\n")
+            self._out.write(rewriting(text, self._out) if self._terminal else f"{text}\n")
             self._out.flush()
         except OSError:
             self._due = float("inf")
-
-    def _columns(self) -> int:
-        """Return the width of the terminal now: a line that wraps would leave a row behind each time."""
-        return os.get_terminal_size(self._out.fileno()).columns or _COLUMNS

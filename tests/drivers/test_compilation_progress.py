@@ -95,3 +95,13 @@ def test_the_line_says_which_of_how_many_and_how_long():
     assert line(Progress(3, 79, 10.0, 61.4)) == (
         "compiling the mathematics, once: 3 of 79 kernels, about 61 s left; Ctrl-C loses little of it ..."
     )
+
+
+def test_on_a_terminal_of_usual_width_the_line_stays_in_one_row_that_the_next_one_rewrites(
+    capsys, monkeypatch
+):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("hil.app.compiling.elsewhere", lambda: "")
+    Display().show(Progress(3, 79, 10.0, 61.4))
+    said = capsys.readouterr().err
+    assert said == "\r\x1b[Kcompiling the mathematics, once: 3 of 79 kernels, about 61 s left; Ctrl-C loses"

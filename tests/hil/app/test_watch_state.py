@@ -29,8 +29,9 @@ def legs_of(**columns):
     row = np.zeros((), ROW)
     for name, value in columns.items():
         row[name] = value
-    rows: Any = row[()], np.zeros((), FIGURES)[()]
-    return state(Piece(1, *rows, []), ABOUT, 0)["legs"]
+    there: Any = row[()]
+    figures: Any = np.zeros((), FIGURES)[()]
+    return state(Piece(1, there, figures, []), ABOUT, 0)["legs"]
 
 
 def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():

@@ -3,10 +3,12 @@
 import errno
 import json
 import random
+from typing import Any
 
 import pytest
 
 from drivers.errors import LogError
+from hil.app.campaign import parquet
 from hil.app.campaign import store as store_of
 from hil.app.campaign.parquet import Column, read
 from hil.app.campaign.store import Store, stored_rows
@@ -103,7 +105,7 @@ class Timers:
     """In the place of a timer: starts are noted, and time is over when the test says so."""
 
     def __init__(self, monkeypatch):
-        self.running = []
+        self.running: list[Any] = []
         timers = self
 
         class Timer:
@@ -159,16 +161,16 @@ def test_a_disk_that_is_full_in_the_meantime_is_said_with_the_next_row_and_costs
     timers = Timers(monkeypatch)
     store = opened(tmp_path)
     store.add(ROWS[0])
-    write = store_of.parquet.write
+    write = parquet.write
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(store_of.parquet, "write", full)
+    monkeypatch.setattr(parquet, "write", full)
     timers.over()
     with pytest.raises(LogError, match="No space left on device"):
         store.add(ROWS[1])
-    monkeypatch.setattr(store_of.parquet, "write", write)
+    monkeypatch.setattr(parquet, "write", write)
     store.flush()
     assert sorted(store.rows()) == [0, 1]
     crash(store)

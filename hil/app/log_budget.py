@@ -60,7 +60,7 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
             if total + needed <= budget and shutil.disk_usage(folder).free >= needed:
                 break
             try:
-                log.path.unlink()
+                log.path.unlink(missing_ok=True)  # another run may have made room meanwhile
             except OSError as error:
                 raise LogError(f"{log.path}: cannot be removed for recording.budget_GB: {error}") from None
             total -= log.size

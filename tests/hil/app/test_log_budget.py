@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.errors import LogError
+from hil.app import log_budget
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.log_budget import TICK_BYTES, dated_logs, make_room, needed_bytes
@@ -148,3 +149,13 @@ def test_old_logs_make_room_on_a_disk_that_is_nearly_full_although_the_budget_is
         "virtual-20260101T000000.mcap",
         "virtual-20260101T000003.mcap",
     ]
+
+
+def test_a_log_that_another_run_has_removed_meanwhile_is_no_reason_to_refuse_this_one(runs, monkeypatch):
+    def looked(path):
+        (runs / "virtual-20260101T000000.mcap").unlink(missing_ok=True)
+        return False
+
+    monkeypatch.setattr(log_budget, "_had_trouble", looked)
+    make_room(configured(runs, 1e-6), 0)
+    assert left(runs) == OTHERS | {"virtual-20260101T000004"}

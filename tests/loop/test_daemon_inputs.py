@@ -34,12 +34,14 @@ class Busy(Wire):
         self.flushed: list[int] = []
         self.all_sent: list[Frame] = []
         self.asked = False
+        self.allowed_ns: list[int] = []
         self.clock: Any = SimpleNamespace(
             stretched=lambda: self.tick * (self.tick + 1), working=self.working, now=self.now
         )
 
-    def working(self, _allowed_ns: int) -> None:
+    def working(self, allowed_ns: int) -> None:
         self.asked = True
+        self.allowed_ns.append(allowed_ns)
 
     def now(self) -> int:
         return int(self.tick * self.period_ns) + LATE_NS
@@ -68,7 +70,9 @@ class Busy(Wire):
 
 
 def looped(
-    refused: dict[tuple[int, str], int] | None = None, commands: dict[int, tuple[Operator, ...]] | None = None
+    refused: dict[tuple[int, str], int] | None = None,
+    commands: dict[int, tuple[Operator, ...]] | None = None,
+    window_ns: int = 0,
 ) -> tuple[list[TickInput], Busy]:
     """Run some ticks; return the inputs of the step, and the wire."""
     c = load("ideal")
@@ -87,7 +91,7 @@ def looped(
     course = Course(cycle)
     course.commands = lambda tick, _said=(): (commands or {}).get(tick, ())  # type: ignore[method-assign, assignment]
     recording = SimpleNamespace(alive=True, dropped=5, tick=lambda *_: None, event=lambda *_: None)
-    run(course, Shell(wire, wire, recording, OperatorPanel(), 0))  # type: ignore[arg-type]
+    run(course, Shell(wire, wire, recording, OperatorPanel(), window_ns))  # type: ignore[arg-type]
     plant.close()
     return inputs[:TICKS], wire
 
@@ -101,6 +105,14 @@ def test_the_step_is_told_what_was_late_lost_and_skewed_in_its_tick():
         assert inp.recorder_dropped == 5
         assert inp.recorder_alive
     assert [inp.stretched_ns for inp in inputs] == [2 * tick for tick in range(TICKS)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.75])
+def test_on_a_bench_whose_time_stands_still_a_step_may_take_what_the_window_leaves_of_the_period(share):
+    period_ns = round(1e9 / load("ideal").loop.rate_Hz)
+    window_ns = round(share * period_ns)
+    _, wire = looped(window_ns=window_ns)
+    assert wire.allowed_ns[:TICKS] == [period_ns - window_ns] * TICKS
 
 
 def test_when_a_drive_latched_counts_from_the_wake_up_however_late_that_was():

@@ -126,3 +126,15 @@ def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):
     rate_selection.select_rate(c.model_copy(update={"limits": limits}), with_plant=True)
     assert asked == [5]
     assert len(said) == 1
+
+
+@pytest.mark.parametrize(("watchdog_ms", "rate_Hz"), [(30.0, 125.0), (39.0, 125.0), (41.0, 50.0)])
+def test_drives_that_switch_off_sooner_than_the_loop_gives_up_do_not_outlast_a_stall(
+    fifo, watchdog_ms, rate_Hz
+):
+    """Of the loop twelve periods of 20 ms may be lost; the stall expected is 40 ms."""
+    said = fifo(0.5)
+    c = load("vcan50")
+    c = c.model_copy(update={"drives": c.drives.model_copy(update={"watchdog_ms": watchdog_ms})})
+    assert rate_selection.select_rate(c, with_plant=True)[0] == rate_Hz
+    assert len(said) == (rate_Hz != c.loop.rate_Hz)

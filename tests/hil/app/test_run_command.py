@@ -1,0 +1,145 @@
+"""What `hil run` begins its loop with, and what it makes of the end of the loop and of its plant."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import Fault, Mode
+from drivers.tick_columns import ROW
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.run import command
+from hil.loop.clock import RealTime
+from hil.loop.daemon import Shell
+from hil.loop.run_end import Course, Ending
+from hil.record import LogSummary
+from tests.loop.test_run_end import cycle as a_cycle
+
+PARKED = Ending(Mode.PARKED, Fault.NONE, "", 9)
+STOPPED = Ending(Mode.FAULT, Fault.ESTOP, "latched fault ESTOP", 9)
+VIRTUAL = load("virtual")
+Ran = Callable[..., tuple[Course, Shell, list[int], dict[str, Any]]]
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
+    """A function that runs a loop of no tick on a bus that does nothing.
+
+    It returns its course, its shell, with which windows bench time was held, and the summary.
+    """
+
+    def run_daemon(
+        c: Configuration = VIRTUAL,
+        ending: Ending = PARKED,
+        *,
+        rate_Hz: float = 1000.0,
+        plant_success: bool = True,
+        **options: Any,
+    ) -> tuple[Course, Shell, list[int], dict[str, Any]]:
+        begun: list[tuple[Course, Shell]] = []
+        windows: list[int] = []
+        clock = SimpleNamespace(now=lambda: 0, leave=lambda: None, interrupted=False)
+        bus = SimpleNamespace(
+            clock=clock, facts="", virtual=True, knows_ends=True, flush_tx=lambda: 0, drain_now=list
+        )
+        cycle: Any = a_cycle(Mode.WAITING)
+        cycle.parts.trajectory, cycle.parts.law = SimpleNamespace(duration_s=1.0), None
+        closed = LogSummary(tmp_path / "a.mcap", 0, 0, 0, 0, 0, 0.0, True, "", gave_up=False)
+        recording = SimpleNamespace(event=lambda *_: None, close=lambda _: closed)
+        finished = {"success": plant_success, "trouble": None}
+        plant = SimpleNamespace(trouble=lambda: "", finish=lambda: finished)
+        keeper = SimpleNamespace(
+            last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}
+        )
+
+        def run(course: Course, shell: Shell) -> Ending:
+            begun.append((course, shell))
+            return ending
+
+        stand_ins = {
+            "Bus": SimpleNamespace(open=lambda *_, **__: contextlib.nullcontext(bus)),
+            "bench_clock": lambda *_: clock,
+            "begin": lambda *given: windows.append(given[-1]),
+            "select_rate": lambda *_, **__: (rate_Hz, 0.01),
+            "Keeper": lambda *_, **__: keeper,
+            "build_cycle": lambda *_, **__: cycle,
+            "make_room": lambda *_: [],
+            "needed_bytes": lambda *_: 0,
+            "SupervisedPlant": lambda *_: contextlib.nullcontext(plant),
+            "record": lambda *_, **__: contextlib.nullcontext(recording),
+            "OperatorChannel": lambda *_: contextlib.nullcontext(None),
+            "real_time": lambda *_: contextlib.nullcontext(RealTime()),
+            "run": run,
+            "law_figures": lambda *_: {},
+            "loads": lambda *_: {},
+        }
+        for name, stand_in in stand_ins.items():
+            monkeypatch.setattr(command, name, stand_in)
+        summary = command.run_daemon(c, log=tmp_path / "a.mcap", arm=True, draw=False, **options)
+        ((course, shell),) = begun
+        return course, shell, windows, summary
+
+    return run_daemon
+
+
+KINDS: list[dict[str, bool]] = [{}, {"with_plant": True}, {"on_bench": True}]
+BUSES = pytest.mark.parametrize("options", KINDS, ids=["real", "plant", "bench"])
+
+
+@BUSES
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_run_holds_a_platform_until_it_is_released_and_goes_on_where_the_operator_stays(
+    ran: Ran, options: dict[str, bool], goes_on: bool
+) -> None:
+    operator = VIRTUAL.operator.model_copy(update={"stays": goes_on})
+    course, *_ = ran(VIRTUAL.model_copy(update={"operator": operator}), **options)
+    assert (course.stays, course.goes_on) == (True, goes_on)
+
+
+@BUSES
+@pytest.mark.parametrize(
+    ("rate_Hz", "window_ns"), [(1000.0, 750_000), (500.0, 1_500_000), (125.0, 6_000_000)]
+)
+def test_feedback_is_waited_for_as_long_as_the_rate_that_runs_allows(
+    ran: Ran, options: dict[str, bool], rate_Hz: float, window_ns: int
+) -> None:
+    """Three quarters of a period; the configured rate is 1000 Hz."""
+    assert VIRTUAL.loop.feedback_window_us is None
+    _, shell, windows, _ = ran(rate_Hz=rate_Hz, **options)
+    assert shell.feedback_window_ns == window_ns
+    assert windows == ([window_ns] if options else [])
+    assert shell.deadlines.period_ns == round(1e9 / rate_Hz)
+
+
+@pytest.mark.parametrize("plant_success", [True, False])
+@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
+def test_a_run_with_its_plant_is_a_success_where_both_have_ended_well(
+    ran: Ran, ending: Ending, plant_success: bool
+) -> None:
+    *_, summary = ran(ending=ending, plant_success=plant_success, with_plant=True)
+    assert summary["success"] is (ending is PARKED and plant_success)
+    assert summary["plant"]["success"] is plant_success
+
+
+@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
+def test_a_run_without_a_plant_of_its_own_is_a_success_where_it_has_parked(ran: Ran, ending: Ending) -> None:
+    *_, summary = ran(ending=ending)
+    assert summary["success"] is (ending is PARKED)
+
+
+@pytest.mark.parametrize(
+    ("fault_tick", "last", "count"), [(10, 10, 1), (30, 30, 21), (59, 59, 50), (80, 79, 50), (90, 90, 50)]
+)
+def test_the_ticks_that_are_shown_of_a_fault_end_with_its_own(fault_tick: int, last: int, count: int) -> None:
+    """Ticks 80 to 89 are not in the log."""
+    rows = np.zeros(90, ROW)
+    rows["tick"] = [*range(10, 80), *range(90, 110)]
+    shown = [each["tick"] for each in command._tail(rows, fault_tick)]
+    assert (shown[-1], len(shown)) == (last, count)
+    assert shown == sorted(shown)

@@ -79,6 +79,21 @@ def test_what_is_counted():
     assert found["certificate_percent"] == 50.0
 
 
+POWERED = {
+    Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.UNLOADING,
+    Mode.HELD,
+}  # fmt: skip
+"""Modes in which the drives are, and feedback of every leg is expected."""
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_a_tick_without_feedback_of_a_leg_is_stale_wherever_the_drives_are_powered(mode):
+    rows, lengths = ticks()
+    rows["mode"] = mode
+    rows["age"][[4, 70, N - 1], [0, 3, 5]] = 1, 2, 9
+    assert figures(rows, lengths)["stale_ticks"] == (3 if mode in POWERED else 0)
+
+
 def test_travel_counts_from_the_first_latched_fault_where_a_run_goes_on():
     rows, lengths = ticks()
     lengths[:50, 0] = 5.0

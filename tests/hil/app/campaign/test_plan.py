@@ -1,6 +1,8 @@
 """The campaign file: which rows it means, and what is wrong with one, each with its place."""
 
 import json
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import jsonschema  # type: ignore[import-untyped]
@@ -301,6 +303,19 @@ def test_a_file_that_a_configuration_names_is_part_of_the_identity_wherever_it_l
         one, other, elsewhere = found
         assert {name for name in one if one[name] != other[name]} == {"file path.csv"}
         assert other == elsewhere
+
+
+def test_of_files_of_one_name_each_is_part_of_the_identity_and_their_order_is(plan):
+    def made_of(**files: str) -> dict[str, str]:
+        there = {f"/{folder}/path.csv": digest for folder, digest in files.items()}
+        return identity(replace(plan, subject=plan.subject._replace(files=there)))
+
+    found = [
+        made_of(a="1", b="2"), made_of(a="3", b="2"), made_of(a="1", b="3"), made_of(a="2", b="1"),
+        made_of(a="1"), made_of(a="2"), made_of(a="1", b="2", c="3"),
+    ]  # fmt: skip
+    assert all(one != other for one, other in combinations(found, 2))
+    assert made_of(a="1", b="2") == made_of(elsewhere="1", there="2")
 
 
 def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign(tmp_path):

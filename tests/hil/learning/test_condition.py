@@ -113,6 +113,27 @@ def test_a_law_that_looks_ahead_counts_what_was_learned_among_its_commands() -> 
     assert np.abs(e - expected).max() < 0.01 * np.abs(e).max()
 
 
+@pytest.mark.parametrize("looks_ahead", [False, True])
+def test_a_rate_that_is_measured_wrong_enters_by_the_gain_of_the_rate(looks_ahead: bool) -> None:
+    """Step by step in time: the law is given de + n, and the leg goes where it then asks."""
+    law = gains(K_P, K_D, T)
+    if looks_ahead:
+        law = predicting(K_P, K_D, T, bus_s=1e-3, lag_s=0.0, hold_s=0.5e-3)
+    axis = sampled_axis(1e-3, lag(0.0), T)
+    wrong = np.zeros(4000)
+    wrong[100:1100] = np.sin(2.0 * np.pi * 5.0 * T * np.arange(1000)) * np.sin(np.pi * T * np.arange(1000))
+    x, z, e = np.zeros(axis.order), np.zeros(law.order), np.zeros(4000)
+    for k in range(4000):
+        y = axis.C @ x
+        e[k] = -y[0]
+        measured = -y + [0.0, wrong[k]]
+        asked = float(law.C[0] @ z + law.D[0] @ measured)
+        x, z = axis.A @ x + axis.B[:, 0] * asked, law.A @ z + law.B @ measured
+    by_rate = axis_loop(axis, law, frequencies(4000, T), looks_ahead=looks_ahead).by_rate
+    expected = -np.fft.irfft(by_rate * np.fft.rfft(wrong), 4000)
+    assert np.abs(e - expected).max() < 0.01 * np.abs(e).max()
+
+
 def test_an_update_with_the_true_axis_takes_the_error_away_but_for_the_filter() -> None:
     e0, de0 = run(Plant(), np.zeros((LEAD + 1000, 6)), 0.9) or (None, None)
     assert e0 is not None
@@ -152,6 +173,26 @@ def test_an_error_that_grows_without_a_change_contradicts_where_nothing_is_known
     assert said.allowed == pytest.approx(1.5, rel=1e-6), "what it was, and the margin"
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 1e-7, 2e-5])
+def test_what_noise_makes_of_an_error_contradicts_nothing(noise_m: float) -> None:
+    """Where nothing was changed an error may grow by half, and by three sigmas of its noise in the band."""
+    zero = np.zeros((LEAD + 1000, 6))
+    e = zero.copy()
+    e[LEAD:, 4] = 1e-4 * np.sin(2.0 * np.pi * 20.0 * T * np.arange(1000))
+    before = trial(T, LEAD, e, zero, zero, np.full(6, 20.0))
+    f = frequencies(len(before.e), T)
+    loops = [axis_loop(AXIS, gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+    Q, known = Filter(80.0), np.full(len(f), 0.5)
+    (band,) = [inside for inside in bands(f, Q.end_Hz).members if inside[np.searchsorted(f, 20.0)]]
+    was = rms_in(spectra(before.e), band, len(before.e), 1000)[4]
+    noise = noise_m * (band.sum() / len(f) * len(before.e) / 1000) ** 0.5
+    for beside, contradicts in ((0.99, False), (1.01, True)):
+        factor = 1.5 + beside * 3.0 * noise / was if noise_m else 1.5 * beside
+        now = trial(T, LEAD, factor * e, zero, zero, np.full(6, 20.0))
+        said = contradiction(before, now, loops, known, Q, f, first_rms_m=before.rms_m, noise_m=noise_m)
+        assert (said is not None) == contradicts, factor
+
+
 def test_a_floor_has_the_cause_that_makes_most_of_it() -> None:
     one = AxisLoop(*(np.zeros(len(F), complex) for _ in range(4)))
     e = np.zeros((LEAD + 1000, 6))
@@ -164,6 +205,25 @@ def test_a_floor_has_the_cause_that_makes_most_of_it() -> None:
     assert found.not_repeating_m == 0.0
     other = floor(fast, fast.tracked, loops, Filter(80.0), f, length_m=0.0, rate_m_s=0.0)
     assert other.not_repeating_m == pytest.approx(1e-5 / 2.0, rel=1e-3), "of two runs each has a half"
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "not_repeating_m"), [(1e-4, 0.0), (1.1e-4, 1e-4 * 0.21**0.5), (5e-5, 0.0), (None, 0.0)]
+)
+def test_noise_of_lengths_and_rates_is_not_told_as_what_does_not_repeat(
+    apart_m: float | None, not_repeating_m: float
+) -> None:
+    """A law that makes 2 ms of a rate makes 60 um of 30 mm/s; with 80 um of the lengths they are 100 um."""
+    zero = np.zeros((LEAD + 1000, 6))
+    still = trial(T, LEAD, zero, zero, zero, np.full(6, 20.0))
+    f = frequencies(len(still.e), T)
+    nothing = np.zeros(len(f), complex)
+    loops = [AxisLoop(nothing, nothing, nothing, np.full(len(f), 2e-3 + 0j))] * 6
+    unexplained = None if apart_m is None else np.full((1000, 6), 2.0**0.5 * apart_m)
+    found = floor(still, unexplained, loops, Filter(80.0), f, length_m=8e-5, rate_m_s=0.03)
+    assert found.encoder_m == 8e-5
+    assert found.rate_m == pytest.approx(6e-5)
+    assert found.not_repeating_m == pytest.approx(not_repeating_m, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import pytest
 
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
-from hil.app.learn.model import belief_of, learner
-from hil.learning.convergence import Uncertainty, contraction
+from hil.app.learn.model import Belief, belief_of, learner
+from hil.learning.convergence import Uncertainty, contraction, stated
 from hil.learning.loop import axis_loop, frequencies
 from hil.mathematics.linear_system import lag
 from hil.stability.prediction import predicting
@@ -60,3 +60,25 @@ def test_of_unlike_legs_the_worst_bounds_the_contraction_whichever_leg_it_is() -
         c = contraction(order, f, known)
         assert (largest <= c * (1.0 + 1e-9))[1:].all()
     assert (worst(unlike[5], W) < 0.5 * largest)[1:10].any(), "they are unlike"
+
+
+@pytest.mark.parametrize("first", range(6))
+def test_each_leg_is_reckoned_with_the_gain_that_was_identified_of_it(first: int) -> None:
+    gains_of_legs = np.roll([0.8, 1.0, 1.2, 1.0, 0.9, 1.1], first)
+    c = load("virtual")
+    belief = Belief(gains_of_legs, 1e-3, 0.8e-3, stated(0.25, 1e-3, 100.0), "a test")
+    found = learner(c, belief, SAMPLES).loops
+    f, wn = frequencies(SAMPLES, T), 20.0
+    for loop, gain in zip(found, gains_of_legs.tolist(), strict=True):
+        axis = sampled_axis(1e-3, lag(0.8e-3), T, gain)
+        expected = axis_loop(axis, gains(wn**2, 2.0 * wn, T), f, looks_ahead=False)
+        np.testing.assert_allclose(loop.P, expected.P, rtol=1e-9)
+
+
+@pytest.mark.parametrize("rate_Hz", [100.0, 400.0, 1000.0, 2000.0])
+def test_what_is_stated_of_an_axis_holds_up_to_a_tenth_of_the_rate_whatever_that_is(rate_Hz: float) -> None:
+    c = load("virtual")
+    c = c.model_copy(update={"loop": c.loop.model_copy(update={"rate_Hz": rate_Hz})})
+    bound = belief_of(c, None, 0.25, 1e-3).uncertainty
+    at = bound.at(np.array([0.01, 0.099, 0.101, 0.4]) * rate_Hz)
+    np.testing.assert_array_equal(np.isfinite(at), [True, True, False, False])

@@ -1,0 +1,73 @@
+"""What is reported of learning, and the masses that a rehearsal's law believes in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
+from hil.app.learn.command import Knowledge, Outcome, learned
+from hil.app.learn.rehearsal import Rehearsal, with_scale
+from hil.app.learn.report import series_summary, summary
+from tests.hil.app.learn.test_learned_from import run_of
+
+OUT = Path("next.csv")
+SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
+"""State -> error of the second run as a share of the first one's."""
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> dict[str, Outcome]:
+    return {state: learned([run_of(0), run_of(1, share)], Knowledge()) for state, share in SHARES.items()}
+
+
+@pytest.mark.parametrize("state", SHARES)
+def test_learning_is_a_success_but_where_a_run_contradicts_it_and_writes_only_where_it_goes_on(
+    outcomes: dict[str, Outcome], state: str
+) -> None:
+    found = summary(outcomes[state], OUT)
+    assert (found["state"], found["success"]) == (state, state != "contradicted")
+    assert found["written"] == (str(OUT) if state == "learned" else None)
+    assert (found["contradiction"] is None) == (state != "contradicted")
+
+
+@pytest.mark.parametrize("state", SHARES)
+@pytest.mark.parametrize("trouble", ["", "run 2: a fault"])
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_a_series_is_a_success_where_no_run_contradicts_and_none_failed(
+    outcomes: dict[str, Outcome], state: str, trouble: str, interrupted: bool
+) -> None:
+    outcome = outcomes[state]
+    trouble = trouble or "interrupted" * interrupted
+    made = Rehearsal(outcome.steps, outcome, 300.0, "a text", trouble, interrupted)
+    found = series_summary(made, OUT)
+    assert found["success"] is (state != "contradicted" and not trouble)
+    assert found["state"] == ("interrupted" if interrupted else "failed" if trouble else state)
+    assert found["trouble"] == (trouble or None)
+
+
+@pytest.mark.parametrize(
+    ("believed", "scale", "product"), [(1.0, 0.9, 0.9), (0.8, 1.1, 0.88), (1.2, 1.0, 1.2)]
+)
+def test_the_masses_that_a_law_believes_in_are_scaled_from_what_it_believes_already(
+    believed: float, scale: float, product: float
+) -> None:
+    change = {"name": "virtual", "controller": {"model": {"inertia_scale": believed}}}
+    c = load("virtual")
+    c = loads(with_changes(c.text, change), "virtual", c.folder)
+    before, after = c.controller.believed, with_scale(c, scale).controller.believed
+    assert before is not None
+    assert after is not None
+    assert before.inertia_scale == believed
+    assert after.inertia_scale == pytest.approx(product, rel=1e-12)
+
+
+def test_a_law_without_masses_has_none_to_scale() -> None:
+    c = load("virtual")
+    pd = {"law": "pd", "kp_N_m": 1e6, "kv_N_s_m": 1e5}
+    c = loads(with_changes(c.text, {"name": "virtual", "controller": pd}), "virtual", c.folder)
+    with pytest.raises(ConfigurationError, match="--inertia-scale: law pd has no model"):
+        with_scale(c, 0.9)

@@ -14,6 +14,8 @@ from drivers.tick_columns import Record, copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.effort import Effort
+from hil.robot.kinematics import leg_lengths
+from hil.trajectory.move import GeodesicMove
 from tests.records import record_of
 
 OWN = np.array([100.0, -200.0, 300.0, -400.0, 500.0, -600.0])
@@ -120,6 +122,38 @@ def test_the_predictor_knows_whether_the_brakes_are_open(parts, free):
     effort, _, motion = an_effort(parts, predictor=predictor)
     filled(effort, motion, Mode.RELEASING, free=free)
     assert predictor.free is free
+
+
+@pytest.mark.parametrize("number", [3, 10, 500])
+def test_a_law_that_looks_ahead_reads_its_table_where_its_force_will_act(parts, number):
+    """The path began in tick 2; off the clock's time a table says nothing."""
+    effort, law, motion = an_effort(parts, predictor=Predictor())
+    motion.start(parts.trajectory, 2)
+    filled(effort, motion, Mode.TRACKING, number)
+    assert law.seen is not None
+    assert law.seen["t_d"] == pytest.approx(1e-3 * (number - 2) + Predictor.horizon_s, abs=1e-12)
+    ahead = leg_lengths(parts.platform, *parts.trajectory.sample(1e-3 * (number - 1))[:2])
+    np.testing.assert_allclose(law.seen["q_d"], ahead, rtol=0.0, atol=1e-12)
+    filled(effort, motion, Mode.STOPPING, number)
+    assert np.isnan(law.seen["t_d"])
+    motion.settle(number, 0.5)
+    filled(effort, motion, Mode.TRACKING, number + 1)
+    assert np.isnan(law.seen["t_d"])
+
+
+@pytest.mark.parametrize(("left", "t_d"), [(0, None), (1, 1.5e-3), (2, 0.5e-3), (3, None), (9, None)])
+def test_a_law_that_looks_ahead_reads_its_table_from_the_first_force_that_acts_along_the_path(
+    parts, left, t_d
+):
+    """The approach ends so many ticks later; its last force may act on the path already."""
+    predictor = Predictor()
+    predictor.horizon_s = 2.5e-3
+    effort, law, motion = an_effort(parts, predictor=predictor)
+    rest = motion.sample(1)
+    motion.start(GeodesicMove(rest.p, rest.R, rest.p, rest.R, 0.0995), 0, then=parts.trajectory)
+    filled(effort, motion, Mode.APPROACH, 100 - left)
+    assert law.seen is not None
+    assert law.seen["t_d"] == pytest.approx(np.nan if t_d is None else t_d, abs=1e-12, nan_ok=True)
 
 
 @pytest.mark.parametrize("predicts", [True, False])

@@ -276,3 +276,15 @@ def test_drives_that_forget_nothing_are_left_alone():
     homing.correct(tick, new_record(), braked=False)
     assert homing.known
     assert (tick["length"] == 0.123).all()
+
+
+def test_brakes_that_have_been_open_once_have_been_open_until_a_reset():
+    legs = Leg()
+    legs.hear(forgotten(PARKED))
+    assert not legs.homing.opened
+    for braked in (False, False, True, True, False, True):
+        legs.hear(forgotten(PARKED), braked=braked)
+        assert legs.homing.opened
+    legs.homing.reset()
+    legs.hear(forgotten(PARKED))
+    assert not legs.homing.opened

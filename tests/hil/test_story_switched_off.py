@@ -16,6 +16,11 @@ from tests.records import altered
 OFF, READY, RUN = (int(state) for state in (DriveState.OFF, DriveState.READY, DriveState.RUN))
 
 
+def silent(leg: int, ticks: int) -> list[int]:
+    """Return the ages of six drives of which one was last heard so many ticks ago."""
+    return [ticks if each == leg else 0 for each in range(6)]
+
+
 @pytest.fixture(scope="module")
 def moving() -> Bench:
     bench = Bench()
@@ -34,11 +39,11 @@ class Watched:
         self.narrator = Narrator(self.cycle)
         self.cycle.faults = Fault.REFUSED_FRAMES
 
-    def look(self, mode: Mode, drives: Any, *operator: Operator) -> str:
-        """One tick in a mode with all drives heard; what is told of it."""
+    def look(self, mode: Mode, drives: Any, *operator: Operator, age: Any = 0) -> str:
+        """One tick in a mode, each drive last heard `age` ticks ago; what is told of it."""
         self.number += 1
         self.cycle.mode = mode
-        self.cycle.tick = altered(self.tick, tick=self.number, drive_state=drives, age=0)
+        self.cycle.tick = altered(self.tick, tick=self.number, drive_state=drives, age=age)
         self.narrator.look(operator)
         return told(self.narrator).done_text
 
@@ -75,3 +80,31 @@ def test_drives_that_are_switched_off_a_second_time_confirm_it_anew(watched):
     assert "not confirmed by drive 4;" in text
     assert "all six" not in text
     assert "all six in OFF 2 ms later" in watched.look(Mode.FAULT, OFF)
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("state", [READY, OFF])
+def test_a_drive_that_was_last_heard_before_the_platform_was_held_has_not_confirmed_its_brake(
+    watched, leg, state
+):
+    drives = [READY] * 6
+    drives[leg] = state
+    watched.look(Mode.HELD, drives, age=silent(leg, 3))
+    for age in range(4, 9):
+        text = watched.look(Mode.HELD, drives, age=silent(leg, age))
+        assert text.endswith(f"; not confirmed by drive {leg}"), "since before it was held"
+    text = watched.look(Mode.HELD, drives, age=silent(leg, 6))
+    assert text.endswith(f"; not confirmed by drive {leg}"), "in the tick in which it was held"
+    assert "not confirmed" not in watched.look(Mode.HELD, drives, age=silent(leg, 6))
+    drives[leg] = RUN
+    assert watched.look(Mode.HELD, drives).endswith(f"; not confirmed by drive {leg}"), "its brake is open"
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_drive_that_was_last_heard_before_it_was_told_to_switch_off_has_confirmed_nothing(watched, leg):
+    watched.look(Mode.FAULT, OFF, age=silent(leg, 2))
+    for age in range(3, 9):
+        text = watched.look(Mode.FAULT, OFF, age=silent(leg, age))
+        assert f"not confirmed by drive {leg};" in text
+        assert "all six" not in text
+    assert "all six in OFF 7 ms later" in watched.look(Mode.FAULT, OFF, age=silent(leg, 6))

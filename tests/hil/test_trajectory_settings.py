@@ -54,3 +54,23 @@ def test_a_path_that_ends_to_either_side_of_its_start_is_not_repeated(word, sign
     for periods in (2, None):
         with pytest.raises(ConfigurationError, match=r"the path ends 0\.001 m or rad away from its start"):
             require_closed(chi, periods, "path")
+
+
+@pytest.mark.parametrize("axis", ["rx_deg", "ry_deg", "rz_deg"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_sinusoids_about_a_centre_that_is_turned_either_way_stay_within_half_a_turn(axis, side, sign):
+    turn = tuple(side * 165.0 * (name == axis) for name in ("rx_deg", "ry_deg", "rz_deg"))
+
+    def reach(amplitude: float) -> None:
+        settings = {
+            "type": "sinusoids",
+            "components": [{"axis": axis, "amplitude": sign * amplitude, "frequency_Hz": 0.7}],
+            "duration_s": 5.0,
+            "centre": {"position_m": (0.0, 0.0, 1.0), "rotation_vector_deg": turn},
+        }
+        build_trajectory(SinusoidReference.model_validate(settings), HOME, Path())
+
+    reach(14.9)
+    with pytest.raises(ConfigurationError, match="at most 180 deg"):
+        reach(15.1)

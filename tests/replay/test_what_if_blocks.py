@@ -69,3 +69,18 @@ def test_a_sensor_may_be_left_out_and_may_not_be_added(kind):
     refuse_other_inputs(there, without, VIRTUAL.loop.rate_Hz)
     with pytest.raises(ConfigurationError, match=f"sensors.{kind}: .*the log has no frame of one"):
         refuse_other_inputs(without, there, VIRTUAL.loop.rate_Hz)
+
+
+@pytest.mark.parametrize("counts", [[2], [0, 2, 1, 0, 3, 0], [1] * 5, [0, 0]])
+def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts, monkeypatch):
+    steps = []
+    for tick, count in enumerate(counts):
+        row = np.zeros((), ROW)
+        inp = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
+        steps.append(SimpleNamespace(entry=SimpleNamespace(row=row, sent=()), inp=inp, row=row, sent=()))
+    monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
+    idle = SimpleNamespace(
+        reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None
+    )
+    answer = kernel.what_if(None, idle)  # type: ignore[arg-type]
+    assert (answer.ticks, answer.setpoints) == (len(counts), sum(counts))

@@ -1,0 +1,40 @@
+"""Legs that are pushed to see whether they move: each by its own force, and for its own turn."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.safety import encoder_kernels
+from tests.hil.encoder_bench import BOTH_SIGNS, six
+
+FORCES_N = np.array([300.0, 150.0, 420.0, 80.0, 260.0, 510.0])
+"""What friction may hold of each leg."""
+
+
+@pytest.fixture
+def push_legs(monkeypatch):
+    """The kernel as it is written: to compile it takes longer."""
+    for name in ("push_of", "eased"):
+        function = getattr(encoder_kernels, name)
+        monkeypatch.setattr(encoder_kernels, name, getattr(function, "py_func", function))
+    return getattr(encoder_kernels.push_legs, "py_func", encoder_kernels.push_legs)
+
+
+@BOTH_SIGNS
+@pytest.mark.parametrize("legs", [[0], [3], [5], [1, 4], [*range(6)]], ids=str)
+@pytest.mark.parametrize("sticks", [0, 1])
+def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(push_legs, sign, legs, sticks):
+    """Where it comes at once, in its first tick; where it rises over eight ticks, in the fourth."""
+    pushed = np.isin(np.arange(6), legs)
+    limits = SimpleNamespace(push_ticks=8, push_N=FORCES_N, sticks=sticks, rise_ticks=1)
+    memory, tau = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(0.0)), six(7.0)
+    for tick in range(1, 5):
+        memory.push[pushed] = sign * tick
+        tau = six(7.0)
+        push_legs(tau, limits, memory)
+        if sticks:
+            np.testing.assert_allclose(memory.pushed_N, np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
+    np.testing.assert_allclose(tau, 7.0 + np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.sim.command import simulate
+from hil.app.sim.commands import LATEST_S
 from hil.record.log import Log
 
 
@@ -86,9 +86,9 @@ def sim(
         The log exists, or cannot be written.
 
     """
-    if duration_s is not None and not 0.0 < duration_s < inf:
+    if duration_s is not None and not 0.0 < duration_s <= LATEST_S:
         raise ConfigurationError(
-            f"duration_s {duration_s}: allowed: a number of seconds > 0, None: to the end"
+            f"duration_s {duration_s}: allowed: seconds > 0, up to {LATEST_S:g}, None: to the end"
         )
     configuration = load(Path(config))
     if changes:

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from hil.cli.shared import (
+    DURATION,
     NOT_NEGATIVE,
     POSITIVE,
     FiniteRange,
@@ -37,7 +38,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 )
 @click.option(
     "--duration",
-    type=POSITIVE,
+    type=DURATION,
     metavar="S",
     help="Stop S seconds along the reference; default: one period of it.",
 )

@@ -5,7 +5,16 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, finish_lines, log_option, reporting
+from hil.cli.shared import (
+    FILE,
+    NOT_NEGATIVE,
+    OUTPUT,
+    POSITIVE,
+    FiniteRange,
+    finish_lines,
+    log_option,
+    reporting,
+)
 
 
 @click.command("payload")
@@ -96,13 +105,13 @@ class _OrPayload(click.Command):
 @click.option("--arm", is_flag=True, help="With --run: move as soon as all drives are ready, without asking.")
 @click.option(
     "--force",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     metavar="N",
     help="Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it.",
 )
 @click.option(
     "--duration",
-    type=click.FloatRange(min=1),
+    type=FiniteRange(min=1, max=1e5),
     metavar="S",
     help="Of the excitation, fading in and out included; default 12.5, with --delay 4.",
 )

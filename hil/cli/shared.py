@@ -49,12 +49,14 @@ def complete_configuration(ctx: click.Context, param: click.Parameter, begun: st
 
 POSITIVE = FiniteRange(min=0, min_open=True)
 NOT_NEGATIVE = FiniteRange(min=0)
+DURATION = FiniteRange(min=0, max=1e9, min_open=True)
+"""s, to `hil.app.sim.commands.LATEST_S`."""
 FILE = click.Path(dir_okay=False, path_type=Path)
 OUTPUT = Output(dir_okay=False, path_type=Path)
 log_option = click.option(
     "--log", type=OUTPUT, metavar="FILE", help="Log file to write; an existing one is refused."
 )
-duration_option = click.option("--duration", type=POSITIVE, metavar="S", help="Stop after S seconds.")
+duration_option = click.option("--duration", type=DURATION, metavar="S", help="Stop after S seconds.")
 fault_option = click.option(
     "--fault",
     "faults",

@@ -50,13 +50,13 @@ def columns(plan: Plan) -> list[Column]:
 
 
 def kind(axis: ListedAxis) -> str:
-    """Return the type of an axis' column: numbers where all its values are, else text."""
+    """Return the type of an axis' column: numbers where all its values are, of 64 bits, else text."""
     values = ends(axis) if isinstance(axis, SampledAxis) else entries(axis)
     if axis.values is None and entries(axis):
         return "text"
-    if all(type(value) is int for value in values):
-        return "int64"
-    return "float64" if all(type(value) in (int, float) for value in values) else "text"
+    if not all(type(value) is float or (type(value) is int and abs(value) < 2**63) for value in values):
+        return "text"
+    return "int64" if all(type(value) is int for value in values) else "float64"
 
 
 def cell(column: Column, value: Any) -> Any:

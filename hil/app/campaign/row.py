@@ -23,7 +23,7 @@ from hil.signals import Operator
 from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 3600.0
-"""A run that has not ended by then has failed, simulated s."""
+"""A run that has not ended so long after what it tracks would have, has failed, simulated s."""
 _NOT_IN_ROWS = (
     ("plant", "homing_file"),  # rows begin where the plant does: a file would tie them together
     ("operator", "start"),  # nobody is there: a platform that waits would track nothing, and fail no limit
@@ -78,9 +78,7 @@ def row_configuration(job: Job) -> Configuration:
     subject = job.subject
     value = apply(copy.deepcopy(subject.base), subject.axes, job.values)
     if "sensors" in value and job.seed:
-        emulated = value.get("plant", {}).get("sensors", {})
-        seed = emulated.get("seed", 1) + job.seed
-        value["plant"] = value["plant"] | {"sensors": emulated | {"seed": seed}}
+        _vary_sensors(value, job.seed)
     for section, key in _NOT_IN_ROWS:
         if isinstance(value.get(section), dict):
             value[section].pop(key, None)
@@ -89,6 +87,15 @@ def row_configuration(job: Job) -> Configuration:
     c = loads(text_of(value), name, subject.folder)
     c.require("sim")
     return c
+
+
+def _vary_sensors(value: dict[str, Any], seed: int) -> None:
+    """Add to the seed of the sensors' noise, in data not looked at yet: what is wrong is told later."""
+    plant = value.get("plant")
+    emulated = plant.get("sensors", {}) if isinstance(plant, dict) else None
+    own = emulated.get("seed", 1) if isinstance(emulated, dict) else None
+    if isinstance(plant, dict) and isinstance(emulated, dict) and type(own) is int:
+        value["plant"] = plant | {"sensors": emulated | {"seed": own + seed}}
 
 
 class Ran(NamedTuple):
@@ -167,14 +174,15 @@ def run(c: Configuration, job: Job, measured: Measurement) -> tuple[Ended, Fault
     """
     subject, rate = job.subject, c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
-    if cycle.parts.trajectory.duration_s is None and subject.duration_s is None:
+    tracked_s = subject.duration_s or cycle.parts.trajectory.duration_s
+    if tracked_s is None:
         raise ConfigurationError(f"{c.source}: reference: it has no end: give the campaign a duration_s")
     nodes, physics = build_nodes(c, FaultPlan((), job.seed))
     ticks = None if subject.duration_s is None else int(subject.duration_s * rate + 1e-6)
     course, begun, stop_tick, faulted = Course(cycle), None, None, False
     try:
         lockstep = build_lockstep(c, cycle, nodes)
-        while lockstep.tick < LONGEST_S * rate:
+        while lockstep.tick + 1 < round((tracked_s + LONGEST_S) * rate):
             tick = lockstep.tick + 1
             try:
                 row = lockstep.step(course.commands(tick, (Operator.STOP,) * (tick == stop_tick)))[2].row
@@ -198,9 +206,8 @@ def run(c: Configuration, job: Job, measured: Measurement) -> tuple[Ended, Fault
                 return Ended("complete", "", tick + 1, stop_tick), cycle.faults
             if over and stop_tick is None:
                 stop_tick = tick + 1
-        return Ended(
-            "stopped", f"it has not ended after {LONGEST_S:g} s", lockstep.tick, stop_tick
-        ), cycle.faults
+        why = f"it has not ended {LONGEST_S:g} s after the {tracked_s:g} s that it tracks"
+        return Ended("stopped", why, lockstep.tick + 1, stop_tick), cycle.faults
     finally:
         physics.close()
 

@@ -4,7 +4,7 @@ Sobol' points are scrambled (Owen 1995), so that none of them is exactly 0 or 1 
 balanced where their number is a power of two.
 """
 
-from math import exp, floor, log
+from math import exp, floor, inf, log
 from typing import Any
 
 import numpy as np
@@ -54,16 +54,18 @@ def value_at(axis: SampledAxis, u: float) -> Any:
 
 
 def _normal(axis: SampledAxis, u: float) -> float:
-    """Return the quantile of a truncated normal: Phi^-1(Phi(a) + u (Phi(b) - Phi(a))), a and b its ends."""
-    from scipy.special import ndtr, ndtri  # noqa: PLC0415
+    """Return the quantile of a truncated normal: Phi^-1((1 - u) Phi(a) + u Phi(b)), a and b its ends.
+
+    By logarithms, since Phi is 0 from 38 standard deviations on.
+    """
+    from scipy.special import log_ndtr, ndtri_exp  # noqa: PLC0415
 
     s = axis.normal
     assert s is not None
     a, b = (s.min - s.mean) / s.std, (s.max - s.mean) / s.std
-    if a > 0.0:  # in the upper tail Phi is 1 to the last bit: by symmetry from the lower one
-        x = -float(ndtri(ndtr(-a) - u * (ndtr(-a) - ndtr(-b))))
-    else:
-        x = float(ndtri(ndtr(a) + u * (ndtr(b) - ndtr(a))))
+    side = -1.0 if a > 0.0 else 1.0  # in the upper tail Phi is 1 to the last bit: from the lower one
+    of_a, of_b = (log(share) if share > 0.0 else -inf for share in (1.0 - u, u))
+    x = side * float(ndtri_exp(np.logaddexp(of_a + log_ndtr(side * a), of_b + log_ndtr(side * b))))
     return min(s.max, max(s.min, s.mean + s.std * x))
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.section import Section
-from hil.config.values import Positive
+from hil.app.sim.commands import LATEST_S
 
 Pair = tuple[float, float]
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,49}$")]
@@ -108,7 +108,7 @@ class CampaignSettings(Section):
     """A YAML file, relative to this one, or the name of a shipped configuration."""
     changes: dict[str, Any] = {}
     """Sections of the configuration that are changed in all runs, as `hil.sim` changes them."""
-    duration_s: Positive | None = None
+    duration_s: Annotated[float, Field(gt=0, le=LATEST_S)] | None = None
     """Along the reference; default: to its end."""
     until: Literal["tracking", "parked"] = "tracking"
     """A run ends with its reference, or parks first."""

@@ -16,7 +16,7 @@ from hil.signals import Operator
 LONGEST_S = 3600.0
 """A word is repeated for so long at most."""
 LATEST_S = 1e9
-"""No word comes later."""
+"""No word comes later, and no run is longer: thirty years."""
 TimedCommand = tuple[float, str]
 """Simulated s since the first tick, and a word of the operator channel, as (2.5, "speed 40"); a word that a
 client repeats has its length behind it, as (2.5, "jog x 1 for 1.5")."""

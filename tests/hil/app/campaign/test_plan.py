@@ -103,7 +103,7 @@ def test_a_draw_is_its_seed():
     assert draws[0] == draws[1] != draws[2]
 
 
-@pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (30.0, 45.0), (-45.0, -30.0)])
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (30.0, 45.0), (-45.0, -30.0), (40.0, 41.0)])
 def test_a_normal_distribution_is_cut_at_its_ends(low, high):
     """Quantiles by SciPy's own truncated normal; far out in a tail only the logarithms keep their digits."""
     mean, std = 1.0, 2.0
@@ -183,6 +183,22 @@ WRONG = [
     (
         "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {travel_mm: {max: 1}}\n",
         ":3:10: limits.travel_mm: not measured in runs that end with their fault, allowed: with after_fault: rest",
+    ),
+    ("kind: campaign\nduration_s: 1.0e+306\ngrid: {a: {key: seed, values: [1]}}\n", "duration_s: "),
+    *(
+        (
+            f"kind: campaign\nchanges: {{{changes}sensors: {{tracker: {{rate_Hz: 200}}}}}}\ngrid: {{{axes}}}\n",
+            said,
+        )
+        for changes, axes, said in (
+            ("plant: null, ", "a: {key: seed, values: [1]}", "plant"),
+            ("", "a: {key: seed, values: [1]}, b: {key: plant.sensors, values: [null]}", "plant.sensors"),
+            (
+                "",
+                "a: {key: seed, values: [1]}, b: {key: plant.sensors.seed, values: [x]}",
+                "plant.sensors.seed",
+            ),
+        )
     ),
     ("kind: campaign\ngrid: {a: {key: seed, values: [x]}}\n", "seed: allowed: whole numbers of at least 0"),
     ("kind: campaing\ngrid: {}\n", "is of kind 'campaing'; allowed: a file with `kind: campaign`"),

@@ -69,6 +69,15 @@ def test_a_row_passes_only_where_its_run_has_ended_by_itself_or_in_a_fault(plan,
     )
 
 
+def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, monkeypatch):
+    assert row.LONGEST_S == 3600.0
+    monkeypatch.setattr(row, "LONGEST_S", 0.05)
+    job = plan.job(0)
+    found = run_row(job._replace(subject=job.subject._replace(duration_s=0.1)))
+    assert (found["ended"], found["passed"], found["ended_s"]) == ("stopped", False, pytest.approx(0.15))
+    assert "it has not ended 0.05 s after the" in found["trouble"]
+
+
 @pytest.mark.parametrize(
     ("values", "column"),
     [
@@ -77,6 +86,9 @@ def test_a_row_passes_only_where_its_run_has_ended_by_itself_or_in_a_fault(plan,
         ([True, False], "text"),
         ([1, "one"], "text"),
         ([1, True], "text"),
+        ([2**63 - 1, -(2**63) + 1], "int64"),
+        ([1, 2**63], "text"),
+        ([1.5, -(10**400)], "text"),
     ],
 )
 def test_the_column_of_an_axis_is_of_numbers_where_all_its_values_are(values, column):

@@ -54,7 +54,8 @@ def command(
 
     Deterministic: the same configuration gives the same frames and rows, byte for byte. The bus takes its
     worst-case bit time. `--duration` stops along the path at S simulated seconds and parks. `--setpoints`
-    sends a reference of type live from pose to pose, at their times along it.
+    sends a reference of type live from pose to pose, at their times along it. Without `--commands` nobody
+    is waited for, whatever section operator asks for.
 
     \b
     Examples:

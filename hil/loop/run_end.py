@@ -36,6 +36,7 @@ _HOLDS = {
 """By whether the drives give force on closed brakes."""
 _MOVING = "the platform still moves, and the run goes on until it rests; Ctrl-C twice ends it"
 NO_DRIVES = "no drives"
+LEFT_ALONE = "the commands are over, and the run would wait for the operator: it stops and parks"
 _STOPS = {
     Stop.MISSED: "the loop missed limits.missed_stop_ticks periods in a row",
     Stop.STRETCHED: "this machine was too busy for the virtual bench, whose time stood still, for 4 ms and "
@@ -104,7 +105,7 @@ class Course:
     Mutable state: which commands have been given, whether a stop was asked for, and whether `duration_s` was
     over before the drives were ready; the first fault's tick and the last one's text; since when the platform
     has been held, closed brakes between counted in; when a leg last moved; which way that is not followed has
-    been told.
+    been told, and whether that the operator is silent.
     """
 
     def __init__(
@@ -135,6 +136,7 @@ class Course:
         self._reset = reset
         self._engaged = self._engages = self._requested = self._late = False
         self.goes_on = goes_on
+        self._left_alone = False
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
         self._after_fault_since = self._held_since = -1
 
@@ -168,6 +170,25 @@ class Course:
             self._released = True
         self._operator = operator
         return operator
+
+    def left_alone(self) -> tuple[Operator, ...]:
+        """Return what follows where the operator says nothing from now on: STOP if the run waits for more.
+
+        One that stays does so no longer. Where `duration_s` ends the run, nothing follows.
+        """
+        if self._stop_tick < inf:
+            return ()
+        self.goes_on = False
+        cycle = self.cycle
+        operating, mode = cycle.operating, cycle.mode
+        if operating.moves(mode):
+            waits = not (operating.go and operating.speed)
+        else:
+            waits = mode is Mode.IDLE and (self._engaged or not self._armed)
+        if waits and not self._left_alone:
+            self._left_alone = True
+            self._event(int(cycle.tick["t_ns"]), "warning", LEFT_ALONE)
+        return (Operator.STOP,) if waits else ()
 
     def ending(self, tick: int) -> Ending | None:
         """Return how the run ends with the tick that has just been stepped; None if it goes on."""

@@ -100,7 +100,7 @@ def test_without_the_key_the_stop_begins_in_time_and_only_a_new_start_ends_it(tm
 
 
 def test_without_a_key_the_approach_does_not_begin(tmp_path):
-    run, rows = simulated(tmp_path, [], duration_s=2.0, operator={"deadman_s": 0.1})
+    run, rows = simulated(tmp_path, [(0, "speed 100")], duration_s=2.0, operator={"deadman_s": 0.1})
     assert run.success
     assert not rows["twist_d"].any()
 

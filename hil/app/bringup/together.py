@@ -7,6 +7,7 @@ from hil.app.bringup.rehearsal import emulated, mounted
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform
+from hil.app.configuration.unattended import unattended
 from hil.app.homing.last_pose import last_pose_of
 from hil.app.sim.build import build_lockstep
 from hil.loop.run_end import Ending
@@ -31,6 +32,7 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     Its brake tests carry the platform's weight on all six brakes before they open and after they have shut.
     Raises PlantError.
     """
+    c = unattended(c)
     pose = last_pose_of(c, None)
     if pose is not None:
         pose = pose._replace(length=leg_lengths(build_platform(c.platform), *known_poses(c)[0]))

@@ -16,6 +16,7 @@ from hil.app.campaign.settings import Limit, ListedAxis
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.changes import text_of
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.unattended import unattended_data
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.run_end import Course
@@ -24,12 +25,6 @@ from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 3600.0
 """A run that has not ended so long after what it tracks would have, has failed, simulated s."""
-_NOT_IN_ROWS = (
-    ("plant", "homing_file"),  # rows begin where the plant does: a file would tie them together
-    ("operator", "start"),  # nobody is there: a platform that waits would track nothing, and fail no limit
-    ("operator", "deadman_s"),
-    ("operator", "stays"),
-)
 
 
 class Subject(NamedTuple):
@@ -79,9 +74,7 @@ def row_configuration(job: Job) -> Configuration:
     value = apply(copy.deepcopy(subject.base), subject.axes, job.values)
     if "sensors" in value and job.seed:
         _vary_sensors(value, job.seed)
-    for section, key in _NOT_IN_ROWS:
-        if isinstance(value.get(section), dict):
-            value[section].pop(key, None)
+    value = unattended_data(value)
     find_beside(value, subject.folder, subject.campaign_folder)
     name = f"{subject.source} with the changes of row {job.number}"
     c = loads(text_of(value), name, subject.folder)

@@ -16,6 +16,7 @@ from hil.app.compare.plot import draw
 from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform
+from hil.app.configuration.unattended import unattended
 from hil.app.output import picture_path
 from hil.app.reachability import span_s
 from hil.app.workers import Progress, perform
@@ -56,7 +57,7 @@ def compare(
     """
     begun = time.perf_counter()
     c.require("sim")
-    c = c.model_copy(update={"feedforward": None})  # it was learned under one of the laws
+    c = unattended(c).model_copy(update={"feedforward": None})  # it was learned under one of the laws
     target = picture_path(c.recording.folder, f"{c.name}-compare", picture)
     settings = chosen(c, laws)
     extra = _path_laws(c, settings, path_laws)

@@ -6,6 +6,7 @@ from typing import Any
 
 from hil.app.check.command import stopping_distances_m
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.unattended import unattended
 from hil.app.faults.case_run import Job, failed, run_case
 from hil.app.faults.cases import cases
 from hil.app.faults.verdict import Bounds
@@ -29,6 +30,7 @@ def run_matrix(
     """
     begun = time.perf_counter()
     c.require("sim")
+    c = unattended(c)
     chosen = cases(c, only, legs, seed)
     bounds = Bounds(*stopping_distances_m(c), c.limits.following_error_m, c.limits.following_error_s)
     order = {(case.name, case.given): n for n, case in enumerate(chosen)}

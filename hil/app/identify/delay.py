@@ -13,6 +13,7 @@ from drivers.signals import DriveState
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.platform import build_platform
+from hil.app.configuration.unattended import unattended
 from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import open_run
 from hil.app.run.command import run_daemon
@@ -276,4 +277,4 @@ def run_for(
             f"{made.configuration.source}: no section plant, so there is nothing to simulate: these are real "
             "drives. Use --run, which moves them"
         )
-    return simulate(made.configuration, log=log)
+    return simulate(unattended(made.configuration), log=log)

@@ -8,6 +8,7 @@ from drivers.errors import ConfigurationError, HilError
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.unattended import unattended
 from hil.app.learn.command import Knowledge, Outcome, Step, learned, limit_of
 from hil.app.learn.runs import LearningRun, learning_run
 from hil.app.sim.command import simulate
@@ -39,6 +40,7 @@ def rehearse(
     ModelError, OSError.
     """
     c.require("sim")
+    c = unattended(c)
     refuse_unreachable(c)
     if known.limit_N is None and c.feedforward is not None:
         known = known._replace(limit_N=c.feedforward.limit_N)

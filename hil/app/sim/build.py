@@ -1,15 +1,27 @@
 """From a Configuration to the lockstep of its buses."""
 
 from drivers.can.bus_time import BitTiming
+from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.unattended import without_operator
 from hil.app.sim.lockstep import Lockstep
 from hil.app.sim.several_wires import SeveralWires
 from hil.loop.cycle import Cycle
 from plant_fmu.drives.nodes import Nodes
 
 
-def build_lockstep(c: Configuration, cycle: Cycle, nodes: Nodes, first: int = 0) -> Lockstep:
-    """Return both ends on the configured buses, from tick `first` on; layout `ideal` takes no bus time."""
+def build_lockstep(
+    c: Configuration, cycle: Cycle, nodes: Nodes, first: int = 0, *, attended: bool = False
+) -> Lockstep:
+    """Return both ends on the configured buses, from tick `first` on; layout `ideal` takes no bus time.
+
+    `attended`: somebody gives commands. Raises ConfigurationError: nobody does, and the run would wait for
+    one (see `unattended`).
+    """
+    if not attended and without_operator(c) is not c:
+        raise ConfigurationError(
+            f"{c.source}: operator: nobody gives commands here, allowed: without start, deadman_s and stays"
+        )
     timings = tuple(map(BitTiming.of, c.bus.buses))
     timing = None if c.bus.layout == "ideal" else timings[0]
     window_s = c.loop.window_s(c.loop.rate_Hz)

@@ -15,6 +15,7 @@ from hil.app.configuration.bus_budget import loads
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
+from hil.app.configuration.unattended import without_operator
 from hil.app.homing.keeping import Keeper
 from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
@@ -37,6 +38,8 @@ from hil.signals import SetPoint, TickInput, TickOutput
 from hil.trajectory.sampled import read_poses
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
+
+UNHEARD = "no commands are given: operator.start, deadman_s and stays are left out"
 
 
 class Script:
@@ -91,7 +94,8 @@ def _run(
         return given if setpoints is None else given._replace(setpoints=setpoints(tick) + given.setpoints)
 
     observer = observe if truth is None else observe_both
-    return lockstep.run(duration_s, observer, recording.event, said, armed=not script.arms)
+    event, over = recording.event, (lambda: script.over)
+    return lockstep.run(duration_s, observer, event, said, armed=not script.arms, over=over)
 
 
 def run_identity(
@@ -138,12 +142,13 @@ def simulate(
     """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
 
     `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
-    their times along it; `commands` what the operator says, in simulated seconds. `plant_log` records the
-    plant's truth beside the log, as `hil plant` does.
+    their times along it; `commands` what the operator says, in simulated seconds: without any the run waits
+    for no operator, and where they are over and it would wait for more, it parks, or at the end of
+    `duration_s`. `plant_log` records the plant's truth beside the log, as `hil plant` does.
 
     Raises ConfigurationError for what cannot run, PlantError: the plant does not start.
     """
-    c = configuration
+    c = configuration if commands else without_operator(configuration)
     c.require("sim")
     assert c.plant is not None
     rate = c.loop.rate_Hz
@@ -166,13 +171,15 @@ def simulate(
         log_path(c.recording.folder, c.name, truth_path)
     nodes, physics = build_nodes(c, faults)
     try:
-        lockstep = build_lockstep(c, cycle, nodes)
+        lockstep = build_lockstep(c, cycle, nodes, attended=bool(commands))
         with contextlib.ExitStack() as stack:
             recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True, run=run))
             truth = stack.enter_context(_record_plant(c, truth_path, run)) if plant_log else None
             stack.enter_context(collector_paused())
             if removed:
                 recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")
+            if c is not configuration:
+                recording.event(0, "info", UNHEARD)
             for fault in c.plant.faults:
                 recording.event(0, "info", f"to be injected: {show_fault(fault)}")
             stack.callback(keeper.close)

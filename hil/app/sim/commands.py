@@ -46,6 +46,11 @@ class CommandScript:
         begun = {n for _, _, n in self._said[: self._given]}
         return len({n for _, _, n in self._said[self._given :]} - begun)
 
+    @property
+    def over(self) -> bool:
+        """Whether all has been said."""
+        return self._given == len(self._said)
+
     def __call__(self, tick: int) -> Given:
         """Return the commands of a tick, in their order."""
         first = self._given

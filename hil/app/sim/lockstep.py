@@ -275,11 +275,12 @@ class Lockstep:
         commands: Callable[[int], Given] = nothing_given,
         *,
         armed: bool = True,
+        over: Callable[[], bool] = lambda: False,
     ) -> Ending:
         """Engage, run the reference, park. Return how the run ended.
 
-        `commands` gives all that the operator says in a tick; armed: it engages by itself. It ends with its
-        plant, too. `event` takes what each fault tells in its tick.
+        `commands` gives all that the operator says in a tick; armed: it engages by itself; over: whether the
+        operator has said all. It ends with its plant, too. `event` takes what each fault tells in its tick.
         """
         goes_on = self.cycle.parts.operator.stays
         course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=goes_on)
@@ -287,7 +288,8 @@ class Lockstep:
         while ending is None:
             tick = self.tick + 1
             said = commands(tick)
-            operator = course.commands(tick, said.operator)
+            silent = over() and not said.operator and not said.orders
+            operator = course.commands(tick, course.left_alone() if silent else said.operator)
             try:
                 stepped = self.step(operator, said.setpoints, said.orders)
             except PlantError as error:

@@ -1,0 +1,141 @@
+"""In simulated time nobody attends a run: none waits for an operator who cannot speak, or for another run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.bringup import together
+from hil.app.campaign.plan import read_plan
+from hil.app.campaign.row import row_configuration
+from hil.app.compare import command as compare
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.fault_words import with_faults
+from hil.app.configuration.unattended import unattended, without_operator
+from hil.app.faults import command as faults
+from hil.app.identify import delay
+from hil.app.learn import rehearsal
+from hil.app.learn.command import Knowledge
+from hil.app.sim import command as sim
+from hil.app.sim.build import build_lockstep
+from hil.config.operator import OperatorSettings
+from tests.hil.app.campaign.campaigns import SMALL, written
+
+WAITS: dict[str, dict[str, Any]] = {
+    "start": {"start": "asked"},
+    "deadman_s": {"deadman_s": 0.2},
+    "stays": {"stays": True},
+}
+SPEEDS = {"setup_speed_m_s": 0.03, "setup_speed_deg_s": 2.0}
+
+
+def attended(plant: dict[str, Any] | None = None, **operator: Any) -> Configuration:
+    """Return `virtual` with a section operator, and a homing file of its emulated drives."""
+    changes = {"operator": SPEEDS | operator, "plant": {"homing_file": "parked.yaml"} | (plant or {})}
+    return loads(with_changes(load("virtual").text, {"name": "mine"} | changes), "mine.yaml", Path())
+
+
+class SeenError(Exception):
+    """The configuration by which a command would run."""
+
+    def __init__(self, c: Configuration) -> None:
+        super().__init__()
+        self.c = c
+
+
+def seen(c: Configuration, *_: Any, **__: Any) -> NoReturn:
+    raise SeenError(c)
+
+
+def campaign(c: Configuration, folder: Path) -> None:
+    (folder / "mine.yaml").write_text(c.text)
+    text = SMALL.replace("configuration: virtual", "configuration: mine.yaml")
+    raise SeenError(row_configuration(read_plan(written(folder, text)).job(0)))
+
+
+RUNS: dict[str, Any] = {
+    "compare": (compare, "chosen", lambda c, _: compare.compare(c)),
+    "faults": (faults, "cases", lambda c, _: faults.run_matrix(c)),
+    "learn": (rehearsal, "simulate", lambda c, at: rehearsal.rehearse(c, 2, Knowledge(), at, lambda _: None)),
+    "identify": (
+        delay,
+        "simulate",
+        lambda c, _: delay.run_for(delay.Excited(c, 1.0), None, real_time=False, with_plant=False, arm=False),
+    ),
+    "bringup": (together, "build_cycle", lambda c, _: together.six_legs(c, None)),  # type: ignore[arg-type]
+    "campaign": (compare, "chosen", campaign),
+    "sim": (sim, "build_cycle", lambda c, _: sim.simulate(c)),
+}
+"""What a command calls with the configuration that it runs, and the command."""
+
+
+def seen_by(command: str, c: Configuration, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Configuration:
+    module, name, run = RUNS[command]
+    monkeypatch.setattr(module, name, seen)
+    monkeypatch.setattr(rehearsal, "refuse_unreachable", lambda _: None)
+    with pytest.raises(SeenError) as found:
+        run(c, folder)
+    return found.value.c
+
+
+@pytest.mark.parametrize("command", RUNS)
+def test_no_command_in_simulated_time_waits_for_an_operator(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would stand at the start of its path, judge a platform at rest, or never end."""
+    for settings in (*WAITS.values(), {key: value for each in WAITS.values() for key, value in each.items()}):
+        c = seen_by(command, attended(**settings), tmp_path, monkeypatch)
+        for each in (c, loads(c.text, "mine.yaml", Path())):
+            assert each.operator == OperatorSettings.model_validate(SPEEDS), settings
+
+
+@pytest.mark.parametrize("command", RUNS)
+def test_runs_begin_where_the_plant_does_but_for_a_simulation_of_its_own(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`hil sim` rehearses power-off and start; a series of runs would be tied together by the file."""
+    c = seen_by(command, attended(**WAITS["stays"]), tmp_path, monkeypatch)
+    for each in (c, loads(c.text, "mine.yaml", Path())):
+        assert each.plant is not None
+        assert each.plant.homing_file == ("parked.yaml" if command == "sim" else None)
+
+
+def test_a_simulation_in_which_somebody_speaks_keeps_what_the_configuration_asks_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    c = attended(start="asked", deadman_s=0.2, stays=True)
+    monkeypatch.setattr(sim, "build_cycle", seen)
+    with pytest.raises(SeenError) as found:
+        sim.simulate(c, commands=[(1.0, "start")])
+    assert found.value.c is c
+
+
+def test_what_is_not_in_the_text_goes_along_and_what_waits_for_nobody_stays_as_it_is() -> None:
+    c = with_faults(attended(**WAITS["stays"]), ["encoder_jump leg=1 by=5e-3"])
+    for taken in (unattended(c), without_operator(c)):
+        assert taken.plant is not None
+        assert [fault.kind for fault in taken.plant.faults] == ["encoder_jump"]
+        assert (taken.source, taken.folder, taken.name) == (c.source, c.folder, "mine")
+    plain = load("virtual")
+    assert unattended(plain) is plain
+    assert without_operator(attended()).text == attended().text, (
+        "set-up speeds and a homing file make no wait"
+    )
+
+
+@pytest.mark.parametrize("key", WAITS)
+def test_a_lockstep_that_would_wait_for_nobody_is_refused(key: str) -> None:
+    c = attended(**WAITS[key])
+    cycle = build_cycle(c, c.loop.rate_Hz, 0.01)
+    nodes, plant = build_nodes(c)
+    try:
+        with pytest.raises(ConfigurationError, match=r"mine\.yaml: operator: nobody gives commands here"):
+            build_lockstep(c, cycle, nodes)
+        assert build_lockstep(c, cycle, nodes, attended=True).tick == -1
+    finally:
+        plant.close()

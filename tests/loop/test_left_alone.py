@@ -1,0 +1,150 @@
+"""A simulation whose commands are over, and which waits for more, ends: with STOP, parked, or at its duration."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import hil
+from drivers.signals import Fault, Mode
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
+from hil.app.sim.build import build_lockstep
+from hil.app.sim.commands import CommandScript
+from hil.loop.run_end import LEFT_ALONE, Course
+from hil.signals import Operator
+from tests.broad import broad
+from tests.loop.operated import modes, simulated
+from tests.loop.test_run_end import cycle, first_end
+
+MOVING = (Mode.APPROACH, Mode.TRACKING)
+STOP = (Operator.STOP,)
+
+
+def waiting(mode: Mode, *, go: bool = True, speed: float = 1.0, parks: bool = False, **more: Any) -> Any:
+    now = cycle(mode, **more)
+    now.operating = SimpleNamespace(
+        trouble="",
+        go=go,
+        speed=speed,
+        moves=lambda mode: mode in MOVING or (mode is Mode.STOPPING and parks),
+    )
+    return now
+
+
+@pytest.mark.parametrize(
+    ("now", "stops"),
+    [
+        *[(waiting(mode, go=False), True) for mode in MOVING],
+        *[(waiting(mode, speed=0.0), True) for mode in MOVING],
+        *[(waiting(mode, speed=0.01), False) for mode in MOVING],
+        (waiting(Mode.STOPPING, go=False, parks=True), True),
+        (waiting(Mode.STOPPING, parks=True), False),
+        (waiting(Mode.STOPPING, go=False), False),
+        *[(waiting(mode, go=False), False) for mode in (Mode.WAITING, Mode.LOADING, Mode.PARKING, Mode.HELD)],
+        (waiting(Mode.IDLE), False),
+    ],
+)
+def test_who_stands_on_its_way_and_hears_no_more_is_stopped(now: Any, stops: bool) -> None:
+    told: list[str] = []
+    course = Course(now, event=lambda _t, _level, text: told.append(text))
+    for _ in range(3):
+        assert course.left_alone() == (STOP if stops else ())
+    assert told == [LEFT_ALONE] * stops, "once"
+
+
+def test_a_run_that_nobody_arms_any_more_is_stopped_and_one_that_arms_itself_is_not() -> None:
+    assert Course(waiting(Mode.IDLE), armed=False).left_alone() == STOP
+    now = waiting(Mode.IDLE)
+    course = Course(now)
+    assert course.left_alone() == ()
+    assert course.commands(0) == (Operator.ENGAGE,)
+    assert course.left_alone() == STOP, "after a reset it would wait for a new `arm`"
+
+
+@pytest.mark.parametrize("mode", [Mode.PARKED, Mode.FAULT])
+def test_a_run_that_stays_does_so_for_as_long_as_somebody_may_speak(mode: Mode) -> None:
+    faults = Fault.ESTOP if mode is Mode.FAULT else Fault.NONE
+    course = Course(waiting(mode, faults=faults), goes_on=True)
+    assert first_end(course, 2000) is None
+    assert course.left_alone() == ()
+    ending = first_end(course, 2000)
+    assert ending is not None
+    assert ending.mode is mode
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_where_its_duration_ends_a_run_it_waits_until_then(armed: bool) -> None:
+    now = waiting(Mode.IDLE)
+    course = Course(now, 5.0, armed=armed, goes_on=True)
+    if not armed:
+        course.commands(0, (Operator.ENGAGE,))
+    now.mode, now.operating.go = Mode.TRACKING, False
+    assert course.left_alone() == ()
+    assert course.goes_on
+    assert course.commands(500) == STOP
+
+
+PARKED = ["PARKING", "UNLOADING", "PARKED"]
+
+
+@pytest.mark.parametrize(
+    ("commands", "operator", "last"),
+    broad(
+        [
+            ([(0.3, "arm"), (0.4, "estop")], {"stays": True}, ["LOADING", "FAULT"]),
+            ([(1.3, "hold")], {}, ["TRACKING", "STOPPING", *PARKED]),
+            ([(0.1, "speed 50")], {"start": "asked"}, ["TRACKING", "STOPPING", *PARKED]),
+            ([(0.0, "key")], {"deadman_s": 0.1}, ["APPROACH", "STOPPING", *PARKED]),
+        ],
+        quick=2,
+    ),
+)
+def test_commands_that_leave_the_run_waiting_let_it_end(
+    commands: list[tuple[float, str]], operator: dict[str, Any], last: list[str]
+) -> None:
+    c = loads(with_changes(load("virtual").text, {"name": "virtual", "operator": operator}), "virtual")
+    rate, script = c.loop.rate_Hz, CommandScript(commands, c.loop.rate_Hz)
+    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
+    nodes, plant = build_nodes(c)
+    seen: list[str] = []
+
+    def observe(*_: Any) -> None:
+        assert cycle.tick["tick"] < 5 * rate, "it goes on"
+        seen.append(cycle.mode.name)
+
+    lockstep = build_lockstep(c, cycle, nodes, attended=True)
+    ending = lockstep.run(None, observe, commands=script, armed=not script.arms, over=lambda: script.over)
+    plant.close()
+    assert ending.success == (last[-1] == "PARKED")
+    assert [name for name, _ in groupby(seen)][-len(last) :] == last
+
+
+def test_a_simulation_whose_arm_comes_too_early_does_not_record_for_ever(tmp_path: Any) -> None:
+    """Nobody arms it any more once its drives are ready."""
+    run, rows = simulated(tmp_path, [(0.0, "arm")], check_replay=False)
+    assert run.success
+    assert modes(rows) == ["WAITING", "IDLE", "PARKED"]
+
+
+def test_a_simulation_without_commands_goes_along_its_path_whatever_an_operator_would_have_to_do(
+    tmp_path: Any,
+) -> None:
+    """And its log replays: the configuration in it is that of the run."""
+    pose = {"position_m": [0, 0, 1]}
+    points = [{"t_s": 0} | pose, {"t_s": 0.1, "position_m": [0, 0, 1.001]}, {"t_s": 0.2} | pose]
+    run = hil.sim(
+        "virtual",
+        log=tmp_path / "a.mcap",
+        reference={"type": "waypoints", "points": points, "periods": 1, "interpolation": "quintic"},
+        operator={"start": "asked", "deadman_s": 0.1, "stays": True},
+    )
+    assert run.success, run.summary["trouble"]
+    rows = run.log.rows()
+    assert modes(rows)[-3:] == PARKED
+    assert rows["p_d"][rows["mode"] == Mode.TRACKING][:, 2].max() == pytest.approx(1.001, abs=1e-6)
+    assert run.summary["replay"]["different_ticks"] == 0

@@ -4,6 +4,10 @@ Identifier: node << 5 | command. Each tick asks for Get_Encoder_Estimates by a r
 Set_Input_Torque, which feeds the axis' watchdog. The heartbeat has state and error, Estop latches,
 Clear_Errors clears. Fields are little-endian, singles in turns, turns/s and N m (ODrive documentation, CAN
 Protocol).
+The heartbeat alone tells the state, and comes by a timer, not with a change. So an axis gets its torque from
+the tick on in which it is asked to close its loop; it is asked again where a later heartbeat says that it has
+not. When RUN is over it counts as enabled, and is told IDLE, until a heartbeat says otherwise; and a reset
+clears the errors of each axis, whatever the last one said.
 The watchdog is a setting of the axis (`config.enable_watchdog`, `watchdog_timeout`), off as delivered; no
 message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set with odrivetool.
 """
@@ -22,6 +26,7 @@ from drivers.motor_drives import MotorMemory, put
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import (
     OWN_CODE,
+    RETRY_TICKS,
     Exchange,
     Heard,
     MotorDialogue,
@@ -53,6 +58,8 @@ IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
 TORQUE_CONTROL, PASSTHROUGH = 1, 1
 MISSED_BEATS = 3
+MOST_HEARTBEAT_MS = 250.0
+"""A start, and parking, wait for a second for what the heartbeats of all axes say; some may be lost."""
 ERRORS = {
     0x1: "initializing",
     0x2: "system level",
@@ -93,6 +100,12 @@ _SIZES = {ESTOP: (), AXIS_STATE: (4, 8), MODES: (8,), TORQUE: (4, 8), CLEAR: (0,
 """Lengths that an axis accepts of what it hears; of Estop any."""
 _COMMANDS = frozenset({*_SIZES, 0x04, 0x06, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F})
 """What a controller sends with data; the emulated axis has those of `_SIZES`."""
+
+
+def _idle(dialogue: MotorDialogue, leg: int) -> bool:
+    """Tell whether an axis says that it has not closed its loop, for which it has had time."""
+    has_had_time = dialogue.said[leg] - dialogue.asked[leg] >= RETRY_TICKS
+    return has_had_time and dialogue.power[leg] == _OFF and not dialogue.ran[leg]
 
 
 class ODriveProtocol(MotorProtocol):
@@ -179,23 +192,34 @@ class ODriveProtocol(MotorProtocol):
         return frame.id if super().awaited(frame) >= 0 else -1
 
     def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return what one axis is told: its torque, state or control mode, or to clear its errors."""
-        if dialogue.mode == DriveMode.RESET and dialogue.power[leg] == _FAULT:
-            return self._to(leg, CLEAR, b"\0")
+        """Return what one axis is told in each tick: its torque, its control mode, or to be idle."""
+        if dialogue.mode == DriveMode.RUN:
+            return self._to(leg, TORQUE, struct.pack("<fxxxx", dialogue.torque[leg]))
         if dialogue.mode == DriveMode.READY and dialogue.power[leg] == _OFF:
             return self._to(leg, MODES, struct.pack("<II", TORQUE_CONTROL, PASSTHROUGH))
-        if dialogue.mode != DriveMode.RUN:
-            return self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", IDLE))
-        if not dialogue.ran[leg] and dialogue.power[leg] != _RUN:
-            return self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP))
-        return self._to(leg, TORQUE, struct.pack("<fxxxx", dialogue.torque[leg]))
+        return self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", IDLE))
 
     def command(
         self, dialogue: MotorDialogue, command: Command, tick: int
     ) -> tuple[MotorDialogue, tuple[Frame, ...]]:
-        """Return one frame an axis. Raises ProtocolError as the base."""
+        """Return one frame an axis, and one more where its loop is to be closed or its errors cleared.
+
+        Raises ProtocolError as the base.
+        """
+        before = dialogue.mode
         dialogue, _ = super().command(dialogue, command, tick)
-        return dialogue, tuple(self.poll(dialogue, leg) for leg in range(LEGS))
+        if before == DriveMode.RUN != dialogue.mode:  # a heartbeat of before may have said that it was off
+            power = tuple(int(_RUN) if each == _OFF else each for each in dialogue.power)
+            dialogue = dialogue._replace(power=power)
+        frames: list[Frame] = []
+        for leg in range(LEGS):
+            if dialogue.mode == DriveMode.RUN and (before != DriveMode.RUN or _idle(dialogue, leg)):
+                dialogue = dialogue._replace(asked=put(dialogue.asked, leg, tick))
+                frames.append(self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP)))
+            frames.append(self.poll(dialogue, leg))
+            if dialogue.mode == DriveMode.RESET:
+                frames.append(self._to(leg, CLEAR, b"\0"))
+        return dialogue, tuple(frames)
 
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of the node number in the identifier."""
@@ -320,7 +344,9 @@ class ODriveProtocol(MotorProtocol):
         return memory, frames
 
     def report(self, memory: MotorMemory, status: Status) -> tuple[MotorMemory, tuple[Frame, ...]]:
-        """Encode an axis' heartbeat: error, state, procedure result, trajectory done."""
+        """Encode an axis' heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
+        if not status.due:
+            return memory, ()
         error = _FAULTS.get(DriveFault(status.fault), 0)
         state = CLOSED_LOOP if status.state == _RUN else IDLE
         return memory, (self._to(status.leg, HEARTBEAT, struct.pack("<IBBBx", error, state, 0, 0)),)
@@ -338,6 +364,11 @@ def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
     refuse_layout(bus, "odrive", "classic")
     transmission = required(drives.transmission, "odrive")
     Options(drives.options, "odrive", ())
+    if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
+        raise ConfigurationError(
+            f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat alone "
+            f"tells whether an axis is enabled, given: {drives.heartbeat_ms:g}"
+        )
     refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
     return ODriveProtocol(
         drives.node_ids, 1e-3 * drives.watchdog_ms, transmission, 1e-3 * drives.heartbeat_ms

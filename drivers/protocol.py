@@ -145,13 +145,15 @@ DeviceMessage = Sync | DeviceCommand | Alive | Configure | EmergencyStop | Answe
 
 
 class Status(NamedTuple):
-    """A drive's heartbeat, which it sends at once when it is set up and when state or fault change."""
+    """What a drive is in: for its heartbeat, when it is set up, and when state or fault change."""
 
     leg: int
     state: int
     fault: int
     set_up: Configure | None = None
     """What holds in the drive; None before it has been set up."""
+    due: bool = True
+    """The heartbeat's period is over; else something has changed, which some drives do not send at once."""
 
 
 PowerTold = Literal["feedback", "heartbeat", "never"]

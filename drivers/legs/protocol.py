@@ -379,7 +379,7 @@ class LegsProtocol(Traits):
 
     def report(self, memory: int, status: Status) -> tuple[int, tuple[Frame, ...]]:
         """Encode one drive's heartbeat."""
-        leg, state, fault, holds = status
+        leg, state, fault, holds, _ = status
         checksum = 0
         if holds is not None:
             body = self._config_body(leg, holds.watchdog_s, holds.reaction)

@@ -268,6 +268,10 @@ class Context:
                 raise StoppedError(Finding("not_powered", (leg,), why, mend))
             for _ in range(self.drives.ticks(self.machine.brake_open_s)):
                 self.drives.step(DriveMode.RUN, leg)
+            for _ in range(self.drives.told_ticks):
+                if self.drives.record["drive_state"][leg] != DriveState.READY:
+                    break
+                self.drives.step(DriveMode.RUN, leg)
             yield
         finally:
             self.drives.off(self.machine.brake_shut_s)

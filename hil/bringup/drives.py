@@ -21,8 +21,8 @@ LOCK_S = 1e-6
 """Watchdog of a drive that is to stay out: `legs` has no shorter one."""
 SETUP_S = 3.0
 """For how long the drives' confirmation of their set-up is waited for."""
-READY_S = 0.1
-"""For how long a drive is waited for that changes its state."""
+READY_S, TOLD_S = 0.1, 0.3
+"""For how long a drive is waited for that changes its state; longer by TOLD_S where heartbeats tell it."""
 ANSWER_S, ASKED_TIMES = 0.05, 5
 """For how long an answer to the question who a drive is is waited for, and how often it is asked at most."""
 _PROBES = 200
@@ -70,6 +70,11 @@ class Drives:
     def ticks(self, seconds: float) -> int:
         """Return the number of ticks in a time, at least one."""
         return max(1, round(seconds * self.line.rate_Hz))
+
+    @property
+    def told_ticks(self) -> int:
+        """For how many ticks a change may be unknown: the heartbeat alone tells it; 0 where feedback does."""
+        return self.ticks(TOLD_S) if self.protocol.power_told == "heartbeat" else 0
 
     # one tick
 
@@ -142,9 +147,8 @@ class Drives:
         if self.locks or leg is None:
             return frames
         addressed = self.protocol.addressed
-        return tuple(
-            mine if leg in addressed(mine) else other for mine, other in zip(frames, others, strict=True)
-        )
+        mine = tuple(frame for frame in frames if leg in addressed(frame))
+        return mine + tuple(frame for frame in others if leg not in addressed(frame))
 
     def _seen(self, live: Record, rest: Record, leg: int | None) -> Record:
         record = copy_of(live)
@@ -237,7 +241,7 @@ class Drives:
         if any(lacks):
             which = ", ".join(f"leg {k}: {text}" for k, text in enumerate(lacks) if text)
             return f"not set up: {which}"
-        for _ in range(self.ticks(READY_S)):
+        for _ in range(self.ticks(READY_S) + self.told_ticks):
             self.step(DriveMode.READY, leg)
             states = self.record["drive_state"]
             out = [k for k in range(LEGS) if k != leg and not self._locked(int(states[k]))]

@@ -121,7 +121,8 @@ class Nodes:
 
         `received` holds what arrived since the last step, times up to `t_ns`; a frame older than the
         last step's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
-        status every heartbeat, one drive after the other, and at once when state or fault change.
+        status every heartbeat, one drive after the other, and at once when state or fault change, where the
+        protocol's drives do so.
         A watchdog that ends at `t_ns` exactly waits for the next step: a command of that instant is in time.
         Frames that faults delay or add may be for an instant to come. Raises PlantError if `t_ns` lies before
         the last step's or the plant fails.
@@ -231,7 +232,7 @@ class Nodes:
                 self._present = self._schedule.present(edge)
                 self._disturb(edge)
             else:
-                self._send_status(self._beats % LEGS, self._next_beat_ns, out)
+                self._send_status(self._beats % LEGS, self._next_beat_ns, out, due=True)
                 self._beats += 1
                 self._next_beat_ns = self._t0_ns + round(self._beats * self._beat_ns)
         self._now_ns = t
@@ -389,13 +390,13 @@ class Nodes:
             drives.enter(leg, OFF, DriveFault.NONE)
         self._send_status(leg, t, out)
 
-    def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]]) -> None:
+    def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]], *, due: bool = False) -> None:
         drives = self._drives
         state, fault = int(drives.state[leg]), int(drives.fault[leg])
         holds = None
         if drives.configured[leg]:
             holds = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
-        self._memory, frames = self._protocol.report(self._memory, Status(leg, state, fault, holds))
+        self._memory, frames = self._protocol.report(self._memory, Status(leg, state, fault, holds, due))
         self._send(leg, t, frames, out)
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:

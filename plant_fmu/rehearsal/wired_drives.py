@@ -126,7 +126,7 @@ class WiredDrives:
         as_leg, holds = self._wiring.answers_as[drive], status.set_up
         if holds is not None:
             holds = Configure(as_leg, self._told(drive, holds.watchdog_s), holds.reaction)
-        return self._protocol.report(memory, Status(as_leg, status.state, status.fault, holds))
+        return self._protocol.report(memory, status._replace(leg=as_leg, set_up=holds))
 
     def restarted(self, memory: Memory, legs: Sequence[int]) -> Memory:
         """Return the memory after drives were switched off and on."""

@@ -47,6 +47,8 @@ LENGTH = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
 RATE = np.array([0.25, -0.25, 0.5, -0.5, 0.75, -0.75])
 FORCE = np.array([1000.0, -2000.0, 3000.0, 4.0, -60.0, 0.0])
 OFF = Command(DriveMode.OFF, np.zeros(LEGS))
+BEAT_TICKS = 6
+"""Between two heartbeats of a drive."""
 PATIENCE = 200
 """Ticks within which a dialogue without losses is over."""
 
@@ -124,7 +126,7 @@ class Ends:
         self.protocol = protocol
         if setup is None:
             setup = DriveSetup(0.05, reaction_of(protocol), 1e9 / PERIOD_NS)
-        settings = DriveSettings(heartbeat_ms=24.0)
+        settings = DriveSettings(heartbeat_ms=1e-6 * BEAT_TICKS * PERIOD_NS)
         emulation = DriveEmulation(encoder_resolution_m=0.0)
         self.nodes = Nodes(Given(), protocol, emulation, settings, FaultPlan(faults))
         self.dialogue = protocol.start(setup)
@@ -167,13 +169,22 @@ class Ends:
                 return
         raise AssertionError(f"not set up: {self.measurement}")
 
-    def running(self, force: Array = FORCE) -> None:
-        """Bring the drives to RUN with a force."""
-        self.until_set_up()
+    @property
+    def told_ticks(self) -> int:
+        """Ticks within which drives change their state and tell it: at once, or by the next heartbeat."""
+        return 3 + BEAT_TICKS * (self.protocol.power_told == "heartbeat")
+
+    def restart(self, force: Array = FORCE) -> None:
+        """Bring drives that are set up to RUN with a force."""
         for mode in (DriveMode.READY, DriveMode.RUN):
-            for _ in range(3):
+            for _ in range(self.told_ticks):
                 self.step(Command(mode, force), set_up=False)
         assert self.measurement["drive_state"].tolist() == [DriveState.RUN] * LEGS
+
+    def running(self, force: Array = FORCE) -> None:
+        """Set the drives up and bring them to RUN with a force."""
+        self.until_set_up()
+        self.restart(force)
 
 
 def shapes(frames: Sequence[Frame], *, named: bool) -> Counter[tuple[int, int, int]]:
@@ -375,7 +386,7 @@ class ProtocolContract:
         ends = Ends(protocol)
         ends.running()
         ends.step(Command(DriveMode.RUN, FORCE), set_up=False, first=protocol.emergency_stop())
-        for _ in range(2):
+        for _ in range(ends.told_ticks - 1):
             ends.step()
         stopped = DriveState.FAULT if protocol.stop_latches else DriveState.OFF
         assert ends.measurement["drive_state"].tolist() == [stopped] * LEGS

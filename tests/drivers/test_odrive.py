@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
+from drivers.motors import MotorDialogue
 from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
     REMOTE,
@@ -73,6 +74,12 @@ def frame(vector: dict[str, Any]) -> Frame:
     return Frame(vector["id"], bytes.fromhex(vector["data"]))
 
 
+def told(dialogue: MotorDialogue, mode: DriveMode, tick: int = 0) -> list[list[Frame]]:
+    """Return the frames of a tick's command to each axis."""
+    _, frames = unit().command(dialogue, Command(mode, np.zeros(6)), tick)
+    return [[frame for frame in frames if frame.id >> 5 == node] for node in NODES]
+
+
 @pytest.mark.parametrize("vector", vectors("Set_Input_Torque"), ids=lambda v: v["data"])
 def test_a_torque_is_sent_as_the_vendors_header_packs_it(vector):
     leg = leg_of(vector)
@@ -86,9 +93,9 @@ def test_a_torque_is_sent_as_the_vendors_header_packs_it(vector):
 
 def test_states_modes_errors_and_stops_are_the_vendors_frames():
     start = unit().start(SETUP)
-    closed = unit().poll(start._replace(mode=DriveMode.RUN), 3)
-    ready = unit().poll(start._replace(mode=DriveMode.READY, power=(DriveState.OFF,) * 6), 0)
-    clear = unit().poll(start._replace(mode=DriveMode.RESET, power=(DriveState.FAULT,) * 6), 1)
+    closed = told(start, DriveMode.RUN)[3][0]
+    ready = told(start._replace(power=(DriveState.OFF,) * 6), DriveMode.READY)[0][0]
+    clear = told(start, DriveMode.RESET)[1][1]
     for sent, vector in (
         (closed, vectors("Set_Axis_State")[0]),
         (ready, vectors("Set_Controller_Mode")[0]),
@@ -154,7 +161,7 @@ def test_a_torque_comes_out_as_the_single_that_went_in(torque, leg):
 
 def test_an_axis_whose_control_mode_was_never_set_does_not_close_its_loop():
     protocol = unit()
-    closed = protocol.poll(protocol.start(SETUP)._replace(mode=DriveMode.RUN), 1)
+    closed = told(protocol.start(SETUP), DriveMode.RUN)[1][0]
     memory, messages = protocol.parse(protocol.power_up(), closed)
     assert messages == (Rejected("closed loop without torque control"),)
     assert memory.enabled == (False,) * 6
@@ -185,16 +192,14 @@ def test_each_axis_is_told_by_its_own_state():
         DriveState.BOOT,
     )
     dialogue = protocol.start(SETUP)._replace(power=tuple(map(int, power)))
-    zeros = np.zeros(6)
-    idle, modes, clear = 0x07, 0x0B, 0x18
-    for mode, told in (
-        (DriveMode.READY, [idle, modes, idle, modes, idle, idle]),
-        (DriveMode.RESET, [idle, idle, clear, idle, idle, idle]),
+    state, modes, clear, torque = 0x07, 0x0B, 0x18, 0x0E
+    for mode, kinds in (
+        (DriveMode.OFF, [[state]] * 6),
+        (DriveMode.READY, [[state], [modes], [state], [modes], [state], [state]]),
+        (DriveMode.RUN, [[state, torque]] * 6),
+        (DriveMode.RESET, [[state, clear]] * 6),
     ):
-        _, frames = protocol.command(dialogue, Command(mode, zeros), 0)
-        assert [frame.id for frame in frames] == [
-            node << 5 | kind for node, kind in zip(NODES, told, strict=True)
-        ]
+        assert [[frame.id & 0x1F for frame in frames] for frames in told(dialogue, mode)] == kinds
 
 
 def test_an_axis_is_enabled_by_a_controller_that_never_sent_it_idle():
@@ -220,7 +225,7 @@ def test_silence_trips_the_watchdog_that_the_axis_has_and_the_heartbeat_says_so(
     for _ in range(20):
         ends.tick += 1
         ends._to_drives(ends.tick * PERIOD_NS, ())
-    for _ in range(2):
+    for _ in range(ends.told_ticks):
         ends.step(Command(DriveMode.OFF, np.zeros(6)))
     assert ends.measurement["drive_state"].tolist() == [DriveState.FAULT] * 6
     assert ends.measurement["drive_fault"].tolist() == [DriveFault.WATCHDOG] * 6
@@ -232,6 +237,7 @@ def test_silence_trips_the_watchdog_that_the_axis_has_and_the_heartbeat_says_so(
         ({"transmission": None}, "drives.transmission: protocol odrive"),
         ({"node_ids": [1, 2, 3, 4, 5, 63]}, "drives.node_ids[5]: out of range, allowed with odrive: 0 to 62"),
         ({"options": {"gain": 1}}, "drives.options: protocol odrive has none, given: gain"),
+        ({"heartbeat_ms": 251}, "drives.heartbeat_ms: allowed with odrive: up to 250"),
     ],
 )
 def test_a_row_names_what_it_does_not_have(change, message):

@@ -92,12 +92,6 @@ class Line(Ends):
             self.step(command)
         self.until_set_up()
 
-    def restart(self) -> None:
-        """Bring drives that are set up to RUN with a force."""
-        for command in (READY, READY, READY, RUN, RUN, RUN):
-            self.step(command, set_up=False)
-        assert self.states() == [DriveState.RUN] * LEGS
-
 
 def most_force(protocol: DriveProtocol) -> float:
     """Return the largest force that a command takes."""

@@ -53,6 +53,8 @@ def test_the_figures_of_the_books_path_are_the_books():
     assert reference["force_max_N"] == pytest.approx(STATES["force"].max(), rel=1e-9)
     assert reference["force_min_N"] == pytest.approx(STATES["force"].min(), rel=1e-9)
     assert reference["rate_max_m_s"] == pytest.approx(np.abs(STATES["rate"]).max(), rel=5e-3)
+    # path time slows down from 1 to 0 within 0.5 s: half of them at the top speed
+    assert reference["controlled_stop_m"] == pytest.approx(0.25 * np.abs(STATES["rate"]).max(), rel=5e-3)
     assert reference["force_step_N"] == pytest.approx(
         np.abs(STATES["force"][0] - home["force"]).max(), rel=1e-6
     )

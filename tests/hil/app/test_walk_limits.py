@@ -1,0 +1,162 @@
+"""Every limit of a walk breaks in any leg, either way, and at each end of the stroke; figures by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from hil.app.check.command import _controlled_stop_m
+from hil.app.check.dangers import dangers
+from hil.app.check.silence import Beyond, Silence
+from hil.app.configuration.configuration import load
+from hil.app.reachability import Walk, drive_forces, violations
+from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
+
+C = load("virtual")
+LOW, HIGH = C.platform.length_min_m, C.platform.length_max_m
+MIDDLE = 0.5 * (LOW + HIGH)
+LIMITS = C.limits.model_copy(
+    update={
+        "stroke_margin_m": 0.02, "deceleration_m_s2": 10.0, "speed_m_s": 2.0, "force_N": 1000.0, "force_step_N": 300.0,
+        "force_window_N": 700.0, "acceleration_m_s2": 5.0,
+    }
+)  # fmt: skip
+ROWS = 9
+HERE = 4
+"""The row at which one leg does something; the others have it at rest, in the middle of the stroke."""
+STEP_S = 1e-3
+LEGS = range(6)
+WAYS = (1.0, -1.0)
+
+
+def walked(leg: int, *, q: float = MIDDLE, dq: float = 0.0, ddq: float = 0.0, tau: float = 0.0) -> Walk:
+    """Return a walk of which one leg has other values in one row."""
+    q_m, rest = np.full((ROWS, 6), MIDDLE), np.zeros((2, 6))
+    rate, acceleration, force = (np.zeros((ROWS, 6)) for _ in range(3))
+    for rows, value in ((q_m, q), (rate, dq), (acceleration, ddq), (force, tau)):
+        rows[HERE, leg] = value
+    t, ones = np.linspace(0.0, STEP_S * (ROWS - 1), ROWS), np.ones(ROWS)
+    return Walk(t, q_m, rate, acceleration, force, rest, ones, ones, every_tick=True, repeats=False)
+
+
+def broken(w: Walk, *, but: str = "") -> list[str]:
+    """Return the messages of the limits that break, but for those that have a word in them."""
+    found = violations(w, C.platform, LIMITS, STEP_S)
+    assert all(each.t == pytest.approx(STEP_S * HERE) for each in found)
+    return [each.message for each in found if not but or but not in each.message]
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize("way", WAYS)
+def test_a_leg_that_is_too_fast_to_stop_before_the_end_ahead_of_it_breaks_that_limit(leg, way):
+    """With 10 m/s^2 over 50 mm: 1 m/s. The end behind it does not count, however near."""
+    ahead, behind = (HIGH - 0.02, LOW + 0.02)[:: int(way)]
+    assert broken(walked(leg, q=ahead - 0.05 * way, dq=0.99 * way)) == []
+    (message,) = broken(walked(leg, q=ahead - 0.05 * way, dq=1.01 * way))
+    assert message == (
+        f"leg {leg}: too fast to stop before a soft end with limits.deceleration_m_s2 10: {1.01 * way:g} m/s"
+    )
+    assert broken(walked(leg, q=behind + 0.01 * way, dq=1.9 * way)) == []
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize(
+    ("key", "limit", "words"),
+    [
+        ("tau", 1000.0, "force above limits.force_N 1000"),
+        ("dq", 2.0, "rate above limits.speed_m_s 2"),
+        ("ddq", 5.0, "acceleration above limits.acceleration_m_s2 5"),
+    ],
+)
+def test_a_limit_of_size_holds_for_both_signs_of_each_leg(leg, key, limit, words):
+    for way in WAYS:
+        assert broken(walked(leg, **{key: 0.99 * limit * way}), but="force changes") == []
+        (message,) = broken(walked(leg, **{key: 1.01 * limit * way}), but="force changes")
+        assert message.startswith(f"leg {leg}: {words}: {1.01 * limit * way:g} ")
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_leg_may_be_as_long_as_the_soft_ends_and_no_longer_or_shorter(leg):
+    for end, way in ((HIGH - 0.02, 1.0), (LOW + 0.02, -1.0)):
+        assert broken(walked(leg, q=end - 1e-4 * way)) == []
+        (message,) = broken(walked(leg, q=end + 1e-4 * way))
+        assert message == f"leg {leg}: length outside the soft ends 0.77 to 2.18 m: {end + 1e-4 * way:g} m"
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize(("size_N", "limits"), [(299, []), (301, ["step"]), (701, ["step", "window"])])
+def test_a_force_that_changes_too_much_breaks_its_limits_either_way(leg, size_N, limits):
+    for way in WAYS:
+        found = sorted(broken(walked(leg, tau=size_N * way)))
+        words = [f"leg {leg}: force changes by more than limits.force_{each}_N" for each in limits]
+        assert [message[: len(each)] for message, each in zip(found, words, strict=True)] == words
+
+
+def test_the_way_of_a_controlled_stop_is_half_its_time_at_the_speed_of_the_fastest_leg_either_way():
+    c = C.model_copy(update={"engage": C.engage.model_copy(update={"stop_s": 0.6})})
+    for leg in LEGS:
+        for way in WAYS:
+            w = walked(leg, dq=1.5 * way)
+            w.dq[0] = -0.2 * way
+            assert _controlled_stop_m(c, w) == pytest.approx(0.5 * 0.6 * 1.5)
+
+
+SILENCE = Silence(T=0.1, a=6.0)
+"""Of 1 m/s it leaves 0.1 m + 6 x 0.01 / 2 m = 0.13 m."""
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize("way", WAYS)
+def test_after_silence_a_leg_hits_the_end_that_it_runs_into_alone(leg, way):
+    ahead, behind = (HIGH, LOW)[:: int(way)]
+    found = SILENCE.beyond(walked(leg, q=ahead - 0.12 * way, dq=1.0 * way), LOW, HIGH)
+    assert found == pytest.approx(Beyond(STEP_S * HERE, leg, travel_m=0.13, free_m=0.12))
+    assert SILENCE.beyond(walked(leg, q=ahead - 0.14 * way, dq=1.0 * way), LOW, HIGH) is None
+    # away from an end it is that of a leg at rest: 0.03 m
+    assert SILENCE.beyond(walked(leg, q=behind + 0.04 * way, dq=1.0 * way), LOW, HIGH) is None
+    still = SILENCE.beyond(walked(leg, q=behind + 0.02 * way, dq=1.0 * way), LOW, HIGH)
+    assert still == pytest.approx(Beyond(STEP_S * HERE, leg, travel_m=0.03, free_m=0.02))
+    assert SILENCE.travel_m(walked(leg, dq=2.0 * way)) == pytest.approx(0.23)
+
+
+def forces(model: StewartPlant | BenchPlant, q_m: float, rate: float, ddq: float) -> tuple[Array, Array]:
+    """Return forces and forces at rest of a plant whose legs do so by turns: leg k is k + 1 times as fast."""
+    q, dq = np.full((3, 6), q_m), np.zeros((3, 6))
+    dq[1] = rate * np.arange(1.0, 7.0)
+    return drive_forces(PlantSettings(model=model), q, dq, np.full((3, 6), ddq), np.full((3, 6), 50.0), np.full((2, 6), 50.0))  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_friction_and_rotors_of_the_plant_ask_for_force_along_the_motion_either_way(way):
+    """50 N of the rigid bodies, 10 N of dry friction, 200 N s/m, 4 kg at 2 m/s^2; none at rest."""
+    model = StewartPlant(
+        type="stewart", viscous_friction_N_s_m=200.0, coulomb_friction_N=10.0, reflected_mass_kg=4.0
+    )
+    tau, rest = forces(model, MIDDLE, 0.1 * way, 2.0)
+    np.testing.assert_allclose(tau[1], 50.0 + 8.0 + way * (10.0 + 20.0 * np.arange(1, 7)))
+    np.testing.assert_allclose(tau[0], 58.0)
+    np.testing.assert_allclose(rest, 50.0)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_damping_of_a_bench_leg_asks_for_force_along_the_motion_either_way(way):
+    """Bench legs: 20 kg at 2 m/s^2, 500 N s^2/m^2 v|v|, 0.1 m past the rest: 100 N and 3 N of the cube."""
+    model = BenchPlant(
+        type="bench", mass_kg=20.0, damping_N_s2_m2=500.0, stiffness_N_m=1000.0, stiffness_N_m3=3000.0, rest_length_m=1.5
+    )  # fmt: skip
+    tau, rest = forces(model, 1.5 + 0.1 * way, 0.1 * way, 2.0)
+    np.testing.assert_allclose(tau[1], 40.0 + way * (103.0 + 5.0 * np.arange(1, 7) ** 2))
+    np.testing.assert_allclose(tau[0], 40.0 + way * 103.0)
+    np.testing.assert_allclose(rest, way * 103.0)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_danger_after_silence_tells_the_way_of_the_leg_and_what_is_left_of_it(way):
+    ahead = HIGH if way > 0 else LOW
+    found = dangers(C, walked(3, q=ahead - 0.12 * way, dq=1.0 * way), SILENCE)
+    (told,) = [each for each in found if "after silence at t" in each]
+    words = (
+        "t = 0.004 s leg 3 travels up to 130 mm until it rests on its brake, and is 120 mm from a hard end"
+    )
+    assert words in told

@@ -21,6 +21,7 @@ from hil.app.check.bus import report_bus
 from hil.app.check.findings import Report
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.bus_budget import bus_budgets
+from hil.app.configuration.bus_budget import loads as loads_of_buses
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.export.command import export_log
 from hil.app.report.timing import traffic
@@ -36,6 +37,7 @@ from tests.loop.test_desktop_drives import FAMILIES
 from tests.loop.test_desktop_drives import TEXT as DESKTOP
 
 TWO = resources.files("configs").joinpath("two_buses.yaml").read_text(encoding="utf-8")
+FIRST = "{channel: two0, legs: [0, 1, 2]}"
 SECOND = "{channel: two1, legs: [3, 4, 5]}"
 CIA402 = """  protocol: cia402
   options: {rated_torque_Nm: 9.5, velocity: difference}
@@ -120,6 +122,25 @@ def test_a_bus_that_is_too_full_is_refused_with_its_own_arithmetic_at_its_own_pl
     slow = SECOND.replace("}", ", data_bitrate_bit_s: 1000000}")
     with pytest.raises(ConfigurationError, match=r"(?s)bus\.channels\[1\].*data phase 1 Mbit/s"):
         changed(TWO, (SECOND, slow))
+
+
+@pytest.mark.parametrize("slower", [0, 1])
+def test_the_slower_bus_decides_on_the_load_that_is_told_and_on_the_window_of_the_feedbacks(slower):
+    """With 2 Mbit/s of data a command takes 130.5 us, a feedback 110.5 us; 537 us in all are 26.85 % of 2 ms."""
+    place = (FIRST, SECOND)[slower]
+    c = changed(TWO, (place, place.replace("}", ", data_bitrate_bit_s: 2000000}")), *SLOWLY)
+    told = loads_of_buses(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    assert told["bus_load_percent"] == pytest.approx(26.85)
+    other = pytest.approx(17.07)
+    expected = {f"two{slower}": pytest.approx(26.85), f"two{1 - slower}": other}
+    assert told["bus_load_percent_by_channel"] == expected
+    # SYNC and three feedbacks: 75 + 331.5 us there, 268.8 us on the other bus
+    for window_us, late in ((407, False), (406, True), (270, True)):
+        loop = c.loop.model_copy(update={"feedback_window_us": window_us})
+        report = Report(c.name)
+        report_bus(report, c.model_copy(update={"loop": loop}))
+        found = [each for each in report.warnings if "take 406 us" in each and "legs will be stale" in each]
+        assert bool(found) == late
 
 
 @pytest.mark.parametrize(("legs", "rate_Hz"), [("2x3", 939.6), ("3x2", 1359.2)])

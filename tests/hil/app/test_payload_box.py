@@ -7,14 +7,16 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
+from hil.app.check.silence import reacted_to
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, platform_body, pose_arrays
 from hil.app.encoder_limits import encoder_limits
+from hil.app.reachability import Walk
 from hil.app.stability.command import judge
 from hil.app.stability.subject import Stated, Subject
-from hil.app.unknown_payload import unknown_payload
+from hil.app.unknown_payload import UnknownPayload, unknown_payload
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from tests.loop import unrecorded
@@ -237,3 +239,55 @@ def test_the_bound_holds_for_every_corner_and_is_met_by_the_real_loop():
 
 def test_a_run_starts_with_it():
     assert build_cycle(robot(BOX), 1e3, 0.01)
+
+
+def test_a_leg_bears_what_the_heaviest_payload_asks_of_it_whether_it_pushes_or_pulls():
+    """By the statics of each corner's robot at home; a platform that hangs pulls."""
+    c = robot(BOX)
+    home, still = pose_arrays(c.platform.home), np.zeros(6)
+    for gravity in ((0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (20.0, 5.0, 0.0)):
+        turned = c.platform.model_copy(update={"gravity_m_s2": gravity})
+        held = []
+        for stated in ((40, 0.05, 0, 0.2), *CORNERS):
+            settings = carried(*stated).platform.model_copy(update={"gravity_m_s2": gravity})
+            held.append(Model(build_platform(settings)).inverse_dynamics(*home, still, still))
+        sizes = np.abs(held)
+        found = unknown_payload(c.model_copy(update={"platform": turned})).holding_N
+        np.testing.assert_allclose(found, sizes.max(axis=0), rtol=1e-9)
+        assert (found > sizes[0]).any(), "more than the model's payload asks for"
+
+
+def test_a_pose_is_allowed_what_the_payload_does_to_positions_and_to_rotations_each_its_own():
+    monitor = robot().monitor.model_copy(update={"disturbance_m_s2": 10.0, "disturbance_rad_s2": 20.0})
+    unknown = UnknownPayload(np.eye(6)[None], leg=1.0, position=2.0, rotation=3.0, holding_N=np.zeros(6))
+    pose, legs = unknown.allowed_of_the_pose(monitor), unknown.allowed(monitor)
+    assert (pose.disturbance_m_s2, pose.disturbance_rad_s2) == (12.0, 23.0)
+    assert (legs.disturbance_m_s2, legs.disturbance_rad_s2) == (11.0, 20.0)
+
+
+def test_after_silence_a_leg_falls_as_with_the_payload_that_falls_fastest():
+    """On a walk at rest; legs have masses of their own, so what rides decides how fast a leg falls."""
+    c = robot("mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}, mass_range_kg: [0, 900]")
+    home, still = pose_arrays(c.platform.home), np.zeros(6)
+    falls = []
+    for mass in (40, 0, 900):
+        platform = build_platform(carried(mass, 0.05, 0, 0.2).platform)
+        twist = Model(platform).forward_dynamics(*home, still, still)
+        falls.append(float(np.abs(jacobian(platform, *home) @ twist).max()))
+    nothing, t = np.zeros((2, 6)), np.zeros(2)
+    at_rest = Walk(t, nothing + 1.6, nothing, nothing, nothing, nothing, t, t, True, False)
+    assert max(falls) > falls[0], "not the model's own"
+    assert reacted_to(c, at_rest).a == pytest.approx(max(falls), rel=1e-9)
+
+
+def test_the_place_of_least_inertia_is_looked_for_in_the_axes_of_the_payload():
+    """A quarter turn about z of a frame at (0.1, 0.2, 0) m: the platform's own centre is (-0.2, 0.1, 0) m in it."""
+    turned = (
+        "mass_kg: 40, com_m: [0, 0, 0], shape: {type: point}, mass_range_kg: [20, 80], "
+        "com_range_m: [[-1, 1], [-1, 1], [-1, 0.5]], "
+        "frame: {origin_m: [0.1, 0.2, 0], rotation_vector_deg: [0, 0, 90]}"
+    )
+    ends = {(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 0.5)}
+    places = [corner.settings.platform.payload[0].com_m for corner in corners(robot(turned).platform)[1:]]
+    inner = [place for place in places if place not in ends]
+    np.testing.assert_allclose(inner, [(-0.2, 0.1, 0.0)], atol=1e-12)

@@ -9,6 +9,7 @@ import pytest
 from hil.app.check.command import inspect, stopping_distances_m
 from hil.app.check.dangers import _coarse, _implausible
 from hil.app.configuration.configuration import load, loads
+from hil.app.force_steps import stepped_error_m
 
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
 HEAVY = (("force_limit_N: 30000 ", "force_limit_N: 70000 "),)
@@ -200,3 +201,36 @@ def test_steps_of_the_force_that_lead_beyond_the_following_error_are_a_danger(le
     warned = _coarse(c.model_copy(update={"limits": strict}))
     found = [each for each in warned if f"one code of torque is {step_N:.2g} N at the leg" in each]
     assert bool(found) == coarse
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize(
+    ("radius_m", "words"),
+    [(0.5, "0.0477 turns of"), (5e-5, "4.77e+04 rpm of"), (10.0, "needs 1.2e+03 N m of")],
+)
+def test_one_transmission_that_makes_no_motor_is_named_whichever_way_the_motors_turn(radius_m, words, leg):
+    c = load("desktop")
+    assert c.drives.transmission is not None
+    radii = [radius_m if k == leg else 0.02 for k in range(6)]
+    for sign in (1, -1):
+        gear = c.drives.transmission.model_copy(update={"pulley_radius_m": radii, "sign": sign})
+        changed = c.model_copy(update={"drives": c.drives.model_copy(update={"transmission": gear})})
+        assert [each for each in _implausible(changed) if words in each], sign
+
+
+@pytest.mark.parametrize("softest", range(6))
+def test_steps_of_the_force_leave_the_softest_axis_of_a_pose_farthest_from_its_reference(softest):
+    """What a step leaves is in proportion to 1 / wn^2: nine times as much at a third of the frequency."""
+    c = loads(
+        load("desktop").text.replace("  law: inverse_dynamics\n", "  law: pose_inverse_dynamics\n"), "a.yaml"
+    )
+
+    def left_m(wn: object) -> float:
+        law = c.controller.model_copy(update={"wn_rad_s": wn})
+        found = stepped_error_m(c.model_copy(update={"controller": law}))
+        assert found is not None
+        return found
+
+    stiff_m = left_m(30.0)
+    assert stiff_m > 0.0
+    assert left_m([10.0 if k == softest else 30.0 for k in range(6)]) == pytest.approx(9.0 * stiff_m)

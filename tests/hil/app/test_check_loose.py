@@ -110,14 +110,18 @@ def test_a_limit_that_is_proposed_refuses_no_jog_from_the_reference():
     assert float(line.rsplit(" ", 1)[1]) > found.figures["jog_change_N"]
 
 
-def test_a_deceleration_that_no_force_gives_is_warned_of(virtual):
-    """By hand: a leg alone feels 1 / (J M^-1 J^T)_ii; 25 kN bear 3.6 kN of weight at the path's start."""
-    c, w, _ = virtual
+def platform_mass_kg(c):
+    """Return what a leg alone feels of the platform at home: 1 / (J M^-1 J^T)_ii, kg, the most of any."""
     platform, home = build_platform(c.platform), c.platform.home
     p, R = np.array(home.position_m), np.eye(3)
     J = jacobian(platform, p, R)
-    mass_kg = 1.0 / np.diag(J @ np.linalg.solve(Model(platform).mass_matrix(p, R), J.T)).min()
-    able = (25000.0 - np.abs(w.rest).max()) / mass_kg
+    return 1.0 / np.diag(J @ np.linalg.solve(Model(platform).mass_matrix(p, R), J.T)).min()
+
+
+def test_a_deceleration_that_no_force_gives_is_warned_of(virtual):
+    """By hand: a leg alone feels 1 / (J M^-1 J^T)_ii; 25 kN bear 3.6 kN of weight at the path's start."""
+    c, w, _ = virtual
+    able = (25000.0 - np.abs(w.rest).max()) / platform_mass_kg(c)
     assert warned(virtual, deceleration_m_s2=3.9 * able) == []
     (line,) = warned(virtual, deceleration_m_s2=4.1 * able)
     assert line.startswith(f"limits.deceleration_m_s2 {4.1 * able:g} is 4.1 times the {able:.3g} m/s^2")
@@ -166,3 +170,29 @@ def test_syncs_farther_apart_than_two_fifths_of_the_period_are_loose(virtual, na
     skewed = c.model_copy(update={"limits": c.limits.model_copy(update={"sync_skew_us": skew_us})})
     found = list(loose_limits(skewed, virtual[1], None))
     assert any("limits.sync_skew_us" in each for each in found) == loose
+
+
+def with_law(virtual, **law):
+    c, w, change = virtual
+    return c.model_copy(update={"controller": c.controller.model_copy(update=law)}), w, change
+
+
+@pytest.mark.parametrize("softest", range(6))
+def test_a_following_error_is_needed_as_large_as_the_softest_leg_has_it(virtual, softest):
+    """8 m/s^2 / (20 rad/s)^2 are 20 mm; the others have 40 rad/s, and 5 mm."""
+    soft = with_law(virtual, wn_rad_s=[20.0 if leg == softest else 40.0 for leg in range(6)])
+    assert warned(soft, following_error_m=0.0799) == []
+    (line,) = warned(soft, following_error_m=0.0801)
+    assert "4.0 times the 0.02 m that are needed" in line
+
+
+@pytest.mark.parametrize("heaviest", range(6))
+def test_the_leg_with_the_heaviest_rotor_decides_how_hard_legs_can_be_braked(virtual, heaviest):
+    c, w, _ = virtual
+    rotors = [300.0 if leg == heaviest else 5.0 for leg in range(6)]
+    model = c.controller.model.model_copy(update={"reflected_mass_kg": rotors})
+    turning = with_law(virtual, model=model)
+    able = (25000.0 - np.abs(w.rest).max()) / (platform_mass_kg(c) + 300.0)
+    assert warned(turning, deceleration_m_s2=3.9 * able) == []
+    (line,) = warned(turning, deceleration_m_s2=4.1 * able)
+    assert f"is 4.1 times the {able:.3g} m/s^2" in line

@@ -12,6 +12,8 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.app.campaign.named_files import digests
 from hil.app.check.command import inspect
+from hil.app.check.feedforward import report_feedforward
+from hil.app.check.findings import Report
 from hil.app.compare.command import compare
 from hil.app.compose import attachments, build_cycle
 from hil.app.configuration.changes import with_changes
@@ -275,3 +277,15 @@ def test_laws_are_compared_without_what_was_learned_under_one_of_them(tmp_path: 
     c = using(tmp_path, recording={"folder": str(tmp_path)})
     found = compare(c, laws=["pd"], path_laws=["none"], duration_s=0.1, jobs=1)
     assert found["laws"]["pd"]["fault"] is None
+
+
+@pytest.mark.parametrize("step_s", [1e-3, 2e-3, 5e-3])
+def test_what_learned_forces_change_by_in_a_tick_is_said_of_any_step_of_their_file(
+    step_s: float, tmp_path: Path
+) -> None:
+    """120 N from row to row are 24 N a tick of 1 ms where the rows are 5 ms apart."""
+    rows = np.zeros((10, 6))
+    rows[:, 4] = [0.0, 0.0, 60.0, 120.0, 160.0, 160.0, 40.0, 0.0, 0.0, 0.0]
+    report = Report("")
+    report_feedforward(report, using(tmp_path, feedforward_text(head_of(VIRTUAL), rows, -4, step_s)))
+    assert report.figures["feedforward"]["step_N"] == pytest.approx(120.0 * 1e-3 / step_s)

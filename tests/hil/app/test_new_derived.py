@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hil.app.configuration.consistency import standstill
@@ -54,6 +54,7 @@ def table():
     return answers, robot_at_home(answers), w
 
 
+@settings(max_examples=25)
 @given(resolution_m=st.floats(1e-5, 2e-4), stroke_m=st.floats(0.005, 0.4))
 @example(resolution_m=1.3333e-4, stroke_m=0.2)
 @example(resolution_m=1.32500004e-4, stroke_m=0.2)
@@ -71,6 +72,7 @@ def test_the_tolerance_of_standstill_is_never_below_four_steps_of_an_encoder(tab
     assert limits["standstill_m"] == pytest.approx(needed, rel=0.011), "and hardly above"
 
 
+@settings(max_examples=25)
 @given(mass_kg=st.floats(1e-3, 1e6), radius_m=st.floats(0.1, 0.34))
 @example(mass_kg=2.36, radius_m=0.1862699)
 def test_the_disc_that_is_estimated_is_a_body_with_the_digits_that_are_written(table, mass_kg, radius_m):

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +10,9 @@ from drivers.errors import LogError
 from drivers.whole_file import whole_file
 from hil.app.terminal import one_line
 from hil.record.mcap_file import MAGIC
+
+_HALF = re.compile("[\ud800-\udc7f\udd00-\udfff]")
+"""Halves of pairs that stand for no byte of a name."""
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -58,8 +62,9 @@ def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b""
 
 
 def printable(name: str | os.PathLike[str]) -> str:
-    """Return a name of a file as one line of text; bytes that are no UTF-8 become signs."""
-    return one_line(os.fsencode(name).decode("utf-8", "replace"))
+    """Return a name of a file, in any locale, as one line of text; bytes that are no UTF-8 become signs."""
+    text = _HALF.sub("\ufffd", os.fspath(name))
+    return one_line(text.encode("utf-8", "surrogateescape").decode("utf-8", "replace"))
 
 
 def _begins(path: Path, head: bytes) -> bool:

@@ -16,6 +16,7 @@ import click
 
 from hil.cli.interrupts import OF_THIS_PROCESS, one_line_of_interrupt
 from hil.cli.pipes import quiet_pipe
+from hil.cli.streams import own_streams
 
 if _handler is signal.default_int_handler:
     signal.signal(signal.SIGINT, _handler)
@@ -98,7 +99,7 @@ class _Table(click.Group):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Be the work of this process."""
-        with OF_THIS_PROCESS.attached():
+        with own_streams(), OF_THIS_PROCESS.attached():
             return super().__call__(*args, **kwargs)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -134,7 +135,7 @@ def main() -> None:
     \b
     Exit codes of every command:
       0  success
-      1  it ran, and something was wrong; the summary says what
+      1  it ran, and something was wrong; the summary says what, or it cannot be written
       2  refused before anything moved; the message says why and what is allowed
       130  interrupted by Ctrl-C before there was a result; one line says what there is
       141  nobody reads its output any more, as after `| head -1`

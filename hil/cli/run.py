@@ -122,8 +122,4 @@ def command(
         faults=faults,
         with_watch=with_watch,
     )
-    if "last_ticks" in summary:
-        from hil.app.output import last_ticks_table
-
-        click.echo(last_ticks_table(summary["last_ticks"]), err=True)
     finish("run", summary, json_file)

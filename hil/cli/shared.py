@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 from click.shell_completion import CompletionItem
@@ -90,11 +90,14 @@ _REPORTED = frozenset({"run", "sim"})
 def finish(
     title: str, summary: dict[str, Any], json_file: Path | None, shown: dict[str, Any] | None = None
 ) -> None:
-    """Print a summary (`shown`, where that says it better), write its JSON twin, exit 0 only on success."""
+    """Write a summary's JSON twin, print it (`shown`, where that says it better), exit 0 only on success."""
     OF_THIS_PROCESS.settle()
-    from hil.app.output import show
+    from hil.app.output import last_ticks_table, show
     from hil.app.terminal import visible
 
+    unwritten = _write_twin(json_file, summary)
+    if "last_ticks" in summary:
+        click.echo(last_ticks_table(summary["last_ticks"]), err=True)
     if summary.get("trouble"):
         click.echo(visible(f"hil: {summary['trouble']}"), err=True)
     if summary.get("story"):
@@ -103,7 +106,7 @@ def finish(
     show(title, summary if shown is None else shown)
     if summary.get("kind") in _REPORTED and summary.get("log") and summary.get("ticks"):
         click.echo(f"look at it: hil report {shlex.quote(summary['log'])}")
-    finish_lines((), summary, json_file)
+    _end(summary, unwritten)
 
 
 def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
@@ -111,6 +114,7 @@ def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) 
     OF_THIS_PROCESS.settle()
     from hil.app.terminal import visible
 
+    unwritten = _write_twin(json_file, summary)
     if summary.get("trouble"):
         click.echo(visible(f"hil: {summary['trouble']}"), err=True)
     good = bool(summary["success"])
@@ -120,20 +124,39 @@ def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) 
         if key not in {"success", "kind", "trouble"}:
             shown = "; ".join(value) or "none" if isinstance(value, list) else value
             click.echo(visible(f"{key:<{max(map(len, summary)) + 2}}{shown}"))
-    if json_file is not None:
-        finish_lines((), summary, json_file)
-    sys.exit(0 if good else 1)
+    _end(summary, unwritten)
 
 
 def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> None:
-    """Print a report, write its JSON twin, exit 0 only on success."""
+    """Write a report's JSON twin, print it, exit 0 only on success."""
     OF_THIS_PROCESS.settle()
-    from hil.app.output import show_lines, write_json
+    from hil.app.output import show_lines
 
+    unwritten = _write_twin(json_file, summary)
     show_lines(lines)
-    if json_file is not None:
+    _end(summary, unwritten)
+
+
+def _write_twin(json_file: Path | None, summary: dict[str, Any]) -> str:
+    """Write the JSON, before anything is printed that nobody may read; return why not, or nothing."""
+    if json_file is None:
+        return ""
+    from drivers.errors import LogError
+    from hil.app.output import write_json
+
+    try:
         write_json(json_file, summary)
-    sys.exit(0 if summary["success"] else 1)
+    except LogError as error:
+        return str(error)
+    return ""
+
+
+def _end(summary: dict[str, Any], unwritten: str) -> NoReturn:
+    if unwritten:
+        from hil.app.terminal import one_line
+
+        _refuse(one_line(unwritten), _RAN)
+    sys.exit(0 if summary["success"] else _RAN)
 
 
 def reporting(command: Callable[..., None]) -> Callable[..., None]:
@@ -212,7 +235,7 @@ def _files(value: object) -> list[Path]:
     return [each for each in (value if isinstance(value, tuple) else (value,)) if isinstance(each, Path)]
 
 
-def _refuse(message: str, code: int = 2) -> None:
+def _refuse(message: str, code: int = 2) -> NoReturn:
     from hil.app.terminal import visible
 
     click.echo(visible(f"hil: {message}"), err=True)

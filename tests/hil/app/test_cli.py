@@ -103,7 +103,7 @@ def test_the_list_of_commands_imports_none_of_them():
         "print([m for m in sys.modules if m.startswith('hil.')])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.splitlines()[-1] == "['hil.cli.interrupts', 'hil.cli.pipes', 'hil.cli']"
+    assert out.splitlines()[-1] == "['hil.cli.interrupts', 'hil.cli.pipes', 'hil.cli.streams', 'hil.cli']"
 
 
 def test_a_run_and_a_simulation_start_without_scipys_algebra():

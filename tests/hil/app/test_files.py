@@ -103,6 +103,20 @@ def test_a_file_is_utf_8_whatever_the_locale_says(tmp_path):
     assert out.read_bytes() == "–".encode()
 
 
+def test_a_name_is_shown_whatever_the_locale_says():
+    program = "from hil.app.files import printable as p; print(ascii(p(chr(0xe9) + chr(0x2013))))"
+    plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=os.environ | plain, check=True, capture_output=True)
+    assert done.stdout == b"'\\xe9\\u2013'\n"
+
+
+def test_halves_of_signs_are_shown_as_signs():
+    assert printable("a\udcc3\udca9") == "a\xe9", "bytes of a name"
+    for half in ("\udcff", "\ud800", "\ud83d", "\udc7f", "\udd00", "\udfff"):
+        assert printable(f"a{half}b") == "a\ufffdb", ascii(half)
+
+
 def test_what_fails_leaves_the_earlier_file(tmp_path):
     out = tmp_path / "a.csv"
     out.write_text("old")

@@ -1,0 +1,176 @@
+"""What standard output or error cannot take ends no command, and costs no result: one line and the exit code say so."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import pytest
+
+from drivers.errors import HilError
+from hil.app.output import show, show_lines
+from hil.cli import check, main
+from hil.cli.shared import finish, finish_briefly, finish_lines
+
+FULL = "cannot be written: No space left on device\n"
+GOOD = {"success": True, "kind": "check", "text": "a"}
+Invoked = Callable[[Callable[[Path], Any]], int]
+
+
+@pytest.fixture
+def json_file(tmp_path: Path) -> Path:
+    return tmp_path / "a.json"
+
+
+@pytest.fixture
+def invoked(monkeypatch: pytest.MonkeyPatch, json_file: Path) -> Invoked:
+    """Be the process of a command that does some work; its exit code."""
+
+    def invoke(work: Callable[[Path], Any]) -> int:
+        monkeypatch.setattr("sys.argv", ["hil", "check", "--json", str(json_file)])
+        monkeypatch.setattr(check, "load", lambda *_: work(json_file))
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert isinstance(ended.value.code, int)
+        return ended.value.code
+
+    return invoke
+
+
+def table_and_figures(file: Path) -> None:
+    show("a table", {"success": True, "text": "b " * 9999})
+    finish("check", GOOD, file)
+
+
+ENDS: dict[str, Callable[[Path], Any]] = {
+    "figures": lambda file: finish("check", GOOD, file),
+    "few figures": lambda file: finish_briefly("check", GOOD, file),
+    "lines": lambda file: finish_lines(["a"], GOOD, file),
+    "many lines": lambda file: finish_lines(["a" * 70] * 999, GOOD, file),
+    "a table before": table_and_figures,
+}
+
+
+@pytest.fixture(params=[-1, 0], ids=["buffered", "unbuffered"])
+def full(request: pytest.FixtureRequest) -> Iterator[TextIO]:
+    """A file on a full disk; Python leaves out the buffer where PYTHONUNBUFFERED is set."""
+    with contextlib.suppress(OSError), Path("/dev/full").open("wb", buffering=request.param) as file:
+        yield io.TextIOWrapper(file)
+
+
+@pytest.mark.parametrize("end", ENDS.values(), ids=ENDS)
+def test_a_full_disk_behind_the_output_costs_no_result_and_is_no_refusal(
+    invoked: Invoked,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    json_file: Path,
+    full: TextIO,
+    end: Callable[[Path], Any],
+) -> None:
+    monkeypatch.setattr("sys.stdout", full)
+    assert invoked(end) == 1
+    assert capsys.readouterr().err == f"hil: standard output {FULL}"
+    assert json_file.read_text().startswith('{\n  "success": true')
+
+
+def test_a_full_disk_behind_the_output_leaves_a_refusal_what_it_is(
+    invoked: Invoked, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], full: TextIO
+) -> None:
+    def refused(_: Path) -> None:
+        show_lines(["a"])
+        raise HilError("no such file")
+
+    monkeypatch.setattr("sys.stdout", full)
+    assert invoked(refused) == 2
+    assert capsys.readouterr().err == f"hil: no such file\nhil: standard output {FULL}"
+
+
+@pytest.mark.parametrize("success", [True, False])
+def test_messages_that_cannot_be_written_cost_no_result_either(
+    invoked: Invoked,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    json_file: Path,
+    full: TextIO,
+    success: bool,
+) -> None:
+    monkeypatch.setattr("sys.stderr", full)
+    summary = {"success": success, "kind": "check", "trouble": "what nobody reads"}
+    assert invoked(lambda file: finish("check", summary, file)) == 1
+    assert capsys.readouterr().out.startswith(f"check: {'success' if success else 'failed'}\n")
+    assert json_file.exists()
+
+
+@pytest.mark.parametrize("name", ["stdin", "stdout", "stderr"])
+def test_a_stream_that_was_closed_is_one_that_nobody_reads(
+    invoked: Invoked, monkeypatch: pytest.MonkeyPatch, json_file: Path, name: str
+) -> None:
+    monkeypatch.setattr(sys, name, None)
+    there: list[bool] = []
+
+    def work(file: Path) -> None:
+        there.append(getattr(sys, name) is not None)
+        finish_lines(["a"], GOOD, file)
+
+    assert invoked(work) == 0
+    assert there == [True]
+    assert getattr(sys, name) is None
+    assert json_file.exists()
+
+
+@pytest.mark.parametrize(("encoding", "shown"), [("latin-1", "\xe9 \\u2013"), ("ascii", "\\xe9 \\u2013")])
+@pytest.mark.parametrize("form", ["figures", "lines"])
+def test_a_sign_that_the_locale_has_not_is_shown_as_its_number(
+    invoked: Invoked,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    json_file: Path,
+    encoding: str,
+    shown: str,
+    form: str,
+) -> None:
+    out, text = tmp_path / "out.txt", "\xe9 \u2013"
+    monkeypatch.setattr("sys.stdout", out.open("w", encoding=encoding))
+    work = {
+        "figures": lambda file: finish("check", GOOD | {"text": text}, file),
+        "lines": lambda file: finish_lines([text], GOOD, file),
+    }[form]
+    assert invoked(work) == 0
+    assert shown in out.read_text(encoding=encoding)
+    assert json_file.exists()
+
+
+class Broken(io.StringIO):
+    def write(self, _: str) -> int:
+        raise BrokenPipeError
+
+
+@pytest.mark.parametrize("end", list(ENDS.values())[:4], ids=list(ENDS)[:4])
+def test_the_json_is_there_although_nobody_reads_the_summary(
+    monkeypatch: pytest.MonkeyPatch, json_file: Path, end: Callable[[Path], Any]
+) -> None:
+    monkeypatch.setattr("sys.stdout", Broken())
+    with pytest.raises(BrokenPipeError):
+        end(json_file)
+    assert json_file.exists()
+
+
+@pytest.mark.parametrize("end", list(ENDS.values())[:3], ids=list(ENDS)[:3])
+def test_a_summary_whose_json_cannot_be_written_is_shown_and_is_no_refusal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], end: Callable[[Path], Any]
+) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    shutil.rmtree(folder)
+    with pytest.raises(SystemExit) as ended:
+        end(folder / "a.json")
+    assert ended.value.code == 1
+    out, error = capsys.readouterr()
+    assert out
+    assert error == f"hil: --json {folder}/a.json: cannot be written: {os.strerror(2)}\n"

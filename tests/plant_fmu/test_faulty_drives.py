@@ -33,13 +33,15 @@ def test_a_drive_holds_where_it_stands_whatever_its_encoder_has_slipped_by():
 
 def test_after_a_second_hang_the_frames_of_the_first_are_not_heard_once_more():
     rig = accelerating(*[PlantHang(at_s=at_s, for_s=1e-3) for at_s in (2e-3, 5e-3)])
-    before, heard = rig.nodes.snapshot().syncs, []
-    for number, hang_ms in enumerate((2, 5)):
+    before, heard = rig.nodes.snapshot(), []
+    for hang_ms, ticks in ((2, (200, 201)), (5, (202, 203))):
         rig.at(hang_ms * MS)
-        assert rig.at(hang_ms * MS + MS // 2, *rig.protocol.begin(None, 200 + number)) == []
+        for k, tick in enumerate(ticks, 1):
+            assert rig.at(hang_ms * MS + k * MS // 4, *rig.protocol.begin(None, tick)) == []
         rig.at((hang_ms + 2) * MS)
-        heard.append(rig.nodes.snapshot().syncs - before)
-    assert heard == [1, 2]
+        heard.append(rig.nodes.snapshot().syncs - before.syncs)
+    assert heard == [2, 4]
+    assert rig.nodes.snapshot().rejected == before.rejected
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -40,6 +40,8 @@ CROSSOVER = 2.06
 """Of e'' + 2 wn e' + wn^2 e = 0, in wn."""
 EXCURSION = 0.2
 """Of the stroke, what the path moves a leg from the middle."""
+FADE = 0.4
+"""Of a period of the path, that it takes to fade at least: 1.875 x / t is then 0.75 of the rate 2 pi f x."""
 HOLD_Hz = 5.0
 """Bandwidth of what an emulated drive does by itself."""
 
@@ -102,8 +104,8 @@ def controller_section(a: dict[str, Any], wn: float) -> dict[str, Any]:
 def reference_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
     """Return a path about home that every leg follows within `EXCURSION` of its stroke.
 
-    The fastest leg uses a quarter of the drives' speed at most, the hardest accelerates by 1 m/s^2 and by a
-    tenth of the force that holding leaves.
+    The fastest leg uses a quarter of the drives' speed at most, and up to a half while a slow path fades out;
+    the hardest accelerates by 1 m/s^2 and by a tenth of the force that holding leaves.
     """
     r = a["platform_radius_m"]
     directions = np.abs(home.J[:, [0, 2, 4]]) * [1.0, 1.0, 1.0 / r]
@@ -119,7 +121,7 @@ def reference_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
     return {
         "type": "sinusoids",
         "duration_s": max(10.0, ceil(3.0 / f)),
-        "ramp_s": 2.0,
+        "ramp_s": max(2.0, rounded(FADE / f)),
         "components": [
             {"axis": "z_m", "amplitude": x, "frequency_Hz": f},
             {"axis": "x_m", "amplitude": x, "frequency_Hz": rounded(0.5 * f)},

@@ -79,8 +79,8 @@ def test_the_disc_that_is_estimated_is_a_body_with_the_digits_that_are_written(t
     """Of a thin disc the moment about its axis is the sum of the others: no body has more."""
     a = table[0] | {"mass_kg": mass_kg, "platform_radius_m": radius_m}
     read: Any = parse(yaml_text([], {"platform": platform_section(a)}, {})).value
-    settings = PlatformSettings.model_validate(read["platform"])
-    body = build_platform(settings).platform
+    platform = PlatformSettings.model_validate(read["platform"])
+    body = build_platform(platform).platform
     disc = mass_kg * radius_m**2 * np.diag([0.25, 0.25, 0.5])
     np.testing.assert_allclose(body.inertia, disc, rtol=1e-5)
 
@@ -123,3 +123,15 @@ def test_a_leg_is_braked_by_half_of_the_force_that_its_weight_leaves(table):
         assert derive.limits_section(a, bearing, path, 0.01, 1000.0)["deceleration_m_s2"] == 5.0
         a = answers | {"drive_force_N": 420.0}
         assert derive.limits_section(a, bearing, path, 0.01, 1000.0)["deceleration_m_s2"] == 0.35
+
+
+@pytest.mark.parametrize("strokes_s", [0.5, 0.1, 0.03, 0.005])
+@pytest.mark.parametrize("mounting", ["standing", "hanging"])
+def test_a_path_for_slow_drives_fades_in_and_out_within_half_of_their_speed(table, strokes_s, mounting):
+    """It is slow, too: a fade of 2 s from wherever it stands would be faster than the drives."""
+    a = table[0] | {"drive_speed_m_s": strokes_s * 0.2, "mounting": mounting}
+    path = derive.reference_section(a, robot_at_home(a))
+    w = derive.walked(a, path, 20.0)
+    fastest = float(np.abs(w.dq).max())
+    assert fastest <= 0.5 * a["drive_speed_m_s"]
+    assert fastest >= 0.15 * a["drive_speed_m_s"] or strokes_s == 0.5, "and not far slower than they are"

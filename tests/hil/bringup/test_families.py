@@ -152,3 +152,17 @@ def test_drives_with_frames_of_their_own_are_powered_alone(family):
     states = [DriveState(int(s)) for s in rehearsal.bench.nodes.snapshot().state]
     assert states[3] is DriveState.RUN
     assert not {DriveState.READY, DriveState.RUN} & {*states[:3], *states[4:]}
+
+
+def test_a_brake_is_open_and_shut_for_the_bringup_when_a_slow_heartbeat_has_told_it():
+    c = family("odrive")
+    slow = with_changes(c.text, {"drives": {"heartbeat_ms": 250}})
+    rehearsal = Rehearsal(loads(slow, "odrive", c.folder), Wiring())
+    assert not any(rehearsal.drives.prepare(None))
+    for leg in (4, 1):
+        with rehearsal.context.opened(leg):
+            for _ in range(3):
+                rehearsal.context.drive(leg)
+            assert rehearsal.bench.nodes.snapshot().brake.tolist() == [float(k != leg) for k in range(6)]
+    assert rehearsal.bench.nodes.snapshot().brake.all()
+    assert rehearsal.watched.most_open == 1

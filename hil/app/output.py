@@ -20,6 +20,7 @@ from drivers.errors import LogError
 from drivers.own_folder import made_folder
 from drivers.signals import Mode
 from hil.app.files import printable, write_whole
+from hil.app.reserved import reserved
 from hil.app.terminal import visible
 
 if TYPE_CHECKING:
@@ -59,14 +60,7 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
 
     Raises LogError if the file exists (no log is ever overwritten) or its folder cannot be made or written.
     """
-    path = given
-    if path is None:
-        stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
-        path = Path(folder) / f"{name}-{stamp}{suffix}.mcap"
-        number = 2
-        while os.path.lexists(path):
-            path = Path(folder) / f"{name}-{stamp}-{number}{suffix}.mcap"
-            number += 1
+    path = _dated(Path(folder), name, f"{suffix}.mcap") if given is None else given
     if os.path.lexists(path):
         raise LogError(f"{path}: exists and is not overwritten; name another file with --log")
     elsewhere = "name another file with --log" + (", or set recording.folder" if given is None else "")
@@ -75,6 +69,17 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
         raise LogError(f"{path.parent}: {trouble}; {elsewhere}")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise LogError(f"{path.parent}: no right to write there; {elsewhere}")
+    return path
+
+
+def _dated(folder: Path, name: str, end: str) -> Path:
+    """Return a dated name that no file has, and that no other process of this second is given."""
+    stem = f"{name}-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}"
+    path = folder / f"{stem}{end}"
+    number = 2
+    while not reserved(path) or os.path.lexists(path):
+        path = folder / f"{stem}-{number}{end}"
+        number += 1
     return path
 
 
@@ -98,7 +103,7 @@ def picture_path(folder: str, stem: str, given: Path | None) -> Path:
     """
     path = Path(folder) if given is None else given
     if given is None or given.is_dir():
-        path /= f"{stem}-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}.png"
+        path = _dated(path, stem, ".png")
     if path.suffix.lower() != ".png":
         raise LogError(f"--picture {path}: the picture is a PNG file; let its name end in .png")
     try:

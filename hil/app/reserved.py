@@ -1,0 +1,30 @@
+"""Names of files that a process has chosen and not made yet: no other one of this machine chooses them."""
+
+import errno
+import hashlib
+import os
+import socket
+from pathlib import Path
+
+_held: dict[Path, socket.socket] = {}
+"""What this process has reserved; the kernel gives it back with the process, however that ends."""
+
+
+def reserved(path: Path) -> bool:
+    """Reserve a name; return whether nobody had. Where the system has no such names everything is free."""
+    for made in [each for each in _held if os.path.lexists(each)]:
+        _held.pop(made).close()
+    place = path.parent.resolve() / path.name
+    if place in _held:
+        return False
+    try:
+        mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    except OSError:
+        return True
+    try:  # a name of its own space, that leaves no file behind
+        mark.bind(b"\0hexapod-hil." + hashlib.sha256(os.fsencode(place)).hexdigest().encode())
+    except OSError as error:
+        mark.close()
+        return error.errno != errno.EADDRINUSE
+    _held[place] = mark
+    return True

@@ -6,14 +6,14 @@ import os
 import socket
 from pathlib import Path
 
-_held: dict[Path, socket.socket] = {}
-"""What this process has reserved; the kernel gives it back with the process, however that ends."""
+_held: dict[Path, int] = {}
+"""What this process has reserved, and by which open socket: the kernel closes it, however the process ends."""
 
 
 def reserved(path: Path) -> bool:
     """Reserve a name; return whether nobody had. Where the system has no such names everything is free."""
     for made in [each for each in _held if os.path.lexists(each)]:
-        _held.pop(made).close()
+        os.close(_held.pop(made))
     place = path.parent.resolve() / path.name
     if place in _held:
         return False
@@ -26,5 +26,5 @@ def reserved(path: Path) -> bool:
     except OSError as error:
         mark.close()
         return error.errno != errno.EADDRINUSE
-    _held[place] = mark
+    _held[place] = mark.detach()
     return True

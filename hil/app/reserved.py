@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 
 _held: dict[Path, int] = {}
-"""What this process has reserved, and by which open socket: the kernel closes it, however the process ends."""
+"""What this process has reserved, and by which open socket; the kernel closes it with the process."""
 
 
 def reserved(path: Path) -> bool:

@@ -159,8 +159,8 @@ def test_an_interrupt_as_a_simulation_marks_its_file_leaves_it_as_it_was(
     cycle = cycle_of(tick={"age": np.full(6, 99)})
     cycle.homing.opened = False
     monkeypatch.setattr(sim, "build_cycle", lambda *_, **__: cycle)
-    monkeypatch.setattr(sim, "build_nodes", lambda *_: (None, SimpleNamespace(close=lambda: None)))
-    monkeypatch.setattr(sim, "build_lockstep", lambda *_: None)
+    monkeypatch.setattr(sim, "build_nodes", lambda *_, **__: (None, SimpleNamespace(close=lambda: None)))
+    monkeypatch.setattr(sim, "build_lockstep", lambda *_, **__: None)
     monkeypatch.setattr(sim, "record", nothing)
     written = pressed(monkeypatch, 1, moment)
     with pytest.raises(KeyboardInterrupt):

@@ -74,6 +74,19 @@ def test_an_axis_that_says_after_a_while_that_its_loop_is_open_is_asked_again_an
     assert ends.states() == [DriveState.RUN] * LEGS
 
 
+def test_an_axis_that_has_run_and_says_that_it_is_idle_is_not_asked_again_until_run_is_asked_for_anew():
+    ends, legs = line(), list[int]()
+    ends.restart()
+    idle = Frame(NODES[3] << 5 | AXIS_STATE, struct.pack("<Ixxxx", 1))
+    ends.step(FORCED, set_up=False, first=(idle,))
+    for _ in range(6 * BEAT_TICKS):
+        ends.step(FORCED, set_up=False)
+        legs += asked(ends.sent, AXIS_STATE)
+    assert legs == []
+    assert ends.states() == [DriveState.BOOT if leg == 3 else DriveState.RUN for leg in range(LEGS)]
+    ends.restart()
+
+
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.OFF])
 @pytest.mark.parametrize("ticks", [1, 2, BEAT_TICKS // 2])
 def test_an_axis_that_was_enabled_for_less_than_a_heartbeat_is_told_to_be_idle_and_counts_as_enabled(

@@ -44,6 +44,9 @@ def own_streams() -> Iterator[None]:
         for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
             if getattr(sys, name) is None:  # closed: the next file that is opened would take its number
                 setattr(sys, name, opened.enter_context(Path(os.devnull).open(mode)))
+        if isinstance(sys.stdin, io.TextIOWrapper):
+            with contextlib.suppress(io.UnsupportedOperation):  # read from before, as in a test
+                sys.stdin.reconfigure(errors="replace")
         out, error = _taking(sys.stdout), _taking(sys.stderr)
         try:
             yield

@@ -17,6 +17,8 @@ ANSWER_S = 1.0
 """How long an answer is waited for."""
 ANSWER_LONGEST = 4096
 """Bytes of an answer."""
+SENT_LONGEST = 4096
+"""Bytes of a line that are sent. The controller refuses far shorter ones as too long, unread."""
 
 
 def socket_path(interface: str, channel: str) -> Path:
@@ -197,7 +199,7 @@ class OperatorClient:
         self._number += 1
         tag = f"#{self._number}"
         try:
-            self._socket.send(f"{tag} {line}".encode())
+            self._socket.send(f"{tag} {line}".encode(errors="replace")[:SENT_LONGEST])
         except OSError:
             raise RunError(
                 f"the controller on {self._where} does not listen any more: has it ended?"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -212,6 +213,40 @@ def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
     assert result.exit_code == 1
     assert "not now" in result.output
     assert controller.heard == [SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_set_points_of_bytes_that_are_no_text_are_refused_and_the_others_go_on(
+    controller, tmp_path, monkeypatch, capsys, encoding
+):
+    given = io.BytesIO(b"0 0 1\n\xff\n0 0 1.\xe9\n0.1 0 1\n")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(given, encoding=encoding))
+    monkeypatch.setattr("sys.argv", ["hil", "setpoint", changed(tmp_path, "type: waypoints", "type: live")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert [each.x for each in controller.heard] == [0.0, 0.1]
+    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert (shown["sent"], shown["taken"]) == ("4", "2")
+
+
+@pytest.mark.parametrize(
+    "words", [["\udcff"], ["hold\udcff"], ["speed", "\udcff40"], ["jog", "x", "1\udcff"]]
+)
+def test_a_word_of_bytes_that_are_no_text_is_refused(controller, words):
+    result = ctl(*words)
+    assert result.exit_code == 1, result.output
+    assert "hil: refused: " in result.stderr
+    assert not controller.heard
+
+
+@pytest.mark.parametrize("length", [600, 4_000, 300_000])
+def test_a_line_of_any_length_is_refused_as_too_long_by_a_controller_that_runs_on(controller, length):
+    result = ctl("hold" + " " * length)
+    assert result.exit_code == 1, result.output
+    assert "hil: refused: longer than 512 bytes" in result.stderr
+    assert ctl("hold").exit_code == 0
+    assert controller.heard == [Order(Operator.HOLD)]
 
 
 @pytest.mark.parametrize("t", [-1e-9, float("nan"), float("inf"), 1e306, 1.1e9])

@@ -18,6 +18,8 @@ FILE = "hil.schema.json"
 MODELINE = "# yaml-language-server: $schema="
 HEAD_LINES = 10
 """Lines in which it is looked for."""
+_MARK = "\ufeff"
+"""Byte order mark, with which some editors begin a file; YAML allows it nowhere else."""
 
 
 def schema() -> dict[str, Any]:
@@ -56,7 +58,7 @@ def schema_line() -> str:
 
 def named_schema(text: str) -> str | None:
     """Return what the first lines of a configuration name as their schema; None where they name none."""
-    for line in text.splitlines()[:HEAD_LINES]:
+    for line in text.removeprefix(_MARK).splitlines()[:HEAD_LINES]:
         if line.startswith(MODELINE):
             return line.removeprefix(MODELINE).strip()
     return None
@@ -69,7 +71,11 @@ def schema_is_there(text: str, folder: Path) -> bool:
 
 
 def with_schema(text: str) -> str:
-    """Return the text of a configuration with the line that names this installation's schema."""
+    """Return the text of a configuration with the line that names this installation's schema.
+
+    A byte order mark goes: it may stand in front of the whole text only.
+    """
+    text = text.removeprefix(_MARK)
     lines = text.splitlines(keepends=True)
     for k, line in enumerate(lines[:HEAD_LINES]):
         if line.startswith(MODELINE):

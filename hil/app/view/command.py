@@ -53,13 +53,13 @@ VIEWERS = {
     ),
     "foxglove": Viewer(
         "-foxglove.json",
-        lambda log, path: path.write_text(foxglove.layout(log.columns, log.topic)),
+        lambda log, path: path.write_text(foxglove.layout(log.columns, log.topic), "utf-8"),
         _foxglove,
         "open {log} in Foxglove or Lichtblick and import the layout {file}",
     ),
     "plotjuggler": Viewer(
         "-plotjuggler.xml",
-        lambda log, path: path.write_text(plotjuggler.layout(log.columns, log.topic, log=log.path)),
+        lambda log, path: path.write_text(plotjuggler.layout(log.columns, log.topic, log=log.path), "utf-8"),
         _plotjuggler,
         "plotjuggler -n -l {file}",
     ),

@@ -4,6 +4,7 @@ Source: `xmlLoadState` of MainWindow, PlotDocker, PlotWidget and DataLoadMCAP in
 of protobuf joins topic and fields by `/`, `/tick/tau/leg_3`; it draws numbers, so states stand by number.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -14,10 +15,15 @@ from hil.record.selection import Component, components
 
 COLOURS = ("#1f77b4", "#d62728", "#1ac938", "#ff7f0e", "#9467bd", "#17becf", "#f14cc1", "#bcbd22")
 _STATES = ("mode", "command_mode", "faults", "warnings", "drive_state")
+_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Signs that stand in no XML 1.0 file, and bytes of a path that are no UTF-8."""
 
 
 def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) -> str:
-    """Return the layout for logs with these columns as XML; with `log` it opens that file at once."""
+    """Return the layout for logs with these columns as XML; with `log` it opens that file at once.
+
+    A path that XML cannot hold is left out: the file is then opened by hand.
+    """
     root = ET.Element("root")
     area = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     shown = plots(columns) + _states(columns)
@@ -32,9 +38,10 @@ def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) ->
             _dock(splitter, plot, topic)
     ET.SubElement(area, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
-    if log is not None:
+    name = "" if log is None else str(log.resolve())
+    if name and not _NO_XML.search(name):
         files = ET.SubElement(root, "previouslyLoaded_Datafiles")
-        file = ET.SubElement(files, "fileInfo", filename=str(log.resolve()), prefix="")
+        file = ET.SubElement(files, "fileInfo", filename=name, prefix="")
         plugin = ET.SubElement(file, "plugin", ID="DataLoad MCAP")
         ET.SubElement(
             plugin, "parameters", use_timestamp="0", use_mcap_log_time="1", clamp_large_arrays="0",

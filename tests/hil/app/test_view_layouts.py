@@ -12,6 +12,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool
 from mcap.reader import make_reader
 
 from hil.app.view import foxglove, plotjuggler
+from hil.app.view.command import VIEWERS
 from hil.app.view.foxglove import SCRIPT_TOPIC
 from hil.cli import main
 from hil.record import Recording
@@ -192,6 +193,29 @@ def test_plotjuggler_opens_the_log_and_its_rows_alone(path):
     assert file.get("filename") == str(path)
     assert plugin.get("ID") == "DataLoad MCAP"
     assert parameters.get("selected_topics") == "/tick"
+
+
+@pytest.mark.parametrize(
+    "name", ["jos\u00e9", "tab\there", "a\nb", '<&">', "\U0001f916", "bell\x07", "half\udcff", "\ufffe"]
+)
+def test_a_layout_is_utf_8_that_xml_allows_in_any_locale_and_names_its_log_or_none(
+    path, tmp_path, monkeypatch, name
+):
+    told = []
+
+    def write_text(file, text, encoding=None):
+        told.append(encoding)
+        return file.write_bytes(text.encode(encoding or "latin-1"))
+
+    monkeypatch.setattr(Path, "write_text", write_text)
+    there = tmp_path / name
+    there.mkdir()
+    log, file = there / "a.mcap", tmp_path / "a.xml"
+    log.write_bytes(path.read_bytes())
+    VIEWERS["plotjuggler"].write(Log(log), file)
+    named = [found.get("filename") for found in ET.parse(file).iter("fileInfo")]
+    assert told == ["utf-8"]
+    assert named == ([] if name in {"bell\x07", "half\udcff", "\ufffe"} else [str(log)])
 
 
 @pytest.mark.parametrize(

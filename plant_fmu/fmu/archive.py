@@ -20,7 +20,7 @@ RATIO_FREE_BYTES = 1024**2
 """Members up to this size may have any ratio."""
 _CHUNK = 1 << 20
 _DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, ValueError, RuntimeError)
-"""What zipfile raises on damaged or unreadable members."""
+"""What zipfile raises on a directory or a member that is damaged or cannot be read."""
 
 
 def open_archive(path: Path) -> zipfile.ZipFile:
@@ -31,7 +31,7 @@ def open_archive(path: Path) -> zipfile.ZipFile:
         )
     try:
         return zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError) as error:
+    except _DAMAGED as error:
         raise PlantError(f"{path}: not an FMU (a ZIP archive with modelDescription.xml): {error}") from error
 
 

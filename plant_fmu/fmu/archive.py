@@ -14,10 +14,13 @@ from drivers.errors import PlantError
 
 MAX_MEMBERS = 20_000
 MAX_BYTES = 2 * 1024**3
+MAX_XML_BYTES = 64 * 1024**2
+"""Of a member that is parsed: its tree takes some ten times that, also where no child process bounds it."""
 MAX_RATIO = 400
 """Largest size of a member over its packed size; real binaries and data stay far below."""
 RATIO_FREE_BYTES = 1024**2
 """Members up to this size may have any ratio."""
+_PARSED = frozenset({"modelDescription.xml", "sources/buildDescription.xml"})
 _CHUNK = 1 << 20
 _DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, ValueError, RuntimeError)
 """What zipfile raises on a directory or a member that is damaged or cannot be read."""
@@ -40,7 +43,8 @@ def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInf
 
     Refused: absolute paths, drive letters, backslashes, ``..``, links and other special files, encrypted
     members, two different ones with one name (also one name on a file system that ignores case), too many,
-    too large or too strongly packed ones. Raises PlantError naming the member.
+    too large or too strongly packed ones, descriptions that are too large to be parsed. Raises PlantError
+    naming the member.
     """
     members = archive.infolist()
     if len(members) > MAX_MEMBERS:
@@ -64,6 +68,8 @@ def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInf
             bad = "it is encrypted"
         elif member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):
             bad = f"it unpacks to more than {MAX_RATIO} times its packed size"
+        elif name in _PARSED and member.file_size > MAX_XML_BYTES:
+            bad = f"it unpacks to {member.file_size} bytes; at most {MAX_XML_BYTES} are read"
         if bad:
             raise PlantError(f"{path}: member {name!r} refused: {bad}")
         if seen.setdefault(key, member) is member:

@@ -17,6 +17,7 @@ from typing import NamedTuple, get_args
 from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
 from drivers.own_folder import made_folder
+from drivers.whole_file import whole_file
 from plant_fmu.stewart.ctables import header, tables
 from plant_fmu.stewart.description import (
     MODEL_IDENTIFIER,
@@ -40,6 +41,8 @@ FLAGS = (
 )
 """No contraction: every machine of one family computes the same bits. No errno: a square root is one
 instruction then; nothing reads it."""
+LONGEST_S = 600.0
+"""Of a compilation."""
 _PLAIN_2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 _ZIP_DATE = (2000, 1, 1, 0, 0, 0)
 
@@ -97,7 +100,10 @@ def find_compiler(*, zig: bool = False) -> Compiler:
     """
     if not zig:
         wanted = os.environ.get("CC")
-        found = shlex.split(wanted) if wanted else [p for p in [shutil.which("cc")] if p]
+        try:
+            found = shlex.split(wanted) if wanted else [p for p in [shutil.which("cc")] if p]
+        except ValueError:  # a quotation mark without its other
+            found = []
         if found and (identity := _identity(tuple(found), "--version")):
             return Compiler(tuple(found), zig=False, identity=identity)
         if wanted:
@@ -151,7 +157,14 @@ def _compile(compiler: Compiler, key: str, folder: Path, units: list[str]) -> by
     command += ["-o", str(out), *units]
     if target.suffix != ".dll":
         command += ["-lm"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    try:
+        done = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise PlantError(
+            f"compiling the plant for {key} has not ended after {LONGEST_S:g} s:\n{shlex.join(command)}"
+        ) from None
     if done.returncode != 0:
         raise PlantError(
             f"compiling the plant for {key} failed with exit code {done.returncode}:\n"
@@ -193,7 +206,8 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
     out: where to put a copy; None returns the cached file itself. release: binaries for all of TARGETS,
     cross-compiled with zig; else one for this machine. The same sources and compiler give the same bytes.
 
-    Raises PlantError without a compiler, on a compilation that fails, or a cache that cannot be written.
+    Raises PlantError without a compiler, on a compilation that fails, or a cache or copy that cannot be
+    written.
     """
     if fmi_version not in get_args(FmiVersion):
         raise PlantError(
@@ -218,13 +232,15 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
                 binaries = {key: _compile(compiler, key, folder, units) for key in keys}
                 _pack(folder / cached.name, fmi_version, binaries, sources, guid)
                 (folder / cached.name).replace(cached)
-        if out is None:
-            return cached
-        partial = out.with_name(f".{out.name}.{os.getpid()}")
-        shutil.copyfile(cached, partial)
-        partial.replace(out)
     except OSError as error:
         raise PlantError(
             f"the FMU could not be written: {error}; set XDG_CACHE_HOME to a folder that can be written"
         ) from error
+    if out is None:
+        return cached
+    try:
+        with whole_file(out) as temporary:
+            shutil.copyfile(cached, temporary)
+    except OSError as error:
+        raise PlantError(f"{out}: the FMU cannot be written: {error.strerror or error}") from error
     return out

@@ -1,6 +1,7 @@
 """The FMU as an artefact: valid, complete, reproducible."""
 
 import ctypes
+import errno
 import re
 import subprocess
 import zipfile
@@ -137,6 +138,48 @@ def test_a_compiler_that_fails_is_an_error_with_its_output(monkeypatch, tmp_path
     with pytest.raises(PlantError, match=r"(?s)exit code.*plant\.c"):
         build("3.0")
     assert list((tmp_path / "hexapod-hil" / "fmu").glob("*/*")) == []
+
+
+@pytest.mark.parametrize("wanted", ['"gcc', "gcc -D'x", "gcc \\", " "])
+def test_a_compiler_that_cannot_be_called_is_named(monkeypatch, wanted):
+    monkeypatch.setenv("CC", wanted)
+    with pytest.raises(PlantError, match=re.escape(f"the compiler in CC={wanted!r} does not run; mend or")):
+        builder.find_compiler()
+
+
+def test_a_compiler_that_does_not_end_is_an_error_with_its_command(monkeypatch, tmp_path):
+    monkeypatch.setattr(builder, "LONGEST_S", 0.02)
+    compiler = builder.Compiler(("sh", "-c", "exec sleep 60"), zig=False, identity="")
+    with pytest.raises(PlantError, match=r"has not ended after 0\.02 s:\nsh -c 'exec sleep 60' -O2 "):
+        builder._compile(compiler, builder.this_machine(), tmp_path, ["plant.c"])
+
+
+@pytest.mark.parametrize("earlier", [b"", b"an earlier one"])
+def test_a_copy_that_cannot_be_written_or_is_interrupted_leaves_nothing_of_itself(
+    monkeypatch, tmp_path, earlier
+):
+    cached = build("3.0")
+    out = tmp_path / "copy.fmu"
+    if earlier:
+        out.write_bytes(earlier)
+    before = list(tmp_path.iterdir())
+    error: BaseException = OSError(errno.ENOSPC, "No space left on device")
+
+    def half(_, target):
+        target.write_bytes(b"half of it")
+        raise error
+
+    monkeypatch.setattr("shutil.copyfile", half)
+    with pytest.raises(PlantError) as told:
+        build("3.0", out)
+    assert str(told.value) == f"{out}: the FMU cannot be written: No space left on device"
+    error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        build("3.0", out)
+    assert list(tmp_path.iterdir()) == before
+    assert [file.read_bytes() for file in before] == [earlier][: len(before)]
+    monkeypatch.undo()
+    assert build("3.0", out).read_bytes() == cached.read_bytes()
 
 
 def test_an_unknown_fmi_version_is_refused():

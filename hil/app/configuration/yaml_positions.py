@@ -196,10 +196,17 @@ class _Walk:
             if pattern.fullmatch(text):
                 try:
                     return convert(text)
-                except ValueError:
+                except (ValueError, OverflowError):
                     self.problem(node, path, f"number of {len(text)} digits: too long")
                     return None
         return text
+
+
+def _integer(text: str, base: int = 10) -> int:
+    """Raise OverflowError beyond the largest float: Python writes no number of 4301 digits, in any base."""
+    number = int(text, base)
+    float(number)
+    return number
 
 
 def _integral(text: str) -> int | float:
@@ -212,9 +219,9 @@ _SCALARS: tuple[tuple[re.Pattern[str], Callable[[str], Value]], ...] = (
     (re.compile(r"null|Null|NULL|~|"), lambda _: None),
     (re.compile(r"true|True|TRUE"), lambda _: True),
     (re.compile(r"false|False|FALSE"), lambda _: False),
-    (re.compile(r"[-+]?[0-9]+"), int),
-    (re.compile(r"0o[0-7]+"), lambda text: int(text, 0)),
-    (re.compile(r"0x[0-9a-fA-F]+"), lambda text: int(text, 0)),
+    (re.compile(r"[-+]?[0-9]+"), _integer),
+    (re.compile(r"0o[0-7]+"), lambda text: _integer(text, 8)),
+    (re.compile(r"0x[0-9a-fA-F]+"), lambda text: _integer(text, 16)),
     (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), _integral),
     (re.compile(r"[-+]?\.(inf|Inf|INF)"), lambda text: float(text.replace(".", ""))),
     (re.compile(r"\.(nan|NaN|NAN)"), lambda _: float("nan")),

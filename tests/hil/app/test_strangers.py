@@ -12,11 +12,13 @@ from drivers.regular_file import MOST_BYTES, read_regular
 from hil.app.calibrate import read_pairs
 from hil.app.compose import databases
 from hil.app.configuration.configuration import load, loads, short_name
+from hil.app.configuration.section_file import read_section
 from hil.app.files import printable
 from hil.app.recorded_files import with_attachments
 from hil.app.run.command import _missing
 from hil.app.terminal import one_line, visible
 from hil.cli import main
+from hil.config.axis_model import AxisModel
 from hil.config.reference import AxisLimits, TimeOptimalReference
 from hil.config.values import Pose
 from hil.record import Recording
@@ -159,3 +161,32 @@ def test_ticks_that_a_log_lacks_are_counted_without_skipped_periods():
     assert _missing(rows[:2]) == 0
     rows["tick"], rows["skipped"] = np.arange(5) + 3, [3, 0, 0, 0, 0]
     assert _missing(rows) == 0
+
+
+# -- numbers -------------------------------------------------------------------------------------------------
+
+LONG_NUMBERS = {
+    "decimal": "-" + "9" * 400,
+    "decimal of more digits than Python reads": "9" * 5000,
+    "octal": "0o" + "7" * 5000,
+    "hexadecimal": "0x" + "F" * 4000,
+}
+
+
+@pytest.mark.parametrize("number", LONG_NUMBERS.values(), ids=LONG_NUMBERS)
+def test_a_whole_number_that_no_float_holds_is_refused_at_its_place_in_any_base(tmp_path, number):
+    told = rf"number of {len(number)} digits: too long"
+    text = VIRTUAL.replace("rate_Hz: 1000", f"rate_Hz: {number}", 1)
+    assert number in text
+    with pytest.raises(ConfigurationError, match=rf":\d+:\d+: loop\.rate_Hz: {told}"):
+        loads(text)
+    file = tmp_path / "axes.yaml"
+    file.write_text(f"kind: {number}\n")
+    with pytest.raises(ConfigurationError, match=rf"axes\.yaml:1:7: kind: {told}"):
+        read_section(file, AxisModel)
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 308, "0x" + "F" * 255, "0o" + "7" * 341])
+def test_a_whole_number_that_a_float_holds_is_judged_by_its_limits(number):
+    with pytest.raises(ConfigurationError, match=r"loop\.rate_Hz: .*allowed: .*given: "):
+        loads(VIRTUAL.replace("rate_Hz: 1000", f"rate_Hz: {number}", 1))

@@ -93,7 +93,6 @@ class Recorder:
         self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
         self.socket = LiveSocket.listening(setup["websocket"], self._encoder.channels)
-        self._publisher = _publisher(ring, setup["mirror"])
         version = setup["environment"].get("version", "unknown")
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{version}")
         try:
@@ -101,6 +100,7 @@ class Recorder:
         except OSError:
             self.file.discard()  # no tick is in it
             raise
+        self._publisher = _publisher(ring, setup["mirror"])  # last: a run that never was is not shown
 
     def _open(self, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]) -> None:
         self.file.add_metadata(IDENTITY, setup["identity"])
@@ -114,7 +114,13 @@ class Recorder:
         self.file.sync()
 
     def run(self, control: _Control) -> None:
-        """Drain until the producer closes or dies."""
+        """Drain until the producer closes or dies, and show no more, also where something fails."""
+        try:
+            self._run(control)
+        finally:
+            self._stop_showing()
+
+    def _run(self, control: _Control) -> None:
         flushed = synced = due = time.monotonic()
         while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else max(0.0, due - time.monotonic())):
             now = time.monotonic()
@@ -135,7 +141,6 @@ class Recorder:
 
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
         """Write the summary, close the file; `summary` is None when the producer died."""
-        self._stop_showing()
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
         if self._lateness is not None:
             counts["wake_up_us"] = json.dumps(self._lateness.table())
@@ -148,7 +153,6 @@ class Recorder:
 
     def close_full(self, error: OSError) -> dict[str, object]:
         """Close the file where it cannot grow any more, with what fits; return what the producer is told."""
-        self._stop_showing()
         self.file.finish_within(
             SUMMARY, lambda: {name: str(value) for name, value in self._counts(DISK_FULL).items()}
         )

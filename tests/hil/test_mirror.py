@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing
 import stat
+import subprocess
 import time
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,8 +18,9 @@ from drivers.errors import LogError
 from drivers.signals import Warn
 from drivers.tick_columns import ROW
 from hil.record import Recording
+from hil.record.mcap_file import McapFile
 from hil.record.mirror import FIGURES, SLOT_BYTES, Mirror, MirrorReader, _place, mirror_path
-from hil.record.recorder import _publisher
+from hil.record.recorder import Recorder, _Control, _publisher
 from hil.record.ring import Ring
 from hil.record.row import TICKS, describe
 from tests.hil.samples import random_rows
@@ -207,3 +212,46 @@ def test_a_recorder_that_is_killed_leaves_what_was_shown_last(tmp_path):
     assert int(newest(reader).row["tick"]) == 0
     assert json.loads(json.dumps(reader.about))["columns"] == describe(TICKS.columns)
     shown.unlink()
+
+
+def recorder(folder, ring):
+    identity = {"mode": "real_time", "epoch_ns": "0", "can_channel": "can0"}
+    shown = {"path": str(folder / "m"), "about": ABOUT}
+    setup = {"identity": identity, "environment": {}, "scene": None, "live": False, "reference_s": None,
+             "websocket": None, "mirror": shown, "path": str(folder / "a.mcap"), "created_ns": 0}  # fmt: skip
+    return Recorder(ring, TICKS, setup, [("config.yaml", b"")])
+
+
+@pytest.mark.parametrize("refused", ["__init__", "add_metadata", "add_attachment", "sync"])
+def test_a_run_whose_log_cannot_be_opened_is_never_shown_and_hides_no_other(tmp_path, monkeypatch, refused):
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    other = Mirror(tmp_path / "m", {**ABOUT, "name": "another run"})
+    monkeypatch.setattr(McapFile, refused, refuse)
+    with pytest.raises(OSError, match="No space left"):
+        recorder(tmp_path, Ring.create(TICKS.dtype, 256))
+    assert MirrorReader(tmp_path / "m").about["name"] == "another run"
+    other.close()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_a_run_whose_log_cannot_be_written_any_more_is_shown_as_ended(tmp_path, monkeypatch, number):
+    def refuse(*_):
+        raise OSError(number, "it says")
+
+    ring = Ring.create(TICKS.dtype, 256)
+    recording = Recording(ring, cast("subprocess.Popen[bytes]", None), tmp_path / "a.mcap", lockstep=False)
+    failing = recorder(tmp_path, ring)
+    for row in rows_of(7):
+        recording.tick(row, (), ())
+    reader = MirrorReader(tmp_path / "m")
+    monkeypatch.setattr(McapFile, "add_chunk", refuse)
+    ended = cast("_Control", SimpleNamespace(ended=lambda _: True))
+    with pytest.raises(OSError, match="it says"):
+        failing.run(ended)
+    assert reader.ended
+    assert int(newest(reader).figures["ticks"]) == 7
+    assert not (tmp_path / "m").exists()
+    failing.file.discard()

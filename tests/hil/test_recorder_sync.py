@@ -22,7 +22,8 @@ def synced(monkeypatch):
         found: list[float] = []
         clock: Any = SimpleNamespace(now=100.0, monotonic=lambda: clock.now)
         recorder: Any = Recorder.__new__(Recorder)
-        recorder._lockstep, recorder._publisher, recorder.batch = lockstep, None, 16
+        recorder._publisher = recorder._live = None
+        recorder._lockstep, recorder.batch = lockstep, 16
         recorder._ring = SimpleNamespace(ready=lambda limit: False, capacity=256)
         recorder._drain = lambda limit: False
         recorder.file = SimpleNamespace(sync=lambda: found.append(clock.now), position=0)

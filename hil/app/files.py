@@ -56,9 +56,18 @@ def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b""
         raise LogError(f"{where}: is a log, and no log is ever overwritten; name another file")
     if not path.parent.is_dir():
         raise LogError(f"{where}: there is no folder {path.parent}; make it first")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    if not may_write(path):
         raise LogError(f"{where}: no right to write there; name another file")
     return path
+
+
+def may_write(path: Path) -> bool:
+    """Tell whether there is a right to write a file: a new one is made in its folder and takes its name."""
+    if path.exists() and not os.access(path, os.W_OK):
+        return False
+    if path.exists() and not path.is_file():  # a pipe or a terminal
+        return True
+    return os.access(path.resolve().parent, os.W_OK | os.X_OK)
 
 
 def printable(name: str | os.PathLike[str]) -> str:

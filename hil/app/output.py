@@ -19,7 +19,7 @@ from rich.text import Text
 from drivers.errors import LogError
 from drivers.own_folder import made_folder
 from drivers.signals import Mode
-from hil.app.files import printable, write_whole
+from hil.app.files import may_write, printable, write_whole
 from hil.app.reserved import reserved
 from hil.app.terminal import visible
 
@@ -114,7 +114,7 @@ def picture_path(folder: str, stem: str, given: Path | None) -> Path:
     trouble = _no_folder(path.parent)
     if trouble:
         raise LogError(f"--picture {path}: {path.parent} {trouble}; name another file with --picture")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    if not may_write(path):
         raise LogError(f"--picture {path}: no right to write there; name another file")
     return path
 
@@ -132,7 +132,7 @@ def check_json_path(path: Path, *inputs: Path) -> None:
         raise LogError(f"{where}: is a folder; name a file")
     if any(path.resolve() == other.resolve() for other in inputs):
         raise LogError(f"{where}: is another file of this command; name a file of its own")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    if not may_write(path):
         raise LogError(f"{where}: no right to write there")
     if path.is_file() and not _is_summary(path):
         raise LogError(f"{where}: exists, is no summary of hil and is not overwritten; name another file")

@@ -4,7 +4,6 @@ Every problem is reported at once, each as `file:line:column: path: what, allowe
 """
 
 import json
-import os
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +15,7 @@ from drivers.section import Section
 from hil.app.configuration import problems as translate
 from hil.app.configuration.text_file import read_text
 from hil.app.configuration.yaml_positions import Document, lines, parse
-from hil.app.files import write_whole
+from hil.app.files import may_write, write_whole
 
 Kind = TypeVar("Kind", bound=Section)
 
@@ -81,7 +80,7 @@ def check_section_path(option: str, path: Path, kind: type[Section]) -> None:
     where = f"{option} {path}"
     if not path.parent.is_dir():
         raise ConfigurationError(f"{where}: there is no folder {path.parent}; make it first")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    if not may_write(path):
         raise ConfigurationError(f"{where}: no right to write there")
     if path.exists() and not _says(path, _name(kind)):
         raise ConfigurationError(

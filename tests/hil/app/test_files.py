@@ -8,16 +8,21 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import LogError
+from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load
+from hil.app.configuration.section_file import check_section_path
 from hil.app.files import made_whole, new_file, printable
 from hil.app.identify.payload_block import REMARK
+from hil.app.output import check_json_path, picture_path
 from hil.app.sim.command import simulate
 from hil.cli import main
+from hil.config.axis_model import AxisModel
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +62,48 @@ def test_a_folder_and_a_missing_folder_are_refused(tmp_path, force):
         new_file(tmp_path, force=force)
     with pytest.raises(LogError, match="there is no folder"):
         new_file(tmp_path / "no" / "a.html", force=force)
+
+
+CHECKS: dict[str, Callable[[Path], object]] = {
+    "--json": check_json_path,
+    "--picture": lambda path: picture_path("", "", path),
+    "--out": lambda path: new_file(path, force=True),
+    "-o": lambda path: check_section_path("-o", path, AxisModel),
+}
+
+
+@pytest.mark.parametrize("way", ["there", "new", "a link", "a link to nothing"])
+@pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS)
+def test_an_output_in_a_folder_that_takes_no_new_file_is_refused_before_the_work(
+    tmp_path, monkeypatch, check, way
+):
+    closed, name = tmp_path / "closed", "a.png"
+    closed.mkdir()
+    if "new" not in way and "nothing" not in way:
+        (closed / name).touch()
+    path = closed / name
+    if "link" in way:
+        path = tmp_path / name
+        path.symlink_to(closed / name)
+    monkeypatch.setattr("os.access", lambda at, mode: not (Path(at) == closed and mode & os.W_OK))
+    with pytest.raises((LogError, ConfigurationError), match=r"a\.png: no right to write there"):
+        check(path)
+
+
+@pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS)
+def test_an_earlier_output_that_may_not_be_written_is_not_replaced(tmp_path, monkeypatch, check):
+    path = tmp_path / "a.png"
+    path.touch()
+    monkeypatch.setattr("os.access", lambda at, mode: not (Path(at) == path and mode & os.W_OK))
+    with pytest.raises((LogError, ConfigurationError), match=r"a\.png: no right to write there"):
+        check(path)
+
+
+def test_a_summary_goes_into_a_pipe_whatever_its_folder_takes(tmp_path, monkeypatch):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    monkeypatch.setattr("os.access", lambda at, _: Path(at) == pipe)
+    check_json_path(pipe)
 
 
 def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_path):

@@ -192,9 +192,9 @@ class _Reader:
         kind = first.type
         try:
             cast = tuple(self._cast(first, x) for x in values)
-        except (ValueError, TypeError):
+        except (OverflowError, TypeError, ValueError):  # overflow: inf, and an integer that no float is
             raise PlantError(
-                f"{self.path}: parameters: {name!r} is of type {kind}; {value!r} is no value of it"
+                f"{self.path}: parameters: {name!r} is of type {kind}; {value!r:.60} is no value of it"
             ) from None
         if kind == "Enumeration":
             kind = "Integer" if self.major < 3 else "Int64"

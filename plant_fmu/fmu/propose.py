@@ -25,7 +25,8 @@ _ROLES = {
 }
 """Key -> causality, unit, words that are or end the name of such a variable; long ones may be within it."""
 _UNITS = {"force": "N", "length": "m", "rate": "m/s"}
-_NUMBER = re.compile(r"[_.\[(]?(\d+)[\])]?")
+_NUMBER = re.compile(r"[_.\[(]?([0-9]{1,9})[\])]?")
+"""Of a leg; Python refuses to read one of thousands of digits."""
 
 
 @dataclass(frozen=True)

@@ -204,6 +204,12 @@ def test_nothing_is_proposed_for_names_that_say_nothing(tmp_path):
     assert propose(path).missing == ("force",)
 
 
+def test_a_number_in_a_name_may_have_any_number_of_digits(tmp_path):
+    longer = (rb'name="brake', b'name="' + b"7" * 5000 + b"_brake")
+    path = rewritten("2.0", tmp_path / "p.fmu", longer)
+    assert propose(path).missing == ()
+
+
 def test_single_legs_are_told_from_a_platform():
     bench = Bench(BenchPlant(type="bench", mass_kg=50.0))
     single = probe(bench, 10.0, 1e-3)

@@ -190,6 +190,9 @@ class _Walk:
 
     def _scalar(self, node: yaml.ScalarNode, path: Path) -> Value:
         text: str = node.value
+        if found := _NO_TEXT.search(text):
+            self.problem(node, path, f"character U+{ord(found[0]):04X} is not allowed, escaped either")
+            return None
         if node.style is not None or node.tag == "!":
             return text
         for pattern, convert in _SCALARS:
@@ -200,6 +203,10 @@ class _Walk:
                     self.problem(node, path, f"number of {len(text)} digits: too long")
                     return None
         return text
+
+
+_NO_TEXT = re.compile("[\0\ud800-\udfff]")
+"""What no name of a file can hold, and no UTF-8: escapes in quotes can say it."""
 
 
 def _integer(text: str, base: int = 10) -> int:

@@ -225,7 +225,7 @@ def decompress_part(content: bytes) -> bytes:
     start = _CHUNK.size + name_length + 8
     compression, data = content[_CHUNK.size : _CHUNK.size + name_length], content[start:]
     if compression == b"":
-        return data
+        return data[:MAX_CHUNK]
     if compression != b"zstd" or not data:
         return b""
     reader = zstandard.ZstdDecompressor().stream_reader(data)

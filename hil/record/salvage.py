@@ -32,6 +32,8 @@ from hil.record.mcap_read import (
 from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 from hil.record.surviving import Lost, surviving
 
+_MOST_LOOSE = 1024
+"""Messages of a chunk that is made of those that stood outside chunks."""
 _REMARKS = 20
 """Written into the log and reported; of more damage the number is."""
 
@@ -130,11 +132,14 @@ class _Salvage:
             self.remarks.append(f"{what} at byte {record.offset} is damaged and left out: {error}")
 
     def _message(self, record: Record) -> None:
-        split(record.whole)
-        self._loose.append(record.whole)
-        self._loose_bytes += len(record.content)
-        if len(self._loose) >= 1024 or self._loose_bytes > MAX_CHUNK:
+        whole = record.whole
+        split(whole)
+        if len(whole) > MAX_CHUNK:
+            raise LogError(f"a message of {len(whole)} bytes: at most {MAX_CHUNK} fit into a chunk")
+        if len(self._loose) >= _MOST_LOOSE or self._loose_bytes + len(whole) > MAX_CHUNK:
             self._flush()
+        self._loose.append(whole)
+        self._loose_bytes += len(whole)
 
     def _other(self, record: Record) -> None:
         if record.opcode == Opcode.METADATA:

@@ -6,7 +6,7 @@ from drivers.signals import Mode
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.loop.status import status_text
-from hil.operate.channel import AT_MOST, QUEUED, Heard, OperatorChannel
+from hil.operate.channel import Heard, OperatorChannel
 from hil.record import Recording
 from hil.signals import Operator, explain
 
@@ -48,15 +48,18 @@ class Console:
             operator += (Operator.ENGAGE,)
         if self.channel is None:
             return Heard(operator)
-        # What came before the platform was held must not release it: it goes at once, all of it.
-        heard = self.channel.take(QUEUED if held and not was_held else AT_MOST)
+        # What came before the platform was held must not release it, whenever it is read.
+        heard = self.channel.take(anew=held and not was_held)
         if course.cycle.parts.steering is None:
             self._not_live = len(heard.setpoints)
             heard = heard._replace(setpoints=())
         self._refusals = []
         if not heard.operator:
             return heard._replace(operator=operator)
-        self._refusals = [self._refusal(each, mode, was_held=was_held) for each in heard.operator]
+        self._refusals = [
+            self._refusal(each, mode, was_held=was_held and k not in self.channel.old)
+            for k, each in enumerate(heard.operator)
+        ]
         taken = [each for each, why in zip(heard.operator, self._refusals, strict=True) if not why]
         operator += tuple(taken)
         return heard._replace(operator=operator + (Operator.STOP,) * (Operator.END in taken))

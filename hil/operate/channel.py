@@ -20,8 +20,6 @@ AT_MOST = 8
 """Lines read in one tick."""
 MOST_CLIENTS = 128
 """At once; the one that has said nothing for the longest makes room."""
-QUEUED = 1 << 17
-"""More lines than can wait in the sockets of all of them."""
 _LONGEST = LONGEST + 18
 """With a tag."""
 _Waiting = list[tuple[str, socket.socket]]
@@ -41,7 +39,8 @@ SILENCE = Heard()
 class OperatorChannel:
     """Where the operator's lines come in. The controller's role on the bus is held while it is open.
 
-    Mutable state: the socket, the clients, who waits for which answer, and how many lines were no words.
+    Mutable state: the socket, the clients, which of them may have lines that are old, who waits for which
+    answer, and how many lines were no words.
     """
 
     def __init__(self, interface: str, channel: str) -> None:
@@ -50,6 +49,9 @@ class OperatorChannel:
         self.malformed = 0
         self._clients: dict[int, socket.socket] = {}
         """By file descriptor; who spoke last comes last."""
+        self._old: set[int] = set()
+        self.old: frozenset[int] = frozenset()
+        """Places, in the commands heard last, of what may have waited since before the last `anew`."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         try:
             self.path.unlink(missing_ok=True)  # left by a controller that was killed: we hold its role now
@@ -66,17 +68,26 @@ class OperatorChannel:
         """Whether somebody waits for an answer."""
         self._forget()
 
-    def take(self, at_most: int = AT_MOST) -> Heard:
-        """Return what has come since the last call; what is no word is answered at once."""
+    def take(self, at_most: int = AT_MOST, *, anew: bool = False) -> Heard:
+        """Return what has come since the last call; what is no word is answered at once.
+
+        anew: what waits now is old, also where it is read in a later tick. A client that has more waiting at
+        each tick until then says nothing new.
+        """
         if self.waited_for:
             self._forget()
+        if anew or self._old:
+            waiting = {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
+            self._old = waiting if anew else self._old & waiting
         lines = self._lines(at_most)
+        self.old = frozenset()
         if not lines:
             return SILENCE
         operator: list[Operator] = []
         orders: list[Order] = []
         setpoints: list[SetPoint] = []
-        for data, client in lines:
+        old: set[int] = set()
+        for data, client, is_old in lines:
             tag, line = split(data.decode("ascii", "replace"))
             if len(data) > _LONGEST:  # cut off, maybe within a number
                 line = data.decode("ascii", "replace")
@@ -87,6 +98,8 @@ class OperatorChannel:
                 self._reply((tag, client), f"{REFUSED}{error}")
                 continue
             if said.operator is not None:
+                if is_old:
+                    old.add(len(operator))
                 operator.append(said.operator)
                 self._operator.append((tag, client))
             elif said.order is not None:
@@ -98,11 +111,12 @@ class OperatorChannel:
             else:
                 self._status.append((tag, client))
             self.waited_for = True
+        self.old = frozenset(old)
         return Heard(tuple(operator), tuple(orders), tuple(setpoints))
 
-    def _lines(self, at_most: int) -> list[tuple[bytes, socket.socket]]:
-        """Return lines with their clients, one of each client in turn."""
-        lines: list[tuple[bytes, socket.socket]] = []
+    def _lines(self, at_most: int) -> list[tuple[bytes, socket.socket, bool]]:
+        """Return lines with their clients and whether they may be old, one of each client in turn."""
+        lines: list[tuple[bytes, socket.socket, bool]] = []
         looks = 2 * at_most  # those who come and go are no lines, and bounded too
         while looks > 0 and (ready := self._ready.poll(0.0, min(at_most - len(lines), MOST_CLIENTS))):
             looks -= len(ready)
@@ -120,7 +134,7 @@ class OperatorChannel:
                     data = b""
                 if data:
                     self._clients[number] = self._clients.pop(number)
-                    lines.append((data, client))
+                    lines.append((data, client, number in self._old))
                 else:
                     self._drop(client)
             if len(lines) >= at_most:
@@ -137,11 +151,14 @@ class OperatorChannel:
         if len(self._clients) >= MOST_CLIENTS:
             self._drop(next(iter(self._clients.values())))
         self._clients[client.fileno()] = client
+        if self._socket.fileno() in self._old and _has_spoken(client):
+            self._old.add(client.fileno())
         self._ready.register(client, select.EPOLLIN)
 
     def _drop(self, client: socket.socket) -> None:
         """Let a client go, if it is still there."""
         if self._clients.pop(client.fileno(), None) is not None:
+            self._old.discard(client.fileno())
             client.close()
 
     def answer(
@@ -196,3 +213,13 @@ class OperatorChannel:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _has_spoken(client: socket.socket) -> bool:
+    try:
+        client.recv(1, socket.MSG_PEEK)
+    except BlockingIOError:
+        return False
+    except OSError:  # gone, maybe with words that are still there
+        return True
+    return True

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import RunError
-from hil.operate.channel import AT_MOST, MOST_CLIENTS, QUEUED, Heard, OperatorChannel
+from hil.operate.channel import AT_MOST, MOST_CLIENTS, Heard, OperatorChannel
 from hil.operate.client import OperatorClient, socket_path
 from hil.operate.words import Said, parse
 from hil.signals import Operator, Order, SetPoint
@@ -329,7 +329,7 @@ def test_key_frames_sent_ahead_are_read_by_turns_within_the_ticks_that_the_guide
 
 def test_where_all_places_are_taken_the_one_that_was_silent_for_longest_makes_room(channel):
     clients = [OperatorClient("localcan", "hil/0") for _ in range(MOST_CLIENTS)]
-    channel.take(QUEUED)
+    channel.take(MOST_CLIENTS)
     clients[0]._socket.send(b"hold")
     assert len(channel.take().orders) == 1
     channel.answer([], [""], [], str)

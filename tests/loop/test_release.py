@@ -89,7 +89,7 @@ def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
 
 
 def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus):
-    """Lines read in one tick are few: those of before must not be left for the next."""
+    """Lines read in one tick are few, in that one, too: those of before are left for the next."""
     with OperatorChannel(*bus) as channel, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as flood:
         held = Held(channel)
         flood.setblocking(False)
@@ -97,9 +97,43 @@ def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus)
         with contextlib.suppress(BlockingIOError):
             for _ in range(3 * AT_MOST):
                 flood.send(b"release")
+        assert not held.tick(Mode.HELD)
+        for _ in range(AT_MOST):
+            assert flood.recv(100).startswith(b"refused: nothing is held")
+        with pytest.raises(BlockingIOError):
+            flood.recv(100)
         assert not any(held.tick(Mode.HELD) for _ in range(10))
         flood.send(b"release")
         assert held.tick(Mode.HELD)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["known", "still to be let in"])
+@pytest.mark.parametrize("stays", [True, False])
+def test_a_word_from_before_that_is_read_late_releases_nothing_whoever_sent_it(bus, known, stays):
+    """Others talk in between, and its sender may be new, or have gone."""
+    with OperatorChannel(*bus) as channel, contextlib.ExitStack() as opened:
+        held = Held(channel)
+
+        def sender() -> socket.socket:
+            new = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+            new.connect(str(channel.path))
+            return new
+
+        talking = [sender() for _ in range(AT_MOST)]
+        late = sender() if known else None
+        for _ in range(3):
+            held.tick(Mode.PARKING)
+        for each in talking * 3:
+            each.send(b"nonsense")
+        late = late or sender()
+        for _ in range(3):
+            late.send(b"release")
+        if not stays:
+            late.close()
+        assert not any(held.tick(Mode.HELD) for _ in range(10))
+        new = sender()
+        new.send(b"release")
+        assert [held.tick(Mode.HELD) for _ in range(2)].count(True) == 1
 
 
 def test_where_no_controller_runs_there_is_nothing_to_release(bus):
@@ -135,10 +169,11 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
 
     recording: Any = SimpleNamespace(alive=True, dropped=0, tick=tick, event=lambda *_: None)
 
-    def take(_at_most: int) -> Heard:
+    def take(*, anew: bool) -> Heard:
+        del anew
         return Heard((Operator.RELEASE,) if held[0] >= 3000 else ())
 
-    channel: Any = SimpleNamespace(take=take, waited_for=False)
+    channel: Any = SimpleNamespace(take=take, waited_for=False, old=frozenset())
     shell = Shell(wire, wire, recording, panel, 0, channel, None, said.append)
     course = Course(cycle, 1.2, stays=True)
     leaving = iter(range(2000))

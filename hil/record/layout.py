@@ -5,7 +5,7 @@ that a batch of messages is one structured array: written and read with one NumP
 protobuf parser reads them; `hil.record.decode` checks the layout of what it reads and falls back to one.
 """
 
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,7 +145,7 @@ def unpack_varint5(encoded: Bytes) -> Ints:
     return values
 
 
-@cache
+@lru_cache(maxsize=1024)
 def frame_layout(length: int, channel: bytes) -> Layout:
     """Return the wire layout of hil.Frame with `length` data bytes on the bus named `channel`."""
     builder = Builder()

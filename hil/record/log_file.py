@@ -37,6 +37,8 @@ _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
 _LOOSE = 4096
 """Messages outside chunks that are read together."""
+_MOST_NAMES, _LONGEST_NAME = 16, 4096
+"""Of buses, six of which a robot has, and signs of each: a layout of frames is made for each name."""
 MEND = "run `hil replay --salvage` on it"
 """What to do about a damaged log."""
 
@@ -241,8 +243,14 @@ class LogFile:
 
 def _require(epoch_ns: int, can_channels: tuple[str, ...]) -> None:
     """Raise ValueError for what no recorder writes."""
-    if not 0 <= epoch_ns < 1 << 63 or not "".join(can_channels).isprintable():
-        raise ValueError(f"epoch_ns {epoch_ns}, can_channels {can_channels!r}")
+    if not 0 <= epoch_ns < 1 << 63:
+        raise ValueError(f"epoch_ns {epoch_ns}")
+    if len(can_channels) > _MOST_NAMES or any(len(each) > _LONGEST_NAME for each in can_channels):
+        raise ValueError(
+            f"{len(can_channels)} names of buses, allowed: {_MOST_NAMES} of {_LONGEST_NAME} signs"
+        )
+    if not "".join(can_channels).isprintable():
+        raise ValueError(f"can_channels {can_channels!r}")
 
 
 def _no_record(record: Record) -> LogError:

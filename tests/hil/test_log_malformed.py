@@ -1,5 +1,6 @@
 """Logs of strangers: every damage is a LogError with its place, and salvage goes on behind it."""
 
+import json
 import os
 import struct
 import tracemalloc
@@ -14,7 +15,7 @@ from hil.record.log import Log
 from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.mcap_read import FREE_BYTES, MAX_RATIO, NOTHING, records
 from hil.record.salvage import salvage
-from hil.record.schema import FRAME
+from hil.record.schema import FRAME, IDENTITY
 from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, log_of, random_ticks
 from tools.fuzz import container
@@ -161,6 +162,30 @@ def test_messages_too_short_for_their_rows_are_refused(remade):
 def test_a_table_of_columns_that_asks_for_too_much_is_refused(remade, old, new):
     with pytest.raises(LogError, match="metadata record 'hil' cannot be read"):
         Log(remade(lambda r: replaced(r, 12, lambda c: c.replace(old, new))))
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (["can0"] * 20, "21 names of buses"),
+        (["can0", "x" * 5000], "3 names .* of 4096 signs"),
+        (["\x07"], r"\\x07"),
+    ],
+)
+def test_names_of_more_buses_than_a_robot_has_are_refused_before_frames_are_laid_out(
+    path, remade, names, says
+):
+    identity = Log(path).metadata[IDENTITY]
+
+    def named(channels):
+        changed = Metadata(name=IDENTITY, metadata=identity | {"can_channels": json.dumps(channels)})
+        return remade(lambda r: replaced(r, 12, lambda _: record_bytes(changed)[9:]))
+
+    with pytest.raises(LogError, match=f"metadata record 'hil' cannot be read.*{says}") as refused:
+        Log(named(names))
+    assert len(str(refused.value)) < 500
+    buses = ["can0", *(f"{k}" * 4096 for k in range(5))]
+    assert Log(named(buses)).can_channels == tuple(buses)
 
 
 # -- what is no file -----------------------------------------------------------------------------------------

@@ -192,6 +192,22 @@ def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
     assert found["columns_compared"] == 3
 
 
+@pytest.mark.parametrize(
+    "words", [["age=inf"], ["condition=inf"], ["tau=inf"], ["tau=0.5", "age=0", "condition=1"]]
+)
+def test_a_tolerance_of_a_column_that_one_log_lacks_or_has_of_another_type_is_taken(made, words):
+    one, other = Made(range(4)), Made(range(4))
+    one.columns = (*one.columns, COLUMNS["age"])
+    other.columns = (COLUMNS["condition"], *other.columns[:-1], COLUMNS["tau"]._replace(type=int))
+    found = made(one, other, words)
+    assert found["success"]
+    assert found["columns_compared"] == 3
+    with pytest.raises(ConfigurationError, match=r"'agee'; did you mean age\?"):
+        made(one, other, ["agee=inf"])
+    with pytest.raises(ConfigurationError, match="age has a tolerance already"):
+        made(one, other, ["age=1", "age=2"])
+
+
 def test_what_cannot_be_compared_is_refused(made):
     plant, slow = Made(range(3)), Made(range(3))
     plant.topic, slow.metadata = "/plant", {"hil": {"rate_Hz": "500"}}

@@ -35,7 +35,7 @@ def against(
     one, other = Log.open(path), Log.open(golden)
     _refuse_unlike(one, other)
     common, only, unlike = _columns(one, other)
-    tolerances = read_tolerances(words, common)
+    tolerances = read_tolerances(words, common, {*only[0], *only[1], *unlike})
     starts, origins = ((0, 0), (one.origin_ns, other.origin_ns))
     if align == "motion":
         found = first_motion(one), first_motion(other)

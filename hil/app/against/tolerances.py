@@ -1,6 +1,6 @@
 """`--tolerance`: how far two logs may be apart, in the words of the command line."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from difflib import get_close_matches
 from math import inf, isnan
 from typing import NamedTuple
@@ -24,12 +24,15 @@ class Tolerances(NamedTuple):
         return self.absolute.get("tick", inf if self.relative == inf else 0.0)
 
 
-def read_tolerances(words: Sequence[str], columns: Sequence[Column]) -> Tolerances:
+def read_tolerances(
+    words: Sequence[str], columns: Sequence[Column], uncompared: Collection[str] = ()
+) -> Tolerances:
     """Return tolerances of words: `tau=0.5`, `compute_ns=inf`, or `1e-9` for all other columns of floats.
 
     `inf` alone: the other columns are not judged.
 
-    columns : of the two logs.
+    columns : that are compared; uncompared : names of those that only one of the logs has, or that are of
+    another type in it. These may be given, so that words fit logs of any release, and count for nothing.
 
     Raises ConfigurationError for words of another form, for a column that neither log has, and for one whose
     values have names and no distance.
@@ -46,15 +49,15 @@ def read_tolerances(words: Sequence[str], columns: Sequence[Column]) -> Toleranc
             relative = value
             continue
         column = known.get(name)
-        if column is None:
-            near = get_close_matches(name, known, n=3)
+        if column is None and name not in uncompared:
+            near = get_close_matches(name, [*known, *uncompared], n=3)
             hint = f"did you mean {', '.join(near)}?" if near else "docs/guides/columns.md lists the columns"
             raise ConfigurationError(f"--tolerance {each}: neither log has a column {name!r}; {hint}")
         if name in absolute:
             raise ConfigurationError(
                 f"--tolerance {each}: column {name} has a tolerance already; allowed: one"
             )
-        if column.names and value not in (0.0, inf):
+        if column is not None and column.names and value not in (0.0, inf):
             raise ConfigurationError(
                 f"--tolerance {each}: the values of {name} have names and no distance, allowed: {name}=0 for "
                 f"the same, {name}=inf for any"

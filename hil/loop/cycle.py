@@ -19,7 +19,7 @@ from drivers.protocol import Dialogue, Frame, run_of
 from drivers.signals import Command, DriveMode, Fault, Mode, Stop, Warn
 from drivers.tick_columns import INPUT_ELEMENTS, TICK, Record, new_record, row_of
 from hil.loop import modes
-from hil.loop.drives_say import all_free, all_ready, any_powered, confirmed, measured_at_rest
+from hil.loop.drives_say import all_free, any_powered, confirmed, measured_at_rest, ready
 from hil.loop.effort import Effort
 from hil.loop.homing import Homing, Stroke
 from hil.loop.jogging import Jogging
@@ -180,8 +180,8 @@ class Cycle:
     def _change_mode(self, inp: TickInput, tick: Record) -> None:
         number, operator = inp.tick, inp.operator
         stays = self.parts.operator.stays
-        ready = self.mode in {Mode.FAULT, Mode.WAITING} or (stays and self.mode is Mode.PARKED)
-        if operator and Operator.RESET in operator and ready:
+        resets = self.mode in {Mode.FAULT, Mode.WAITING} or (stays and self.mode is Mode.PARKED)
+        if operator and Operator.RESET in operator and resets:
             self.reset_tick = number
             self.dialogue = self.parts.protocol.start(self.parts.setup)
             self.faults, self.estop = Fault.NONE, False
@@ -204,7 +204,11 @@ class Cycle:
         facts = Facts(
             operator,
             tick["drive_state"].tolist(),
-            self._ready(tick),
+            self.mode in modes.BEFORE
+            and self.homing.known
+            and ready(
+                tick, self.mode, self.parts.protocol.legs_set_up(self.dialogue), located=self.sight.located
+            ),
             elapsed,
             self._finished(tick),
             self.stop_requested is not Stop.NONE,
@@ -218,13 +222,6 @@ class Cycle:
             self._park(facts, tick)
         if self._yields and self.mode is Mode.PARKING:
             self.motion.rest(tick["p"], tick["R"], number)
-
-    def _ready(self, tick: Record) -> bool:
-        """Tell whether the drives are as an arming needs them; asked for until then."""
-        if self.mode not in {Mode.WAITING, Mode.IDLE} or not self.homing.known:
-            return False
-        set_up = self.parts.protocol.legs_set_up(self.dialogue)
-        return all(set_up) if self.mode is Mode.IDLE else self.sight.located and all_ready(tick, set_up)
 
     def _finished(self, tick: Record) -> bool:
         """Tell whether the motion has ended, with nothing to follow, and the legs are at rest."""

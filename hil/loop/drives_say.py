@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from drivers.signals import LEGS, DriveFault, DriveState
+from drivers.signals import LEGS, DriveFault, DriveState, Mode
 from drivers.tick_columns import Record
 from hil.safety.standstill import REST_m_s
 
@@ -40,9 +40,14 @@ def confirmed(tick: Record, latches: bool) -> bool:
     return not unconfirmed(tick, latches)
 
 
-def all_ready(tick: Record, set_up: Iterable[bool]) -> bool:
-    """Tell whether all six legs are heard, and all six drives are set up."""
-    return max(tick["age"].tolist()) <= 1 and all(set_up)
+def ready(tick: Record, mode: Mode, set_up: Iterable[bool], *, located: bool) -> bool:
+    """Tell whether the drives are as an arming needs them: heard and the pose found, and all six set up.
+
+    Once they were, in IDLE, they stay so until one is to be set up again; one that was altered is a fault.
+    """
+    if mode is Mode.IDLE:
+        return all(set_up) or bool(tick["altered"])
+    return located and max(tick["age"].tolist()) <= 1 and all(set_up)
 
 
 def measured_at_rest(tick: Record) -> bool:

@@ -34,6 +34,8 @@ MOVING = frozenset({Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING}
 """Modes in which the brakes are open."""
 CONTROLLED = MOVING | {Mode.PARKING, Mode.HELD}
 """Modes in which the law acts: it does not let go before the brakes are shut."""
+BEFORE = frozenset({Mode.WAITING, Mode.IDLE})
+"""Modes that wait: for the drives, then for the operator."""
 BRAKED = frozenset({Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED})
 """Modes in which the brakes carry the platform, or begin to: the legs must stand still."""
 UNPROVEN = frozenset({Mode.PARKING, Mode.UNLOADING, Mode.HELD})

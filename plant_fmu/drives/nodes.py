@@ -9,6 +9,7 @@ point while a drive controls by itself (damp, hold) or lags.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from math import floor
 from operator import itemgetter
@@ -90,25 +91,22 @@ class Nodes:
     def start(self, t0_ns: int) -> None:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
         self._t0_ns = self._now_ns = t0_ns
-        self._k = 0
+        self._k = self._beats = 0
         self._length, self._rate = self._plant.reset()
         gear = self._settings.transmission
         self._transmission = None if gear is None else Transmission.of(gear)
         self._drives = Drives(at_motor(self._settings, self._transmission), self._emulation, self._h_s)
         self._turns = Turns(self._settings.homing, self._transmission, self._length)
         self._memory = self._protocol.power_up()
-        self._beats = 0
         self._next_beat_ns = t0_ns
         self._calm_ns = t0_ns
         """No watchdog, brake, edge or heartbeat is due before this instant."""
         self._schedule = Schedule(self._faults, t0_ns)
-        self._gateway = None
-        if self._faults.touches_frames:
-            self._gateway = Gateway(self._schedule, self._protocol, t0_ns)
+        touches = self._faults.touches_frames
+        self._gateway = Gateway(self._schedule, self._protocol, t0_ns) if touches else None
         self._reading = Reading()
         self._missed: list[Received] = []
-        self._edges = self._schedule.edges_ns(t0_ns + 1)
-        self._present = self._schedule.present(t0_ns)
+        self._edges, self._present = self._schedule.edges_ns(t0_ns + 1), self._schedule.present(t0_ns)
         self._truth: Truth | None = None
         self._truth_k = -1
         self.syncs = 0
@@ -121,8 +119,7 @@ class Nodes:
 
         `received` holds what arrived since the last step, times up to `t_ns`; a frame older than the
         last step's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
-        status every heartbeat, one drive after the other, and at once when state or fault change, where the
-        protocol's drives do so.
+        status every heartbeat, one drive after the other, and where drives do so when state or fault change.
         A watchdog that ends at `t_ns` exactly waits for the next step: a command of that instant is in time.
         Frames that faults delay or add may be for an instant to come. Raises PlantError if `t_ns` lies before
         the last step's or the plant fails.
@@ -180,10 +177,9 @@ class Nodes:
 
     def snapshot(self) -> Snapshot:
         """Return the plant's end as it is now; arrays are copies. A plant that has failed tells no truth."""
-        try:
+        truth = None
+        with suppress(PlantError):  # the next step says so
             truth = self._know()
-        except PlantError:  # the next step says so
-            truth = None
         return Snapshot(
             t_ns=self._grid_ns(),
             length=np.array(self._length),
@@ -392,11 +388,10 @@ class Nodes:
 
     def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]], *, due: bool = False) -> None:
         drives = self._drives
-        state, fault = int(drives.state[leg]), int(drives.fault[leg])
-        holds = None
-        if drives.configured[leg]:
-            holds = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
-        self._memory, frames = self._protocol.report(self._memory, Status(leg, state, fault, holds, due))
+        said = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
+        holds = said if drives.configured[leg] else None
+        status = Status(leg, int(drives.state[leg]), int(drives.fault[leg]), holds, due)
+        self._memory, frames = self._protocol.report(self._memory, status)
         self._send(leg, t, frames, out)
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers.signals import LEGS, DriveFault, DriveState
-from hil.loop.drives_say import all_free, all_ready, any_powered, confirmed, measured_at_rest, unconfirmed
+from drivers.signals import LEGS, DriveFault, DriveState, Mode
+from hil.loop.drives_say import all_free, any_powered, confirmed, measured_at_rest, ready, unconfirmed
 from hil.safety.standstill import REST_m_s
 from tests.records import record_of
 
@@ -63,6 +63,18 @@ def test_a_leg_that_is_not_heard_or_not_believed_is_not_known_to_be_at_rest(leg)
 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_ready_needs_all_six_heard_lately_and_all_set_up(leg):
-    assert all_ready(record_of(age=one(leg, 1, 0)), [True] * LEGS)
-    assert not all_ready(record_of(age=one(leg, 2, 0)), [True] * LEGS)
-    assert not all_ready(record_of(age=0), [k != leg for k in range(LEGS)])
+    waiting = Mode.WAITING
+    assert ready(record_of(age=one(leg, 1, 0)), waiting, [True] * LEGS, located=True)
+    assert not ready(record_of(age=one(leg, 1, 0)), waiting, [True] * LEGS, located=False)
+    assert not ready(record_of(age=one(leg, 2, 0)), waiting, [True] * LEGS, located=True)
+    assert not ready(record_of(age=0), waiting, [k != leg for k in range(LEGS)], located=True)
+
+
+@pytest.mark.parametrize("leg", range(LEGS))
+def test_in_idle_a_drive_that_is_to_be_set_up_again_is_waited_for_and_one_that_was_altered_faults(leg):
+    others = [k != leg for k in range(LEGS)]
+    assert ready(record_of(age=one(leg, 9, 0)), Mode.IDLE, [True] * LEGS, located=True), (
+        "not heard: it may come"
+    )
+    assert not ready(record_of(age=0), Mode.IDLE, others, located=True)
+    assert ready(record_of(age=0, altered=1 << leg), Mode.IDLE, others, located=True)

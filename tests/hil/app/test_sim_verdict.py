@@ -43,7 +43,7 @@ def simulated(
     monkeypatch.setattr(command, "record", recording(own))
     monkeypatch.setattr(command, "_record_plant", recording(plant or ""))
     monkeypatch.setattr(command, "_run_to_end", lambda *_: ending)
-    monkeypatch.setattr(command, "_figures", lambda *_: {})
+    monkeypatch.setattr(command, "_figures", lambda *_: ({}, ""))
     monkeypatch.setattr(command, "replay_log", lambda _: (None, {"agrees": agrees}))
     return command.simulate(VIRTUAL, log=folder / "a.mcap", duration_s=0.1, plant_log=plant is not None)
 

@@ -158,7 +158,18 @@ def _require_consecutive(runs: Sequence[LearningRun]) -> None:
                 raise LogError(
                     f"{now.path}: has another {what} than {before.path}: nothing is learned across"
                 )
-        if now.number != before.number + 1 or len(now.trial.e) != len(before.trial.e):
+        if now.trial.period_s != before.trial.period_s:
+            here, there = (1.0 / run.trial.period_s for run in (now, before))
+            raise LogError(
+                f"{now.path}: its loop ran at {here:.9g} Hz, that of {before.path} at {there:.9g} Hz: "
+                "nothing is learned across"
+            )
+        if len(now.trial.e) != len(before.trial.e):
+            raise LogError(
+                f"{now.path}: {len(now.trial.e)} ticks of it teach, of {before.path} "
+                f"{len(before.trial.e)}: nothing is learned across"
+            )
+        if now.number != before.number + 1:
             raise LogError(
                 f"{now.path}: ran with what {now.number} run(s) had taught, {before.path} with "
                 f"{before.number}: allowed are consecutive runs in their order, the last one with one more"

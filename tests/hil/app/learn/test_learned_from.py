@@ -101,6 +101,23 @@ def test_runs_with_another_reference_controller_or_platform_do_not_teach_one_fee
         learned(series, Knowledge())
 
 
+@pytest.mark.parametrize("rows", [LEAD + COUNT, LEAD + COUNT - 1], ids=["as many", "fewer"])
+def test_consecutive_runs_of_two_rates_are_told_their_rates_and_not_that_their_order_is_wrong(
+    rows: int,
+) -> None:
+    fast, slow = run_of(1), run_of(2)
+    slow = slow._replace(trial=slow.trial._replace(period_s=2e-3, e=slow.trial.e[:rows]))
+    with pytest.raises(LogError, match=r"run-2\.mcap: .* at 500 Hz, that of run-1\.mcap at 1000 Hz"):
+        learned([fast, slow], Knowledge())
+
+
+def test_consecutive_runs_of_other_lengths_are_told_their_lengths() -> None:
+    short = run_of(2)
+    short = short._replace(trial=short.trial._replace(e=short.trial.e[:-1]))
+    with pytest.raises(LogError, match=r"run-2\.mcap: 1999 ticks .* of run-1\.mcap 2000"):
+        learned([run_of(1), short], Knowledge())
+
+
 class _Learned(NamedTuple):
     """An outcome that goes on."""
 

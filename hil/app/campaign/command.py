@@ -2,9 +2,11 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import RunError
 from hil.app import workers
 from hil.app.campaign import dask_cluster, parquet
 from hil.app.campaign.parquet import Row, cell
@@ -46,7 +48,8 @@ def run_campaign(
     that runs them instead. fresh : discard the rows that are there. An interruption keeps the rows so far.
 
     Raises LogError: the folder has another campaign's rows, is in use or cannot be written, or pyarrow is not
-    installed; ConfigurationError: the cluster does not answer.
+    installed; ConfigurationError: the cluster does not answer; RunError: the machine has no memory, disk or
+    files left before all rows are there.
     """
     parquet.require()
     begun = time.perf_counter()
@@ -59,7 +62,7 @@ def run_campaign(
         def there() -> str:
             return f"with {len(rows)} of {len(plan)} rows in {folder}; the same command goes on from there"
 
-        with leaving(there):
+        with leaving(there), _lacking(there):
             for outcome in _outcomes(_Jobs(plan, missing), jobs, scheduler, _counted(progress, kept)):
                 row = line(plan, outcome, columns)
                 rows[row["row"]] = row
@@ -84,6 +87,20 @@ def run_campaign(
         "matrix": ordered,
         "wall_s": took,
     }
+
+
+@contextmanager
+def _lacking(there: Callable[[], str]) -> Iterator[None]:
+    """Say of what the machine lacks for the rows, which is no verdict on them, what there is by then."""
+    try:
+        yield
+    except BrokenPipeError:  # nobody reads the progress
+        raise
+    except MemoryError as error:
+        raise RunError(f"no memory is left for a row: fewer --jobs take less; ended {there()}") from error
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        raise RunError(f"{place}{error.strerror or error}; ended {there()}") from error
 
 
 def line(plan: Plan, outcome: dict[str, Any], columns: Sequence[parquet.Column]) -> Row:

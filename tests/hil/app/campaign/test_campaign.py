@@ -1,8 +1,10 @@
 """Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
 
+import errno
 import json
 import os
 import random
+import re
 import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -21,7 +23,7 @@ from hil.app.campaign.plan import identity, read_plan
 from hil.app.campaign.rerun import rerun
 from hil.app.campaign.row import run_row
 from hil.app.campaign.show import rerun_command, summary_lines
-from hil.app.campaign.store import Store
+from hil.app.campaign.store import Store, stored_rows
 from hil.cli import main
 from hil.record.figures import figures
 from hil.record.log import Log
@@ -171,13 +173,29 @@ def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small,
         rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
 
 
-def test_too_little_memory_is_no_figure_of_a_row(small, tmp_path, monkeypatch):
-    def short(*_):
-        raise MemoryError
+@pytest.mark.parametrize(
+    ("lack", "why"),
+    [
+        (MemoryError(), "no memory is left for a row"),
+        (OSError(errno.EMFILE, "Too many open files", "/dev/shm"), "/dev/shm: Too many open files"),
+        (OSError("no more"), "no more"),
+    ],
+)
+def test_what_the_machine_lacks_is_no_figure_of_a_row_and_no_verdict(small, tmp_path, monkeypatch, lack, why):
+    whole = row_of.run
+
+    def short(c, job, measured):
+        if job.number == 1:
+            raise lack
+        return whole(c, job, measured)
 
     monkeypatch.setattr(row_of, "run", short)
-    with pytest.raises(MemoryError):
-        run_campaign(small[0], tmp_path, jobs=1)
+    folder = tmp_path / "results"
+    done = CliRunner().invoke(main, ["campaign", str(small[0].path), "--jobs", "1", "--out", str(folder)])
+    assert done.exit_code == 2
+    said = f"hil: {why}.*; ended with 1 of 4 rows in {folder}; the same command goes on from there\n"
+    assert re.fullmatch(said, done.stderr)
+    assert sorted(stored_rows(folder, identity(small[0]))) == [0]
 
 
 def test_what_went_wrong_says_no_folder_of_this_machine(tmp_path):

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.config import HomingSettings
 from drivers.signals import Mode
 from drivers.tick_columns import ROW
 from hil.app.compare import command, measure
+from hil.app.compare.conditions import paths
 from hil.app.compare.laws import chosen, with_scale
 from hil.app.compare.measure import Job, Outcome
 from hil.app.configuration.compare import DisturbanceSettings, StepSettings
@@ -71,6 +73,21 @@ def test_a_scale_of_the_masses_multiplies_what_the_law_believes_already(virtual,
     scaled: Any = with_scale(settings, scale)
     assert scaled.model.inertia_scale == pytest.approx(own * scale)
     assert settings.model.inertia_scale == own, "the settings themselves stay"
+
+
+@pytest.mark.parametrize("name", ["desktop", "virtual-cia402"])
+def test_drives_behind_a_transmission_have_an_ideal_path_too(name):
+    """Without a bus the numbers are those of the legs: motors, and the turns that they forget, are out of it."""
+    c = load(name)
+    homing = HomingSettings(file="legs.yaml", limit_m=1e-4)
+    c = c.model_copy(update={"drives": c.drives.model_copy(update={"homing": homing})})
+    assert c.drives.transmission is not None
+    ideal = paths(c)["ideal"]
+    outcome = measure.measure(Job("own", "ideal", ideal, 0.005, None, None, 0.1))
+    assert outcome.fault is None
+    assert outcome.figures["peak_leg_error_mm"] < 0.1
+    assert (ideal.drives.transmission, ideal.drives.homing) == (None, None)
+    assert paths(c)["bus"].drives == c.drives
 
 
 @pytest.mark.parametrize(

@@ -222,7 +222,10 @@ class Surveyor:
         return sigma[:, 0] / sigma[:, 5], sigma[:, 5]
 
     def largest_payload(self) -> float:
-        """Return the mass (kg) at the payload's place that the legs can hold at home; inf without limit."""
+        """Return the mass (kg) at the payload's place, its own included, that the legs can hold at home.
+
+        inf without limit.
+        """
         limit = self.limits.force
         if limit is None:
             return np.inf

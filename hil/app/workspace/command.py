@@ -184,7 +184,11 @@ def shown(summary: dict[str, Any]) -> dict[str, Any]:
         "singularity measure": f"{home['smallest_singular_value']:.3f} at home, down to {least['min']:.3f} "
         "(smallest singular value of J, lengths made comparable)",
         "static leg force": f"up to {s['largest_static_force_N']:.0f} N"
-        + ("" if payload is None else f"; home holds {payload:.0f} kg more at the payload's place"),
+        + (
+            ""
+            if payload is None
+            else f"; home holds a payload of up to {payload:.0f} kg in all, at its place"
+        ),
         "tilt": f"{o['tilt_every_direction_deg']:.2f} deg in every direction, "
         f"{o['tilt_best_direction_deg']:.2f} in the best, at ({at}) m",
         "torsion": f"{o['torsion_deg'][0]:.2f} to {o['torsion_deg'][1]:.2f} deg",

@@ -1,6 +1,7 @@
 """`hil workspace`: summary, picture, JSON, and what it refuses."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.image import imread
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load, loads
+from hil.app.workspace import command
 from hil.app.workspace.command import build_surveyor
 from hil.cli import main
 from hil.workspace.limits import KINDS
@@ -131,6 +133,23 @@ def test_a_payload_that_home_cannot_hold_is_refused(tmp_path):
     assert "static leg force" in result.output
     assert "(allowed 2500)" in result.output
     assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize("stated", [0.0, 200.0])
+def test_the_payload_that_home_is_said_to_hold_is_held_and_no_more_beside_what_is_stated(mapped, stated):
+    """The largest that `--payload` takes: whoever has stated 200 kg may not put so much more on it."""
+    folder, _ = mapped
+    c, at = load("lab"), (0.0, 0.0, 0.3)
+    summary = json.loads((folder / "lab.json").read_text()) | {"picture": "", "wall_s": 0.0}
+    summary["home"] = command._home(build_surveyor(c, stated, at))
+    words = re.search(
+        r"home holds a payload of up to (\d+) kg in all", command.shown(summary)["static leg force"]
+    )
+    assert words
+    held = float(words[1])
+    build_surveyor(c, held - 0.5, at)
+    with pytest.raises(ConfigurationError, match="static leg force"):
+        build_surveyor(c, held + 0.5, at)
 
 
 def test_a_position_out_of_reach_is_refused(tmp_path):

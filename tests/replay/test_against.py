@@ -199,13 +199,13 @@ def test_a_tolerance_of_a_column_that_one_log_lacks_or_has_of_another_type_is_ta
     one, other = Made(range(4)), Made(range(4))
     one.columns = (*one.columns, COLUMNS["age"])
     other.columns = (COLUMNS["condition"], *other.columns[:-1], COLUMNS["tau"]._replace(type=int))
-    found = made(one, other, words)
+    found = made(one, other, *words)
     assert found["success"]
     assert found["columns_compared"] == 3
     with pytest.raises(ConfigurationError, match=r"'agee'; did you mean age\?"):
-        made(one, other, ["agee=inf"])
+        made(one, other, "agee=inf")
     with pytest.raises(ConfigurationError, match="age has a tolerance already"):
-        made(one, other, ["age=1", "age=2"])
+        made(one, other, "age=1", "age=2")
 
 
 def test_what_cannot_be_compared_is_refused(made):

@@ -1,6 +1,7 @@
 """The files that the rows of a campaign name: where each is, and that it stays what it was.
 
-A relative path is looked for beside the configuration, as everywhere, then beside the campaign file.
+A relative path is looked for beside the configuration, as everywhere, then beside the campaign file; the data
+sheet of a drive before all that in the folder where the campaign was read, as `hil check` does.
 """
 
 import hashlib
@@ -17,23 +18,30 @@ from hil.app.configuration.controller_file import controller_path
 from hil.control.state_space import StateSpaceSettings
 
 _CONTROLLER = ("controller", "controller_file")
-PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"))
+_SHEET = ("drives", "options", "eds")
+PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"), _SHEET)
 """Keys of a configuration that name a file which a row reads."""
 NO_FILE = "no file"
 """In the place of the digest."""
 
 
-def find_beside(value: dict[str, Any], folder: Path, campaign_folder: Path) -> None:
-    """Make paths of a configuration's data absolute where the file is beside the campaign file alone."""
+def find_beside(value: dict[str, Any], folder: Path, campaign_folder: Path, here: Path) -> None:
+    """Make paths of a configuration's data absolute where the file is beside the campaign file alone.
+
+    here : folder where the campaign was read. The path of a data sheet is always made absolute: who reads it
+    looks in the folder where he is.
+    """
     for place in PLACES:
         section = _at(value, place[:-1])
         name = _at(section, place[-1:])
-        if isinstance(name, str) and not (folder / name).is_file() and (campaign_folder / name).is_file():
+        if isinstance(name, str) and place == _SHEET:
+            section[place[-1]] = str(_sheet(name, folder, campaign_folder, here))
+        elif isinstance(name, str) and not (folder / name).is_file() and (campaign_folder / name).is_file():
             section[place[-1]] = str(campaign_folder / name)
 
 
 def digests(
-    base: dict[str, Any], axes: Mapping[str, ListedAxis], folder: Path, campaign_folder: Path
+    base: dict[str, Any], axes: Mapping[str, ListedAxis], folder: Path, campaign_folder: Path, here: Path
 ) -> dict[str, str]:
     """Return the digest of each file that any row may name, by its path.
 
@@ -44,7 +52,7 @@ def digests(
         for place in PLACES:
             name = _at(data, place)
             if isinstance(name, str):
-                file = _file(name, place, folder, campaign_folder)
+                file = _file(name, place, folder, campaign_folder, here)
                 found[str(file)] = _digest_now(file)
     return found
 
@@ -84,7 +92,14 @@ def _digest(file: Path, *_: int) -> str:
     return found.hexdigest()
 
 
-def _file(name: str, place: tuple[str, ...], folder: Path, campaign_folder: Path) -> Path:
+def _sheet(name: str, folder: Path, campaign_folder: Path, here: Path) -> Path:
+    found = [place / name for place in (here, folder, campaign_folder) if (place / name).is_file()]
+    return found[0] if found else here / name
+
+
+def _file(name: str, place: tuple[str, ...], folder: Path, campaign_folder: Path, here: Path) -> Path:
+    if place == _SHEET:
+        return _sheet(name, folder, campaign_folder, here)
     beside = campaign_folder / name
     if not (folder / name).is_file() and beside.is_file():
         return beside

@@ -98,7 +98,7 @@ def read_plan(path: Path) -> Plan:
         list(product(*(entries(axis) for axis in (settings.grid or {}).values()))),
     )
     _try(plan, document, file)
-    files = digests(subject.base, subject.axes, subject.folder, subject.campaign_folder)
+    files = digests(subject.base, subject.axes, subject.folder, subject.campaign_folder, subject.here)
     return replace(plan, subject=subject._replace(files=files))
 
 
@@ -189,7 +189,7 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         name = f"{file} with the changes of the campaign"
         folder, campaign_folder = file.parent.absolute(), path.parent.absolute()
         whole = deepcopy(base)
-        find_beside(whole, folder, campaign_folder)
+        find_beside(whole, folder, campaign_folder, Path.cwd())
         refuse_unreachable(loads(text_of(whole), name, folder))
     except ConfigurationError as error:
         place: Place = ("changes",) if settings.changes else ("configuration",)
@@ -200,6 +200,7 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         source=str(file),
         folder=folder,
         campaign_folder=campaign_folder,
+        here=Path.cwd(),
         axes={name: axis for _, axes in _sections(settings) for name, axis in axes.items()},
         limits={"faulted": Limit(max=0.0)} | settings.limits,
         duration_s=settings.duration_s,

@@ -37,6 +37,8 @@ class Subject(NamedTuple):
     """Of the configuration, absolute: base of relative paths in it."""
     campaign_folder: Path
     """Of the campaign file, absolute: where they are looked for next."""
+    here: Path
+    """Where the campaign was read, absolute: where the data sheet of a drive is looked for first."""
     axes: dict[str, ListedAxis]
     limits: dict[str, Limit]
     duration_s: float | None
@@ -75,7 +77,7 @@ def row_configuration(job: Job) -> Configuration:
     if "sensors" in value and job.seed:
         _vary_sensors(value, job.seed)
     value = unattended_data(value)
-    find_beside(value, subject.folder, subject.campaign_folder)
+    find_beside(value, subject.folder, subject.campaign_folder, subject.here)
     name = f"{subject.source} with the changes of row {job.number}"
     c = loads(text_of(value), name, subject.folder)
     c.require("sim")
@@ -113,7 +115,11 @@ def performed(job: Job) -> Ran:
     refuse_changed(job.subject.files)
     ran = _performed(job)
     refuse_changed(job.subject.files)  # nor while it ran
-    for folder in (job.subject.campaign_folder, job.subject.folder):  # where they lie makes no difference
+    for folder in (
+        job.subject.campaign_folder,
+        job.subject.folder,
+        job.subject.here,
+    ):  # where they lie makes no difference
         ran.outcome["trouble"] = ran.outcome["trouble"].replace(f"{folder}/", "")
     return ran
 

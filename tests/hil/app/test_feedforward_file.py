@@ -75,7 +75,7 @@ def test_a_mark_of_byte_order_and_line_ends_of_another_system_change_nothing() -
 def test_a_campaign_knows_the_file_that_its_rows_read(tmp_path: Path) -> None:
     using(tmp_path)
     base = {"feedforward": {"file": "learned.csv"}}
-    assert list(digests(base, {}, tmp_path, tmp_path)) == [str(tmp_path / "learned.csv")]
+    assert list(digests(base, {}, tmp_path, tmp_path, tmp_path)) == [str(tmp_path / "learned.csv")]
 
 
 def test_a_spreadsheet_reads_the_columns_behind_the_comments() -> None:

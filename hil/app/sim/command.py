@@ -9,6 +9,7 @@ from typing import Any
 
 from drivers.errors import ConfigurationError, LogError
 from drivers.protocol import Frame
+from drivers.regular_file import open_regular
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
 from hil.app.configuration.bus_budget import loads
@@ -28,6 +29,7 @@ from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.app.sim.lockstep import Given, Lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
+from hil.loop.homing import LastPose
 from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures
@@ -36,6 +38,7 @@ from hil.record.recording import RecorderEndedError
 from hil.record.schema import RUN
 from hil.signals import SetPoint, TickInput, TickOutput
 from hil.trajectory.sampled import read_poses
+from plant_fmu.config import FmuPlant
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 
@@ -104,10 +107,12 @@ def run_identity(
     faults: FaultPlan | None,
     setpoints: Path | None,
     commands: Sequence[TimedCommand],
+    last_pose: LastPose | None = None,
 ) -> str:
     """Return what tells one simulation from every other: a digest of all that it follows from.
 
-    No clock and no chance is in it: the same run again has the same identity, and the same logs.
+    No clock and no chance is in it: the same run again has the same identity, and the same rows. `last_pose`
+    is where the legs stand for the controller; since when is not in it.
     """
     plan = faults or FaultPlan()
     said = [list(c.plant.faults) if c.plant else [], list(plan.faults), plan.seed, plan.gravity.tolist()]
@@ -116,6 +121,14 @@ def run_identity(
         digest.update(f"\0{name}\0".encode() + content)
     if setpoints is not None:
         digest.update(b"\0" + setpoints.read_bytes())
+    if last_pose is not None:
+        for stood in (last_pose.length, last_pose.limit_m, last_pose.step_m, last_pose.m_per_turn):
+            digest.update(b"\0" + stood.tobytes())
+    if c.plant is not None and isinstance(c.plant.model, FmuPlant):
+        with open_regular(c.folder / c.plant.model.path) as fmu:
+            digest.update(b"\0")
+            while block := fmu.read(1 << 20):
+                digest.update(block)
     return digest.hexdigest()[:32]
 
 
@@ -163,7 +176,6 @@ def simulate(
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
     operator = CommandScript(commands, rate)
-    run = run_identity(c, duration_s, faults, setpoints, commands)
     path = log_path(c.recording.folder, c.name, log)
     removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
     truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
@@ -171,6 +183,7 @@ def simulate(
         log_path(c.recording.folder, c.name, truth_path)
     nodes, physics = build_nodes(c, faults)
     try:
+        run = run_identity(c, duration_s, faults, setpoints, commands, keeper.last_pose)
         lockstep = build_lockstep(c, cycle, nodes, attended=bool(commands))
         with contextlib.ExitStack() as stack:
             recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True, run=run))

@@ -8,12 +8,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.signals import Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
+from hil.loop.homing import LastPose
 from hil.loop.run_end import Ending
+from plant_fmu.config import FmuPlant
 
 VIRTUAL = load("virtual")
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", 9)
@@ -90,3 +93,52 @@ def test_simulations_whose_named_files_differ_in_name_or_content_are_not_the_sam
         found += [command.run_identity(VIRTUAL, 2.0, None, None, ()) for _ in range(2)]
     assert found[::2] == found[1::2]
     assert all(a != b for a, b in itertools.combinations(found[::2], 2))
+
+
+def test_simulations_of_an_fmu_that_was_built_anew_under_its_name_are_not_the_same_run(tmp_path):
+    model = FmuPlant.model_validate(
+        {"type": "fmu", "path": "a.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}
+    )
+    assert VIRTUAL.plant is not None
+    c = VIRTUAL.model_copy(update={"plant": VIRTUAL.plant.model_copy(update={"model": model})})
+    c._folder = tmp_path
+    found = []
+    for content in (b"one", b"two", b"one", b""):
+        (tmp_path / "a.fmu").write_bytes(content)
+        found.append(command.run_identity(c, 2.0, None, None, ()))
+    assert found[0] == found[2]
+    assert len(set(found)) == 3
+
+
+def test_simulations_whose_legs_stand_elsewhere_are_not_the_same_run_and_since_when_is_nothing():
+    one = np.ones(6)
+    stood = LastPose(one, 0.01 * one, 0.2 * one, 0.02 * one, "parked 2026-01-01", "hil homing a")
+    others: list[LastPose | None] = [None, stood]
+    for name in ("length", "limit_m", "step_m", "m_per_turn"):
+        for leg in range(6):
+            moved = getattr(stood, name).copy()
+            moved[leg] = np.nextafter(moved[leg], 2.0)
+            others.append(stood._replace(**{name: moved}))
+    found = [command.run_identity(VIRTUAL, 2.0, None, None, (), each) for each in others]
+    assert len(set(found)) == len(others) == 26
+    later = stood._replace(origin="parked 2026-01-02")
+    assert command.run_identity(VIRTUAL, 2.0, None, None, (), later) == found[1]
+
+
+def test_the_identity_of_a_run_is_asked_for_with_where_its_legs_stand(monkeypatch, tmp_path):
+    asked = []
+
+    def identity(*given):
+        asked.append(given)
+        return "a"
+
+    stood = object()
+    keeper = SimpleNamespace(last_pose=stood, begin=lambda _: None, close=lambda: None, summary=lambda _: {})
+    monkeypatch.setattr(command, "Keeper", lambda *_, **__: keeper)
+    monkeypatch.setattr(command, "run_identity", identity)
+    parts = SimpleNamespace(trajectory=SimpleNamespace(duration_s=1.0), law=None)
+    monkeypatch.setattr(command, "build_cycle", lambda *_, **__: SimpleNamespace(parts=parts))
+    monkeypatch.setattr(command, "build_lockstep", lambda *_, **__: None)
+    monkeypatch.setattr(command, "law_figures", lambda *_: {})
+    simulated(monkeypatch, tmp_path, PARKED)
+    assert [given[-1] for given in asked] == [stood]

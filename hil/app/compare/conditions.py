@@ -9,7 +9,7 @@ from plant_fmu.config import StewartPlant
 PATHS = ("ideal", "encoders", "bus", "drives")
 """What is added from one path to the next; the last is the configuration itself."""
 
-IDEAL = {
+IDEAL: dict[str, Any] = {
     "protocol": "legs", "node_ids": [1, 2, 3, 4, 5, 6], "options": {}, "transmission": None, "homing": None
 }  # fmt: skip
 """Of section `drives`, where there is no bus: its drives speak of the legs, not of motors."""

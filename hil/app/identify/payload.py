@@ -53,7 +53,7 @@ class Found(NamedTuple):
 
     sources: list[Source]
     believed: Array
-    """(29,)."""
+    """(29,), without `inertia_scale`."""
     carrier: Array
     """(10,): what is believed without the payload that is known by ranges."""
     estimate: Estimate
@@ -167,7 +167,10 @@ def _model(c: Configuration) -> Model:
 
 
 def _believed(source: Source, reflected_kg: float | None) -> Array:
-    """Return what the controller believes (29,); reflected masses that are given stand in no column: 0."""
+    """Return what section platform and `controller.model` say (29,), without a scale of all masses.
+
+    Reflected masses that are given stand in no column: 0.
+    """
     b = source.configuration.controller.believed
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(source.model.platform.platform)

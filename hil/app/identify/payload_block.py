@@ -8,7 +8,7 @@ import yaml
 from drivers.arrays import Array
 from hil.app.configuration.platform import frame_axes
 from hil.app.identify.payload import DRIVES, HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
-from hil.config.platform import PayloadSettings
+from hil.config.platform import BodySettings, PayloadSettings
 from hil.identify.rigid_body import SIZE, body_of
 from hil.robot.geometry import Body
 from hil.robot.inertia import turned
@@ -17,6 +17,13 @@ DIGITS = 1e-7
 """Of the largest element: figures are rounded to that, and a tensor is kept as far from being none."""
 SIGNIFICANT = 2.0
 """Standard errors, rms over the legs, from which friction and reflected masses are not zero."""
+READ_AS: dict[str, Any] = {
+    "shape": None,
+    "frame": {"origin_m": [0.0, 0.0, 0.0], "rotation_vector_deg": [0.0, 0.0, 0.0]},
+    "inertia_about": {"point_m": None, "rotation_vector_deg": [0.0, 0.0, 0.0]},
+    "products": "negative_integral",
+}
+"""Keys by which the figures of a body are read, as those of the block are meant: their defaults."""
 REMARK = "# Made by hil identify payload: paste into the configuration, in the place of these keys.\n"
 
 
@@ -34,8 +41,13 @@ def block(found: Found) -> dict[str, Any]:
         model = _drives(found)
         if found.reflected_kg is not None:
             model["reflected_mass_kg"] = 6 * [found.reflected_kg]
-        if believed.inertia_scale != 1.0 and body_shown(found):
-            model["inertia_scale"] = 1.0
+        if believed.inertia_scale != 1.0:
+            if body_shown(found):
+                model["inertia_scale"] = 1.0
+            elif "reflected_mass_kg" in model:  # the scale stays, and is of these, too
+                model["reflected_mass_kg"] = [
+                    float(f"{m / believed.inertia_scale:.5g}") for m in model["reflected_mass_kg"]
+                ]
         result["controller"] = {"model": model}
     return result
 
@@ -57,11 +69,17 @@ def _body(found: Found) -> dict[str, Any]:
     c = found.sources[0].configuration
     payload = c.platform.platform.payload
     if not found.split:
-        own = body_keys(body_of(found.theta[:SIZE]))
+        own = body_keys(body_of(found.theta[:SIZE])) | read_anew(c.platform.platform)
         return {**own, "payload": []} if payload else own
     known = [b.model_dump(mode="json", exclude_defaults=True) for b in payload if not b.ranged]
     body, ranged = body_of(found.theta[:SIZE] - found.carrier), ranged_body(c)
     return {"payload": [*known, body_keys(body) if ranged is None else _in_ranges(ranged, body)]}
+
+
+def read_anew(body: BodySettings) -> dict[str, Any]:
+    """Return the keys of READ_AS that this body has set otherwise: as they are they misread the block."""
+    defaults = {field: BodySettings.model_fields[field].get_default() for field in READ_AS}
+    return {key: READ_AS[key] for key, default in defaults.items() if getattr(body, key) != default}
 
 
 def _in_ranges(ranged: PayloadSettings, body: Body) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.app.configuration.payload_box import shown_ranges
 from hil.app.identify.payload import HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
-from hil.app.identify.payload_block import block, body_differs, body_shown
+from hil.app.identify.payload_block import block, body_differs, body_shown, read_anew
 from hil.config.platform import PayloadSettings
 from hil.identify.leg_equations import LATE
 from hil.identify.rigid_body import NAMES, SIZE, UNITS, body_of
@@ -57,6 +57,7 @@ def summary(found: Found) -> dict[str, Any]:
         "payload_alone_is_a_body": None if found.payload is None else found.payload.smallest > 0.0,
         "residual_N": e.residual_N.tolist(),
         "believed_residual_N": found.rms_believed_N,
+        "believed_leaves_out_inertia_scale": believed_scale(found),
         "forces_N": found.rms_force_N,
         "held_out_N": {name: list(pair) for name, pair in found.held_out.items()},
         "block": block(found),
@@ -102,6 +103,12 @@ def report(found: Found) -> list[str]:
             for name, (r, b) in found.held_out.items()
         )
     )
+    scale = believed_scale(found)
+    if scale != 1.0:
+        lines.append(
+            f"As believed: by section platform and controller.model without its inertia_scale {scale:g}, by "
+            "which the law reckons all masses besides"
+        )
     if rms > POOR * found.rms_force_N:
         lines.append(
             f"That is {100.0 * rms / found.rms_force_N:.0f} % of the forces, {100.0 * POOR:g} % are common: "
@@ -118,6 +125,12 @@ def report(found: Found) -> list[str]:
         )
     )
     return [*lines, *_physics(found)]
+
+
+def believed_scale(found: Found) -> float:
+    """Return the scale of all masses that stands beside what is said to be believed; 1: there is none."""
+    believed = found.sources[0].configuration.controller.believed
+    return 1.0 if believed is None else believed.inertia_scale
 
 
 def _forces(found: Found) -> str:
@@ -179,6 +192,12 @@ def _in_block(found: Found, ranged: PayloadSettings | None) -> str:
     if found.split:
         return "The block has it as one more body"
     words = "The block has the ten parameters of all of it"
+    anew = read_anew(found.sources[0].configuration.platform.platform)
+    if anew:
+        words += (
+            ", in platform axes about the centre of mass, and sets back what reads the section's otherwise: "
+            + ", ".join(anew)
+        )
     if ranged is not None:
         words += (
             f", and no payload: state the ranges of {shown_ranges(ranged)} anew beside it, or check, "

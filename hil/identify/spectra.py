@@ -44,16 +44,16 @@ def periodic(signals: AxisSignals, length: int, harmonics: Ints) -> Spectra:
     """Return the spectra of whole periods of `length` ticks, at multiples of 1/(length T).
 
     A whole period of what repeats needs no window and leaks nothing. A drift may lie underneath, its speed
-    changing steadily: it follows from the means of the periods and is taken off. Periods with a missing tick
-    are left out.
+    changing steadily: it follows from the means of the periods and is taken off. Periods with a tick that
+    does not count are left out.
 
     Raises IdentificationError: fewer than four whole periods.
     """
     starts = _starts(signals.good, length, length)
     if len(starts) < FEWEST_BLOCKS:
         raise IdentificationError(
-            f"too short: {len(starts)} whole periods of {length * signals.period_s:g} s without a missing "
-            f"tick, allowed: at least {FEWEST_BLOCKS}; excite longer"
+            f"too short: {len(starts)} whole periods of {length * signals.period_s:g} s at full speed and "
+            f"without a missing tick, allowed: at least {FEWEST_BLOCKS}; excite longer"
         )
     blocks = _blocks(starts, length)
     y = signals.y[blocks]

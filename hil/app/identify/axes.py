@@ -99,7 +99,7 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
     lines = repeating(c.reference, rate_Hz)
     if lines is not None:
         assert isinstance(c.reference, SinusoidReference | MultisineReference)
-        good = settled(signals.good, t, c.reference, lines.length)
+        good = settled(signals, t, c.reference, lines.length)
         spectra = periodic(signals._replace(good=good), *lines)
     else:
         spectra = segmented(signals)

@@ -24,6 +24,9 @@ from hil.trajectory.multisine import pick_lines
 LEAST_MOTION_m = 1e-4
 """Of the leg that moves most; what moves less is lost in encoder steps and friction."""
 
+APART = 1e-6
+"""Of a period; so much the reference's time may differ from the clock's by rounding."""
+
 
 class LinearisedLaw(NamedTuple):
     """How a configured law turns a demanded acceleration into forces."""
@@ -126,8 +129,15 @@ def _lines(length: int, harmonics: list[int]) -> Lines:
     return Lines(length, np.array([h for h in harmonics if h < 0.45 * length], np.int64))
 
 
-def settled(good: Flags, t: Array, reference: SinusoidReference | MultisineReference, length: int) -> Flags:
-    """Return which ticks count: between the ramps, and of that the last whole periods, the rest settles."""
+def settled(
+    signals: AxisSignals, t: Array, reference: SinusoidReference | MultisineReference, length: int
+) -> Flags:
+    """Return which ticks count: between the ramps, and of that the last whole periods, the rest settles.
+
+    A tick before which the reference went on by another time than the clock's does not: at less than full
+    speed all lines lie lower than they are looked for.
+    """
+    good = at_full_speed(signals.good, t, signals.period_s)
     end = t[np.isfinite(t)].max(initial=0.0)
     if isinstance(reference, MultisineReference):
         duration = 2.0 * reference.ramp_s + reference.periods * reference.period_s
@@ -140,3 +150,12 @@ def settled(good: Flags, t: Array, reference: SinusoidReference | MultisineRefer
     if len(inside):
         mask[inside[len(inside) % length :]] = True
     return good & mask
+
+
+def at_full_speed(good: Flags, t: Array, period_s: float) -> Flags:
+    """Return which of the good ticks (n,) are as far behind the good one before in the reference's time t."""
+    ticks = np.flatnonzero(good)
+    late = np.diff(t[ticks] - ticks * period_s, prepend=t[ticks[:1]] - ticks[:1] * period_s)
+    found = good.copy()
+    found[ticks[~(np.abs(late) < APART * period_s)]] = False
+    return found

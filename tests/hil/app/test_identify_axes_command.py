@@ -21,6 +21,7 @@ from hil.config.axis_model import AxisModel
 from hil.config.reference import MultisineAxis, MultisineReference, Sinusoid, SinusoidReference
 from hil.config.values import Pose
 from hil.identify.excitation import axis_excitation
+from hil.identify.linearised import AxisSignals
 from hil.robot.kinematics import jacobian
 
 
@@ -199,18 +200,50 @@ def test_a_multisine_repeats_in_its_own_period():
     assert lines_of(reference, 500.0) == (500, [1, 2, 3, 4])
 
 
+def counted(t, reference, length, good=True):
+    still = np.zeros((len(t), 6))
+    signals = AxisSignals(1e-3, still, still, still, np.full(len(t), good) if np.isscalar(good) else good)
+    return settled(signals, t, reference, length)
+
+
 def test_the_last_whole_periods_between_the_ramps_count():
     t = 1e-3 * np.arange(10000, dtype=np.float64)
-    mask = settled(np.ones(10000, bool), t, sinusoids(0.5 / 1.5), 3000)
+    mask = counted(t, sinusoids(0.5 / 1.5), 3000)
     assert np.flatnonzero(mask)[[0, -1]].tolist() == [3000, 8999]
     assert mask.sum() == 6000
 
 
 def test_a_run_that_was_stopped_counts_as_far_as_it_went():
     t = np.where(np.arange(8000) < 5500, np.arange(8000) * 1e-3, np.nan)
-    mask = settled(np.ones(8000, bool), t, sinusoids(1.0), 1000)
+    mask = counted(t, sinusoids(1.0), 1000)
     assert mask.sum() == 4000
     assert np.flatnonzero(mask)[-1] <= 5500
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.9])
+def test_no_tick_counts_where_the_reference_ran_at_less_than_full_speed(speed):
+    """Its lines lie lower by that, between those that are looked for."""
+    mask = counted(speed * 1e-3 * np.arange(10000), sinusoids(1.0), 1000)
+    assert mask.sum() <= 1, "before the first one nothing is known"
+
+
+def test_a_stretch_at_less_than_full_speed_does_not_count_and_what_is_beside_it_does():
+    """Slowly from tick 2500 on, at rest from 3000 on, and as the clock again from 4500 on."""
+    speed = np.ones(10000)
+    speed[2500:3000], speed[3000:4500] = 0.5, 0.0
+    t = 1e-3 * np.concatenate([[0.0], np.cumsum(speed[:-1])])
+    mask = counted(t, sinusoids(1.0, duration_s=9.0), 1)
+    expected = (t >= 1.0 - 1e-9) & (t < 8.0 - 1e-9)
+    expected[2501:4501] = False
+    assert np.flatnonzero(mask).tolist() == np.flatnonzero(expected).tolist()
+
+
+def test_ticks_that_the_log_lacks_take_no_other_with_them():
+    t = 1e-3 * np.arange(10000)
+    good = np.ones(10000, bool)
+    good[[4000, 6001, 6002]] = False
+    held = np.maximum.accumulate(np.where(good, t, 0.0))
+    assert np.flatnonzero(~counted(held, sinusoids(1.0), 1, good)[1000:9000]).tolist() == [3000, 5001, 5002]
 
 
 # -- files between commands ----------------------------------------------------------------------------------

@@ -2,7 +2,9 @@
 
 An enclosure of g is never positive on a cell that holds g's zero. So the zero is blown up: x_i = t^w_i u_i
 with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are exactly zero, Taylor's theorem
-has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell by cell.
+has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell by cell. c_k is the
+k-th derivative of all of g over k!, so that there is one t': powers of t at t itself beside a derivative of
+the rest at t' would hold for two different places, and no cell of t may be halved for both at once.
 """
 
 from collections.abc import Sequence
@@ -61,9 +63,15 @@ class Ray:
         return next((j for j in range(HIGHEST_ORDER + 1) if self.at_zero(j) != 0), None)
 
     def remainder(self, k: int) -> sp.Expr:
-        """Return c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero."""
-        exact = sum((c * T ** (j - k) for j, c in self.powers.items() if j >= k), sp.S.Zero)
-        return exact + self._derivative(k) / sp.factorial(k)
+        """Return c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero.
+
+        Where there are powers of t alone, at t itself.
+        """
+        higher = [(j, c) for j, c in self.powers.items() if j >= k]
+        if self.rest == 0:
+            return sp.Add(*(c * T ** (j - k) for j, c in higher))
+        powers = sp.Add(*(sp.binomial(j, k) * c * T ** (j - k) for j, c in higher))
+        return powers + self._derivative(k) / sp.factorial(k)
 
     def _derivative(self, j: int) -> sp.Expr:
         """Return the j-th derivative of the rest; nan, of which nothing is shown, if it is too long."""

@@ -146,6 +146,18 @@ def test_a_cell_about_the_origin_ends_before_the_function_changes_sign():
     assert near[0][0][1] ** 2 < 1 / 5
 
 
+@pytest.mark.parametrize("direction", [1, -1])
+def test_powers_beside_a_sine_hold_at_the_place_where_its_derivative_is_taken(direction):
+    """x^2 / 10 - 200 x^3 / 3 + ...: positive up to x = 0.0015 alone. At x itself, powers beside the second
+    derivative elsewhere would seem to be positive up to 0.06."""
+    at = direction * x
+    e = at**2 - 100 * at**3 - R(9, 5) * (1 - sp.cos(at)) + R(100, 3) * sp.sin(at) ** 3
+    assert sp.N(e.subs(x, direction * R(16, 10**4))) < 0
+    near = definite_near(e, (x,), [], Budget())
+    assert near is not None
+    assert near[0][0][1] < 0.0015
+
+
 def test_a_dip_far_from_the_origin_is_no_proof():
     dip = x**2 * ((x - R(141421, 10**5)) ** 2 - R(1, 10**10))
     assert not signs({x: (-2, 2), y: (-2, 2)}).definite(dip)

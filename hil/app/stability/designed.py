@@ -3,6 +3,7 @@
 from typing import Any
 
 from hil.app.configuration.controller_file import controller_of
+from hil.app.stability.linearising import assumed
 from hil.app.stability.subject import SURVEYED, Inertia, Subject
 from hil.app.stability.wording import bound_lines, describe, unstable, worst
 from hil.config.linear_controller import LinearController
@@ -17,11 +18,16 @@ def configured(subject: Subject, law: StateSpaceSettings) -> Assessment:
     """Judge the controller that the law names. Raises ConfigurationError where its file is no good."""
     controller = controller_of(law, subject.c.folder)
     assert controller is not None
-    return designed(subject, controller, law.model)
+    return designed(subject, controller, law.model, assumed(subject, law))
 
 
-def designed(subject: Subject, controller: LinearController, model: ModelSettings) -> Assessment:
-    """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors."""
+def designed(
+    subject: Subject, controller: LinearController, model: ModelSettings, conditions: list[str]
+) -> Assessment:
+    """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors.
+
+    conditions: what is assumed of the law that runs it.
+    """
     sampled = sampled_controller(controller)
 
     def loops(gain: float) -> list[Sampled]:
@@ -33,7 +39,6 @@ def designed(subject: Subject, controller: LinearController, model: ModelSetting
     figures |= {"axes": controller.axes, "order": len(controller.A)}
     if not loop.stable:
         return Assessment("unstable", unstable(subject, loop), [], lines, figures)
-    conditions = subject.unseen
     if isinstance(bound, str):
         return Assessment("not proven", bound, conditions, lines, figures)
     more, numbers = bound_lines(judged, controller.axes)

@@ -78,6 +78,4 @@ def assumed(subject: Subject, law: LawSettings) -> list[str]:
     conditions = []
     if law.lookahead is not None:
         conditions.append("the delays are those of delay_compensation")
-    if subject.c.estimation.wrench.source != "none":
-        conditions.append("the estimated wrench is right but for the stated load")
-    return conditions + subject.unseen
+    return conditions + subject.wrench + subject.unseen

@@ -69,7 +69,10 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Assessment:
     controller = proportional(K_p, K_v, subject.axis.period_s)
     stiffness = float(K_p.sum()) if exact else None
     held = Held(S, exact, controller, J @ mobility @ J.T, "dq^T K_v dq", stiffness)
-    return _judge(subject, held, quick=quick)
+    found = _judge(subject, held, quick=quick)
+    estimated = isinstance(law, FeedforwardPDSettings) and law.evaluation == "online"
+    more = subject.wrench if estimated and found.status != "unstable" else []
+    return found._replace(conditions=found.conditions + more)
 
 
 def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Assessment:

@@ -211,6 +211,13 @@ class Subject:
             )
         return taken
 
+    @property
+    def wrench(self) -> list[str]:
+        """What is taken for granted where the law takes an estimated wrench off: a feedback of its own."""
+        if self.c.estimation.wrench.source == "none":
+            return []
+        return ["the estimated wrench is right but for the stated load"]
+
     def undisturbed(self, bound: Ultimate) -> bool:
         """Tell whether nothing brings errors about that were not there at the start, or keeps them."""
         return self.rest and self.nothing and bound.exact and float(bound.d.max()) <= NO_ERROR

@@ -154,13 +154,13 @@ def test_a_designed_controller_is_judged_by_its_loop():
         A=[], B=[], C=[[]], D=[[400.0, 40.0]], anti_windup=[], design={},
     )  # fmt: skip
     plain = bench("  law: inverse_dynamics\n  wn_rad_s: 20\n")
-    verdict = designed(Subject(plain, Stated(Load(17_320.0))), controller, ModelSettings())
+    verdict = designed(Subject(plain, Stated(Load(17_320.0))), controller, ModelSettings(), [])
     reference = judge(plain, Stated(Load(17_320.0)))
     assert verdict.figures["sampled"] == pytest.approx(reference.figures["sampled"], rel=1e-9)
     assert verdict.status == "conditional"
     assert verdict.figures["ultimate_bound"] == pytest.approx(reference.figures["ultimate_bound"], rel=1e-9)
     wild = controller.model_copy(update={"D": [[250_000.0, 1000.0]]})
-    assert designed(Subject(plain, Stated()), wild, ModelSettings()).status == "unstable"
+    assert designed(Subject(plain, Stated()), wild, ModelSettings(), []).status == "unstable"
 
 
 def test_the_law_that_runs_a_designed_controller_is_judged_by_its_file(tmp_path):

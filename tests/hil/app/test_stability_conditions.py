@@ -1,0 +1,70 @@
+"""What `hil stability` takes for granted is among the conditions that it names, for every law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.stability.command import judge
+from hil.stability.assessment import Assessment
+from tests.hil.app.test_stability_command import LEGS, POSE, bench
+
+LINEAR = "  law: inverse_dynamics\n  wn_rad_s: 20\n"
+DESIGNED = "  law: state_space\n  controller_file: {file}\n"
+SPRINGS = {
+    "pd": f"  law: pd\n{LEGS}",
+    "pd_gravity": f"  law: pd_gravity\n{LEGS}",
+    "feedforward_pd": f"  law: feedforward_pd\n{LEGS}",
+    "cartesian_pd": f"  law: cartesian_pd\n{POSE}",
+    "pid": f"  law: pid\n{LEGS}  ki_N_m_s: 4e5\n  integral_limit_N: 1e4\n",
+}
+GAINS = (
+    "kind: linear-controller\nmethod: hinf\naxes: joint\nrate_Hz: 1000\ninputs: [error, rate_error]\n"
+    "A: []\nB: []\nC: [[]]\nD: [[400, 40]]\nanti_windup: []\ndesign: {}\n"
+)
+FINE = {"plant": {"drives": {"encoder_resolution_m": 0}}}
+"""Encoders whose steps move nothing."""
+
+
+def held(law: str, *changes: dict[str, Any]) -> Configuration:
+    """Return a robot that rests under a law, with changes."""
+    text = bench(law, rest=True).text
+    for each in changes:
+        text = with_changes(text, each)
+    return loads(text, "my.yaml", Path())
+
+
+def among(found: Assessment, words: str) -> bool:
+    """Tell whether a condition has these words."""
+    return any(words in condition for condition in found.conditions)
+
+
+@pytest.fixture
+def linearising(tmp_path: Path) -> list[str]:
+    """Return the same gains as a law of their own and as a designed controller."""
+    file = tmp_path / "gains.yaml"
+    file.write_text(GAINS)
+    return [LINEAR, DESIGNED.format(file=file)]
+
+
+@pytest.mark.parametrize(("source", "status"), [("none", "proven"), ("observer", "conditional")])
+def test_where_an_estimated_wrench_is_taken_off_nothing_is_proven_without_saying_so(
+    linearising, source, status
+):
+    for law in linearising:
+        found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
+        assert "small errors die out" in found.claim
+        assert found.status == status, law
+        assert among(found, "the estimated wrench is right") == (source == "observer"), law
+
+
+@pytest.mark.parametrize("evaluation", ["online", "offline"])
+def test_a_feed_forward_that_takes_an_estimated_wrench_off_says_so(evaluation):
+    law = f"{SPRINGS['feedforward_pd']}  evaluation: {evaluation}\n"
+    found = judge(held(law, {"estimation": {"wrench": {"source": "observer"}}}), quick=True)
+    assert among(found, "the estimated wrench is right") == (evaluation == "online")
+    assert not among(judge(held(law), quick=True), "wrench")

@@ -78,4 +78,4 @@ def assumed(subject: Subject, law: LawSettings) -> list[str]:
     conditions = []
     if law.lookahead is not None:
         conditions.append("the delays are those of delay_compensation")
-    return conditions + subject.wrench + subject.unseen
+    return conditions + subject.wrench + subject.unseen + subject.live

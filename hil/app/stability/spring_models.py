@@ -211,8 +211,7 @@ def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: 
 def _motion(subject: Subject) -> list[str]:
     """Return what a proof of a set-point asks of the reference."""
     conditions = [] if subject.rest else ["the reference rests; while it moves nothing is proven"]
-    if subject.plant is None and not subject.on_bench:
-        conditions += subject.unseen
+    conditions += subject.unseen
     if subject.c.drives.transmission is not None:
         conditions.append("the drives give what is asked: their steps and losses are left out")
     if not replace(subject.stated, payload=NO_PAYLOAD).nothing:

@@ -196,20 +196,31 @@ class Subject:
 
     @property
     def unseen(self) -> list[str]:
-        """What a proof has to take for granted of robot and reference."""
+        """What a proof has to take for granted, beside that a live reference rests."""
         taken = []
         if self.c.plant is None:
             taken.append("the robot is as section platform says, its drives have neither friction nor lag")
-        elif self.plant is None:
+        elif self.plant is None and not self.on_bench:
             taken.append("the FMU is the robot of section platform, without friction")
-        if isinstance(self.c.reference, LiveReference):
-            taken.append("the reference rests at home: what its motion costs is not in the bound")
+        if self.c.estimation.pose == "fused":
+            lost = " and no encoder is lost" if self.c.estimation.fusion.may_lose_legs else ""
+            taken.append(
+                f"the fused pose is as good as measured lengths{lost}: the filter's own dynamics are not in "
+                "the loop"
+            )
         if self.c.feedforward is not None:
             taken.append(
                 "the learned feed-forward takes off what disturbs the loop: what it adds where it is wrong, "
                 f"up to {self.c.feedforward.limit_N:g} N in a leg, is not in the bound"
             )
         return taken
+
+    @property
+    def live(self) -> list[str]:
+        """What a bound takes for granted of a reference that is not known beforehand."""
+        if not isinstance(self.c.reference, LiveReference):
+            return []
+        return ["the reference rests at home: what its motion costs is not in the bound"]
 
     @property
     def wrench(self) -> list[str]:

@@ -13,6 +13,7 @@ from hil.app.stability.command import judge
 from hil.stability.assessment import Assessment
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 
+FUSED = {"sensors": {"tracker": {}}, "estimation": {"pose": "fused"}}
 LINEAR = "  law: inverse_dynamics\n  wn_rad_s: 20\n"
 DESIGNED = "  law: state_space\n  controller_file: {file}\n"
 SPRINGS = {
@@ -68,3 +69,17 @@ def test_a_feed_forward_that_takes_an_estimated_wrench_off_says_so(evaluation):
     found = judge(held(law, {"estimation": {"wrench": {"source": "observer"}}}), quick=True)
     assert among(found, "the estimated wrench is right") == (evaluation == "online")
     assert not among(judge(held(law), quick=True), "wrench")
+
+
+def test_of_a_fused_pose_nothing_is_proven_without_saying_that_its_filter_is_not_in_the_loop(linearising):
+    for law in [*linearising, SPRINGS["pid"], SPRINGS["pd_gravity"]]:
+        found = judge(held(law, FINE, FUSED), quick=True)
+        assert among(found, "the fused pose is as good as measured lengths"), law
+        assert not among(found, "lost"), law
+        assert found.status == "conditional", law
+    assert judge(held(LINEAR, FINE)).conditions == []
+
+
+def test_encoders_that_may_be_lost_are_named_where_the_fused_pose_is(linearising):
+    fused = FUSED | {"estimation": {"pose": "fused", "fusion": {"may_lose_legs": [0, 3]}}}
+    assert among(judge(held(linearising[0], FINE, fused)), "no encoder is lost")

@@ -210,7 +210,8 @@ def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: 
 
 def _motion(subject: Subject) -> list[str]:
     """Return what a proof of a set-point asks of the reference."""
-    conditions = [] if subject.rest else ["the reference rests; while it moves nothing is proven"]
+    rests = subject.rest and not subject.live
+    conditions = [] if rests else ["the reference rests; while it moves nothing is proven"]
     conditions += subject.unseen
     if subject.c.drives.transmission is not None:
         conditions.append("the drives give what is asked: their steps and losses are left out")

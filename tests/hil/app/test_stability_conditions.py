@@ -27,6 +27,13 @@ GAINS = (
     "kind: linear-controller\nmethod: hinf\naxes: joint\nrate_Hz: 1000\ninputs: [error, rate_error]\n"
     "A: []\nB: []\nC: [[]]\nD: [[400, 40]]\nanti_windup: []\ndesign: {}\n"
 )
+LIVE = {
+    "type": "live",
+    "limits": {
+        "velocity_m_s": 0.5, "velocity_deg_s": 30, "acceleration_m_s2": 5, "acceleration_deg_s2": 300,
+        "jerk_m_s3": 100, "jerk_deg_s3": 3000,
+    },
+}  # fmt: skip
 FINE = {"plant": {"drives": {"encoder_resolution_m": 0}}}
 """Encoders whose steps move nothing."""
 
@@ -83,3 +90,11 @@ def test_of_a_fused_pose_nothing_is_proven_without_saying_that_its_filter_is_not
 def test_encoders_that_may_be_lost_are_named_where_the_fused_pose_is(linearising):
     fused = FUSED | {"estimation": {"pose": "fused", "fusion": {"may_lose_legs": [0, 3]}}}
     assert among(judge(held(linearising[0], FINE, fused)), "no encoder is lost")
+
+
+@pytest.mark.parametrize("name", list(SPRINGS))
+def test_springs_that_follow_a_live_reference_are_proven_only_while_it_rests(name):
+    moves = "the reference rests; while it moves nothing is proven"
+    found = judge(held(SPRINGS[name], {"reference": LIVE}), quick=True)
+    assert found.conditions.count(moves) == 1
+    assert not among(found, "the bound"), "of these laws there is none"

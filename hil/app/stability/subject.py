@@ -17,7 +17,7 @@ from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
 from hil.app.stability.imperfect_drives import Disturbed, Drives
 from hil.config.axis_model import AxisSpace
-from hil.config.model import ModelSettings
+from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
@@ -149,7 +149,8 @@ class Subject:
         self.plant = plant if isinstance(plant, StewartPlant) else None
         self.on_bench = isinstance(plant, BenchPlant)
         """Six uncoupled legs."""
-        reflected = 0.0 if self.plant is None else self.plant.reflected_mass_kg
+        known = (c.controller.believed or MechanicsSettings()) if self.plant is None else self.plant
+        reflected = known.reflected_mass_kg
 
         def robot(platform: Platform) -> Model:
             return Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected)
@@ -199,9 +200,9 @@ class Subject:
         """What a proof has to take for granted, beside that a live reference rests."""
         taken = []
         if self.c.plant is None:
-            taken.append("the robot is as section platform says, its drives have neither friction nor lag")
+            taken.append(f"the robot is as section platform says, its drives without lag, {self._guessed}")
         elif self.plant is None and not self.on_bench:
-            taken.append("the FMU is the robot of section platform, without friction")
+            taken.append(f"the FMU is the robot of section platform, {self._guessed}")
         if self.c.estimation.pose == "fused":
             lost = " and no encoder is lost" if self.c.estimation.fusion.may_lose_legs else ""
             taken.append(
@@ -214,6 +215,14 @@ class Subject:
                 f"up to {self.c.feedforward.limit_N:g} N in a leg, is not in the bound"
             )
         return taken
+
+    @property
+    def _guessed(self) -> str:
+        """What is taken for granted of drives that no section of ours describes."""
+        b = self.c.controller.believed or MechanicsSettings()
+        if not any(map(np.any, (b.reflected_mass_kg, b.viscous_friction_N_s_m, b.coulomb_friction_N))):
+            return "without friction and reflected mass"
+        return "with the friction and the reflected masses that the law believes"
 
     @property
     def live(self) -> list[str]:
@@ -249,15 +258,16 @@ class Subject:
         return build_model(settings.model_copy(update=bare), self.platform, self.c.platform.leg_spin)
 
     def friction(self, settings: ModelSettings) -> Friction:
-        """Return what the law's friction is wrong by; where the plant is none of ours, nothing is known.
+        """Return what the law's friction is wrong by; where the plant is none of ours it has what that is.
 
         Dry friction holds a leg that stands, and the law answers the rate it had: both may add up.
         """
+        viscous, coulomb = per_leg(settings.viscous_friction_N_s_m), per_leg(settings.coulomb_friction_N)
         if self.plant is None:
-            return Friction(np.zeros(6), np.zeros(6))
-        viscous = np.abs(self.plant.viscous_friction_N_s_m - per_leg(settings.viscous_friction_N_s_m))
-        coulomb = self.plant.coulomb_friction_N + per_leg(settings.coulomb_friction_N)
-        return Friction(viscous, coulomb)
+            return Friction(np.zeros(6), 2.0 * coulomb)
+        return Friction(
+            np.abs(self.plant.viscous_friction_N_s_m - viscous), self.plant.coulomb_friction_N + coulomb
+        )
 
     def judged(
         self,

@@ -10,6 +10,8 @@ import pytest
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.stability.command import judge
+from hil.app.stability.subject import Stated, Subject
+from hil.config.model import ModelSettings
 from hil.stability.assessment import Assessment
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 
@@ -34,6 +36,13 @@ LIVE = {
         "jerk_m_s3": 100, "jerk_deg_s3": 3000,
     },
 }  # fmt: skip
+REAL = {"plant": None, "bus": {"interface": "socketcan"}}
+FMU = {
+    "plant": {
+        "model": {"type": "fmu", "path": __file__, "force": ["f"], "length": ["l"], "rate": ["v"]},
+        "drives": {"encoder_resolution_m": 0},
+    }
+}
 FINE = {"plant": {"drives": {"encoder_resolution_m": 0}}}
 """Encoders whose steps move nothing."""
 
@@ -98,3 +107,27 @@ def test_springs_that_follow_a_live_reference_are_proven_only_while_it_rests(nam
     found = judge(held(SPRINGS[name], {"reference": LIVE}), quick=True)
     assert found.conditions.count(moves) == 1
     assert not among(found, "the bound"), "of these laws there is none"
+
+
+@pytest.mark.parametrize("plant", [REAL, FMU])
+def test_of_a_robot_that_is_not_known_the_reflected_masses_are_those_that_the_law_believes(plant):
+    """Half a tonne in each leg triples the inertia: without it nothing would be left of an exact model."""
+    geared = {"controller": {"model": {"reflected_mass_kg": [500, 480, 460, 440, 420, 400]}}}
+    bare, found = judge(held(LINEAR, plant)), judge(held(LINEAR, plant, geared))
+    for one in (bare, found):
+        assert one.status == "conditional"
+        assert "small errors die out" in one.claim
+        assert one.figures["gamma_eigenvalues"] == pytest.approx([1.0, 1.0], abs=1e-9)
+    assert among(bare, "without friction and reflected mass")
+    assert among(found, "with the friction and the reflected masses that the law believes")
+
+
+def test_dry_friction_that_the_law_takes_off_counts_whether_the_plant_is_known_or_not():
+    """It may meet that of a robot which has as much with the other sign, leg by leg."""
+    believed = [0.0, 100.0, 200.0, 300.0, 400.0, 500.0]
+    model = ModelSettings(coulomb_friction_N=believed, viscous_friction_N_s_m=1e3)
+    found = Subject(held(LINEAR, REAL), Stated()).friction(model)
+    assert found.coulomb_N == pytest.approx([2.0 * one for one in believed])
+    assert found.viscous_N_s_m == pytest.approx([0.0] * 6)
+    rubs = {"controller": {"model": {"coulomb_friction_N": 250}}}
+    assert judge(held(LINEAR, REAL, rubs)).figures["ultimate_bound"][0] > 3.5e-3

@@ -160,10 +160,9 @@ class Nodes:
         """The end of the last step; of one that failed, how far it came."""
         return self._now_ns
 
-    @property
-    def fault_ns(self) -> int:
-        """When the first fault begins; `NEVER_NS` where none will, as things stand."""
-        return self._schedule.first_ns
+    def starts_ns(self, fault: Fault) -> int:
+        """Return when a fault begins; `NEVER_NS` where it will not, as things stand."""
+        return self._schedule.starts_ns(fault)
 
     @property
     def waiting(self) -> tuple[Fault, ...]:

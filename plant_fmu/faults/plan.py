@@ -48,10 +48,9 @@ class Schedule:
         self._present: tuple[tuple[int, Fault], ...] = ()
         self._from_ns = self._until_ns = 0
 
-    @property
-    def first_ns(self) -> int:
-        """When the first fault begins; NEVER_NS where none will, as things stand."""
-        return min(self._start_ns, default=NEVER_NS)
+    def starts_ns(self, fault: Fault) -> int:
+        """Return when a fault of the plan begins; NEVER_NS where it will not, as things stand."""
+        return self._start_ns[self._plan.faults.index(fault)]
 
     def _wait(self) -> None:
         """Look again which faults wait."""

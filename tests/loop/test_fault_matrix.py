@@ -191,6 +191,7 @@ def modes_at_fault(words: str) -> tuple[Mode, float]:
     c = with_faults(load("virtual"), [words])
     cycle = build_cycle(c, 1000.0, 0.01)
     nodes, plant = build_nodes(c)
+    fault = read_fault(words)
     lockstep, course = build_lockstep(c, cycle, nodes), Course(cycle, 2.5)
     entered, mode = 0, Mode.WAITING
     try:
@@ -198,8 +199,8 @@ def modes_at_fault(words: str) -> tuple[Mode, float]:
             lockstep.step(course.commands(lockstep.tick + 1))
             if cycle.mode is not mode:
                 entered, mode = lockstep.tick, cycle.mode
-            if nodes.fault_ns < 1e9 * (lockstep.tick + 1) * 1e-3:
-                return mode, 1e-9 * nodes.fault_ns - 1e-3 * entered
+            if nodes.starts_ns(fault) < 1e9 * (lockstep.tick + 1) * 1e-3:
+                return mode, 1e-9 * nodes.starts_ns(fault) - 1e-3 * entered
     finally:
         plant.close()
     raise AssertionError(words)

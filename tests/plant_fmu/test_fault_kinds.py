@@ -429,11 +429,12 @@ def test_a_payload_weighs_where_its_moving_platform_is_by_now():
 
 
 def test_a_fault_of_a_mode_begins_when_the_nodes_are_told_so():
-    rig = accelerating(EncoderFreeze(leg=2, mode="TRACKING", at_s=2e-3))
+    fault = EncoderFreeze(leg=2, mode="TRACKING", at_s=2e-3)
+    rig = accelerating(fault)
     assert read(rig, 3) == pytest.approx(motion(3))
     rig.nodes.reached("APPROACH")
     rig.nodes.reached("TRACKING")
-    assert rig.nodes.fault_ns == 5 * MS
+    assert rig.nodes.starts_ns(fault) == 5 * MS
     assert not rig.nodes.waiting
     assert read(rig, 4) == pytest.approx(motion(4))
     assert read(rig, 6) == pytest.approx((motion(5)[0], 0.0))

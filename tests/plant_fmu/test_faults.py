@@ -126,7 +126,7 @@ def test_every_fault_of_the_table_changes_a_run_that_was_without_faults(name):
 def test_faults_are_present_from_their_start_and_just_not_at_their_end():
     faults = [DriveGain(leg=2, factor=-1.0, at_s=0.5, for_s=0.5), BrakeStuckOpen(leg=1, at_s=1.0)]
     schedule = Schedule(FaultPlan(faults), 7 * S)
-    assert schedule.first_ns == 7.5 * S
+    assert [schedule.starts_ns(fault) for fault in faults] == [7.5 * S, 8 * S]
     assert schedule.edges_ns(7 * S) == [7.5 * S, 8 * S]
     assert schedule.edges_ns(round(7.6 * S)) == [8 * S]
     times = [7 * S, round(7.5 * S) - 1, round(7.5 * S), 8 * S - 1, 8 * S]
@@ -137,7 +137,7 @@ def test_faults_are_present_from_their_start_and_just_not_at_their_end():
 def test_a_fault_of_a_mode_waits_for_it_and_counts_from_there():
     fault = EncoderFreeze(leg=0, mode="APPROACH", at_s=0.2, for_s=0.1)
     schedule = Schedule(FaultPlan([fault]), 0)
-    assert schedule.first_ns == NEVER_NS
+    assert schedule.starts_ns(fault) == NEVER_NS
     assert schedule.waiting == (fault,)
     assert schedule.edges_ns(0) == []
     assert not schedule.present(10 * S).frozen[0]

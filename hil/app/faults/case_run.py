@@ -162,20 +162,20 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
             tick = lockstep.tick + 1
             tracked += cycle.mode is Mode.TRACKING
             stop = (Operator.STOP,) if tracked == round(case.track_s * rate) else ()
-            fault_ns = nodes.fault_ns
+            starts_ns = nodes.starts_ns(case.fault)
             try:
                 lockstep.step(course.commands(tick, stop))
             except PlantError as error:
                 failure = str(error)
                 ending = course.failed(failure, tick)
-                if begun is None and nodes.now_ns >= fault_ns:
+                if begun is None and nodes.now_ns >= starts_ns:
                     begun = tick
                 break
             lengths.append(nodes.snapshot().length)
             desired.append(cycle.tick["q_d"].copy())
             modes.append(int(cycle.mode))
             faults.append(int(cycle.faults))
-            if begun is None and nodes.now_ns >= fault_ns:
+            if begun is None and nodes.now_ns >= starts_ns:
                 begun = tick
             named.look(cycle)
             ending = course.ending(tick)

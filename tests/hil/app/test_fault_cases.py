@@ -12,6 +12,7 @@ from drivers.errors import PlantError
 from drivers.signals import Doubt, Fault, Mode
 from hil.app import compose
 from hil.app.configuration.configuration import load
+from hil.app.configuration.fault_words import with_faults
 from hil.app.configuration.platform import pose_arrays
 from hil.app.faults import case_run
 from hil.app.faults import cases as cases_module
@@ -52,8 +53,9 @@ def refuses(monkeypatch):
     return from_s
 
 
-def run(name: str) -> dict[str, Any]:
-    (case,) = cases(load("virtual"), [name])
+def run(name: str, *own: str) -> dict[str, Any]:
+    """Run a case of a configuration that has faults of its own."""
+    (case,) = cases(with_faults(load("virtual"), own), [name])
     return run_case(Job(case, BOUNDS))
 
 
@@ -80,6 +82,16 @@ def test_a_plant_that_fails_after_a_fault_of_another_kind_has_begun_is_a_failure
     assert not found["success"]
     assert found["verdict"].startswith("the plant failed, allowed of ")
     assert found["reason"].startswith(REFUSED)
+
+
+@pytest.mark.parametrize("own", ["encoder_noise leg=1 sigma=1e-9", "payload_step mass=10"])
+def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(refuses, own):
+    found = run("drive_silence/LOADING", own)
+    assert found["after_ms"] == pytest.approx(4), found
+    assert found["success"], found
+    refuses(0.02)
+    unbegun = run("plant_crash/LOADING", own)
+    assert unbegun["verdict"].startswith("could not be run: the fault did not begin"), unbegun
 
 
 def test_a_plant_that_fails_in_the_first_tick_of_a_case_does_not_end_the_matrix(refuses):

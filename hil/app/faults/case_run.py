@@ -152,6 +152,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, physics = build_nodes(c, FaultPlan([case.fault]))
     lengths, desired, modes, faults = [], [], [], []
+    last = max(round(case.track_s * rate), 1)  # where the reference is fastest at once, it is followed first
     course, failure, tracked, named, rested = Course(cycle), "", 0, _Named(), 0
     ending: Ending | None = None
     begun: int | None = None
@@ -161,7 +162,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
         while ending is None:
             tick = lockstep.tick + 1
             tracked += cycle.mode is Mode.TRACKING
-            stop = (Operator.STOP,) if tracked == round(case.track_s * rate) else ()
+            stop = (Operator.STOP,) if tracked == last else ()
             starts_ns = nodes.starts_ns(case.fault)
             try:
                 lockstep.step(course.commands(tick, stop))

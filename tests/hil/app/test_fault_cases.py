@@ -22,6 +22,7 @@ from hil.app.faults.command import run_matrix
 from hil.app.faults.expected import PLANT_FAILS
 from hil.app.faults.sizes import draw, robot_of
 from hil.app.faults.verdict import Bounds
+from hil.config.reference import HoldReference
 from hil.trajectory.path import PoseSample
 from tests.records import record_of
 
@@ -134,6 +135,15 @@ def test_a_platform_that_is_held_again_and_again_is_watched_no_longer_than_from_
         True,
         False,
     ]
+
+
+@pytest.mark.parametrize("moment", ["LOADING", "UNLOADING"])
+def test_a_reference_that_is_fastest_at_once_is_followed_before_the_run_is_stopped(moment):
+    """One that stands, for example: no instant of it is faster than the first."""
+    c = load("virtual")
+    held = c.model_copy(update={"reference": HoldReference(type="hold", duration_s=10.0)})
+    (case,) = cases(held, [f"plant_crash/{moment}"])
+    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

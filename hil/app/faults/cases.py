@@ -75,7 +75,7 @@ def cases(
         if not 0 <= leg < LEGS:
             raise ConfigurationError(f"--legs: {leg} is no leg, allowed: 0 to {LEGS - 1}")
     robot, fastest_s = robot_of(c), _fastest_s(c)
-    held = c.model_copy(update={"reference": HoldReference(type="hold")})
+    held = _held(c)
     found = []
     for name, kind in FAULTS.items():
         if issubclass(kind, PROCESS) or not _fits(c, name):
@@ -127,6 +127,15 @@ def _matches(case: Case, pattern: str) -> bool:
 def _fits(c: Configuration, name: str) -> bool:
     bench = c.plant is not None and isinstance(c.plant.model, BenchPlant)
     return not bench or any(fnmatchcase(name, pattern) for pattern in _BENCH)
+
+
+def _held(c: Configuration) -> Configuration:
+    """Return the configuration with a reference that stands at home until the run has been stopped.
+
+    It ends, as some laws need one that does. What has been learned was learned on another reference.
+    """
+    hold = HoldReference(type="hold", duration_s=AFTER_S + c.engage.stop_s)
+    return c.model_copy(update={"reference": hold, "feedforward": None})
 
 
 def _fastest_s(c: Configuration) -> float:

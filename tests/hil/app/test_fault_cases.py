@@ -11,7 +11,8 @@ import pytest
 from drivers.errors import PlantError
 from drivers.signals import Doubt, Fault, Mode
 from hil.app import compose
-from hil.app.configuration.configuration import load
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.configuration.platform import pose_arrays
 from hil.app.faults import case_run
@@ -135,6 +136,24 @@ def test_a_platform_that_is_held_again_and_again_is_watched_no_longer_than_from_
         True,
         False,
     ]
+
+
+OFFLINE = {"law": "feedforward_pd", "evaluation": "offline", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
+LEARNED = {"file": "learned.csv", "limit_N": 500.0}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"controller": {**OFFLINE, "wn_rad_s": None, "damping_ratio": None}},
+        {"feedforward": LEARNED},
+    ],
+    ids=["a law that needs a reference that ends", "forces learned on another reference"],
+)
+def test_the_reference_that_stands_serves_every_configuration(changes):
+    c = loads(with_changes(load("virtual").text, changes), "my.yaml")
+    (case,) = cases(c, ["plant_crash/HOLD"])
+    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
 
 
 @pytest.mark.parametrize("moment", ["LOADING", "UNLOADING"])

@@ -42,6 +42,8 @@ ACTS = 2.0
 """A change of force by more than so many times the largest force cannot be asked for."""
 SKEW = 0.1
 """Of the period: SYNCs of several buses are no farther apart by themselves."""
+NOTHING = 1e-9
+"""Less, in the limit's own unit, is what rounding leaves: nothing is needed, and any limit is as good."""
 
 
 class Limit(NamedTuple):
@@ -74,7 +76,7 @@ def loose_limits(
     if c.bus.layout == "ideal":
         return
     for each in (*_on_the_path(c, w, change, jogged), *_as_read(c, w)):
-        if each.value > each.factor * each.needed:
+        if each.needed > NOTHING and each.value > each.factor * each.needed:
             yield (
                 f"limits.{each.name} {each.value:g} is {each.value / each.needed:.1f} times the "
                 f"{each.needed:.3g} {each.unit} that are needed {each.by}; it would show a failure late, "

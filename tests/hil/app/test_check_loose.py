@@ -196,3 +196,35 @@ def test_the_leg_with_the_heaviest_rotor_decides_how_hard_legs_can_be_braked(vir
     assert warned(turning, deceleration_m_s2=3.9 * able) == []
     (line,) = warned(turning, deceleration_m_s2=4.1 * able)
     assert f"is 4.1 times the {able:.3g} m/s^2" in line
+
+
+def named(warnings):
+    return {each.split()[0] for each in warnings if "would show a failure late" in each}
+
+
+WEIGHTLESS = {"gravity_m_s2": [0.0, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "loose"),
+    [
+        ({"limits": {"acceleration_m_s2": 5.0}}, {"limits.force_N", "limits.speed_m_s"}),
+        ({"platform": WEIGHTLESS}, {"limits.speed_m_s"}),
+        ({"platform": WEIGHTLESS, "limits": {"acceleration_m_s2": 5.0}}, {"limits.speed_m_s"}),
+    ],
+)
+def test_a_limit_of_what_a_pose_that_is_held_does_not_need_at_all_is_not_loose(virtual, changes, loose):
+    """No acceleration at rest, and no force without weight: no ratio, and nothing to propose."""
+    c, held = virtual[0], {"type": "hold", "duration_s": 1.0}
+    text = with_changes(c.text, {"name": c.name, "reference": held} | changes)
+    assert named(inspect(loads(text, "held.yaml", c.folder)).warnings) == loose
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-15])
+def test_what_rounding_leaves_of_a_need_is_none(virtual, rounding):
+    c, w, _ = virtual
+    none = np.full_like(w.q, rounding)
+    resting = w._replace(dq=none, ddq=none, tau=none, rest=none[:2])
+    given = c.limits.model_copy(update={"acceleration_m_s2": 5.0})
+    found = loose_limits(c.model_copy(update={"limits": given}), resting, None)
+    assert named(found) == {"limits.speed_m_s"}, "which the approach needs"

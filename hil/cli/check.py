@@ -25,9 +25,10 @@ def command(configuration: str, json_file: Path | None) -> None:
     \b
     Exit code:
       0  usable; read the warnings
-      2  not usable: all problems at once, each as FILE:LINE:COLUMN: path: what, allowed, given
+      2  not usable: all problems at once, each as FILE:LINE:COLUMN: path: what, allowed, given;
+         where FILE has none, why its FMU or its robot cannot be what it says
     """
-    from drivers.errors import ConfigurationError
+    from drivers.errors import HilError
 
     try:
         loaded = load(configuration)
@@ -37,11 +38,11 @@ def command(configuration: str, json_file: Path | None) -> None:
             from hil.app.check.command import inspect
 
             report = inspect(loaded, tell)
-    except ConfigurationError as error:
+    except HilError as error:
         if json_file is not None:
             from hil.app.output import write_json
 
-            problems = list(error.problems)
+            problems = list(getattr(error, "problems", [str(error)]))
             write_json(json_file, {"success": False, "kind": "check", "problems": problems})
         raise
     finish_lines(report.lines, {"success": True, "kind": "check", **report.to_dict()}, json_file)

@@ -49,7 +49,7 @@ class Bus:
 
     `clock` is that of its frames' times and of all deadlines.
 
-    Mutable state: the link, the error count since the last `events`, whether it was off then, and since
+    Mutable state: the link, the error count since the last `events`, which buses were off then, and since
     when it refuses frames.
     """
 
@@ -61,7 +61,7 @@ class Bus:
         self._overflow_seen = 0
         self._refused_since = 0
         self._dead = False
-        self._was_off = False
+        self._was_off = 0
 
     @property
     def facts(self) -> str:
@@ -148,9 +148,12 @@ class Bus:
         off = int(self._link.off or state is BusState.OFF) if group is None else group.off_bits
         if self._dead:
             off = 1 if group is None else group.every_bit
-        if off and not self._was_off:
+        gone = off & ~self._was_off
+        if isinstance(self._link, LinkGroup):
+            self._link.died(gone)
+        elif gone:
             self._link.died()
-        self._was_off = off != 0
+        self._was_off = off
         events = BusEvents(self._errors, off, overflow - self._overflow_seen, state)
         self._errors = 0
         self._overflow_seen = overflow

@@ -127,11 +127,11 @@ class LinkGroup:
         self._states = [link.worst_state() for link in self._links]
         return max(self._states)
 
-    def died(self) -> None:
-        """Take note that buses have died: those that are off, or all."""
-        off = [link for bus, link in enumerate(self._links) if self._is_off(bus)]
-        for link in off or self._links:
-            link.died()
+    def died(self, bits: int) -> None:
+        """Take note that buses have died: bus i where bit i is set."""
+        for bus, link in enumerate(self._links):
+            if bits >> bus & 1:
+                link.died()
 
     @property
     def every_bit(self) -> int:

@@ -1,4 +1,4 @@
-"""Waiting on several buses: as long as is needed and no longer; and a bus that is busy is not dead."""
+"""Waiting on several buses: as long as is needed and no longer; a bus that is busy is not dead; and what waits on one that died."""
 
 from __future__ import annotations
 
@@ -128,3 +128,19 @@ def test_sync_heartbeat_and_stop_of_one_bus_reach_the_drives_of_that_bus_alone(n
         assert Sync in heard
         assert (EmergencyStop in heard) is (name in {"legs", "odrive"})
         assert (Alive in heard) is (name == "cia402")
+
+
+def test_of_a_bus_that_goes_off_while_another_is_off_what_waits_is_dropped_too_each_time():
+    links, dropped = [FakeLink(Still()) for _ in range(3)], list[int]()
+    for k, link in enumerate(links):
+        link.died = lambda k=k: dropped.append(k)  # type: ignore[method-assign,misc]
+    bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
+    for k in (0, 2, 1):
+        links[k].off = True
+        bus.events()
+    assert dropped == [0, 2, 1]
+    links[2].off = False
+    bus.events()
+    links[2].off = True
+    assert bus.events().off == 0b111
+    assert dropped == [0, 2, 1, 2]

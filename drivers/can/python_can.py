@@ -19,9 +19,18 @@ from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.protocol import Frame, Received
 
+_STAMPING = frozenset({"neousys", "udp_multicast"})
+"""Interfaces that read this machine's clock as each frame comes, before they are asked for it.
+
+Others do so when asked, or go by the adapter's own clock from when the bus was opened: that one drifts, and
+does not know when this machine's is set. A stamp that lags by more than a drive takes to answer makes each
+answer one to an older SYNC.
+"""
+_WIRELESS = frozenset({"udp_multicast"})
+
 
 class PythonCan(NoController):
-    """One bus of python-can.
+    """One bus of python-can. interface: its name there.
 
     Mutable state: the bus, whether its last call failed, what came, and when it had taken the last frames.
     """
@@ -29,8 +38,10 @@ class PythonCan(NoController):
     overflow = 0
     clock = MONOTONIC
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: can.BusABC, interface: str = "") -> None:
         self.off = False
+        self.virtual = interface in _WIRELESS
+        self._stamps = interface in _STAMPING
         self._bus = bus
         self._held: list[Received] = []
         self._taken_ns: list[int] = []
@@ -83,8 +94,8 @@ class PythonCan(NoController):
         if message is None:
             return False
         now = time.monotonic_ns()
-        age = time.time_ns() - int(message.timestamp * 1e9)
-        # interfaces stamp in Unix time, or in a time of their own
+        age = time.time_ns() - int(message.timestamp * 1e9) if self._stamps else 0
+        # an older stamp is one from before the clock was set
         self._held.append(Received(now - age if 0 <= age < 1_000_000_000 else now, from_message(message)))
         return True
 
@@ -142,4 +153,4 @@ def open_python_can(settings: BusSettings) -> PythonCan:
             f"bus {settings.interface}:{settings.channel} does not open: {error}; "
             "check bus.channel and bus.options, or use bus.interface: localcan, which needs no hardware"
         ) from error
-    return PythonCan(bus)
+    return PythonCan(bus, settings.interface)

@@ -1,12 +1,14 @@
-"""The interfaces of python-can: with which bit rates a bus is opened, and when one counts as off."""
+"""The interfaces of python-can: with which bit rates a bus is opened, and when one counts as off, and how its frames are stamped."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import can
 import pytest
 
+from drivers.can import python_can
 from drivers.can.python_can import PythonCan, open_python_can
 from drivers.config import BusSettings
 from drivers.protocol import Frame
@@ -73,3 +75,49 @@ def test_a_bus_that_failed_is_off_until_it_takes_frames_again_each_time():
         assert bus.receive() == []
         assert bus.send(frames) == 2
         assert not bus.off
+
+
+REAL_NS, NOW_NS = 1_700_000_000_000_000_000, 5_000_000_000
+
+
+class Stamping(Adapter):
+    """A bus on which one frame has come, stamped `age_s` before it is taken."""
+
+    def __init__(self, age_s: float) -> None:
+        super().__init__()
+        self.coming = [can.Message(timestamp=1e-9 * REAL_NS - age_s, arbitration_id=1)]
+
+    def recv(self, _timeout_s: float) -> Any:
+        return self.coming.pop() if self.coming else None
+
+
+def stamp_ns(monkeypatch: pytest.MonkeyPatch, interface: str, age_s: float) -> int:
+    """Return how long before it was taken a frame has come, by its time."""
+    monkeypatch.setattr(
+        python_can, "time", SimpleNamespace(time_ns=lambda: REAL_NS, monotonic_ns=lambda: NOW_NS)
+    )
+    adapter: Any = Stamping(age_s)
+    monkeypatch.setattr(can, "Bus", lambda *_, **__: adapter)
+    settings = BusSettings(interface=interface, channel="0", layout="classic")
+    (received,) = open_python_can(settings).receive()
+    return NOW_NS - received.t_ns
+
+
+@pytest.mark.parametrize("age_s", [0.0, 3e-4, 0.9, 1.1, -3e-4])
+@pytest.mark.parametrize("interface", ["kvaser", "vector", "pcan", "ixxat", "gs_usb", "slcan"])
+def test_the_clock_of_an_adapter_which_drifts_from_this_machines_dates_no_frame(
+    monkeypatch, interface, age_s
+):
+    assert stamp_ns(monkeypatch, interface, age_s) == 0
+
+
+@pytest.mark.parametrize("interface", ["neousys", "udp_multicast"])
+@pytest.mark.parametrize(("age_s", "found_ns"), [(3e-4, 300_000), (0.9, 900_000_000), (1.1, 0), (-3e-4, 0)])
+def test_a_stamp_by_the_clock_of_this_machine_dates_its_frame(monkeypatch, interface, age_s, found_ns):
+    assert abs(stamp_ns(monkeypatch, interface, age_s) - found_ns) < 1_000
+
+
+def test_no_answer_on_a_bus_without_a_wire_takes_its_time():
+    adapter: Any = Adapter()
+    assert PythonCan(adapter, "udp_multicast").virtual
+    assert not PythonCan(adapter, "kvaser").virtual

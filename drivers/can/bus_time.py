@@ -21,6 +21,10 @@ stuff bits, one before the stuff count and one after every fourth bit: 1 + floor
     with a SYNC of 2 bytes, 44 + 16 + 3 + floor(49 / 4) = 75 bits, 568.2 us (1759 Hz)
 BRS and CRC delimiter straddle the two rates; both are counted at the slow one. Without the switch all are.
 
+At least: no stuff bits but the fixed ones, and of BRS and CRC delimiter together one bit at each rate.
+    classic, 11-bit identifier, n = 8: 44 + 64 + 3 = 111 bits;  29-bit: 131 bits
+    CAN FD, n = 12: 29 bits + (5 + 96 + 4 + 17 + 6 + 1 = 129 bits);  at 1M/5M 29 + 25.8 = 54.8 us
+
 Error frame: two superposed flags 12, delimiter 8, interframe 3 = 23 bits.
 """
 
@@ -59,10 +63,11 @@ class BitTiming(NamedTuple):
         return cls(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
 
 
-def frame_bits(length: int, flags: int) -> tuple[int, int]:
+def frame_bits(length: int, flags: int, *, least: bool = False) -> tuple[int, int]:
     """Count a frame's worst-case bits at the arbitration and at the data rate, interframe space included.
 
-    length in data bytes; flags as in `Frame`. Formulas: this module's docstring.
+    length in data bytes; flags as in `Frame`; least: the fewest bits instead. Formulas: this module's
+    docstring.
     Raises BusError for a length that no CAN frame has.
     """
     if flags & ERROR:
@@ -73,18 +78,20 @@ def frame_bits(length: int, flags: int) -> tuple[int, int]:
             raise BusError(f"a classic CAN frame carries 0 to 8 bytes, not {length}: use bus.layout: fd")
         data = 0 if flags & REMOTE else 8 * length
         stuffed = (54 if extended else 34) + data
-        return stuffed + (stuffed - 1) // 4 + 10 + INTERFRAME, 0
+        return stuffed + (0 if least else (stuffed - 1) // 4) + 10 + INTERFRAME, 0
     if not 0 <= length <= 64:
         raise BusError(f"a CAN FD frame carries 0 to 64 bytes, not {length}: split it")
     padded = FD_LENGTHS[bisect_left(FD_LENGTHS, length)]
     slow = 36 if extended else 17
     fast = 5 + 8 * padded
-    slow_stuff = (slow - 1) // 4
-    fast_stuff = (slow + fast - 1) // 4 - slow_stuff
+    slow_stuff = 0 if least else (slow - 1) // 4
+    fast_stuff = 0 if least else (slow + fast - 1) // 4 - slow_stuff
     check = 4 + (17 if padded <= 16 else 21)
     slow += slow_stuff + 1 + 2 + 7 + INTERFRAME
     fast += fast_stuff + check + 1 + check // 4
-    return (slow, fast) if flags & BRS else (slow + fast, 0)
+    if not flags & BRS:
+        return slow + fast, 0
+    return (slow - 1, fast + 1) if least else (slow, fast)
 
 
 @lru_cache(maxsize=1024)
@@ -96,6 +103,16 @@ def frame_time_ns(length: int, flags: int, timing: BitTiming) -> int:
     slow, fast = frame_bits(length, flags)
     f, fd = timing
     return -(-(slow * fd + fast * f) * 1_000_000_000 // (f * fd))
+
+
+def shortest_frame_ns(length: int, flags: int, timing: BitTiming) -> int:
+    """Return the time from the end of one frame to that of the next at least, ns rounded down.
+
+    The interframe space lies between them. Raises BusError for a length that no CAN frame has.
+    """
+    slow, fast = frame_bits(length, flags, least=True)
+    f, fd = timing
+    return (slow * fd + fast * f) * 1_000_000_000 // (f * fd)
 
 
 class BudgetRow(NamedTuple):

@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.can.arbitration import arbitrate, priority, transmit
-from drivers.can.bus_time import FD_LENGTHS, BitTiming, budget, check, frame_bits, frame_time_ns
+from drivers.can.bus_time import (
+    FD_LENGTHS,
+    BitTiming,
+    budget,
+    check,
+    frame_bits,
+    frame_time_ns,
+    shortest_frame_ns,
+)
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
@@ -123,6 +131,10 @@ def test_no_classic_bit_stream_is_longer_than_the_worst_case(id_, extended, data
     assert actual <= bound
     stuffed = (54 if extended else 34) + 8 * len(data[:n])
     assert actual >= bound - (stuffed - 1) // 4
+    # ISO 11898-1: 44 bits beside the data, 64 with a long identifier, and the interframe space
+    least = (64 if extended else 44) + 8 * len(data[:n]) + 3
+    assert shortest_frame_ns(len(data[:n]), EXTENDED if extended else 0, CLASSIC_1M) == 1000 * least
+    assert least <= actual
 
 
 @given(st.integers(0, 0x7FF), st.booleans(), PATTERNS, st.sampled_from(FD_LENGTHS))
@@ -133,6 +145,18 @@ def test_no_fd_bit_stream_takes_longer_than_the_worst_case(id_, extended, data, 
     assert slow <= slow_bound
     assert slow + fast <= slow_bound + fast_bound
     assert slow * 5 + fast <= slow_bound * 5 + fast_bound
+    # what straddles the rates was counted at the slow one: 1 us for 0.2 us
+    assert (
+        shortest_frame_ns(n, FD | BRS | (EXTENDED if extended else 0), FD_1M_5M)
+        <= 1000 * slow + 200 * fast - 800
+    )
+    assert shortest_frame_ns(n, FD | (EXTENDED if extended else 0), FD_1M_5M) <= 1000 * (slow + fast)
+
+
+@pytest.mark.parametrize(("flags", "us"), [(0, 111), (EXTENDED, 131), (FD, 158), (FD | BRS, 54.8)])
+def test_the_shortest_frame_has_no_stuff_bits_but_the_fixed_ones(flags, us):
+    length = 12 if flags & FD else 8
+    assert shortest_frame_ns(length, flags, FD_1M_5M) == 1000 * us
 
 
 def test_worst_case_is_nearly_reached():

@@ -20,8 +20,8 @@ from hil.record.log import Tick
 from hil.signals import TickInput
 from tests.records import record_of
 
-SYNC, ANSWER = Frame(0x80, b""), 135_000
-"""ns of a TPDO of 8 bytes at 1 Mbit/s."""
+SYNC, ANSWER = Frame(0x80, b""), 111_000
+"""ns of a TPDO of 8 bytes at 1 Mbit/s without stuff bits, and of the three bits before it."""
 CIA = load("virtual-cia402")
 TPDO = [Frame(0x181 + leg, b"\x50\x02" + bytes(6)) for leg in range(6)]
 
@@ -62,13 +62,13 @@ def test_a_clock_that_was_read_late_is_set_right_by_the_first_answer(first):
         for n, leg in enumerate(np.roll(range(6), -first))
     ]
     found = checked(protocol("virtual-cia402"), [SYNC], [2_500_000], answers, 0, 1_000_000, 2_500_000, ANSWER)
-    assert found == [1_055_000]
+    assert found == [1_079_000]
 
 
 def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
     family, late_ns = protocol("virtual-cia402"), 2_500_000
     wrong = [
-        Received(1_134_999, TPDO[0]),  # on the wire before SYNC was given to the bus
+        Received(1_110_999, TPDO[0]),  # on the wire before SYNC was given to the bus
         Received(1_200_000, Frame(0x701, b"\x05")),
         Received(3_000_000, TPDO[1]),  # later than the clock says, too
     ]
@@ -80,7 +80,7 @@ def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
         1_010_000,
         late_ns,
     ]
-    assert checked(two, opening, [late_ns, None], other, 0, 1_000_000, late_ns, ANSWER) == [1_065_000, None]
+    assert checked(two, opening, [late_ns, None], other, 0, 1_000_000, late_ns, ANSWER) == [1_089_000, None]
 
 
 def answer_of_two(tick):
@@ -98,7 +98,7 @@ def test_an_answer_that_names_an_older_sync_or_is_damaged_sets_no_clock_right():
     """A stall of 1.5 ms before SYNC, and what a drive still owed comes meanwhile."""
     two, late_ns, opening = protocol("two_buses"), 2_500_000, [SYNC, Frame(0x80, b"", BUS)]
     for tick, answer, expected in [
-        (5, answer_of_two(5), 1_065_000),
+        (5, answer_of_two(5), 1_089_000),
         (5, answer_of_two(4), late_ns),
         (5, flipped(answer_of_two(5)), late_ns),
     ]:
@@ -131,10 +131,10 @@ def test_a_prompt_send_is_not_held_against_its_answers():
     ) == [1_099_999]
 
 
-def test_the_shortest_answer_is_that_of_the_feedback_on_the_fastest_bus():
+def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus():
     assert shortest_answer_ns(CIA.bus, protocol("virtual-cia402")) == ANSWER
     two = load("two_buses")
-    assert shortest_answer_ns(two.bus, protocol("two_buses")) == 64_600
+    assert shortest_answer_ns(two.bus, protocol("two_buses")) == 54_800
 
 
 @pytest.mark.parametrize(

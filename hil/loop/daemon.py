@@ -95,14 +95,20 @@ def run(course: Course, shell: Shell) -> Ending:
 def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
     """Tell the drives to switch off, a few times one a period, past the cycle.
 
+    Behind what waits: to drop that takes a while, and a bus that cannot be flushed takes nothing more. Where
+    the bus has taken none it is flushed, if it is off, and given them again.
     Returns whether the bus took a whole one of these commands.
     """
     protocol = cycle.parts.protocol
     dialogue, off = cycle.dialogue, Command(DriveMode.OFF, ZERO6)
-    told = False
-    with suppress(HilError):
-        bus.flush_tx()
-    for tick in range(deadlines.tick + 1, deadlines.tick + 1 + SAFE_FRAMES):
+    told, first = False, deadlines.tick + 1
+    for tick in range(first, first + 2 * SAFE_FRAMES):
+        if tick == first + SAFE_FRAMES:
+            if told:
+                break
+            with suppress(HilError):
+                if bus.events().off:
+                    bus.flush_tx()
         with suppress(HilError):
             polls = protocol.command_delay_ticks > 0
             opening = () if polls else protocol.begin(dialogue, tick)  # drives obey the present SYNC alone

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from drivers.errors import BusError
 from drivers.protocol import DeviceCommand, Frame, Received
 from drivers.signals import BusState, DriveMode
 from hil.app.compose import build_cycle, build_nodes
@@ -155,17 +156,59 @@ def test_whatever_leaves_the_loop_the_drives_are_told_to_switch_off_behind_all_t
     with pytest.raises(error):
         run(Course(cycle), Shell(wire, wire, recording, OperatorPanel(), 0))  # type: ignore[arg-type]
     plant.close()
-    assert wire.flushed == [0]
+    assert wire.flushed == []
     assert modes(wire, cycle.parts.protocol) == [DriveMode.OFF] * 5
 
 
+class Refusing:
+    """A bus that takes the commands of some turns, and none once it could not be flushed."""
+
+    def __init__(self, taken: list[int], *, off: bool, flushes: bool) -> None:
+        self.taken, self.off, self.flushes, self.done = taken, off, flushes, list[str]()
+
+    def events(self) -> Any:
+        return SimpleNamespace(off=int(self.off))
+
+    def flush_tx(self) -> None:
+        self.done.append("flush")
+        if not self.flushes:
+            self.taken = []
+            raise BusError("no right")
+
+    def send(self, _: Any) -> int:
+        taken = len(self.done) in self.taken
+        self.done.append("sent" if taken else "refused")
+        return 0 if taken else 1
+
+
+@pytest.fixture(scope="module")
+def cycle():
+    return build_cycle(load("ideal"), 1000.0, 0.01)
+
+
+def switched_off(cycle: Any, bus: Refusing) -> bool:
+    return switch_off(cycle, bus, SimpleNamespace(tick=7, period_ns=1_000))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("off", [False, True])
 @pytest.mark.parametrize(("taken", "told"), [([0], True), ([4], True), ([], False)])
-def test_one_whole_command_that_the_bus_took_has_told_the_drives(taken, told):
-    cycle = build_cycle(load("ideal"), 1000.0, 0.01)
-    sends = iter(range(5))
-    bus = SimpleNamespace(flush_tx=lambda: None, send=lambda _: 0 if next(sends) in taken else 1)
-    deadlines = SimpleNamespace(tick=7, period_ns=1_000)
-    assert switch_off(cycle, bus, deadlines) is told  # type: ignore[arg-type]
+def test_one_whole_command_that_the_bus_took_has_told_the_drives(cycle, taken, told, off):
+    assert switched_off(cycle, Refusing(taken, off=off, flushes=True)) is told
+
+
+@pytest.mark.parametrize("off", [False, True])
+def test_frames_that_cannot_be_dropped_keep_no_drive_from_being_told_to_switch_off(cycle, off):
+    """As a flooded bus does where the program lacks the right: who tries to drop them is refused from then on."""
+    bus = Refusing(list(range(99)), off=off, flushes=False)
+    assert switched_off(cycle, bus)
+    assert bus.done == ["sent"] * 5
+
+
+@pytest.mark.parametrize(("off", "between"), [(False, []), (True, ["flush"])])
+def test_a_bus_that_took_no_command_is_given_them_again_and_flushed_if_it_is_off(cycle, off, between):
+    bus = Refusing(list(range(6, 99)) if off else list(range(5, 99)), off=off, flushes=True)
+    assert switched_off(cycle, bus)
+    assert bus.done == ["refused"] * 5 + between + ["sent"] * 5
 
 
 class Tail:

@@ -52,10 +52,6 @@ def cia402(bus: BusSettings, drives: DriveSettings) -> Cia402Protocol:
     check = options.get("check_encoder", True)
     if not isinstance(check, bool):
         raise ConfigurationError(f"drives.options.check_encoder: allowed: true, false, given: {check}")
-    if "eds" in options:
-        from drivers.cia402.eds import check_eds  # noqa: PLC0415 - reads a file, with an extra
-
-        check_eds(str(options["eds"]), velocity=velocity == "pdo")
     return Cia402Protocol(
         drives.node_ids,
         Transmission.of(drives.transmission),

@@ -70,7 +70,6 @@ def test_a_configuration_makes_the_codec():
         ({"controller_node": 3}, r"drives\.node_ids\[2\]: .*given: 3"),
         ({"check_encoder": 1}, r"drives\.options\.check_encoder: allowed: true, false, given: 1"),
         ({"speed": 1}, r"drives\.options\.speed: unknown, allowed with cia402: rated_torque_Nm"),
-        ({"eds": "nowhere.eds"}, r"drives\.options\.eds: no such file: nowhere\.eds"),
     ],
 )
 def test_a_key_that_does_not_fit_is_refused_by_name(changes, message):
@@ -90,7 +89,13 @@ def test_it_needs_a_transmission_and_a_rated_torque():
 def test_a_data_sheet_that_has_all_is_taken(tmp_path):
     path = tmp_path / "drive.eds"
     path.write_text(sheet(), encoding="ascii")
-    made(eds=str(path))
+    for velocity in (True, False):
+        check_eds(str(path), velocity=velocity)
+
+
+def test_a_codec_opens_no_data_sheet(tmp_path):
+    """A replay builds it, too, and reads nothing that a log names."""
+    made(eds=str(tmp_path / "nowhere.eds"))
 
 
 def test_a_data_sheet_names_all_that_the_drive_lacks(tmp_path):

@@ -18,7 +18,7 @@ from drivers.sensors import KINDS, OLDEST
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable
-from hil.app.configuration.drive_rules import homing, own_reaction, reported_stroke
+from hil.app.configuration.drive_rules import data_sheet, homing, own_reaction, reported_stroke
 from hil.app.configuration.fault_rules import faulty_buses, platform_loads
 from hil.app.configuration.feedforward_file import usable_feedforward
 from hil.app.configuration.plant_step import plant_steps
@@ -365,7 +365,7 @@ RULES: tuple[Rule, ...] = (
     fusion_sources, measured_wrench, live_preview, geometry, stroke, reference_poses, reference_path,
     endless_reference, designed_controllers, certified_law, plant_steps, emulated_sensors, plant_lag,
     brake_times, standstill, fmu_file, bench_rest, platform_loads, faulty_buses, own_reaction,
-    reported_stroke, homing, frequencies, usable_feedforward,
+    reported_stroke, data_sheet, homing, frequencies, usable_feedforward,
 )  # fmt: skip
 """A parameter has the name of its section; the last one is the folder."""
 

@@ -1,12 +1,13 @@
 """Rules on what the drives of a family can report and can do by themselves."""
 
 from collections.abc import Iterator
+from pathlib import Path as Folder
 
 import numpy as np
 
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
-from drivers.errors import HilError
+from drivers.errors import ConfigurationError, HilError
 from drivers.protocol import DriveProtocol
 from drivers.signals import Reaction
 from drivers.transmission import forgotten_length
@@ -35,6 +36,24 @@ def own_reaction(
             f"options: {allowed}, given: {reactions.silence}"
         )
         yield ("reactions", "silence"), message
+
+
+def data_sheet(drives: DriveSettings, folder: Folder | None) -> Iterator[tuple[Path, str]]:
+    """Refuse drives whose data sheet lacks an object that we need.
+
+    It is looked for in the present folder, then beside the configuration; not for one that a log holds.
+    """
+    if folder is None or drives.protocol != "cia402" or "eds" not in drives.options:
+        return
+    from drivers.cia402.eds import check_eds  # noqa: PLC0415 - with an extra
+
+    name = str(drives.options["eds"])
+    here = Folder(name)
+    sheet = here if here.is_file() or not (folder / name).is_file() else folder / name
+    try:
+        check_eds(str(sheet), velocity=drives.options.get("velocity", "pdo") == "pdo")
+    except ConfigurationError as error:
+        yield ("drives", "options", "eds"), str(error).removeprefix("drives.options.eds: ")
 
 
 def reported_stroke(

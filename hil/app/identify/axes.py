@@ -22,6 +22,7 @@ from hil.app.identify.delay import (
     excitation_pose,
     excited_by,
     recorded_run,
+    refuse_fused,
 )
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.app.identify.plot import NAMES, draw
@@ -58,9 +59,10 @@ class Outputs(NamedTuple):
 def excited_axes(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
     """Return the configuration with a multisine on each of its law's axes for its reference.
 
-    Raises ConfigurationError: a law that does not linearise, a force that the limits would cut, or a pose
-    that cannot be reached; IdentificationError: too short.
+    Raises ConfigurationError: a fused pose, a law that does not linearise, a force that the limits would
+    cut, or a pose that cannot be reached; IdentificationError: too short.
     """
+    refuse_fused(c, c.source)
     space = linearised_law(c).space
     force = excitation_force(c, force_N)
     made = axis_excitation(exact_model(c), excitation_pose(c), space, c.loop.rate_Hz, force, duration_s)
@@ -80,10 +82,11 @@ def outputs(log: Path, model: Path | None) -> Outputs:
 def axes_of_log(path: Path) -> Identified:
     """Return the axes that a log of `hil run` or `hil sim` shows.
 
-    Raises LogError for what is no such log or tracks nothing, ConfigurationError for a law that does not
-    linearise, IdentificationError where the log does not hold enough; each names the log.
+    Raises LogError for what is no such log or tracks nothing, ConfigurationError for a fused pose or a law
+    that does not linearise, IdentificationError where the log does not hold enough; each names the log.
     """
     recorded = recorded_run(path)
+    refuse_fused(recorded.configuration, path)
     try:
         with tempfile.TemporaryDirectory() as folder:
             c = with_attachments(recorded.configuration, recorded.attachments, Path(folder))

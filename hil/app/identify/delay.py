@@ -65,14 +65,26 @@ def is_log(source: Path) -> bool:
 def excited(configuration: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
     """Return the configuration with a small excitation about the held pose (else home) for its reference.
 
-    Raises ConfigurationError: a force that the limits would cut, or a pose that cannot be reached.
+    Raises ConfigurationError: a fused pose, a force that the limits would cut, or a pose that cannot be
+    reached.
     """
     c = configuration
+    refuse_fused(c, c.source)
     force = excitation_force(c, force_N)
     reference = delay_excitation(
         exact_model(c), excitation_pose(c), c.loop.rate_Hz, force, duration_s or DURATION_S
     )
     return excited_by(c, reference, force)
+
+
+def refuse_fused(c: Configuration, where: object) -> None:
+    """Raise ConfigurationError where a log has another motion than that of the encoders; it lacks theirs."""
+    if c.estimation.pose == "fused":
+        raise ConfigurationError(
+            f"{where}: estimation.pose: fused, so that lengths, pose and rates of the log are the filter's, "
+            "drawn to what the controller believes of masses and forces; allowed: legs, in the run to "
+            "identify from"
+        )
 
 
 def excitation_force(c: Configuration, force_N: float | None) -> float:
@@ -151,9 +163,11 @@ def recorded_run(path: Path) -> Recorded:
 def delay_of_log(path: Path) -> dict[str, Any]:
     """Return the summary of the delay that a log of `hil run` or `hil sim` shows.
 
-    Raises LogError for what is no such log, IdentificationError where it does not hold enough.
+    Raises LogError for what is no such log, ConfigurationError for a fused pose, IdentificationError where
+    it does not hold enough.
     """
     recorded = recorded_run(path)
+    refuse_fused(recorded.configuration, path)
     motion = motion_of(recorded.rows, 1.0 / recorded.rate_Hz)
     model = exact_model(recorded.configuration)
     delay = force_delay(motion, model)

@@ -11,7 +11,7 @@ from drivers.errors import HilError, IdentificationError, LogError
 from drivers.signals import DriveState
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_body
-from hil.app.identify.delay import recorded_run
+from hil.app.identify.delay import recorded_run, refuse_fused
 from hil.app.loop_delay import loop_delay
 from hil.config.model import ModelSettings
 from hil.config.platform import PayloadSettings
@@ -86,7 +86,8 @@ def identify_payload(
     """Return what logs of `hil run` or `hil sim` say of masses and friction.
 
     `reflected_kg` of each leg, where it is known; else it is identified. Raises LogError for what is no such
-    log, IdentificationError where the logs do not hold enough or are of different platforms; each names it.
+    log, ConfigurationError for a fused pose, IdentificationError where the logs do not hold enough or are of
+    different platforms; each names it.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
@@ -124,6 +125,7 @@ def identify_payload(
 
 def _source(path: Path, reflected_kg: float | None) -> Source:
     recorded = recorded_run(path)
+    refuse_fused(recorded.configuration, path)
     c, rows, period = recorded.configuration, recorded.rows, 1.0 / recorded.rate_Hz
     if not (rows["drive_state"] == DriveState.RUN).all(axis=1).any():
         raise LogError(f"{path}: the brakes were never open in this log: nothing moved")

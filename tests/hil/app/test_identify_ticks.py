@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import ConfigurationError
 from drivers.signals import DriveState, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load, loads
-from hil.app.identify import payload
-from hil.app.identify.axes import excited_axes
-from hil.app.identify.delay import Recorded, exact_model, excited, friction_block, motion_of
+from hil.app.identify import axes, delay, payload
+from hil.app.identify.axes import axes_of_log, excited_axes
+from hil.app.identify.delay import Recorded, delay_of_log, exact_model, excited, friction_block, motion_of
 from hil.app.identify.linearised import linearised_law, signals_of
 from hil.config.reference import SinusoidReference
 from hil.robot.kinematics import jacobian
@@ -91,6 +92,34 @@ def test_the_wrench_is_taken_off_what_a_law_demands_where_it_compensates_it_and_
     for takes_off, more in ((True, felt), (False, 0.0 * felt)):
         v = signals_of(rows, law._replace(takes_wrench_off=takes_off), 1000.0)[0].v
         assert v - plain == pytest.approx(np.tile(more, (COUNT, 1)), abs=1e-9)
+
+
+def fused(c):
+    return c.model_copy(update={"estimation": c.estimation.model_copy(update={"pose": "fused"})})
+
+
+REFUSAL = "estimation.pose: fused, so that lengths, pose and rates of the log are the filter's"
+
+
+@pytest.mark.parametrize(
+    "identify", [delay_of_log, axes_of_log, lambda path: payload.identify_payload([path], None)]
+)
+def test_a_log_whose_motion_is_that_of_the_filter_says_nothing_of_masses_or_delays(identify, monkeypatch):
+    """The filter goes by what the controller believes of masses and forces, and its phase is no delay of the bus."""
+    recorded = Recorded(fused(load("virtual")), running(), 1000.0, {})
+    for module in (axes, delay, payload):
+        monkeypatch.setattr(module, "recorded_run", lambda _: recorded)
+    with pytest.raises(ConfigurationError) as caught:
+        identify(Path("a.mcap"))
+    assert str(caught.value).startswith(f"a.mcap: {REFUSAL}")
+
+
+@pytest.mark.parametrize("excite", [excited, excited_axes])
+def test_a_fused_pose_is_refused_before_anything_runs(excite):
+    c = fused(load("virtual"))
+    with pytest.raises(ConfigurationError) as caught:
+        excite(c, None, None)
+    assert str(caught.value).startswith(f"{c.source}: {REFUSAL}")
 
 
 def configured(*changes):

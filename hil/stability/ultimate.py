@@ -93,6 +93,8 @@ class Ultimate(NamedTuple):
     """(6,) m/s or rad/s, likewise."""
     condition: float
     """Of J, the largest in the tube."""
+    read: Array
+    """(6,) m/s^2 or rad/s^2, what the steps of the readings make the law ask for."""
 
 
 def ultimate(
@@ -179,8 +181,9 @@ def _bound(s: Survey, gains: Array, late: Late, extra: Extra) -> Ultimate | str:
     error, rate = late.error + g_e * d + extra.error, late.rate + extra.rate + g_de * d
     exact = bool(s.spread.max() <= EXACT)
     return Ultimate(
-        s.gamma, exact, d, extra.pushed, extra.drives, error, rate, late.error, late.rate, s.condition
-    )
+        s.gamma, exact, d, extra.pushed, extra.drives, error, rate, late.error, late.rate, s.condition,
+        extra.effort,
+    )  # fmt: skip
 
 
 def in_words(error: Array, axes: AxisSpace) -> str:

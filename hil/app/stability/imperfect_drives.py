@@ -62,6 +62,11 @@ class Drives(NamedTuple):
             min(c.limits.force_N, c.drives.force_limit_N),
         )
 
+    @property
+    def stepped(self) -> bool:
+        """Tell whether what is read or sent has steps."""
+        return bool(np.any([self.length, self.rate, self.force]))
+
     def disturb(
         self, linearised: Linearised, path: Sequence[PoseSample], found: list[Local]
     ) -> list[Disturbed]:

@@ -215,6 +215,8 @@ def _motion(subject: Subject) -> list[str]:
     conditions += subject.unseen
     if subject.c.drives.transmission is not None:
         conditions.append("the drives give what is asked: their steps and losses are left out")
+    elif subject.drives.stepped:
+        conditions.append("forces and readings have no steps")
     if not replace(subject.stated, payload=NO_PAYLOAD).nothing:
         conditions.append("no load: of these laws no ultimate bound is computed")
     return conditions

@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.stability.command import judge
-from hil.app.stability.subject import Stated, Subject
+from hil.app.stability.imperfect_drives import Drives
+from hil.app.stability.subject import SURVEYED, Stated, Subject
 from hil.config.model import ModelSettings
 from hil.stability.assessment import Assessment
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
@@ -131,3 +133,41 @@ def test_dry_friction_that_the_law_takes_off_counts_whether_the_plant_is_known_o
     assert found.viscous_N_s_m == pytest.approx([0.0] * 6)
     rubs = {"controller": {"model": {"coulomb_friction_N": 250}}}
     assert judge(held(LINEAR, REAL, rubs)).figures["ultimate_bound"][0] > 3.5e-3
+
+
+@pytest.mark.parametrize(
+    ("step_m", "status", "says"),
+    [
+        (0.0, "proven", "small errors die out, the slowest as exp(-16.7 t)"),
+        (5e-5, "conditional", "errors stay below 0.1 mm"),
+        (1e-6, "conditional", "errors stay below 0.00212 mm"),
+    ],
+)
+def test_errors_that_the_steps_of_readings_keep_up_are_not_said_to_die_out(linearising, step_m, status, says):
+    """wn 20: 1 um is 4e-4 m/s^2 of what the law asks for, four times what counts as none."""
+    for law in linearising:
+        found = judge(held(law, {"plant": {"drives": {"encoder_resolution_m": step_m}}}))
+        assert found.status == status, law
+        assert says in found.claim
+        assert (SURVEYED in found.conditions) == (status == "conditional")
+
+
+@pytest.mark.parametrize(("kind", "step"), [("length", 1e-6), ("rate", 1e-5)])
+def test_steps_in_the_reading_of_one_leg_are_enough(kind, step, monkeypatch):
+    c = held(LINEAR, FINE)
+    coarse = np.zeros(6)
+    coarse[4] = step
+    drives = Drives.of(c)._replace(length=np.zeros(6), rate=np.zeros(6))
+    for each, status in ((drives, "proven"), (drives._replace(**{kind: coarse}), "conditional")):
+        monkeypatch.setattr(Drives, "of", lambda _, each=each: each)
+        assert judge(c).status == status
+
+
+def test_of_springs_the_steps_of_forces_and_readings_are_left_out_and_a_condition_says_so(monkeypatch):
+    c = held(SPRINGS["pid"])
+    none = np.zeros(6)
+    drives = Drives.of(c)._replace(length=none, rate=none, force=none)
+    for kind in ("", "length", "rate", "force"):
+        each = drives._replace(**{kind: 1e-9 * np.eye(6)[3]}) if kind else drives
+        monkeypatch.setattr(Drives, "of", lambda _, each=each: each)
+        assert among(judge(c, quick=True), "have no steps") == bool(kind), kind

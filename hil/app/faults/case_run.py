@@ -16,13 +16,14 @@ from hil.app.faults.verdict import REST_S, Bounds, Trace, judge, see
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
+from hil.loop.modes import Durations
 from hil.loop.run_end import Course, Ending
 from hil.loop.unheard import NO_WATCHDOG
 from hil.signals import Operator
 from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 60.0
-"""A case that has not ended by then is a failure, s."""
+"""A case that has not ended is a failure after so long, and what its configuration asks for, s."""
 HELD_S = 3.0
 """A platform that is held with force is watched for so long, s."""
 _NAMED_IN = {
@@ -145,6 +146,14 @@ def _goes_on(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
     return cycle.mode is Mode.PARKED and rested <= REST_S * rate
 
 
+def _longest_s(case: Case, durations: Durations) -> float:
+    """Return after how long a case that has not ended is a failure: section engage may ask for minutes."""
+    c, asked = case.configuration, (Mode.LOADING, Mode.RELEASING, Mode.PARKING, Mode.UNLOADING)
+    stroke_m = c.platform.length_max_m - c.platform.length_min_m
+    moves_s = max(stroke_m / c.engage.approach_speed_m_s, c.engage.blend_s) + case.track_s + c.engage.stop_s
+    return LONGEST_S + sum(map(durations.least, asked)) + moves_s
+
+
 def _run(case: Case) -> tuple[Trace | None, Ending]:
     """Return the run's trace, None if the fault did not begin, and how it ended."""
     c = case.configuration
@@ -152,6 +161,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, physics = build_nodes(c, FaultPlan([case.fault]))
     lengths, desired, modes, faults = [], [], [], []
+    longest_s = _longest_s(case, cycle.durations)
     last = max(round(case.track_s * rate), 1)  # where the reference is fastest at once, it is followed first
     course, failure, tracked, named, rested = Course(cycle), "", 0, _Named(), 0
     ending: Ending | None = None
@@ -184,8 +194,8 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
             ended = tick if ended is None and ending is not None else ended
             if ended is not None and _goes_on(cycle, tick, rested, ended):
                 ending = None
-            if tick >= LONGEST_S * rate:
-                raise RunError(f"it has not ended after {LONGEST_S:g} s, in {cycle.mode.name}")
+            if tick >= longest_s * rate:
+                raise RunError(f"it has not ended after {longest_s:.3g} s, in {cycle.mode.name}")
     finally:
         physics.close()
     if begun is None:

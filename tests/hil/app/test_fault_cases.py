@@ -24,6 +24,7 @@ from hil.app.faults.expected import PLANT_FAILS
 from hil.app.faults.sizes import draw, robot_of
 from hil.app.faults.verdict import Bounds
 from hil.config.reference import HoldReference
+from hil.loop.modes import Durations
 from hil.trajectory.path import PoseSample
 from tests.records import record_of
 
@@ -136,6 +137,31 @@ def test_a_platform_that_is_held_again_and_again_is_watched_no_longer_than_from_
         True,
         False,
     ]
+
+
+def test_a_case_has_a_minute_beside_what_its_configuration_asks_for(monkeypatch):
+    monkeypatch.setattr(case_run, "LONGEST_S", 1.0)  # the run takes two
+    assert run("plant_crash/UNLOADING")["verdict"] == "the plant failed and said so"
+
+
+@pytest.mark.parametrize(
+    ("engage", "least_s"),
+    [
+        ({"force_ramp_s": 30.0}, 60.0 + 90.0),
+        ({"brake_release_s": 50.0}, 60.0 + 50.0),
+        ({"brake_close_s": 50.0}, 60.0 + 50.0),
+        ({"approach_speed_m_s": 1e-3}, 60.0 + 1e3 * (2.2 - 0.75)),
+        ({"blend_s": 50.0}, 60.0 + 50.0),
+        ({"stop_s": 50.0}, 60.0 + 50.0),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_slow_start_or_stop_is_no_case_that_does_not_end(engage, least_s):
+    c = load("virtual")
+    (case,) = cases(loads(with_changes(c.text, {"engage": engage}), "my.yaml"), ["bus_off/PARKING"])
+    settings = case.configuration.engage
+    durations = Durations(settings.force_ramp_s, settings.brake_release_s, settings.closing_s)
+    assert least_s <= case_run._longest_s(case, durations) < least_s + 15.0
 
 
 OFFLINE = {"law": "feedforward_pd", "evaluation": "offline", "kp_N_m": 2e6, "kv_N_s_m": 5e4}

@@ -26,7 +26,7 @@ def serving(c: Configuration) -> Iterator[Nodes]:
 
     def serve() -> None:
         try:
-            _serve(Bench(nodes, physics, _no_hands), bus, None, stop, None, None, faults, protocol.awaited)
+            _serve(Bench(nodes, physics, _no_hands), bus, None, stop, None, None, faults, protocol)
         except Exception as error:  # noqa: BLE001 - raised in the test's thread below
             failed.append(error)
 

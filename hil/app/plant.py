@@ -19,7 +19,7 @@ from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import Clock
 from drivers.errors import HilError, PlantError, RunError
-from drivers.protocol import Frame
+from drivers.protocol import DriveProtocol, Frame
 from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration
@@ -112,8 +112,8 @@ def run_plant(
             try:
                 with _failures_logged(recording, bus.clock):
                     faults = ProcessFaults(c.plant.faults, bus.clock.now())
-                    awaited = build_protocol(c).awaited
-                    last = _serve(served, bus, recording, stop, duration_s, supervisor, faults, awaited)
+                    protocol = build_protocol(c)
+                    last = _serve(served, bus, recording, stop, duration_s, supervisor, faults, protocol)
                     trouble = ""
             except PlantError as error:
                 last, trouble = served.nodes.snapshot(), str(error)
@@ -197,7 +197,7 @@ def _serve(
     duration_s: float | None,
     supervisor: int | None,
     faults: ProcessFaults,
-    awaited: Callable[[Frame], int],
+    protocol: DriveProtocol,
 ) -> Snapshot:
     nodes = bench.nodes
     now = bus.clock.now()
@@ -216,9 +216,9 @@ def _serve(
             now = bus.clock.now()
             faults.strike(now)
             bench.hands()
-            later += nodes.step(now, received)
-            outgoing = latest([frame for t_ns, frame in later if t_ns <= now], awaited)
-            later = [entry for entry in later if entry[0] > now]
+            queued = nodes.step(now, received)
+            outgoing = [frame for t_ns, frame in later if t_ns <= now] + latest(queued, now, protocol)
+            later = [entry for entry in (*later, *queued) if entry[0] > now]
             if outgoing:
                 bus.send(outgoing)
             rows.take(received, outgoing, now)
@@ -238,14 +238,31 @@ def _serve(
     return nodes.snapshot()
 
 
-def latest(frames: list[Frame], awaited: Callable[[Frame], int]) -> list[Frame]:
-    """Return the newest frame of each drive and kind on each bus, as a drive's mailboxes would send them.
+def latest(queued: list[tuple[int, Frame]], now_ns: int, protocol: DriveProtocol) -> list[Frame]:
+    """Return what is on the bus by `now_ns` of (instant queued, frame), of feedback what is not out of date.
 
     After a stall of this process several SYNCs are answered at once. What is out of date would keep the bus
-    busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz. `awaited`, the
-    protocol's, tells drives apart that share an identifier.
+    busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz. As from a
+    drive's mailbox, an answer does not go out that the same drive has followed by one of a later instant on
+    that bus; the newest takes the place of the first. Two of one instant are two nodes, or a fault: both go
+    out, and so does all that is no feedback.
     """
-    if len(frames) < 2:
-        return frames
-    newest = {(frame.id, frame.bus, awaited(frame)): frame for frame in frames}
-    return frames if len(newest) == len(frames) else list(newest.values())
+    due = [entry for entry in queued if entry[0] <= now_ns]
+    if not due or due[0][0] == due[-1][0]:
+        return [frame for _, frame in due]
+    newest: dict[tuple[int, int, int], tuple[int, list[Frame]]] = {}
+    sent: list[list[Frame]] = []
+    for t_ns, frame in due:
+        which = protocol.awaited(frame)
+        if which not in protocol.feedback_ids:
+            sent.append([frame])
+            continue
+        key = frame.id, frame.bus, which
+        before_ns, together = newest.get(key, (t_ns, []))
+        if not together:
+            sent.append(together)
+        if before_ns < t_ns:
+            together.clear()
+        together.append(frame)
+        newest[key] = t_ns, together
+    return [frame for together in sent for frame in together]

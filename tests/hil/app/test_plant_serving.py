@@ -10,6 +10,7 @@ import pytest
 from drivers.errors import RunError
 from drivers.protocol import Frame
 from hil.app import plant
+from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from tests.records import record_of
 
@@ -50,7 +51,7 @@ def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
     nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of)
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults = SimpleNamespace(strike=lambda _: None)
-    plant._serve(bench, bus, None, stop, None, None, faults, lambda frame: frame.id)  # type: ignore[arg-type]
+    plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
     idle = plant.IDLE_NS
     first = 1_000 + idle
     assert bus.deadlines == [first, first + 301_000, first + 301_000 + idle]

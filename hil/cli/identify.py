@@ -156,9 +156,9 @@ def command(
     engage, excite, park, as an ordinary run, with all its limits. Each axis has 12 lines of its own from 1 Hz
     to a tenth of the rate, while all legs extend by some 50 mm, more with more --force, so that friction does
     not change its sign.
-    With --delay there are 36 lines from 10 Hz to 0.3 of the rate on a slow heave of 3 mm. Ctrl-C stops and
-    parks. In lockstep by default, which needs a section plant; with --run in real time, which moves real
-    drives.
+    With --delay there are 36 lines from 10 Hz to 0.3 of the rate, while all legs extend and retract slowly by
+    3 mm. Ctrl-C stops and parks. In lockstep by default, which needs a section plant; with --run in real
+    time, which moves real drives.
 
     With LOG, nothing runs. Sinusoids and multisines are cut into whole periods, anything else (a chirp) into
     segments of 2 s; what is not coherent with its reference is not used. For --delay any log serves in which

@@ -24,7 +24,7 @@ DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST = 6, 10.0, 0.3
 DELAY_SLOW_Hz = 150.0
 """Of a slower loop the band is in proportion to that of this rate: it has no room for whole frequencies."""
 CARRIER_Hz, CARRIER_m = 1.0, 3e-3
-"""Slow heave that keeps the legs sliding, or Coulomb friction would hold the small motion."""
+"""All legs together, slowly: it keeps them sliding, or Coulomb friction would hold the small motion."""
 DELAY_RAMP_S = 0.5
 
 LINES, LOWEST_Hz, HIGHEST = 12, 1.0, 0.1
@@ -47,21 +47,20 @@ def delay_excitation(
     """Return sinusoids about `pose` whose largest leg force is `force_N` beyond what holds the platform.
 
     All lines of an axis accelerate it equally, so each amplitude falls with the square of the frequency; the
-    axes load the legs equally. A slow heave of 3 mm is underneath. duration_s includes fading in and out.
+    axes load the legs equally. Underneath, all legs extend and retract slowly by 3 mm. duration_s includes
+    fading in and out.
     """
     slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
     frequency = slower * _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
     phases, axis = _phases_and_axes(len(frequency))
-    forces = _directions(model, pose, "pose").forces
-    acceleration = 1.0 / np.abs(forces).max(axis=0)[axis]
-    t = np.arange(0.0, 1.0, 0.1 / frequency[-1])
+    at = _directions(model, pose, "pose")
+    acceleration = 1.0 / np.abs(at.forces).max(axis=0)[axis]
+    t = np.arange(0.0, 1.0 / slower, 0.1 / frequency[-1])
     waves = acceleration[:, None] * np.sin(2.0 * pi * np.outer(frequency, t) + phases[:, None])
-    acceleration *= force_N / np.abs(forces @ _on_axes(waves, axis)).max()
-    components = [Sinusoid(axis="z_m", amplitude=CARRIER_m, frequency_Hz=CARRIER_Hz)]
+    acceleration *= force_N / np.abs(at.forces @ _on_axes(waves, axis)).max()
+    components = _sinusoids(at.together * CARRIER_m, CARRIER_Hz, 0.0)
     for k, f in enumerate(frequency):
-        moved = np.zeros(6)
-        moved[axis[k]] = acceleration[k] / (2.0 * pi * f) ** 2
-        moved[3:] = np.rad2deg(moved[3:])
+        moved = at.words[:, axis[k]] * acceleration[k] / (2.0 * pi * f) ** 2
         components += _sinusoids(moved, float(f), phases[k])
     return SinusoidReference(
         type="sinusoids",

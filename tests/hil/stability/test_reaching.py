@@ -1,5 +1,7 @@
 """Reaching conditions against integrated worst cases."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -49,6 +51,23 @@ def test_a_model_that_is_too_light_needs_more_gain():
     close = sliding(SLOPE, K, PHI, gamma=0.8, alpha=0.2, d=d, inside=largest(d, 0.8))
     assert close.surplus > 0.0
     assert not close.covered
+
+
+@pytest.mark.parametrize("gamma_matrix", [[[1.2, 0.2], [0.2, 1.2]], [[0.8, -0.1], [-0.1, 0.8]]])
+def test_legs_as_fast_as_is_allowed_still_reach_the_layer_at_half_the_rate(gamma_matrix):
+    """d|s|/dt of the first of two coupled legs, over all signs of the other's correction, of rates and disturbance."""
+    G, d = np.array(gamma_matrix), 2.0
+    rest = abs(G[0, 1])
+    gamma, alpha = G[0, 0] - rest, abs(G[0, 0] - 1.0) + rest
+    found = sliding(SLOPE, K, PHI, gamma=gamma, alpha=alpha, d=d, inside=0.0)
+    assert 0.0 < found.room < np.inf
+    worst = max(
+        G[0] @ (-SLOPE * found.room * np.array([a, b]) - K * np.array([1.0, c]))
+        + SLOPE * found.room * a
+        + d * e
+        for a, b, c, e in itertools.product([-1.0, 1.0], repeat=4)
+    )
+    assert worst == pytest.approx(-0.5 * found.surplus)
 
 
 def test_inside_is_what_the_worst_disturbance_does():

@@ -12,7 +12,7 @@ from drivers.signals import DriveState
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_body
 from hil.app.identify.delay import recorded_run, refuse_fused
-from hil.app.loop_delay import loop_delay
+from hil.app.loop_delay import LoopDelay, loop_delay
 from hil.config.model import ModelSettings
 from hil.config.platform import PayloadSettings
 from hil.control.model import build_model
@@ -42,10 +42,15 @@ class Source(NamedTuple):
     configuration: Configuration
     model: Model
     equations: Equations
-    reported: bool
-    """Forces are those that the drives report; else those that were sent, delayed."""
+    sent: tuple[float, LoopDelay] | None
+    """Rate in Hz and delay of forces that were sent; None: they are those that the drives report."""
     seconds: float
     """With open brakes."""
+
+    @property
+    def reported(self) -> bool:
+        """Whether the forces are those that the drives report; else those that were sent, delayed."""
+        return self.sent is None
 
 
 class Found(NamedTuple):
@@ -101,6 +106,12 @@ def identify_payload(
             raise IdentificationError(
                 f"{other.path}: its section platform is not that of {first.path}; identify each by itself"
             )
+        if other.sent != first.sent:
+            raise IdentificationError(
+                f"{other.path}: its forces are {_forces(other)}, those of {first.path} {_forces(first)}, and "
+                "each kind is late by a time of its own, which would pass for friction; identify each by "
+                "itself"
+            )
     progress("least squares")
     platform = first.model.platform
     believed = _believed(first, reflected_kg)
@@ -134,11 +145,11 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
     there = np.asarray(rows["tick"][source] == ticks)
     rows = rows[source]
     running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
-    reported = bool(rows["drive_force"].any())
-    if reported:
+    sent = None if rows["drive_force"].any() else (recorded.rate_Hz, loop_delay(c))
+    if sent is None:
         force = np.asarray(rows["drive_force"], np.float64)
     else:
-        delay = loop_delay(c)
+        delay = sent[1]
         mean = mean_forces(np.ascontiguousarray(rows["tau"]), period, delay.transport_s, delay.lag_s)
         # of the periods before and after each tick
         force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
@@ -158,7 +169,14 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
         equations = equations_of(model, signals, given)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None
-    return Source(path, c, model, equations, reported, float(running.sum()) * period)
+    return Source(path, c, model, equations, sent, float(running.sum()) * period)
+
+
+def _forces(source: Source) -> str:
+    if source.sent is None:
+        return "as the drives report them"
+    rate_Hz, delay = source.sent
+    return f"as sent, at {rate_Hz:g} Hz and late by {1e3 * (delay.transport_s + delay.lag_s):g} ms"
 
 
 def _model(c: Configuration) -> Model:

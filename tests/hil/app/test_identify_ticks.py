@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, IdentificationError
 from drivers.signals import DriveState, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load, loads
@@ -17,6 +17,7 @@ from hil.app.identify import axes, delay, payload
 from hil.app.identify.axes import axes_of_log, excited_axes
 from hil.app.identify.delay import Recorded, delay_of_log, exact_model, excited, friction_block, motion_of
 from hil.app.identify.linearised import linearised_law, signals_of
+from hil.config.delay import DelayCompensation
 from hil.config.reference import SinusoidReference
 from hil.robot.kinematics import jacobian
 
@@ -120,6 +121,50 @@ def test_a_fused_pose_is_refused_before_anything_runs(excite):
     with pytest.raises(ConfigurationError) as caught:
         excite(c, None, None)
     assert str(caught.value).startswith(f"{c.source}: {REFUSAL}")
+
+
+def kind_of(force, rate_Hz=1000.0, lag_ms=0.8):
+    """Return a log whose drives report forces or not, at this rate and with this delay in its configuration."""
+    rows, c = running(), load("virtual")
+    rows["drive_force"] = force
+    law: Any = c.controller
+    delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=lag_ms, hold_ms=0.5)
+    law = law.model_copy(update={"delay_compensation": delay})
+    return Recorded(c.model_copy(update={"controller": law}), rows, rate_Hz, {})
+
+
+class FittedError(Exception):
+    """All logs have been taken."""
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "refused"),
+    [
+        ((3000.0,), (0.0,), "as sent, at 1000 Hz and late by 1.3 ms"),
+        ((0.0,), (3000.0,), "as the drives report them"),
+        ((0.0,), (0.0, 500.0), "as sent, at 500 Hz"),
+        ((0.0,), (0.0, 1000.0, 0.9), "late by 1.4 ms"),
+        ((0.0,), (0.0,), None),
+        ((3000.0,), (3000.0, 500.0, 0.9), None),
+    ],
+)
+def test_logs_whose_forces_are_late_by_times_of_their_own_are_not_fitted_together(
+    one, other, refused, monkeypatch
+):
+    """One lateness is found for all of them: of two, the difference would pass for viscous friction."""
+
+    def progress(what):
+        if what == "least squares":
+            raise FittedError
+
+    logs = {Path("a.mcap"): kind_of(*one), Path("b.mcap"): kind_of(*other)}
+    monkeypatch.setattr(payload, "recorded_run", logs.__getitem__)
+    monkeypatch.setattr(payload, "equations_of", lambda *_: None)
+    with pytest.raises(IdentificationError if refused else FittedError) as caught:
+        payload.identify_payload(list(logs), None, progress)
+    own = str(caught.value).partition(", those of a.mcap ")[0]
+    assert own.startswith("b.mcap: its forces are " if refused else "")
+    assert (refused or "") in own
 
 
 def configured(*changes):

@@ -21,6 +21,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from drivers.arrays import Array, Rows
 from hil.record.recording import Scene
+from hil.robot.joints import around
 
 BASE = "base"
 _POSES = (("platform", "p", "R"), ("reference", "p_d", "R_d"))
@@ -71,6 +72,7 @@ class SceneDrawer:
     def __init__(self, scene: Scene) -> None:
         self._a = np.array(scene.base_joints, float)
         self._b = np.array(scene.platform_joints, float)
+        self._base, self._top = around(self._a), around(self._b)
         self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
 
     def update(self, row: Rows, stamp: Timestamp) -> bytes | None:
@@ -86,8 +88,8 @@ class SceneDrawer:
         tops = p + self._b @ R.T
         update = SceneUpdate(
             entities=[
-                self._entity("base", stamp, lines=[self._outline(self._a, _GREY)]),
-                self._entity("platform", stamp, lines=[self._outline(tops, _BLUE)]),
+                self._entity("base", stamp, lines=[self._outline(self._a[self._base], _GREY)]),
+                self._entity("platform", stamp, lines=[self._outline(tops[self._top], _BLUE)]),
                 self._entity("legs", stamp, cylinders=list(map(self._leg, self._a, tops))),
             ]
         )
@@ -98,12 +100,10 @@ class SceneDrawer:
         return SceneEntity(timestamp=stamp, frame_id=BASE, id=name, frame_locked=True, **primitives)
 
     def _outline(self, joints: Array, color: Any) -> Any:
-        centre = joints.mean(axis=0)
-        angle = np.arctan2(joints[:, 1] - centre[1], joints[:, 0] - centre[0])
         return LinePrimitive(
             type=LinePrimitive.LINE_LOOP,
             thickness=self._thickness,
-            points=[Point3(x=x, y=y, z=z) for x, y, z in joints[np.argsort(angle)].tolist()],
+            points=[Point3(x=x, y=y, z=z) for x, y, z in joints.tolist()],
             color=color,
         )
 

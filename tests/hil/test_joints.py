@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hil.robot import joints
 
@@ -47,3 +48,26 @@ def test_pairs_by_spacing_keep_radius_and_distance():
 def test_whole_turns_change_nothing(turns):
     there = joints.on_circle(1.0, [33.0 + turns])
     assert there.tolist() == joints.on_circle(1.0, [33.0]).tolist()
+
+
+WALL = Rotation.from_rotvec([np.pi / 2, 0.0, 0.0]).as_matrix()
+SIDE = Rotation.from_rotvec([0.0, np.pi / 2, 0.0]).as_matrix()
+SLANTED = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_matrix() @ WALL
+
+
+@pytest.mark.parametrize("wide", [1.0, 0.05])
+@pytest.mark.parametrize(
+    "turn", [np.eye(3), WALL, SIDE, SLANTED, Rotation.from_rotvec([1, 2, -1]).as_matrix()]
+)
+def test_a_ring_is_gone_round_in_its_own_plane_whichever_that_is(turn, wide):
+    """Leg order mixed up; a ring has no first corner and no direction."""
+    ring = joints.on_circle(2.0, [10, 50, 120, 170, 240, 290]) * [1.0, wide, 1.0]
+    mixed = np.array([3, 0, 5, 1, 4, 2])
+    order = mixed[joints.around(ring[mixed] @ turn.T + [3.0, -1.0, 2.0])]
+    steps = np.diff(order, append=order[0]) % 6
+    assert steps.tolist() in ([1] * 6, [5] * 6)
+
+
+def test_a_level_ring_is_gone_round_from_x_towards_y():
+    ring = joints.on_circle(2.0, [170, 10, -120, 50, 120, -70])
+    assert joints.around(ring).tolist() == [2, 5, 1, 3, 4, 0]

@@ -68,3 +68,19 @@ def test_a_leg_that_stands_or_hangs_straight_is_drawn_so(row, height):
     np.testing.assert_allclose(
         Rotation.from_quat([*xyz(q), q.w]).apply([0, 0, 1]), [0, 0, height], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("tilt", [[0.0, 0.0, 0.0], [np.pi / 2, 0.0, 0.0], [0.0, np.pi / 2, 0.3]])
+def test_the_outlines_of_upright_rings_do_not_cross_themselves(row, tilt):
+    """Corners of a regular hexagon, legs mixed up: each next one is a radius away."""
+    hexagon = np.column_stack(
+        [np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3), np.zeros(6)]
+    )
+    up = Rotation.from_rotvec(tilt)
+    base, platform = 2.0 * up.apply(hexagon[[2, 0, 4, 1, 5, 3]]), up.apply(hexagon[[1, 5, 0, 3, 2, 4]])
+    drawn = SceneDrawer(Scene(base.tolist(), platform.tolist())).update(row, Timestamp())
+    assert drawn is not None
+    lines = {e.id: e.lines[0] for e in SceneUpdate.FromString(drawn).entities if e.lines}
+    for name, radius in (("base", 2.0), ("platform", 1.0)):
+        ring = np.array([xyz(point) for point in lines[name].points])
+        assert np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) == pytest.approx(6 * [radius])

@@ -1,15 +1,20 @@
 "use strict";
 /* The pose as lines in space: a camera that turns about the middle, drawn on a plain canvas. */
+/* The order of joints by their angle about their centre, whatever plane they lie in: hil.robot.joints.around. */
+function around(points) {
+  const n = points.length;
+  const middle = [0, 1, 2].map((i) => points.reduce((s, q) => s + q[i], 0) / n);
+  const x = points.map((q) => q.map((y, i) => y - middle[i]));
+  const moment = (i, j) => x.reduce((s, q) => s + q[i] * q[j], 0);
+  const planes = [[0, 1], [1, 2], [2, 0]];
+  const areas = planes.map(([i, j]) => moment(i, i) * moment(j, j) - moment(i, j) ** 2);
+  const [i, j] = planes[areas.indexOf(Math.max(...areas))];
+  return x.map((_, k) => k).sort((k, m) => Math.atan2(x[k][j], x[k][i]) - Math.atan2(x[m][j], x[m][i]));
+}
 function makeScene(canvas, given, unpack) {
   const t = unpack(given.t), p = unpack(given.p), R = unpack(given.R);
   const pRef = unpack(given.p_d), RRef = unpack(given.R_d), load = unpack(given.load);
   const base = given.base, joints = given.platform;
-  const around = (points) => {
-    const x = points.reduce((s, q) => s + q[0], 0) / points.length;
-    const y = points.reduce((s, q) => s + q[1], 0) / points.length;
-    return points.map((_, i) => i).sort((i, k) =>
-      Math.atan2(points[i][1] - y, points[i][0] - x) - Math.atan2(points[k][1] - y, points[k][0] - x));
-  };
   const baseOrder = around(base), topOrder = around(joints);
   const placed = (points, p, R, k) => points.map((b) => [0, 1, 2].map((i) =>
     p[3 * k + i] + R[9 * k + 3 * i] * b[0] + R[9 * k + 3 * i + 1] * b[1] + R[9 * k + 3 * i + 2] * b[2]));

@@ -6,7 +6,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import designed, layered, linearising, spring_models
+from hil.app.stability import designed, layered, linearising, payloads, spring_models
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
 from hil.stability.assessment import Assessment
@@ -27,8 +27,7 @@ JUDGES: dict[str, Judge] = {
 }
 """`controller.law` -> what judges it, where another theorem than that of its linear error dynamics does."""
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
-"""Laws that are judged with one robot at a time."""
-WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
+"""Laws that are judged with one robot at a time, see `hil.app.stability.payloads`."""
 
 
 def judge(
@@ -57,9 +56,12 @@ def judge(
     law = c.controller
     if law.law in SPRINGS:
         each = subject.alone()[::-1]  # what is stated to ride first
-        found = [JUDGES[law.law](one, law, True) for one in each] if len(each) > 1 else []
-        worst = min(range(len(found)), key=lambda k: WORST_FIRST.index(found[k].status), default=0)
-        return JUDGES[law.law](each[worst], law, quick)
+        if len(each) == 1:
+            return JUDGES[law.law](subject, law, quick)
+        found = [JUDGES[law.law](one, law, True) for one in each]
+        worst, words = payloads.worst_of(found), [carried for one in each for carried in one.carried]
+        chosen = found[worst] if quick else JUDGES[law.law](each[worst], law, quick)
+        return payloads.told(chosen, words[worst], found, words)
     if law.law in JUDGES:
         return JUDGES[law.law](subject, law, quick)
     dynamics = law.error_dynamics()

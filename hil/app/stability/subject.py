@@ -54,8 +54,8 @@ class Payload(NamedTuple):
 
 NO_PAYLOAD = Payload()
 NO_ERROR = 1e-4
-"""m/s^2 or rad/s^2: a disturbance that is none, of an exact model, or what steps of the readings make a law
-ask for that asks for none. The steps of 1 mN and 0.1 um of `legs` leave less, up to wn = 20 rad/s."""
+"""m/s^2 or rad/s^2: a disturbance that counts as none, of an exact model; likewise what the steps of the
+readings make a law ask for. The steps of 1 mN and 0.1 um of `legs` leave less, up to wn = 20 rad/s."""
 SURVEYED = (
     "what disturbs the loop, delay and stale J and M included, is no more than at the instants and extremes "
     "looked at: surveyed, not enclosed"

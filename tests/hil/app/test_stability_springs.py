@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hil.app.configuration.configuration import load, loads
-from hil.app.stability.command import JUDGES, WORST_FIRST, judge
+from hil.app.stability.command import JUDGES, judge
+from hil.app.stability.payloads import WORST_FIRST
 from hil.app.stability.subject import Stated, Subject
 from hil.config.model import ModelSettings
 from hil.stability.assessment import Assessment
@@ -49,7 +50,49 @@ def test_a_law_is_as_good_as_its_verdict_with_the_worst_of_the_payloads(monkeypa
         verdicts[words[k - 1]] = "proven"
         verdicts[worst] = status
         found = judge(c)
-        assert (found.status, found.claim) == (status, worst)
+        assert (found.status, found.claim) == (status, f"{worst}, with {worst}")
+
+
+HEAVY = (
+    "    payload:\n      - {mass_kg: 40, com_m: [0, 0, 0], shape: {type: sphere, radius_m: 1}, "
+    "mass_range_kg: [0, 2000]}\n"
+)
+"""Nearly twice the platform itself, and three times its inertia; or nothing."""
+
+
+@pytest.mark.parametrize(
+    ("law", "worse"),
+    [
+        (f"  law: pd\n{LEGS}", ["largest |z|", "sag", "stiffness"]),
+        (f"  law: pd_gravity\n{LEGS}", ["largest |z|", "sag", "stiffness"]),
+        (f"  law: cartesian_pd\n{POSE}", ["largest |z|", "sag"]),
+        (
+            f"  law: pid\n{LEGS}  ki_N_m_s: 3e6\n  integral_limit_N: 1e5\n",
+            ["largest |z|", "slowest eigenvalue"],
+        ),
+    ],
+)
+def test_the_delay_that_springs_bear_is_that_of_the_lightest_payload_and_what_is_worse_with_another_is_told(
+    law, worse
+):
+    """The less there is to accelerate, the faster the loop; the more, the deeper the weight and the slower the end."""
+    inertia = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"
+    bare = judge(changed(law), quick=True)
+    found = judge(changed(law, (inertia, inertia + HEAVY)), quick=True)
+    assert found.status == bare.status == "conditional"
+    assert found.claim.endswith(", with no payload")
+    margin = found.figures["sampled"]["delay_margin_ms"]
+    assert margin == pytest.approx(bare.figures["sampled"]["delay_margin_ms"], rel=1e-9)
+    (line,) = (each for each in found.lines if each.startswith("payloads"))
+    assert line.startswith("payloads       3 looked at; claim and figures are with no payload")
+    told = line.partition("; worse with another: ")[2].split("; ")
+    assert len(told) == len(worse)
+    for each, name in zip(told, worse, strict=True):
+        assert each.startswith(name)
+        assert each.endswith(" with 2000 kg at (0, 0, 0) m")
+    largest = found.figures["worst"]["largest_pole"]
+    assert largest["carried"] == "2000 kg at (0, 0, 0) m"
+    assert bare.figures["sampled"]["largest_pole"] < largest["value"] < 1.0
 
 
 def test_what_a_law_compensates_too_much_of_the_friction_counts_as_what_it_compensates_too_little():

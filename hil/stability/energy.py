@@ -152,8 +152,12 @@ def basin(
     longest = 2.0 * np.sqrt(values[-1])
 
     def edge(u: Array) -> tuple[float, Array]:
-        """Return S above the well at the edge in direction u (6,), and the way there."""
-        way = shape @ (u / np.linalg.norm(u))
+        """Return S above the well at the edge in direction u (6,), and the way there.
+
+        Zero is no direction; a search along a line may pass it, and gets the first one there.
+        """
+        size = float(np.linalg.norm(u))
+        way = shape @ (u / size) if size > 0.0 else shape[:, 0]
         near, far = 0.0, 0.0
         step = 0.02 / float(np.linalg.norm(way / scale))
         while outside(*displaced(start.p, start.R, far * way)) is None:

@@ -94,6 +94,26 @@ def test_the_basin_of_a_bowl_is_known():
     assert found.reason == "far"
 
 
+def test_an_edge_that_is_lowest_straight_along_an_axis_is_found():
+    """The softest spring is 0.1 m from the edge, others 0.3 m: the search on from there passes the well itself."""
+    springs = np.array([1000.0, 2000.0, 3000.0])
+    reach = np.array([0.1, 0.3, 0.3])
+
+    def S(p, R):
+        assert np.isfinite(p).all()
+        r = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        return 0.5 * springs @ p**2 + 0.5 * np.array([7e3, 8e3, 9e3]) @ r**2
+
+    def outside(p, R):
+        assert np.isfinite(p).all()
+        return None if (np.abs(p) < reach).all() and np.trace(R) > 1.5 else "far"
+
+    bottom = well(S, np.zeros(3), np.eye(3), 1.0)
+    found = basin(S, bottom, 1.0, outside, rays=5)
+    assert found.level_J == pytest.approx(0.5 * 1000.0 * 0.1**2, rel=1e-4)
+    assert abs(found.edge_p[0]) == pytest.approx(0.1, rel=1e-4)
+
+
 def condition_of(p, R):
     J = jacobian_kernel(PLATFORM.base_joints, PLATFORM.platform_joints, p, R)
     return condition_kernel(J, PLATFORM.radius)

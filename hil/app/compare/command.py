@@ -13,6 +13,7 @@ from hil.app.compare.conditions import paths, with_law, without_limits
 from hil.app.compare.laws import chosen, desired_loop, with_scale
 from hil.app.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
 from hil.app.compare.plot import draw
+from hil.app.compose import build_nodes
 from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform
@@ -52,8 +53,8 @@ def compare(
     lift_limits : run without the limits of error, force change and speed.
     jobs : processes at once; default one a processor, 1 is this one.
 
-    A law that faults keeps its row. Raises ConfigurationError for what cannot run, LogError where the
-    picture cannot be written.
+    A law that faults keeps its row. Raises ConfigurationError for what cannot run, PlantError for a plant
+    that cannot be opened, LogError where the picture cannot be written.
     """
     begun = time.perf_counter()
     c.require("sim")
@@ -65,6 +66,7 @@ def compare(
     compared = without_limits(c) if lift_limits else c
     duration = _duration(c, duration_s)
     _refuse_late(c, duration)
+    build_nodes(c)[1].close()  # each law would fail of a plant that cannot be opened
     work = _jobs(compared, believed, extra, duration)
     done = {(o.law, o.path): o for o in _perform(work, jobs, progress)}
     own = {name: done[name, OWN] for name in settings}

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.app.check.command import stopping_distances_m
+from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.unattended import unattended
 from hil.app.faults.case_run import Job, failed, run_case
@@ -26,12 +27,14 @@ def run_matrix(
 
     legs, seed : whose faults, and what draws their sizes, as `cases` says.
     jobs : processes at once; default one a processor, 1 is this one.
-    Raises ConfigurationError for what cannot run, and for a pattern without a case.
+    Raises ConfigurationError for what cannot run, and for a pattern without a case, PlantError for a plant
+    that cannot be opened.
     """
     begun = time.perf_counter()
     c.require("sim")
     c = unattended(c)
     chosen = cases(c, only, legs, seed)
+    build_nodes(c)[1].close()  # each case would fail of a plant that cannot be opened
     bounds = Bounds(*stopping_distances_m(c), c.limits.following_error_m, c.limits.following_error_s)
     order = {(case.name, case.given): n for n, case in enumerate(chosen)}
     work = [Job(case, bounds) for case in chosen]

@@ -20,8 +20,9 @@ STANDING_m_s = 0.02
 """Legs that are slower are at rest: there is no way on which to stop."""
 MOTION_m = 1e-4
 """From the first true motion above this an encoder that jumps or freezes can be found."""
-FOUND_m, FOUND_S = 2e-3, 20e-3
-"""It is found by then, after so much true motion of its leg or so long; or it leaves no larger error."""
+FOUND_m = 2e-3
+"""It is found by then, after so much true motion of its leg, or within `found_s`; or it leaves no larger
+error."""
 FORGED_m, FORGED_TICKS = 2e-3, 2
 """Error until forged or old frames are declared, and how long that takes."""
 REST_m, REST_S, HELD_REST_S = 5e-5, 0.1, 1.0
@@ -103,6 +104,12 @@ class Seen(NamedTuple):
     """True motion of the faulty leg until then, or to the end."""
     found_ticks: int
     """Ticks from its first true motion until then, or to the end; 0: it did not move before."""
+
+
+def found_s(rate_Hz: float) -> float:
+    """Return in what time of true motion a jump or a freeze is found, s: a slow loop needs longer."""
+    period_s = 1.0 / rate_Hz
+    return max(float(np.interp(period_s, (1e-3, 4e-3, 10e-3), (20e-3, 44e-3, 70e-3))), 7.0 * period_s)
 
 
 def rest_s(t: Trace) -> float:
@@ -192,10 +199,10 @@ def _bounded(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
     if kind in _GROWS:
         return True, f"{NOT_OBSERVABLE} in motion: leaves {_mm(s.error_m)}; travelled {text}"
     if kind in _FOUND:
-        late_s = s.found_ticks / t.rate_Hz
-        good = s.found_m <= FOUND_m or late_s <= FOUND_S
+        late_s, allowed_s = s.found_ticks / t.rate_Hz, found_s(t.rate_Hz)
+        good = s.found_m <= FOUND_m or late_s <= allowed_s + 1e-9
         what = f"found after {_mm(s.found_m)} of true motion and {1e3 * late_s:.0f} ms"
-        return good, what if good else f"{what}, allowed: {_mm(FOUND_m)} or {1e3 * FOUND_S:.0f} ms"
+        return good, what if good else f"{what}, allowed: {_mm(FOUND_m)} or {1e3 * allowed_s:.0f} ms"
     if kind in _FORGED:
         told = s.declared if s.told is None else s.told
         if told is None or told > FORGED_TICKS:

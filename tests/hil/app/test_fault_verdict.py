@@ -242,6 +242,18 @@ def test_what_is_missing_stands_beside_the_bound_that_is_broken():
     assert words.startswith("travelled 51 mm, allowed: 50 mm; the cause is missing: named STALE")
 
 
+@pytest.mark.parametrize(
+    ("rate_Hz", "ticks", "allowed_ms"),
+    [(4000.0, 80, 20), (1000.0, 20, 20), (500.0, 14, 28), (250.0, 11, 44), (100.0, 7, 70), (50.0, 7, 140)],
+)
+def test_a_slow_loop_has_longer_to_find_a_freeze(rate_Hz, ticks, allowed_ms):
+    kind = "encoder_freeze"
+    assert verdict(kind, shaped(kind, reacts=ticks, drift=1e-3, after=1e-3)._replace(rate_Hz=rate_Hz))[0]
+    late = shaped(kind, reacts=ticks + 1, drift=1e-3, after=1e-3)._replace(rate_Hz=rate_Hz)
+    assert not verdict(kind, late)[0]
+    assert f"allowed: 2.00 mm or {allowed_ms} ms" in verdict(kind, late)[1]
+
+
 def test_a_jump_is_found_when_its_encoder_is_named_and_not_when_something_else_is():
     t = run(reacts=10, drift=1e-4, causes={"STROKE": {2}, "ENCODER": {2}})
     late = t.faults.copy()

@@ -42,6 +42,8 @@ EXCURSION = 0.2
 """Of the stroke, what the path moves a leg from the middle."""
 FADE = 0.4
 """Of a period of the path, that it takes to fade at least: 1.875 x / t is then 0.75 of the rate 2 pi f x."""
+SLOWEST_Hz = 8.4e-4
+"""Of a path, three periods of which take no more than an hour: slower drives move a leg by less."""
 HOLD_Hz = 5.0
 """Bandwidth of what an emulated drive does by itself."""
 
@@ -102,21 +104,19 @@ def controller_section(a: dict[str, Any], wn: float) -> dict[str, Any]:
 
 
 def reference_section(a: dict[str, Any], home: AtHome) -> dict[str, Any]:
-    """Return a path about home that every leg follows within `EXCURSION` of its stroke.
+    """Return a path of an hour at most about home that every leg follows within `EXCURSION` of its stroke.
 
     The fastest leg uses a quarter of the drives' speed at most, and up to a half while a slow path fades out;
     the hardest accelerates by 1 m/s^2 and by a tenth of the force that holding leaves.
     """
     r = a["platform_radius_m"]
     directions = np.abs(home.J[:, [0, 2, 4]]) * [1.0, 1.0, 1.0 / r]
-    amplitude = EXCURSION * a["stroke_m"] / float(directions.sum(axis=1).max())
-    excursion = EXCURSION * a["stroke_m"]
     free_N = a["drive_force_N"] - float(np.abs(home.static_N).max())
-    acceleration = min(1.0, 0.1 * free_N / home.leg_mass_kg)
-    f = min(
-        0.5, 0.25 * a["drive_speed_m_s"] / (2 * pi * excursion), np.sqrt(acceleration / excursion) / (2 * pi)
-    )
-    f = lowered(f)
+    speed, acceleration = 0.25 * a["drive_speed_m_s"], min(1.0, 0.1 * free_N / home.leg_mass_kg)
+    slowest = 2 * pi * SLOWEST_Hz
+    excursion = min(EXCURSION * a["stroke_m"], speed / slowest, acceleration / slowest**2)
+    amplitude = excursion / float(directions.sum(axis=1).max())
+    f = lowered(min(0.5, speed / (2 * pi * excursion), np.sqrt(acceleration / excursion) / (2 * pi)))
     x = lowered(amplitude)
     return {
         "type": "sinusoids",

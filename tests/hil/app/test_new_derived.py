@@ -135,3 +135,27 @@ def test_a_path_for_slow_drives_fades_in_and_out_within_half_of_their_speed(tabl
     fastest = float(np.abs(w.dq).max())
     assert fastest <= 0.5 * a["drive_speed_m_s"]
     assert fastest >= 0.15 * a["drive_speed_m_s"] or strokes_s == 0.5, "and not far slower than they are"
+
+
+@pytest.mark.parametrize(
+    "slow",
+    [
+        {"drive_speed_m_s": 1e-4},
+        {"drive_speed_m_s": 1e-4, "length_min_m": 100.0, "stroke_m": 99.0},
+        {"drive_force_N": 900.0, "reflected_mass_kg": 1e6, "length_min_m": 100.0, "stroke_m": 99.0},
+    ],
+)
+def test_of_the_slowest_drives_that_can_be_asked_for_a_path_takes_an_hour_at_most(table, slow):
+    """It is the shorter for it, as fast as ever, and no path that a configuration refuses."""
+    a = table[0] | slow
+    home = robot_at_home(a)
+    path = derive.reference_section(a, home)
+    assert 3.0 / path["components"][0]["frequency_Hz"] <= path["duration_s"] <= 3600.0
+    assert path["ramp_s"] <= 0.25 * path["duration_s"]
+    w = derive.walked(a, path, 0.2)
+    assert np.abs(w.q - w.q[0]).max() <= 0.2 * a["stroke_m"]
+    spare = (a["drive_force_N"] - np.abs(home.static_N).max()) / home.leg_mass_kg
+    speed, acceleration = np.abs(w.dq).max() / a["drive_speed_m_s"], np.abs(w.ddq).max() / spare
+    assert speed <= 0.5
+    assert acceleration <= 0.2
+    assert speed >= 0.15 or acceleration >= 0.05, "and it uses what there is"

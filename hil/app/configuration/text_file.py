@@ -39,10 +39,11 @@ def shipped() -> tuple[str, ...]:
 def read_configuration(path: str | Path) -> tuple[Path, str]:
     """Return the file of a configuration, or of a shipped one by its name (`virtual`), and its text.
 
+    A file of that name comes first, a folder does not: `python -m venv virtual` hides nothing.
     Raises ConfigurationError where there is none, or it cannot be read.
     """
     file = Path(path)
-    if not file.exists() and str(path) in shipped():
+    if (not file.exists() or file.is_dir()) and str(path) in shipped():
         file = Path(str(importlib.resources.files("configs") / f"{path}.yaml"))
     try:
         return file, read_text(file)

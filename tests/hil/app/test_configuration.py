@@ -285,6 +285,16 @@ def test_a_shipped_name_loads_from_any_folder_and_a_file_of_that_name_comes_firs
     assert load("virtual").name == "mine"
 
 
+def test_a_folder_with_the_name_of_a_shipped_configuration_does_not_hide_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in shipped():
+        Path(name).mkdir()
+    Path("own").mkdir()
+    assert [load(name).name for name in shipped()] == list(shipped())
+    with pytest.raises(ConfigurationError, match="own: cannot be read: is no regular file"):
+        load("own")
+
+
 def test_the_exact_text_is_kept(tmp_path):
     file = tmp_path / "a.yaml"
     file.write_bytes(VIRTUAL.replace("\n", "\r\n").replace("name: virtual", "description_: x", 0).encode())

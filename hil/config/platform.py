@@ -33,7 +33,7 @@ class JointCircle(Section):
     pair_spacing_m: NonNegative | None = None
     """Instead of the half angle: distance between the two joints of a pair."""
     pairs_begin: Literal["first_leg", "second_leg"] = "first_leg"
-    """Pairs are legs 1-2, 3-4, 5-6 of the list, or 2-3, 4-5, 6-1."""
+    """Pairs are legs 0-1, 2-3, 4-5 of the list, or 1-2, 3-4, 5-0."""
 
     @model_validator(mode="after")
     def _angles_or_pairs(self) -> Self:

@@ -238,7 +238,7 @@ def _check_legs(a: Array, b: Array) -> None:
             if gap < TOLERANCE:
                 raise GeometryError(
                     "base_joints, platform_joints",
-                    f"legs {j + 1} and {i + 1} with both joints in common",
+                    f"legs {j} and {i} with both joints in common",
                     "legs that differ in at least one joint",
                 )
     for name, joints in (("base_joints", a), ("platform_joints", b)):

@@ -50,8 +50,8 @@ def in_pairs(
     centres_deg : (n,) deg
         Direction of each pair, from x towards y.
     begin : str
-        `first_leg`: the pairs are legs 1 and 2, 3 and 4, 5 and 6 of the list. `second_leg`: they are 2 and
-        3, 4 and 5, 6 and 1, as on the platform of a robot whose base pairs begin with the first leg.
+        `first_leg`: the pairs are legs 0 and 1, 2 and 3, 4 and 5 of the list. `second_leg`: they are 1 and
+        2, 3 and 4, 5 and 0, as on the platform of a robot whose base pairs begin with the first leg.
     """
     half = spacing / 2
     depth = math.sqrt(radius**2 - half**2)

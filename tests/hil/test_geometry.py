@@ -86,10 +86,19 @@ def test_what_cannot_exist_is_refused_with_key_and_value(path, value):
 
 def test_coincident_legs_and_joints_on_a_line_are_refused():
     twice = [BOOK["base_joints"][1], *BOOK["base_joints"][1:]]
-    with pytest.raises(GeometryError, match="legs 1 and 2"):  # their platform joints coincide already
+    with pytest.raises(GeometryError, match="legs 0 and 1 with"):  # their platform joints coincide already
         Platform.from_dict(changed("base_joints", twice))
     with pytest.raises(GeometryError, match="one line"):
         Platform.from_dict(changed("base_joints", [[k, 2 * k, 0] for k in range(6)]))
+
+
+@pytest.mark.parametrize("leg", range(5))
+def test_legs_that_coincide_are_counted_from_0(leg):
+    d = copy.deepcopy(BOOK)
+    for joints in ("base_joints", "platform_joints"):
+        d[joints][leg + 1] = d[joints][leg]
+    with pytest.raises(GeometryError, match=f"legs {leg} and {leg + 1} with both joints"):
+        Platform.from_dict(d)
 
 
 def test_a_missing_and_an_unknown_key_are_named():

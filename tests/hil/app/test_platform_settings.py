@@ -209,7 +209,7 @@ BAD_CIRCLES = [
     ("{radius_m: 2, pair_centres_deg: [0, 120, 240], pair_spacing_m: 4}", "platform.base_joints_m: pair_spacing_m does not fit on the circle, allowed: less than 4"),
     ("{radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300], pairs_begin: second_leg}", "platform.base_joints_m: angles_deg needs no pairs"),
     ("{radius_m: -2, angles_deg: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.radius_m: out of range"),
-    ("{radius_m: 2, angles_deg: [0, 0, 0, 180, 180, 180]}", "platform.base_joints_m: got legs 1 and 2 with both joints in common"),
+    ("{radius_m: 2, angles_deg: [0, 0, 0, 180, 180, 180]}", "platform.base_joints_m: got legs 0 and 1 with both joints in common"),
 ]  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from drivers.protocol import ERROR, Frame, Received
 from drivers.signals import BusState
 
 EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
-"""At most one of each on a channel of this machine."""
+"""At most one of each on a channel of this machine; on one of localcan, in its runtime folder."""
 
 
 class BusEvents(NamedTuple):

@@ -1,7 +1,10 @@
 """Where this user's running programs meet: the runtime folder, and one lock per role on a bus."""
 
+import errno
 import fcntl
+import hashlib
 import os
+import socket
 import tempfile
 import weakref
 from pathlib import Path
@@ -63,10 +66,31 @@ def forget_in_child(holder: Forgets) -> None:
     os.register_at_fork(after_in_child=forget)
 
 
+def _mark(interface: str, channel: str, role: str) -> bytes:
+    """Return the abstract socket name of a role: one for all users of this machine."""
+    name = hashlib.sha256(os.fsencode(f"{interface}\0{channel}\0{role}")).hexdigest()
+    return b"\0hexapod-hil." + name.encode()
+
+
+def role_is_held(interface: str, channel: str, role: str) -> bool:
+    """Tell whether a process of this machine, of any user, has a role on a channel.
+
+    Not on one of localcan, which lies in the runtime folder: another folder has another one.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(_mark(interface, channel, role))
+        except OSError:
+            return False
+    return True
+
+
 class RoleLock:
     """Holds a role (controller, plant) on a channel for as long as the process lives or until `close`.
 
-    The kernel drops the lock with the process, however it ends. Mutable state: the open lock file.
+    A lock file in the runtime folder names the process. Other users, and who has another XDG_RUNTIME_DIR, do
+    not see it; so a role on any interface but localcan is an abstract socket, too. The kernel drops both with
+    the process, however it ends. Mutable state: the open lock file and the socket.
     """
 
     def __init__(self, interface: str, channel: str, role: str) -> None:
@@ -85,12 +109,34 @@ class RoleLock:
                 f"bus {interface}:{channel} already has a {role}, process {other}; "
                 "stop it first, or choose another bus.channel"
             ) from None
+        self._mark: socket.socket | None = None
+        if interface != "localcan":
+            self._bind(interface, channel, role)
         os.ftruncate(self._fd, 0)
         os.pwrite(self._fd, f"{os.getpid()}\n".encode(), 0)
         forget_in_child(self)
 
+    def _bind(self, interface: str, channel: str, role: str) -> None:
+        self._mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            self._mark.bind(_mark(interface, channel, role))
+        except OSError as error:
+            self.close()
+            if error.errno != errno.EADDRINUSE:
+                raise BusError(
+                    f"bus {interface}:{channel}: no lock of the {role}: {error.strerror}"
+                ) from error
+            raise RunError(
+                f"bus {interface}:{channel} already has a {role}, which runs as another user or with another "
+                "XDG_RUNTIME_DIR (sudo, a service, a session that has ended); stop it first, or choose "
+                "another bus.channel"
+            ) from None
+
     def close(self) -> None:
         """Give the role back; in a forked child, close its copy of the lock."""
+        if self._mark is not None:
+            self._mark.close()
+            self._mark = None
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 
 import pytest
 
@@ -10,6 +11,7 @@ from drivers.can.localcan.doorbell import Doorbell
 from drivers.can.localcan.layout import SLOT_DUE, SLOT_PID, SLOT_RUNG, SLOT_SERIAL, SLOTS, slot_at
 from drivers.can.localcan.wire import Wire
 from drivers.errors import BusError
+from drivers.protocol import Frame
 
 pytestmark = pytest.mark.usefixtures("runtime")
 
@@ -58,6 +60,35 @@ def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead():
     finally:
         listener.close()
         caller.close()
+
+
+def test_where_the_runtime_folder_is_removed_nobody_on_the_bus_is_taken_for_dead(runtime, join):
+    nodes = [join() for _ in range(3)]
+    serials = [node.serial for node in nodes]
+    words = nodes[0]._wire.words
+    shutil.rmtree(runtime / "hexapod-hil")
+    for k, node in enumerate(nodes):
+        for other in serials:
+            words[slot_at(other) + SLOT_RUNG] = 0  # it waits for a ring
+        assert node.send([Frame(0x100 + k, b"")]) == 1
+    assert [int(words[slot_at(serial) + SLOT_SERIAL]) for serial in serials] == serials
+
+
+def test_who_is_left_from_before_the_runtime_folder_was_made_anew_removes_nothing_of_those_there_now(
+    runtime, join
+):
+    old = [join() for _ in range(3)]
+    shutil.rmtree(runtime / "hexapod-hil")
+    new = [join() for _ in range(2)]
+    assert [node.serial for node in new] == [node.serial for node in old[:2]], "their names are the same"
+    there = sorted((runtime / "hexapod-hil").iterdir())
+    assert old[0].send([Frame(1, b"")]) == 1
+    for node in old:
+        node.close()
+    assert sorted((runtime / "hexapod-hil").iterdir()) == there
+    for node in new:
+        node.close()
+    assert list((runtime / "hexapod-hil").iterdir()) == []
 
 
 def test_who_takes_the_slot_of_one_killed_while_it_held_time_does_not_hold_it(join):

@@ -40,6 +40,9 @@ class Queue:
     def flush_tx(self) -> None:
         """Nothing waits."""
 
+    def events(self) -> Any:
+        return SimpleNamespace(off=0)
+
     def send(self, frames: tuple[Frame, ...]) -> int:
         self.sent += frames
         return 0

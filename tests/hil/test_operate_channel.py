@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.can.runtime_folder import RoleLock
 from drivers.errors import RunError
 from hil.operate.channel import AT_MOST, MOST_CLIENTS, Heard, OperatorChannel
 from hil.operate.client import OperatorClient, socket_path
@@ -381,6 +382,22 @@ def test_without_a_controller_the_client_says_so():
     socket_path("localcan", "hil/0").touch()
     with pytest.raises(RunError, match="no controller runs"):
         OperatorClient("localcan", "hil/0")
+
+
+@pytest.mark.usefixtures("runtime")
+def test_of_a_controller_that_does_not_listen_in_this_runtime_folder_the_client_does_not_say_that_none_runs(
+    monkeypatch, tmp_path
+):
+    channel = f"of-{os.getpid()}"
+    with OperatorChannel("kvaser", channel):
+        held = RoleLock("kvaser", channel, "controller")
+        OperatorClient("kvaser", channel).close()
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+        with pytest.raises(RunError, match=f"bus kvaser:{channel} has a controller.*another XDG_RUNTIME_DIR"):
+            OperatorClient("kvaser", channel)
+        held.close()
+        with pytest.raises(RunError, match="no controller runs"):
+            OperatorClient("kvaser", channel)
 
 
 def test_a_controller_that_ends_is_said(runtime):

@@ -1,6 +1,7 @@
 """Doorbells: a datagram socket per participant, by which another one says that there is something to see."""
 
 import contextlib
+import os
 import select
 import socket
 from pathlib import Path
@@ -12,13 +13,14 @@ from drivers.errors import BusError
 class Doorbell:
     """The doorbell of one participant, and the way to those of the others, by their serial numbers.
 
-    Mutable state: the socket.
+    Mutable state: the socket, and its file as it was made.
     """
 
     def __init__(self, channel: str) -> None:
         self._prefix = f"{runtime_folder()}/{safe_name(channel)}."
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._own: tuple[Path, os.stat_result] | None = None
         self.fileno = self._socket.fileno
         self.close = self._socket.close
 
@@ -29,6 +31,7 @@ class Doorbell:
             path.unlink(missing_ok=True)
             self._socket.bind(str(path))
             path.chmod(0o600)
+            self._own = path, path.stat()
         except OSError as error:
             raise BusError(
                 f"localcan: cannot open the socket {path}: {error}; "
@@ -36,18 +39,36 @@ class Doorbell:
             ) from error
 
     def ring(self, serial: int) -> bool:
-        """Ring a participant; return whether anybody lives there."""
+        """Ring a participant; return whether anybody lives there, as far as can be told."""
         try:
             self._socket.sendto(b"", f"{self._prefix}{serial}")
         except (ConnectionRefusedError, FileNotFoundError):
-            return False
+            return self.astray
         except BlockingIOError:
             pass
         return True
 
+    @property
+    def astray(self) -> bool:
+        """Whether the own socket's file is gone or another one: what is in the folder now says nothing of us.
+
+        Where the user's last session ends, the folder is removed and later made anew.
+        """
+        if self._own is None:
+            return False
+        path, made = self._own
+        try:
+            return not os.path.samestat(path.stat(), made)
+        except OSError:
+            return True
+
     def remove(self, serial: int) -> None:
         """Remove what a participant leaves in the file system."""
-        Path(f"{self._prefix}{serial}").unlink(missing_ok=True)
+        path = Path(f"{self._prefix}{serial}")
+        if not self.astray:
+            path.unlink(missing_ok=True)
+        if self._own is not None and self._own[0] == path:
+            self._own = None
 
     def silence(self) -> None:
         """Take all rings that have come."""

@@ -168,7 +168,7 @@ class Participant(NoController):
         self._closed = True
         if self._lent_clock is None:
             self.clock.leave()
-        alone = self._wire.lock()
+        alone = self._wire.lock() and not self._bell.astray
         try:
             self._remove(self.serial)
             if alone and not any(s.serial and self._bell.ring(s.serial) for s in self._wire.slots()):

@@ -63,7 +63,7 @@ def state_homing(
 def _no_run(c: Configuration, path: Path) -> Iterator[None]:
     """Hold the buses, so that no run begins meanwhile. Raises ConfigurationError where one is in progress.
 
-    It holds for runs of this user on this machine: another one's nobody sees.
+    It holds for runs on this machine; on localcan, for those with the same runtime folder.
     """
     with ExitStack() as stack:
         for bus in c.bus.buses:

@@ -1,0 +1,79 @@
+"""A role on a channel of hardware is one of the whole machine, whatever runtime folder a process has."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from drivers.can.runtime_folder import RoleLock, role_is_held
+from drivers.errors import RunError
+
+CHANNEL = f"of-{os.getpid()}"
+"""No other process of this machine has it."""
+
+
+@pytest.fixture
+def elsewhere(monkeypatch, tmp_path):
+    """Go to another runtime folder, as another user or a service has it."""
+
+    def go(name: str) -> None:
+        folder = tmp_path / name
+        folder.mkdir(exist_ok=True)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+
+    go("a")
+    return go
+
+
+@pytest.mark.parametrize("role", ["controller", "plant"])
+@pytest.mark.parametrize("interface", ["socketcan", "kvaser", "udp_multicast"])
+def test_a_role_on_hardware_is_refused_to_who_sees_another_runtime_folder(elsewhere, interface, role):
+    held = RoleLock(interface, CHANNEL, role)
+    elsewhere("b")
+    try:
+        for _ in range(2):
+            assert role_is_held(interface, CHANNEL, role)
+            with pytest.raises(RunError, match=f"{interface}:{CHANNEL} already has a {role}.*another user"):
+                RoleLock(interface, CHANNEL, role)
+        other = "plant" if role == "controller" else "controller"
+        for free in ((interface, CHANNEL, other), (interface, CHANNEL + "b", role), ("pcan", CHANNEL, role)):
+            assert not role_is_held(*free)
+            RoleLock(*free).close()
+    finally:
+        held.close()
+    assert not role_is_held(interface, CHANNEL, role)
+    RoleLock(interface, CHANNEL, role).close()
+
+
+def test_who_sees_the_same_runtime_folder_is_told_the_process(elsewhere):
+    held = RoleLock("kvaser", CHANNEL, "controller")
+    with pytest.raises(RunError, match=f"already has a controller, process {os.getpid()}"):
+        RoleLock("kvaser", CHANNEL, "controller")
+    held.close()
+
+
+def test_a_role_that_is_refused_leaves_nothing_taken_in_the_own_folder(elsewhere):
+    held = RoleLock("kvaser", CHANNEL, "plant")
+    elsewhere("b")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(RunError):
+        RoleLock("kvaser", CHANNEL, "plant")
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    held.close()
+    RoleLock("kvaser", CHANNEL, "plant").close()
+
+
+def test_a_forked_child_that_forgets_a_role_does_not_keep_it(elsewhere):
+    held = RoleLock("kvaser", CHANNEL, "plant")
+    held.forget()
+    assert not role_is_held("kvaser", CHANNEL, "plant")
+
+
+def test_on_localcan_another_runtime_folder_has_another_bus_and_its_own_roles(elsewhere):
+    here = RoleLock("localcan", CHANNEL, "controller")
+    elsewhere("b")
+    there = RoleLock("localcan", CHANNEL, "controller")
+    for lock in (here, there):
+        lock.close()

@@ -125,11 +125,21 @@ def interrupt(words: Ints, state: Ints, gettime: int, at: int) -> None:
     store(words, CLOCK_AT, FOREIGN)
 
 
+@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
+def share(other: Ints, words: Ints, state: Ints, gettime: int, at: int) -> None:
+    """Let the clock of another wire lag by as much; where a stranger has sent there, time stands no more."""
+    raise_to(other, OFFSET_AT, load(words, OFFSET_AT))
+    if load(other, CLOCK_AT) == FOREIGN and load(words, CLOCK_AT) == HELD:
+        read_clock(words, state, gettime, at)
+        raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
+        store(words, CLOCK_AT, FOREIGN)
+
+
 class BenchClock(Clock):
     """The clock of one participant on a localcan wire.
 
-    Mutable state: the shared words; the last reading; whether this participant holds time, and for how long
-    it has waited for another one that holds time back.
+    Mutable state: the shared words, and those of other wires that go by it; the last reading; whether this
+    participant holds time, and for how long it has waited for another one that holds time back.
     """
 
     def __init__(self, words: Ints, serial: int, bell: Doorbell) -> None:
@@ -140,6 +150,7 @@ class BenchClock(Clock):
         state[_AT] = SLOTS_AT + serial % SLOTS * SLOT + SLOT_DUE
         state[_CLOCK_ID] = time.CLOCK_MONOTONIC
         self.arguments = words, state, _GETTIME, state.ctypes.data + 8 * _SECONDS
+        self._lent: list[Ints] = []
         self._waiting_for = (0, 0)
         self._waited_ns = self._asked_ns = self._looked_ns = 0
         self.holds = False
@@ -147,6 +158,20 @@ class BenchClock(Clock):
     def now(self) -> int:
         """Return bench time."""
         return int(read(*self.arguments))
+
+    # other wires
+    def lend(self, words: Ints) -> None:
+        """Be the clock of another wire, too: a stranger there goes by the words of that."""
+        self._lent.append(words)
+        self._share()
+
+    def take_back(self, words: Ints) -> None:
+        """Be the clock of another wire no more."""
+        self._lent = [each for each in self._lent if each is not words]
+
+    def _share(self) -> None:
+        for words in self._lent:
+            share(words, *self.arguments)
 
     # holding time
     def begin(self, wake_ns: int, work_ns: int) -> None:
@@ -156,7 +181,9 @@ class BenchClock(Clock):
         """
         words = self._words
         words[WAKE_AT], words[WORK_AT] = max(1, wake_ns), max(1, work_ns)
-        words[CLOCK_AT] = HELD
+        for each in (*self._lent, words):
+            each[OFFSET_AT] = words[OFFSET_AT]
+            each[CLOCK_AT] = HELD
 
     def hold(self) -> None:
         """Hold time as soon as it may stand still on this wire."""
@@ -166,11 +193,13 @@ class BenchClock(Clock):
         """Say that this participant will wait again within so long, or 0: within what work may take."""
         if self.holds:
             promise(*self.arguments, -(allowed_ns or int(self._words[WORK_AT])))
+            self._share()
 
     def waiting(self, until_ns: int) -> None:
         """Say that this participant sleeps until then."""
         if self.holds:
             promise(*self.arguments, until_ns + int(self._words[WAKE_AT]))
+            self._share()
 
     def sends(self) -> None:
         """Take note that this participant sends: time does not stand still for a stranger."""
@@ -183,6 +212,7 @@ class BenchClock(Clock):
         """Hold time no longer."""
         if self.holds:
             promise(*self.arguments, 0)
+            self._share()
             self._words[self._state[_AT]] = 0
             self.holds = False
 

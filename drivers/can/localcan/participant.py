@@ -57,7 +57,8 @@ class Participant(NoController):
     The timing (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
     `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
     `tx_limit`: frames that may wait for the bus before `send` takes no more. `clock`: of a participant on
-    another channel, whose time is this one's too; by default the channel has its own.
+    another channel, whose time is this one's too; by default the channel has its own. Who joins this channel
+    by itself goes by the channel's, which is kept to the lent one's.
 
     Mutable state: the shared wire; what this reader knows of its log; frames received by a look that was
     not for them; the kinds of frames that have passed the check, with priority and duration.
@@ -136,6 +137,8 @@ class Participant(NoController):
         self._bell.bind(self.serial)
         wire.register(self.serial, os.getpid())
         self.clock = self._lent_clock or BenchClock(wire.words, self.serial, self._bell)
+        if self._lent_clock is not None:
+            self._lent_clock.lend(wire.words)
 
     def _agree(self, timing: BitTiming | None, fd: bool | None, others: list[Slot]) -> None:
         wire = self._wire
@@ -168,6 +171,8 @@ class Participant(NoController):
         self._closed = True
         if self._lent_clock is None:
             self.clock.leave()
+        else:
+            self._lent_clock.take_back(self._wire.words)
         alone = self._wire.lock() and not self._bell.astray
         try:
             self._remove(self.serial)

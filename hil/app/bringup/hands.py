@@ -22,6 +22,7 @@ from hil.app.bringup.rehearsal import PATIENCE, BenchHands, build_bench, mounted
 from hil.app.bringup.words import wiring_of
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_rules import refuse_on_trestles
 from hil.app.plant import Bench
 from hil.bringup.context import Act, Operator, Request
 
@@ -37,8 +38,10 @@ def hands_socket(interface: str, channel: str) -> Path:
 def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
     """Yield a bench wired with some mistakes, whose hands are asked by a socket.
 
-    Raises ConfigurationError for mistakes that are none, RunError where somebody else serves them.
+    Raises ConfigurationError for mistakes that are none, and for faults, of which the process's own alone can
+    strike there; RunError where somebody else serves them.
     """
+    refuse_on_trestles([] if c.plant is None else c.plant.faults)
     path = hands_socket(c.bus.interface, c.bus.channel)
     if asked(path):
         raise RunError(f"{path}: another bench is served on this bus; end it first")

@@ -64,3 +64,15 @@ def cannot_serve(command: str, faults: Sequence[Fault]) -> Iterator[str]:
                 f"{place}: mode {fault.mode}: the plant's end does not know the controller's mode; leave "
                 "mode out and count at_s from the drives' power-up, or use `hil sim`"
             )
+
+
+def refuse_on_trestles(faults: Sequence[Fault]) -> None:
+    """Raise ConfigurationError for faults that a bench of `hil plant --bench` would not have."""
+    wrong = [
+        f"plant.faults[{n}]: {fault.kind}: the drives of --bench have the mistakes of --mistake and no "
+        f"faults; allowed with it: {', '.join(kind.model_fields['kind'].default for kind in PROCESS)}"
+        for n, fault in enumerate(faults)
+        if not isinstance(fault, PROCESS)
+    ]
+    if wrong:
+        raise ConfigurationError(*wrong)

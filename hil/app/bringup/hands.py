@@ -78,11 +78,16 @@ def _serve(door: socket.socket, hands: BenchHands) -> None:
         try:
             act, leg, value = json.loads(data)
             request = Request(act, int(leg), float(value))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError, RecursionError):
             return  # no request of a bring-up
         if act not in get_args(Act) or not -1 <= request.leg < LEGS or not math.isfinite(request.value):
             return
-        hands.ask(request)
+        try:
+            hands.ask(request)
+        except LookupError:
+            return  # there is no such pose
+        if sender is None:
+            return  # whose socket has no name cannot be told
         with contextlib.suppress(OSError):
             door.sendto(json.dumps(hands.answer()).encode(), sender)
 

@@ -1,7 +1,9 @@
-"""A bench that is served: what it refuses."""
+"""A bench that is served: what it refuses, and that no request of a stranger ends it."""
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import tempfile
 from collections.abc import Iterator
 
@@ -11,6 +13,7 @@ from drivers.errors import ConfigurationError
 from hil.app.bringup.hands import hands_socket, served_bench
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import with_faults
+from hil.app.plant import Bench
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.process import PROCESS
 
@@ -23,6 +26,18 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="hil-") as name:
         monkeypatch.setenv("XDG_RUNTIME_DIR", name)
         yield
+
+
+@pytest.fixture
+def stranger() -> Iterator[socket.socket]:
+    """A socket without a name of its own: nobody can answer it."""
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as door:
+        yield door
+
+
+def ask(bench: Bench, door: socket.socket, request: bytes) -> None:
+    door.sendto(request, str(hands_socket(C.bus.interface, C.bus.channel)))
+    bench.hands()
 
 
 WORDS = {
@@ -53,3 +68,39 @@ def test_the_faults_of_its_own_process_are_served_with_a_bench() -> None:
     faults = ["process_kill at=9", "process_stop at=3 for=0.1", "process_slow by=1"]
     with served_bench(with_faults(C, faults), []) as bench:
         assert bench.nodes.waiting == ()
+
+
+@pytest.mark.usefixtures("folder")
+def test_who_has_no_address_is_not_answered_and_the_bench_goes_on(stranger: socket.socket) -> None:
+    with served_bench(C, []) as bench:
+        ask(bench, stranger, b'["weigh", -1, 0.0]')
+        ask(bench, stranger, b'["place", 3, 1.0]')
+        bound = f"{hands_socket(C.bus.interface, C.bus.channel)}-me"
+        stranger.bind(bound)
+        ask(bench, stranger, b'["measure", 3, 0.0]')
+        stranger.setblocking(False)
+        # the end of a stroke of 0.75 to 2.2 m: what was asked without an address was done
+        assert float(stranger.recv(100)) == pytest.approx(2.2, abs=1e-3)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    "request_",
+    [
+        b'["weigh", Infinity, 0]',
+        b'["weigh", 1e999, 0]',
+        b'["weigh", -1, ' + b"1" * 400 + b"]",
+        b'["hang", -1, 1000]',
+        b"[" * 4096,
+    ],
+    ids=["no leg", "a leg without end", "no number", "no such pose", "too deep"],
+)
+def test_a_request_that_means_nothing_does_not_end_a_bench(stranger: socket.socket, request_: bytes) -> None:
+    with served_bench(C, []) as bench:
+        stranger.bind(f"{hands_socket(C.bus.interface, C.bus.channel)}-me")
+        stranger.setblocking(False)
+        ask(bench, stranger, request_)
+        with pytest.raises(BlockingIOError):
+            stranger.recv(100)
+        ask(bench, stranger, b'["read_way", -1, 0]')
+        assert float(stranger.recv(100)) == 1.0

@@ -177,7 +177,10 @@ class MirrorReader:
         return int(self._words[_NEWEST])
 
     def read(self) -> Piece | None:
-        """Return the newest piece; None while there is none, or the writer was too fast a thousand times."""
+        """Return the newest piece; None while there is none, or the writer was too fast a thousand times.
+
+        Raises ValueError or LookupError where the writer, of another version, has figures of another size.
+        """
         for _ in range(_ATTEMPTS):
             number = self._words[_NEWEST]
             if number == 0:

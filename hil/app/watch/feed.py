@@ -48,21 +48,23 @@ class Feed:
         reader = self._reader
         if reader is None or self._foreign or (reader.newest == self._number and now - self._made < REPEAT_S):
             return False
-        piece = reader.read()
-        if piece is None:
-            return False
-        self._number, self._made = piece.number, now
         try:
+            piece = reader.read()
+            if piece is None:
+                return False
             shown = state(piece, reader.about, time.monotonic_ns())
+            told = [_told(each) for each in piece.events] if piece.events != self._events else None
             self.state = event("state", shown | {"run": self.run, "ended": reader.ended, "said": self.said})
-        except (LookupError, TypeError, ValueError):  # columns or figures have other names or shapes
+            if told is not None:
+                self.events = event("events", told)
+        except (AttributeError, LookupError, TypeError, ValueError):  # other names, shapes or sizes
             self._foreign, self.state = True, b""
             self._complain(str(foreign(self._path)))
             return False
-        if piece.events != self._events:
+        self._number, self._made = piece.number, now
+        if told is not None:
             self._events = piece.events
             self.heard += 1
-            self.events = event("events", [_told(each) for each in piece.events])
         return True
 
     def _follow(self) -> None:

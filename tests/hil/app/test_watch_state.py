@@ -132,3 +132,34 @@ def test_a_page_that_is_open_is_told_once_that_what_runs_now_cannot_be_read(tmp_
     told = page.told(feed, 40.0, "about")
     assert "use the version that runs there" in told[-1]["trouble"]
     mirror.close()
+
+
+FEWER = np.dtype([(name, FIGURES[name]) for name in FIGURES.names[:-1]])  # type: ignore[index]
+MORE = np.dtype([*FIGURES.descr, ("later_ns", "<i8")])
+OTHER_PIECES = {
+    "a figure less": (FEWER, BEGUN),
+    "a figure less, no event": (FEWER, []),
+    "a figure more": (MORE, BEGUN),
+    "a figure more, no event": (MORE, []),
+    "no figures": (np.dtype([]), []),
+    "events without a level": (FIGURES, [{"number": 1, "t_ns": 5, "text": "begun"}]),
+    "events that are words": (FIGURES, ["begun"]),
+    "events with numbers for text": (FIGURES, [{**BEGUN[0], "text": 5}]),
+}
+
+
+@pytest.mark.parametrize("case", OTHER_PIECES)
+def test_of_a_run_whose_pieces_are_made_otherwise_the_page_is_told_so_and_goes_on(tmp_path, case):
+    figures, events = OTHER_PIECES[case]
+    path, page = tmp_path / "mirror", Page()
+    feed = Feed(path)
+    other = Mirror(path, {**ABOUT, "name": "other", "columns": describe(TICKS.columns)})
+    other.write(np.zeros((), ROW), np.zeros((), figures), json.dumps(events).encode())
+    assert "use the version that runs there" in page.told(feed, 0.0, "about")[-1]["trouble"]
+    assert page.told(feed, 10.0, "about") == [], "it is said once"
+    assert feed.state == b""
+    other.close()
+    mirror = shown(path, "good")
+    assert [about["name"] for about in page.told(feed, 20.0, "about")] == ["good"]
+    assert [e["text"] for e in json.loads(feed.events.partition(b"data: ")[2])] == ["begun"]
+    mirror.close()

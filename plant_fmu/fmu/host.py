@@ -7,7 +7,8 @@ import contextlib
 import ctypes as ct
 import os
 import tempfile
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import fmpy
@@ -34,6 +35,15 @@ _REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED
 _APPLIED = fmu_call.MEASURED + 18
 """Where the applied forces stand among the outputs: behind pose and twist."""
 _STEPPED = {fmu_call.OUTPUTS_REFUSED, fmu_call.OUTPUT_NOT_FINITE}
+_READ_BY_OTHERS = {
+    "modelDescription.xml",
+    "model.png",
+    "documentation",
+    "licenses",
+    "sources",
+    "terminalsAndIcons",
+}
+"""Of an archive: what tools read and people, not the FMU itself."""
 _LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
@@ -60,12 +70,25 @@ def _refuse_negative(fmu: Any) -> None:
     fmu._call = judged  # noqa: SLF001
 
 
+def _needs_library_alone(members: Sequence[str], library: str) -> bool:
+    """Tell whether an FMU whose library is loaded has no file of its own left that it could read."""
+    return all(
+        member == library
+        or member.endswith("/")
+        or member.split("/", 1)[0] in _READ_BY_OTHERS
+        or (member.startswith("binaries/") and PurePosixPath(member).parent != PurePosixPath(library).parent)
+        for member in members
+    )
+
+
 class FmuHost:
     """Plant in front of one FMU instance.
 
     Mutable state: the FMU instance, the tick count behind the communication time, the transfer buffers,
     the inputs that the FMU holds.
-    Closing terminates and frees the instance and removes the folder that the FMU was unpacked to.
+    Closing terminates and frees the instance and removes the folder that the FMU was unpacked to. Where the
+    FMU can want nothing of that but its library, as ours, it is removed once that is loaded: a process that
+    is killed leaves nothing behind.
     """
 
     def __init__(self, spec: FmuSpec) -> None:
@@ -84,6 +107,8 @@ class FmuHost:
                 self._interface: Interface = read_interface(xml, names, spec)
                 extract(archive, spec.path, Path(self._folder.name))
             self._load()
+            if _needs_library_alone(names, self._interface.library):
+                self._folder.cleanup()
             self._prepare_calls()
             self.reset()
         except BaseException:

@@ -28,6 +28,15 @@ def spec(path, **changes):
     return FmuSpec(**{"path": Path(path), "step_s": 1e-3, **names, **changes})
 
 
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder that FMUs are unpacked in."""
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    return folder
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_simulate_fmu_with_an_output_interval_agrees_to_1e_12(version):
     if version == "2.0":
@@ -51,15 +60,52 @@ def test_fmpy_simulate_fmu_with_an_output_interval_agrees_to_1e_12(version):
     assert np.abs(rows[-1] - rows[0]).max() > 1e-3
 
 
-def test_closing_removes_the_unpacked_files_and_can_be_repeated():
-    host = FmuHost(spec(build("3.0")))
-    folder = Path(host._folder.name)
+def test_closing_removes_the_unpacked_files_and_can_be_repeated(tmp_path, temporary):
+    """They stay for as long as the FMU may read them."""
+    host = FmuHost(spec(rewritten(build("3.0"), tmp_path / "reads.fmu", extra=[("resources/a", b"x")])))
+    (folder,) = temporary.iterdir()
     assert (folder / XML).is_file()
+    assert (folder / "resources/a").read_bytes() == b"x"
     host.close()
     host.close()
     assert not folder.exists()
     with pytest.raises(PlantError, match="closed"):
         host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_our_fmu_has_no_file_left_while_it_runs_so_that_a_process_that_is_killed_leaves_none(
+    version, temporary
+):
+    host = FmuHost(spec(build(version)))
+    assert list(temporary.iterdir()) == []
+    moved = [host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)[0] for _ in range(2)]
+    host.reset()
+    again = host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)[0]
+    host.close()
+    assert not np.array_equal(moved[0], moved[1])
+    np.testing.assert_array_equal(again, moved[0])
+
+
+@pytest.mark.parametrize(
+    ("member", "stays"),
+    [
+        ("documentation/index.html", False),
+        ("binaries/x86_64-windows/stewart.dll", False),
+        ("binaries/x86_64-linux/helper.so", True),
+        ("resources/table.csv", True),
+        ("extra/maker/data", True),
+        ("data", True),
+    ],
+)
+def test_files_that_an_fmu_may_read_later_stay_and_those_for_people_and_tools_do_not(
+    tmp_path, temporary, member, stays
+):
+    host = FmuHost(spec(rewritten(build("3.0"), tmp_path / "x.fmu", extra=[(member, b"x")])))
+    there = [(folder / member).read_bytes() for folder in temporary.iterdir()]
+    host.close()
+    assert there == [b"x"] * stays
+    assert list(temporary.iterdir()) == []
 
 
 def test_hosting_leaves_the_working_directory_alone(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """`hil plant` as a child of `hil run --plant`: started, watched, asked to end, never orphaned for long."""
 
+import fcntl
 import json
 import os
 import select
@@ -18,6 +19,9 @@ START_S = 60.0
 """Building the FMU and compiling may come first, or a plant whose daemon was killed may have to leave."""
 END_S = 20.0
 """Longest time to close the plant's log."""
+LAST_BYTES = 4096
+LAST_LINES = 10
+"""So much is told of what the plant has said: its model may say something at each step."""
 
 
 class SupervisedPlant:
@@ -37,6 +41,9 @@ class SupervisedPlant:
         alive_read, self._alive = os.pipe()
         self._report, report_write = os.pipe()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
+        # The plant shortens it where it gets long: what it says then goes behind what is left.
+        flags = fcntl.fcntl(self._errors, fcntl.F_GETFL)
+        fcntl.fcntl(self._errors, fcntl.F_SETFL, flags | os.O_APPEND)
         self._process = start(
             "hil.cli", "plant", configuration.source, "--log", str(log),
             "--supervisor", str(alive_read), "--report", str(report_write),
@@ -53,7 +60,7 @@ class SupervisedPlant:
     def __enter__(self) -> Self:
         """Wait until the plant serves its drives.
 
-        Raises PlantError with the plant's own message if it does not start.
+        Raises PlantError with the plant's own message if it does not start, or where it takes too long.
         """
         try:
             readable, _, _ = select.select([self._report], [], [], START_S)
@@ -63,7 +70,7 @@ class SupervisedPlant:
             raise
         if not served:
             self._end()
-            message = self._message()
+            message = self._message() if readable else _late(self._last_words())
             self.__exit__()
             raise PlantError(f"the plant did not start: {message}")
         return self
@@ -101,9 +108,8 @@ class SupervisedPlant:
                 self._process.wait()
 
     def _message(self) -> str:
-        """Return the last line of the plant, or how it ended."""
-        self._errors.seek(0)
-        text = self._errors.read().decode(errors="replace").strip()
+        """Return how the plant ended, and its last words."""
+        text = self._last_words()
         code = self._process.returncode
         how = (
             f"was killed by {signal.Signals(-code).name}"
@@ -112,9 +118,25 @@ class SupervisedPlant:
         )
         return f"{how}: {text}" if text else how
 
+    def _last_words(self) -> str:
+        """Return the last lines of what the plant has said, LAST_LINES and LAST_BYTES at most."""
+        file = self._errors.fileno()
+        before = max(0, os.fstat(file).st_size - LAST_BYTES)
+        lines = os.pread(file, LAST_BYTES, before).decode(errors="replace").splitlines()
+        whole = lines[1:] if before and len(lines) > 1 else lines
+        return "\n".join([line for line in whole if line.strip()][-LAST_LINES:]).strip()
+
     def __exit__(self, *error: object) -> None:
         self._end()
         if not self._errors.closed:
             self._errors.close()
             os.close(self._alive)
             os.close(self._report)
+
+
+def _late(last_words: str) -> str:
+    text = (
+        f"it did not serve within {START_S:g} s and was stopped. The first start on a machine compiles: "
+        "`hil sim` with this configuration does that, too, and may take its time; then try again"
+    )
+    return f"{text}. Its last words: {last_words}" if last_words else text

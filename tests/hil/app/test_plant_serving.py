@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from types import SimpleNamespace
 from typing import Any
 
@@ -72,3 +73,28 @@ def test_the_plant_of_a_run_waits_for_the_orphan_of_the_one_before_and_any_other
     with pytest.raises(RunError, match="in use"):
         plant.run_plant(load("virtual"), supervisor=supervisor)
     assert asked == [patience_s]
+
+
+@pytest.mark.parametrize("supervised", [False, True])
+def test_the_words_of_a_plant_are_shortened_where_they_go_to_the_file_of_its_supervisor(
+    monkeypatch, supervised
+):
+    bus: Any = Waited()
+    stop, shortened = plant._Stop(), list[int]()
+
+    def step(now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
+        if now_ns > 2 * plant.LOOK_NS + 2 * plant.IDLE_NS:
+            stop.reason = "enough"
+        return []
+
+    monkeypatch.setattr(plant, "shorten", shortened.append)
+    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of)
+    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
+    faults: Any = SimpleNamespace(strike=lambda _: None)
+    reading, writing = os.pipe()
+    plant._serve(
+        bench, bus, None, stop, None, reading if supervised else None, faults, build_protocol(load("virtual"))
+    )
+    os.close(reading)
+    os.close(writing)
+    assert shortened == [2, 2, 2] * supervised

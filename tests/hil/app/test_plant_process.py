@@ -1,0 +1,119 @@
+"""What `hil run --plant` tells of a plant that does not serve, or has ended, and how much of its words it keeps."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.errors import PlantError
+from hil.app import plant
+from hil.app.run import plant_process
+from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
+
+Begin = Callable[[str], SupervisedPlant]
+SERVES = "echo >&$report; "
+SPEAKS = "i=0; while [ $i -lt 3000 ]; do echo step $i of the model >&2; i=$((i+1)); done; "
+
+
+@pytest.fixture
+def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
+    """Begin a plant that is a script of a shell; `$report` is the pipe that it says in that it serves."""
+
+    def start(_module: str, *words: str, **options: Any) -> subprocess.Popen[bytes]:
+        report = words[words.index("--report") + 1]
+        return subprocess.Popen(["/bin/bash", "-c", f"report={report}; {given[-1]}"], **options)
+
+    given: list[str] = []
+    monkeypatch.setattr(plant_process, "start", start)
+
+    def run(script: str) -> SupervisedPlant:
+        given.append(script)
+        c: Any = SimpleNamespace(source="virtual")
+        return SupervisedPlant(c, Path("x-plant.mcap"))
+
+    return run
+
+
+@pytest.mark.parametrize("said", ["", "it compiles"])
+def test_a_plant_that_takes_too_long_to_serve_is_said_to_and_not_to_have_been_killed(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch, said: str
+) -> None:
+    slow, waited_s = begin(f"echo {said} >&2; kill -STOP $$; exec sleep 60"), []
+
+    def time_is_over(_r: Any, _w: Any, _x: Any, longest_s: float) -> Any:
+        waited_s.append(longest_s)
+        os.waitid(os.P_PID, slow.pid, os.WSTOPPED)
+        os.kill(slow.pid, signal.SIGCONT)
+        return [], [], []
+
+    monkeypatch.setattr(plant_process, "select", SimpleNamespace(select=time_is_over))
+    with pytest.raises(PlantError) as refused, slow:
+        pass
+    text = str(refused.value)
+    assert waited_s == [60.0]
+    assert "did not start: it did not serve within 60 s" in text
+    assert "`hil sim`" in text
+    assert "SIGTERM" not in text
+    assert text.endswith(f"Its last words: {said}" if said else "try again")
+
+
+def test_of_a_plant_that_ends_before_it_serves_the_code_and_all_of_a_short_message_are_told(
+    begin: Begin,
+) -> None:
+    with (
+        pytest.raises(PlantError, match=r"^the plant did not start: ended with exit code 2: one\ntwo$"),
+        begin("echo one >&2; echo >&2; echo two >&2; exit 2"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("serves", [False, True])
+def test_of_a_plant_whose_model_speaks_at_each_step_the_last_lines_are_told(
+    begin: Begin, *, serves: bool
+) -> None:
+    if serves:
+        with begin(f"{SERVES}{SPEAKS} kill -SEGV $$") as ended:
+            ended._process.wait()
+            text = ended.trouble().partition("was killed by SIGSEGV: ")[2]
+            assert ended.finish()["trouble"] == ended.trouble()
+    else:
+        with pytest.raises(PlantError) as refused, begin(f"{SPEAKS} exit 3"):
+            pass
+        text = str(refused.value).partition("ended with exit code 3: ")[2]
+    assert text.splitlines() == [f"step {n} of the model" for n in range(3000 - LAST_LINES, 3000)]
+
+
+def test_of_a_line_without_end_the_end_is_told(begin: Begin) -> None:
+    with (
+        pytest.raises(PlantError) as refused,
+        begin("head -c 100000 /dev/zero | tr '\\0' x >&2; echo end >&2; exit 1"),
+    ):
+        pass
+    text = str(refused.value).partition("exit code 1: ")[2]
+    assert text == "x" * (LAST_BYTES - 4) + "end"
+
+
+def test_what_a_plant_says_after_it_was_shortened_goes_behind_what_was_left(begin: Begin) -> None:
+    with begin(SERVES) as served:
+        served._process.wait()
+        file = served._errors.fileno()
+        assert fcntl.fcntl(file, fcntl.F_GETFL) & os.O_APPEND
+        line, most = b"a step of the model\n", plant.SAID_BYTES
+        os.write(file, line * (most // len(line)))
+        before = os.fstat(file).st_size
+        plant.shorten(file)
+        assert os.fstat(file).st_size == before <= most, "it is not yet too long"
+        os.write(file, line)
+        plant.shorten(file)
+        os.write(file, b"last\n")
+        assert os.fstat(file).st_size == plant.KEPT_BYTES + 5
+        words = served.trouble().splitlines()
+    assert words[-2:] == ["a step of the model", "last"]

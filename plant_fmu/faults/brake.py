@@ -47,3 +47,7 @@ class BrakeSlipping(LegFault):
     def act(self, present: Present) -> None:
         """Several shares multiply."""
         present.share[self.leg] *= self.share
+
+
+BRAKES = (BrakeStuckOpen, BrakeStuckClosed, BrakeSlipping)
+"""What is of the plant's brake alone."""

@@ -16,6 +16,7 @@ from hil.app.compare.plot import draw
 from hil.app.compose import build_nodes
 from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_rules import not_brought_about
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.unattended import unattended
 from hil.app.output import picture_path
@@ -65,7 +66,7 @@ def compare(
     believed = {name: with_scale(s, c.compare.inertia_scale) for name, s in settings.items()}
     compared = without_limits(c) if lift_limits else c
     duration = _duration(c, duration_s)
-    _refuse_late(c, duration)
+    _refuse_load(c, duration)
     build_nodes(c)[1].close()  # each law would fail of a plant that cannot be opened
     work = _jobs(compared, believed, extra, duration)
     done = {(o.law, o.path): o for o in _perform(work, jobs, progress)}
@@ -143,8 +144,11 @@ def _duration(c: Configuration, given: float | None) -> float:
     return period
 
 
-def _refuse_late(c: Configuration, duration: float) -> None:
+def _refuse_load(c: Configuration, duration: float) -> None:
+    """Refuse a load that the plant cannot carry, or that comes too late."""
     d = c.compare.disturbance
+    if d is not None and c.plant is not None and (why := not_brought_about(c.plant, "wrench_step")):
+        raise ConfigurationError(f"{c.source}: compare.disturbance (--wrench): {why}")
     if d is not None and d.start_s >= duration:
         raise ConfigurationError(
             f"{c.source}: compare.disturbance.start_s (--wrench-at): the reference is over before the load "

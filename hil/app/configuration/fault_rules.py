@@ -6,21 +6,37 @@ from pathlib import Path as FilePath
 from drivers.config import BusSettings
 from drivers.errors import ConfigurationError
 from hil.app.configuration.yaml_positions import Path
-from plant_fmu.config import BenchPlant, PlantSettings
+from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings
+from plant_fmu.faults import FAULTS
+from plant_fmu.faults.brake import BRAKES
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.load import LOADS
+from plant_fmu.faults.load import LOADS, PayloadStep, WrenchStep
 from plant_fmu.faults.process import PROCESS
 
 
+def not_brought_about(plant: PlantSettings, kind: str) -> str:
+    """Return why a kind of fault comes to nothing at a plant; empty where it has something to act on."""
+    model, acts = plant.model, FAULTS[kind]
+    if isinstance(model, BenchPlant) and issubclass(acts, LOADS):
+        return f"{kind} needs a platform, and plant type bench has none: use another plant or kind"
+    if not isinstance(model, FmuPlant):
+        return ""
+    if issubclass(acts, PayloadStep):
+        return f"{kind} needs the pose of the platform, which no FMU of one's own tells: use wrench_step"
+    if issubclass(acts, WrenchStep) and not model.wrench:
+        return f"{kind} needs inputs of the FMU: map six in plant.model.wrench, or use another kind"
+    if issubclass(acts, BRAKES) and not model.brake:
+        return f"{kind} needs brakes of the FMU: map six inputs in plant.model.brake, or use another kind"
+    return ""
+
+
 def platform_loads(plant: PlantSettings | None, _: FilePath | None) -> Iterator[tuple[Path, str]]:
-    """Refuse a load where there is no platform to carry it."""
-    if plant is None or not isinstance(plant.model, BenchPlant):
+    """Refuse a fault that comes to nothing at the plant."""
+    if plant is None:
         return
     for n, fault in enumerate(plant.faults):
-        if isinstance(fault, LOADS):
-            message = (
-                f"{fault.kind} needs a platform, and plant type bench has none: use another plant or kind"
-            )
+        message = not_brought_about(plant, str(fault.kind))
+        if message:
             yield ("plant", "faults", n, "kind"), message
 
 

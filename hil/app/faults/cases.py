@@ -10,6 +10,7 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_rules import not_brought_about
 from hil.app.configuration.fault_words import show_fault
 from hil.app.configuration.platform import build_platform
 from hil.app.faults.sizes import SIZES, Robot, draw, robot_of
@@ -125,8 +126,10 @@ def _matches(case: Case, pattern: str) -> bool:
 
 
 def _fits(c: Configuration, name: str) -> bool:
-    bench = c.plant is not None and isinstance(c.plant.model, BenchPlant)
-    return not bench or any(fnmatchcase(name, pattern) for pattern in _BENCH)
+    assert c.plant is not None
+    if not_brought_about(c.plant, name):
+        return False
+    return not isinstance(c.plant.model, BenchPlant) or any(fnmatchcase(name, pattern) for pattern in _BENCH)
 
 
 def _held(c: Configuration) -> Configuration:

@@ -77,7 +77,10 @@ def test_the_outlines_of_upright_rings_do_not_cross_themselves(row, tilt):
         [np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3), np.zeros(6)]
     )
     up = Rotation.from_rotvec(tilt)
-    base, platform = 2.0 * up.apply(hexagon[[2, 0, 4, 1, 5, 3]]), up.apply(hexagon[[1, 5, 0, 3, 2, 4]])
+    base, platform = (
+        radius * up.apply(hexagon[mixed]).round(12) + [3.0, -2.0, 1.0]  # upright to the bit
+        for radius, mixed in ((2.0, [2, 0, 4, 1, 5, 3]), (1.0, [1, 5, 0, 3, 2, 4]))
+    )
     drawn = SceneDrawer(Scene(base.tolist(), platform.tolist())).update(row, Timestamp())
     assert drawn is not None
     lines = {e.id: e.lines[0] for e in SceneUpdate.FromString(drawn).entities if e.lines}

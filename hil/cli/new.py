@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.interrupts import comes_of_interrupt
 from hil.cli.shared import FILE, finish_lines, force_option, reporting
 
 if TYPE_CHECKING:
@@ -119,15 +120,21 @@ def _answers(
 
 
 def _typed(question: Question, default: Any) -> str:
-    """Return what is typed at a question. Raises ConfigurationError: Ctrl-C, Ctrl-D, or the input ended."""
+    """Return what is typed at a question.
+
+    Raises KeyboardInterrupt: Ctrl-C; ConfigurationError: Ctrl-D, or the input ended.
+    """
     from drivers.errors import ConfigurationError
 
     click.echo(f"{question.text}{question.range_text}")
     try:
         return str(click.prompt(f"  {question.key}", default=question.shown(default)))
-    except click.Abort:
+    except click.Abort as error:
         click.echo()
-        raise ConfigurationError(
-            f"hil new: ended at {question.key}, nothing is written; begin again, or give what was answered "
-            f"as options ({question.option} for this one)"
-        ) from None
+        there = (
+            f"at {question.key}, nothing is written; begin again, or give what was answered as options "
+            f"({question.option} for this one)"
+        )
+        if comes_of_interrupt(error):
+            raise KeyboardInterrupt(there) from None
+        raise ConfigurationError(f"hil new: ended {there}") from None

@@ -59,6 +59,24 @@ def test_an_interrupt_is_one_line_and_130(process, monkeypatch):
     assert process("check") == (INTERRUPTED, "hil: interrupted\n") == (130, "hil: interrupted\n")
 
 
+def test_an_interrupt_of_a_question_is_one_line_that_says_which_and_130(process, monkeypatch, tmp_path):
+    """The end of the input at the same place is a missing answer: 2."""
+
+    def ended(_: str) -> str:
+        raise EOFError
+
+    for work, told, code in (
+        (lambda _: press(), "interrupted at base_radius_m, nothing is written", 130),
+        (ended, "hil new: ended at base_radius_m, nothing is written", 2),
+    ):
+        monkeypatch.setattr("click.termui.visible_prompt_func", work)
+        given, said = process("new", tmp_path / "r.yaml")
+        assert (given, said.count("\n")) == (code, 1)
+        assert said.startswith(f"hil: {told}")
+        assert "(--base-radius for this one)" in said
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_second_press_does_not_disturb_what_closes_the_files(process, monkeypatch):
     closed = []
 

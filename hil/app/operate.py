@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.bus_address import BusAddress
+from drivers.errors import RunError
 from hil.operate.client import OperatorClient
 
 REPEAT_S = 0.02
@@ -59,31 +60,41 @@ def _shown(value: Any) -> str:
 def hold_key(bus: BusAddress, seconds: float | None = None) -> dict[str, Any]:
     """Send a key frame every 20 ms until Ctrl-C, or for `seconds`; return the summary.
 
-    Raises RunError where no controller runs, or it has ended.
+    Its trouble is a controller that ended meanwhile. Raises RunError where none runs.
     """
-    sent, begun = 0, time.monotonic()
+    sent, begun, trouble = 0, time.monotonic(), dict[str, Any]()
     with OperatorClient(*bus) as client, contextlib.suppress(KeyboardInterrupt):
-        while seconds is None or time.monotonic() - begun < seconds:
-            client.key()
-            sent += 1
-            time.sleep(REPEAT_S)
-    return {"success": True, "kind": "ctl", "command": "key", "sent": sent}
+        try:
+            while seconds is None or time.monotonic() - begun < seconds:
+                client.key()
+                sent += 1
+                time.sleep(REPEAT_S)
+        except RunError as error:
+            if not sent:
+                raise
+            trouble = {"success": False, "trouble": str(error)}
+    return {"success": True, "kind": "ctl", "command": "key", "sent": sent} | trouble
 
 
 def jog(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
     """Say a jog word every 20 ms until Ctrl-C, for `seconds`, or until it is refused; return the summary.
 
-    Raises RunError where no controller runs, or it has ended.
+    Its trouble is a controller that refused or ended meanwhile. Raises RunError where none runs or answers.
     """
     line, sent, begun = " ".join(words), 0, time.monotonic()
     result = {"success": True, "kind": "ctl", "command": line}
     with OperatorClient(*bus) as client:
-        with contextlib.suppress(KeyboardInterrupt):
-            while seconds is None or time.monotonic() - begun < seconds:
-                answer = client.say(line)
-                if not answer:
-                    return result | {"success": False, "sent": sent, "trouble": f"refused: {answer.why}"}
-                sent += 1
-                time.sleep(REPEAT_S)
-        client.say(f"jog {words[1]} 0")
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                while seconds is None or time.monotonic() - begun < seconds:
+                    answer = client.say(line)
+                    if not answer:
+                        return result | {"success": False, "sent": sent, "trouble": f"refused: {answer.why}"}
+                    sent += 1
+                    time.sleep(REPEAT_S)
+            client.say(f"jog {words[1]} 0")
+        except RunError as error:
+            if not sent:
+                raise
+            return result | {"success": False, "sent": sent, "trouble": str(error)}
     return result | {"sent": sent}

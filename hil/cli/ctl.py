@@ -50,7 +50,7 @@ def command(
     \b
     Exit code:
       0  taken
-      1  refused; the summary says why
+      1  refused, or the controller ended while a key was held or a jog said; the summary says why
       2  not said: no such configuration, or no controller runs or answers there
     """
     from hil.app import operate

@@ -40,8 +40,9 @@ def command(
     \b
     Exit code:
       0  all set-points were taken
-      1  some were refused, or there were none; the summary says why
-      2  nothing was sent: no such configuration, its reference is not live, or no controller listens
+      1  some were refused, there were none, or the controller ended meanwhile; the summary says why
+      2  nothing was taken: no such configuration, its reference is not live, or no controller listens or
+         answers
     """
     from hil.app.configuration.address import address
     from hil.app.setpoint import send_setpoints

@@ -62,6 +62,7 @@ def told(chosen: Assessment, carried: str, found: Sequence[Assessment], words: S
     """
     worst: dict[str, Any] = {}
     more = []
+    claim = f"{chosen.claim}, with {carried}"
     for figure in _FIGURES:
         values = [figure.of(one.figures) for one in found]
         known = [(figure.worse * value, k) for k, value in enumerate(values) if value is not None]
@@ -73,11 +74,13 @@ def told(chosen: Assessment, carried: str, found: Sequence[Assessment], words: S
         shown = figure.shown.format(value)
         if here is None or figure.shown.format(here) != shown:
             more.append(f"{shown} with {words[k]}")
+            if figure.name == "sag_mm" and chosen.status == "conditional":
+                claim += f"; {value:.3g} mm of leg length off the set-point with {words[k]}"
     line = f"payloads       {len(found)} looked at; claim and figures are with {carried}"
     if more:
         line += f"; worse with another: {'; '.join(more)}"
     return chosen._replace(
-        claim=f"{chosen.claim}, with {carried}",
+        claim=claim,
         lines=[line, *chosen.lines],
         figures=chosen.figures | {"carried": carried, "worst": worst},
     )

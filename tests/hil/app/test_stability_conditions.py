@@ -152,22 +152,22 @@ def test_errors_that_the_steps_of_readings_keep_up_are_not_said_to_die_out(linea
         assert (SURVEYED in found.conditions) == (status == "conditional")
 
 
-@pytest.mark.parametrize(("kind", "step"), [("length", 1e-6), ("rate", 1e-5)])
-def test_steps_in_the_reading_of_one_leg_are_enough(kind, step, monkeypatch):
+@pytest.mark.parametrize(
+    ("length_m", "rate_m_s", "status"),
+    [(0.0, 0.0, "proven"), (1e-6, 0.0, "conditional"), (0.0, 1e-5, "conditional")],
+)
+def test_steps_in_the_reading_of_one_leg_are_enough(length_m, rate_m_s, status, monkeypatch):
     c = held(LINEAR, FINE)
-    coarse = np.zeros(6)
-    coarse[4] = step
-    drives = Drives.of(c)._replace(length=np.zeros(6), rate=np.zeros(6))
-    for each, status in ((drives, "proven"), (drives._replace(**{kind: coarse}), "conditional")):
-        monkeypatch.setattr(Drives, "of", lambda _, each=each: each)
-        assert judge(c).status == status
+    of_one = np.eye(6)[4]
+    drives = Drives.of(c)._replace(length=length_m * of_one, rate=rate_m_s * of_one)
+    monkeypatch.setattr(Drives, "of", lambda _: drives)
+    assert judge(c).status == status
 
 
 def test_of_springs_the_steps_of_forces_and_readings_are_left_out_and_a_condition_says_so(monkeypatch):
     c = held(SPRINGS["pid"])
-    none = np.zeros(6)
-    drives = Drives.of(c)._replace(length=none, rate=none, force=none)
-    for kind in ("", "length", "rate", "force"):
-        each = drives._replace(**{kind: 1e-9 * np.eye(6)[3]}) if kind else drives
+    real, of_one = Drives.of(c), 1e-9 * np.eye(6)[3]
+    for length, rate, force in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)):
+        each = real._replace(length=length * of_one, rate=rate * of_one, force=force * of_one)
         monkeypatch.setattr(Drives, "of", lambda _, each=each: each)
-        assert among(judge(c, quick=True), "have no steps") == bool(kind), kind
+        assert among(judge(c, quick=True), "have no steps") == bool(length + rate + force)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
@@ -11,6 +11,7 @@ from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
+from hil.stability import energy
 from hil.stability.energy import basin, displaced, leg_springs, stiffness_matrix, total, weight, well
 
 PLATFORM = build_platform(load("virtual").platform)
@@ -94,24 +95,30 @@ def test_the_basin_of_a_bowl_is_known():
     assert found.reason == "far"
 
 
-def test_an_edge_that_is_lowest_straight_along_an_axis_is_found():
-    """The softest spring is 0.1 m from the edge, others 0.3 m: the search on from there passes the well itself."""
-    springs = np.array([1000.0, 2000.0, 3000.0])
-    reach = np.array([0.1, 0.3, 0.3])
+def test_a_search_for_the_edge_that_passes_the_well_itself_goes_on(monkeypatch):
+    """From a ray straight along an axis a search along that axis meets the zero, which is no direction."""
 
     def S(p, R):
         assert np.isfinite(p).all()
         r = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-        return 0.5 * springs @ p**2 + 0.5 * np.array([7e3, 8e3, 9e3]) @ r**2
+        return 0.5 * np.array([1e3, 2e3, 3e3]) @ p**2 + 0.5 * np.array([7e3, 8e3, 9e3]) @ r**2
 
     def outside(p, R):
         assert np.isfinite(p).all()
-        return None if (np.abs(p) < reach).all() and np.trace(R) > 1.5 else "far"
+        return None if (np.abs(p) < (0.1, 0.3, 0.3)).all() and np.trace(R) > 1.5 else "far"
 
-    bottom = well(S, np.zeros(3), np.eye(3), 1.0)
-    found = basin(S, bottom, 1.0, outside, rays=5)
-    assert found.level_J == pytest.approx(0.5 * 1000.0 * 0.1**2, rel=1e-4)
+    heights = []
+
+    def along_a_line(height, u, **_):
+        heights.extend(height(u * t) for t in (1.0, 0.0, -1.0))
+        return OptimizeResult(x=u, fun=height(u))
+
+    monkeypatch.setattr(energy, "minimize", along_a_line)
+    found = basin(S, well(S, np.zeros(3), np.eye(3), 1.0), 1.0, outside, rays=5)
+    assert found.level_J == pytest.approx(0.5 * 1e3 * 0.1**2, rel=1e-4)
     assert abs(found.edge_p[0]) == pytest.approx(0.1, rel=1e-4)
+    assert len(heights) == 15
+    assert np.isfinite(heights).all()
 
 
 def condition_of(p, R):

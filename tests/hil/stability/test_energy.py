@@ -107,7 +107,7 @@ def test_a_search_for_the_edge_that_passes_the_well_itself_goes_on(monkeypatch):
         assert np.isfinite(p).all()
         return None if (np.abs(p) < (0.1, 0.3, 0.3)).all() and np.trace(R) > 1.5 else "far"
 
-    heights = []
+    heights: list[float] = []
 
     def along_a_line(height, u, **_):
         heights.extend(height(u * t) for t in (1.0, 0.0, -1.0))

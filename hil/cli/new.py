@@ -48,8 +48,8 @@ def command(
     """Write a configuration of your robot into FILE, from a few figures.
 
     Asks what no option answers, each with its unit and range, and says at once what cannot work. The rest
-    follows by rules that stand beside the numbers in FILE: nothing comes from another robot. What it writes
-    passes `hil check`.
+    follows by rules that stand beside the numbers in FILE, or is called usual there: nothing comes from
+    another robot. What it writes passes `hil check`.
 
     \b
     Examples:

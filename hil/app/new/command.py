@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
 from hil.app.new import derive
-from hil.app.new.drives import drives_section, family
+from hil.app.new.drives import counts_itself, drives_section, family
 from hil.app.new.robot import LOWER_SHARE, platform_section, robot_at_home
 from hil.app.new.text import yaml_text
 from hil.config.reactions import ReactionSettings
@@ -48,6 +48,8 @@ def new_configuration(
         sections["plant"] = _fmu_plant(answers, sections, *fmu, path.parent)
     elif answers["interface"] != "localcan":
         comments["plant"] = "for `hil sim`; `hil run` drives what is on the bus"
+    if counts_itself(answers):
+        comments["plant.drives.encoder_resolution_m"] = "0: the frames have steps of their own"
     if answers["inertia_kg_m2"] is not None:
         comments["platform.platform.inertia_kg_m2"] = "about the centre of mass"
     text = yaml_text([schema_line().removeprefix("# "), *_head(path)], sections, comments)
@@ -59,8 +61,9 @@ def _head(path: Path) -> list[str]:
     return [
         "",
         f"Written by `hil new`. Next: `hil check {name}`, then `hil sim {name}`.",
-        "Numbers without a comment are answers. The others follow from them by the rule beside them; replace",
-        "them as you learn more of your robot. Lengths count from joint centre to joint centre.",
+        "Numbers without a comment, on them or on what they are part of, are answers. The others follow by",
+        "the rule beside them, or are usual; replace them as you learn more of your robot. Lengths count",
+        "from joint centre to joint centre.",
         "",
     ]
 
@@ -146,15 +149,20 @@ def _parameters(proposal: Proposal, a: dict[str, Any], platform: dict[str, Any])
 
 _RATES = ", ".join(f"{rate:g}" for rate in derive.RATES_Hz)
 _COMMENTS = {
+    "bus.channel": "give the name of yours",
+    "bus.bitrate_bit_s": "usual; it has to be that of the drives",
+    "bus.data_bitrate_bit_s": "likewise",
     "bus.channels": "each bus by itself has this layout and bit rate; a bus has neighbouring legs",
     "platform.base_joints_m": "three pairs on a circle",
     "platform.platform_joints_m": "three pairs between them; leg 0 ends at 300 deg + half angle",
     "platform.platform.inertia_kg_m2": "ESTIMATE: a thin disc of this mass and the platform's radius",
     "platform.cylinder": f"ESTIMATE: {LOWER_SHARE:.0%} of the leg, a uniform rod of its retracted length",
     "platform.rod": "ESTIMATE: the rest, likewise",
+    "platform.gravity_m_s2": "towards the base where the platform stands on it, away from it where it hangs",
     "platform.home.position_m": "all legs at mid-stroke",
     "platform.length_max_m": "retracted length + stroke",
     "loop.rate_Hz": f"by default the highest of {_RATES} that the bus carries",
+    "drives.node_ids": "usual; of leg 0 to 5, as they are set in your drives",
     "drives.options.torque_N_m": "what the rated force takes without losses; no more is ever asked for",
     "drives.options.timeout_mode": "servo.timeout_mode 12 of the drives: nothing here reads it back",
     "drives.options.rated_torque_Nm": "0x6076: what the rated force takes without losses; give the drives'",
@@ -165,14 +173,19 @@ _COMMENTS = {
     "drives.transmission.counts_per_turn": "0x608F: one count is the encoder's resolution",
     "drives.transmission.offset_m": "where the drive reads zero: mid-stroke",
     "drives.watchdog_ms": "five periods, at least 10",
+    "controller.damping_ratio": "critical damping",
     "controller.wn_rad_s": f"delay costs {derive.PHASE_deg:g} deg at the crossover, 2.06 wn",
     "controller": "gains that hold in every pose; `hil compare` on this file shows the other laws",
     "monitor.length_noise_m": "two steps of a reading",
     "monitor.rate_noise_m_s": "what the steps of a rate leave of it, and half of that more",
+    "engage.force_ramp_s": "usual: in which force builds up against shut brakes, which tests them",
     "engage.brake_release_s": "twice what the brakes take",
     "engage.brake_close_s": "until the fastest leg rests on its brake, and a fifth of it more",
     "engage.approach_speed_m_s": "a tenth of the drives' speed, a quarter of the stroke a second",
     "reference": "legs stay within 20 % of the stroke about home; a quarter of the drives' speed",
+    "reference.duration_s": "three periods of z, at least 10 s",
+    "reference.ramp_s": f"{derive.FADE:g} of a period of z, at least 2 s",
+    "reference.components": "along z, half as often along x, 0.7 times as often about y",
     "limits.force_N": "2.5 times what the path needs, at most the rated force",
     "limits.force_step_N": "a fifth of it in a tick",
     "limits.force_window_N": "within 250 ms",
@@ -180,6 +193,7 @@ _COMMENTS = {
     "limits.deceleration_m_s2": "half of what is left of the force, on what the legs feel",
     "limits.stroke_margin_m": "2 % of the stroke",
     "limits.following_error_m": "2 % of the stroke",
+    "limits.following_error_s": "usual: what the loop may lag behind a leg that moves",
     "reactions.silence": "what these drives do by themselves",
     "limits.standstill_m": "1 % of the stroke, at most 0.5 mm; no less than four steps of a reading",
     "operator": "at which a jog moves platform and legs, at most 80 % of limits.speed_m_s",
@@ -191,5 +205,6 @@ _COMMENTS = {
     "plant.model.step_us": "a whole part of the period",
     "plant.model.allow_execution_tool": "it says that it needs the tool that made it",
     "plant.model.assume_unit": "the FMU states none: make sure",
+    "plant.model.parameters": "of the answers and section platform",
     "plant.model.brake": "1 holds the leg; empty: it falls",
 }

@@ -8,7 +8,6 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import Corner, corners
 from hil.app.configuration.platform import build_platform
@@ -16,6 +15,7 @@ from hil.app.encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
 from hil.app.stability.imperfect_drives import Disturbed, Drives
+from hil.app.stability.instants import instants
 from hil.config.axis_model import AxisSpace
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
@@ -32,14 +32,7 @@ from hil.stability.lateness import Late, late, stale_s
 from hil.stability.sampled import Axis, Sampled, of_each
 from hil.stability.ultimate import Extra, Ultimate, ultimate
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.path import PoseSample
 from plant_fmu.config import BenchPlant, StewartPlant
-
-SAMPLES, APART_s = 101, 0.02
-"""Least instants of the reference at which the robot is looked at, and their distance on a long one, s."""
-MOST = 501
-GOLDEN = 0.6180339887498949
-
 
 NO_LOAD = Load()
 
@@ -164,7 +157,7 @@ class Subject:
         """That of the model, those at the corners of its payload's ranges; all these with what is stated."""
         self.carried = [box.words for box in boxes]
         """What each of them carries."""
-        self.path = self._path()
+        self.path = instants(c)
         self.axis = Axis(*loop_delay(c))
         self.drives = Drives.of(c)
         """Their steps and losses."""
@@ -391,25 +384,6 @@ class Subject:
             return f"leg {int(np.argmax(q))} at its upper soft end"
         number = condition_kernel(jacobian_kernel(a, b, p, R), self.platform.radius)
         return None if number <= limits.condition else f"condition of J {limits.condition:g}"
-
-    def _path(self) -> list[PoseSample]:
-        """Return the reference at instants of even distance, or of uneven where few; one where it rests."""
-        c = self.c
-        try:
-            trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
-            span = span_s(trajectory)
-            count = min(max(SAMPLES, round(span / APART_s)), MOST)
-            # Just inside the end, where the path still moves: outside it rests.
-            times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
-            if count == MOST:  # what repeats in step with even distances would not be seen
-                times[1:-1] += (np.arange(1, MOST - 1) * GOLDEN % 1.0 - 0.5) * times[1]
-            path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
-        except ConfigurationError:
-            raise
-        except HilError as error:
-            raise ConfigurationError(f"{c.source}: reference: {error}") from error
-        moves = any(np.abs(s.twist).max() > 0.0 or np.abs(s.dtwist).max() > 0.0 for s in path)
-        return path if moves else path[:1]
 
 
 def _laden(settings: PlatformSettings, payload: Payload) -> PlatformSettings:

@@ -63,6 +63,11 @@ class Interface:
     """Variable -> unit, where the description states none and the configuration does."""
 
 
+def shown(text: str) -> str:
+    """Return a text of the description for a message: in one line, what is no sign as its number."""
+    return text if text.isprintable() else repr(text)[1:-1]
+
+
 def stated_unit(variable: Any) -> str | None:
     """Return the unit that a variable or its type states; None where neither does."""
     of_type = None if variable.declaredType is None else variable.declaredType.unit
@@ -89,7 +94,7 @@ class _Reader:
         if elements:
             return elements
         close = sorted(n for n in self.names if name.lower().split("[")[0] in n.lower())[:8]
-        some = ", ".join(close or sorted(self.names)[:12])
+        some = shown(", ".join(close or sorted(self.names)[:12]))
         hint = f"; close to it: {some}" if close else f"; it has {some} ..."
         raise PlantError(f"{self.path}: the FMU has no variable {name!r}{hint}")
 
@@ -236,7 +241,7 @@ def _library(description: Any, major: int, members: Sequence[str], spec: FmuSpec
     if simulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
     if simulation.needsExecutionTool and not spec.allow_execution_tool:
-        tool = description.generationTool or "the tool that made it"
+        tool = shown(description.generationTool or "the tool that made it")
         raise PlantError(
             f"{path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone one, or, "
             "where that tool is on this machine, write plant.model.allow_execution_tool: true"
@@ -247,8 +252,8 @@ def _library(description: Any, major: int, members: Sequence[str], spec: FmuSpec
             return candidate
     offered = sorted({m.split("/")[1] for m in members if m.startswith("binaries/") and m.count("/") >= 2})
     raise PlantError(
-        f"{path}: the FMU has no binary for this machine ({candidates[0]}); it has binaries for "
-        f"{', '.join(offered) or 'none'}. Export it for {fmpy.platform_tuple} or compile its sources"
+        f"{path}: the FMU has no binary for this machine ({shown(candidates[0])}); it has binaries for "
+        f"{shown(', '.join(offered)) or 'none'}. Export it for {fmpy.platform_tuple} or compile its sources"
     )
 
 
@@ -261,7 +266,7 @@ def read_description(path: Path) -> Any:
         with path.open("rb") as archive:
             return read_model_description(archive, validate=False)
     except Exception as error:  # fmpy and lxml raise what they like on malformed XML
-        raise PlantError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+        raise PlantError(f"{path}: modelDescription.xml cannot be read: {shown(str(error))}") from error
 
 
 def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interface:
@@ -275,7 +280,7 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
     version = found[1].decode("ascii", "replace") if found else None
     if version is not None and version != "2.0" and not version.startswith("3.0"):
-        raise PlantError(f"{path}: FMI {version}; 2.0 and 3.0 can be hosted")
+        raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
     description = read_description(path)
     reader = _Reader(description, spec)
     library = _library(description, reader.major, members, spec)

@@ -199,6 +199,41 @@ def test_what_a_tool_is_called_adds_no_line_to_the_proposed_section(tmp_path):
     assert (model["path"], model["allow_execution_tool"]) == ("p.fmu", True)
 
 
+HOSTILE = "a&#10;hil: all is well &#155;2J \u202e".encode()
+NEEDED = (rb"<CoSimulation ", b'<CoSimulation needsExecutionTool="true" ')
+
+
+def test_texts_of_the_description_steer_no_terminal_and_add_no_line(tmp_path):
+    named = (rb'generationTool="[^"]*"', b'generationTool="%b"' % HOSTILE)
+    inputs = (rb'name="force"', b'name="%b_force"' % HOSTILE)
+    parameters = (rb'name="mass"', b'name="%b"' % HOSTILE)
+    plain = CliRunner().invoke(main, ["fmu", "show", str(build("3.0"))])
+    path = rewritten("3.0", tmp_path / "p.fmu", named, inputs, parameters)
+    done = CliRunner().invoke(main, ["fmu", "show", str(path)])
+    assert done.exit_code == 0, done.output
+    assert done.output.count(r"\nhil: all is well \x9b2J \u202e") >= 4, "tool, input, parameter, section"
+    assert done.output.replace("\n", "").isprintable()
+    assert done.output.count("\n") == plain.output.count("\n")
+
+
+@pytest.mark.parametrize(
+    ("said", "changes"),
+    [
+        ("the FMU needs", ((rb'generationTool="[^"]*"', b'generationTool="%b"' % HOSTILE), NEEDED)),
+        ("2.0 and 3.0 can be hosted", ((rb'fmiVersion="3.0"', b'fmiVersion="9\nhil: all is well"'),)),
+        ("no variable 'force'; close to it", ((rb'name="force"', b'name="%bforce"' % HOSTILE),)),
+        ("cannot be read", ((rb'(name="force"[^>]*causality=)"input"', rb'\1"%b"' % HOSTILE),)),
+        ("no binary for this machine", ((rb'modelIdentifier="[^"]*"', b'modelIdentifier="%b"' % HOSTILE),)),
+    ],
+)
+def test_a_refusal_that_quotes_the_description_stays_one_line(tmp_path, said, changes):
+    path = rewritten("3.0", tmp_path / "p.fmu", *changes)
+    with pytest.raises(PlantError, match=said) as told:
+        FmuHost(spec(path))
+    assert r"\nhil: all is well" in str(told.value)
+    assert str(told.value).isprintable()
+
+
 def test_nothing_is_proposed_for_names_that_say_nothing(tmp_path):
     path = rewritten("3.0", tmp_path / "p.fmu", *UNITLESS, (rb'name="force"', b'name="in1"'))
     assert propose(path).missing == ("force",)

@@ -12,7 +12,7 @@ from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
 from plant_fmu.config import FmuPlant
 from plant_fmu.fmu.archive import checked_members, open_archive, read_member
-from plant_fmu.fmu.check import read_interface
+from plant_fmu.fmu.check import read_interface, shown
 from plant_fmu.fmu.plant import fmu_spec
 from plant_fmu.fmu.probe import Probe, probe
 
@@ -30,13 +30,13 @@ def report_fmu(report: Report, c: Configuration) -> None:
         names = [member.filename for member in checked_members(archive, spec.path)]
         face = read_interface(read_member(archive, "modelDescription.xml", spec.path), names, spec)
     description = face.description
-    tool = description.generationTool or "an unknown tool"
+    tool = shown(description.generationTool or "an unknown tool")
     assumed = [f"{key} {unit}" for key, unit in model.assume_unit.items()]
     stated = "units of force, length and rate are stated"
     answer = _probed(c)
     own, others = _shares(answer)
     report.sections["plant FMU"] = [
-        f"{model.path}: FMI {description.fmiVersion}, made by {tool}",
+        f"{model.path}: FMI {shown(description.fmiVersion)}, made by {tool}",
         f"units ASSUMED of {len(face.assumed)} variables: {', '.join(assumed)}" if face.assumed else stated,
         f"one N in a leg accelerates it by {own:.4g} m/s^2, and others by up to {others:.4g}",
         f"without force its legs accelerate by up to {np.abs(answer.acceleration).max():.3g} m/s^2",

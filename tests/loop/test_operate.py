@@ -170,6 +170,7 @@ def test_a_park_just_before_the_end_of_the_path_is_no_fault(tmp_path, then, ends
     assert modes(rows)[-len(ends) :] == ends
 
 
+@pytest.mark.long
 def test_a_hold_in_the_approach_and_on_the_way_back_is_one_too(tmp_path):
     run, rows = simulated(
         tmp_path,

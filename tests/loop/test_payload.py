@@ -240,6 +240,7 @@ def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(t
     laden.changed(c, **written)
 
 
+@pytest.mark.long
 def test_the_file_and_the_refusals(folder, tmp_path):
     out = tmp_path / "block.yaml"
     result = identify(folder / "a.mcap", "-o", out)

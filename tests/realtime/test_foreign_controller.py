@@ -16,6 +16,7 @@ pytestmark = pytest.mark.realtime(patient=True)
 EXAMPLE = ROOT / "docs" / "examples" / "foreign_controller.py"
 
 
+@pytest.mark.long
 def test_the_example_sets_up_lifts_and_parks_the_drives(
     tmp_path: Path, start: Callable[..., Process]
 ) -> None:

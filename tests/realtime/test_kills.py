@@ -19,7 +19,6 @@ from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.record.log import Log
 from hil.record.salvage import salvage
-from tests.broad import broad
 from tests.drivers.legs_frames import parse
 from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
 
@@ -101,8 +100,9 @@ def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
     assert replay_log(daemon_log)[0].exact
 
 
+@pytest.mark.long
 @pytest.mark.realtime(patient=True)
-@pytest.mark.parametrize("on_loss", broad(["continue", "stop"], quick=1))
+@pytest.mark.parametrize("on_loss", ["continue", "stop"])
 def test_a_killed_recorder_does_not_move_the_platform(
     tmp_path: Path, start: Start, listen: Listen, on_loss: str
 ) -> None:
@@ -166,6 +166,7 @@ def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
     assert listener.last_sync_ns - int(plant_rows["t_ns"][-1]) <= 250_000_000
 
 
+@pytest.mark.long
 def test_a_killed_plant_faults_the_daemon_within_five_periods(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

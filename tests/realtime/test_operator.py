@@ -62,6 +62,7 @@ def test_ctrl_c_stops_along_the_path_parks_and_is_a_success(
     assert np.abs(last["rate"]).max() < 1e-6
 
 
+@pytest.mark.long
 def test_a_second_ctrl_c_is_an_emergency_stop_and_no_success(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:

@@ -405,6 +405,7 @@ def test_the_gain_of_a_worker_leaves_the_ends_of_blocks_out():
     assert campaign.gained(one, two) == pytest.approx(16.0 / (5.0 + 3.0))
 
 
+@pytest.mark.long
 def test_rows_with_one_worker_and_with_two_have_to_be_the_same(monkeypatch, tmp_path):
     plan = read_plan(written(tmp_path, SMALL))
     monkeypatch.setattr(campaign, "gain", lambda *_: 2.0)

@@ -111,6 +111,7 @@ def test_faults_are_told_in_words_and_legs_are_marked(rows, watch):
         assert browser.errors == []
 
 
+@pytest.mark.long
 def test_old_data_are_called_old_and_a_run_that_follows_is_picked_up(rows):
     with Watch("virtual") as watch, Browser() as browser:
         browser.go(watch.link)
@@ -223,6 +224,7 @@ LET_GO = {
 }
 
 
+@pytest.mark.long
 def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, operated):
     with (
         LiveRun(rows) as run,

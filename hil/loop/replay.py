@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.errors import LogError
 from drivers.protocol import Frame
 from drivers.signals import BusState
 from drivers.tick_columns import (
@@ -110,18 +111,22 @@ class Recorded(Protocol):
 
 
 def recorded_input(entry: Tick) -> TickInput:
-    """Return what the cycle was given in a recorded tick."""
+    """Return what the cycle was given in a recorded tick. Raises LogError: one that no cycle writes."""
     numbers = iter(_INPUT.unpack_from(entry.row.tobytes()))
     columns: dict[str, Any] = {
         name: tuple(islice(numbers, COLUMNS[name].size)) if COLUMNS[name].shape else next(numbers)
         for name in INPUT_COLUMNS
     }
     columns["recorder_alive"] = bool(columns["recorder_alive"])
-    columns["bus_state"] = BusState(columns["bus_state"])
+    try:
+        columns["bus_state"] = BusState(columns["bus_state"])
+        operator = tuple(map(Operator, entry.operator))
+    except ValueError as error:
+        raise LogError(f"the row of tick {columns['tick']} is damaged: {error}") from None
     return TickInput(
         **columns,
         frames=entry.received,
-        operator=tuple(map(Operator, entry.operator)),
+        operator=operator,
         setpoints=entry.setpoints,
         orders=entry.orders,
     )

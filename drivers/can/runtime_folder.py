@@ -2,7 +2,6 @@
 
 import errno
 import fcntl
-import hashlib
 import os
 import socket
 import tempfile
@@ -12,6 +11,7 @@ from typing import Protocol
 from urllib.parse import quote
 
 from drivers.errors import BusError, RunError
+from drivers.machine_wide import address
 from drivers.own_folder import own_folder
 
 NAME = "hexapod-hil"
@@ -66,12 +66,6 @@ def forget_in_child(holder: Forgets) -> None:
     os.register_at_fork(after_in_child=forget)
 
 
-def _mark(interface: str, channel: str, role: str) -> bytes:
-    """Return the abstract socket name of a role: one for all users of this machine."""
-    name = hashlib.sha256(os.fsencode(f"{interface}\0{channel}\0{role}")).hexdigest()
-    return b"\0hexapod-hil." + name.encode()
-
-
 def role_is_held(interface: str, channel: str, role: str) -> bool:
     """Tell whether a process of this machine, of any user, has a role on a channel.
 
@@ -79,7 +73,7 @@ def role_is_held(interface: str, channel: str, role: str) -> bool:
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(_mark(interface, channel, role))
+            probe.connect(address(interface, channel, role))
         except OSError:
             return False
     return True
@@ -119,7 +113,7 @@ class RoleLock:
     def _bind(self, interface: str, channel: str, role: str) -> None:
         self._mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            self._mark.bind(_mark(interface, channel, role))
+            self._mark.bind(address(interface, channel, role))
         except OSError as error:
             self.close()
             if error.errno != errno.EADDRINUSE:

@@ -1,10 +1,11 @@
 """Names of files that a process has chosen and not made yet: no other one of this machine chooses them."""
 
 import errno
-import hashlib
 import os
 import socket
 from pathlib import Path
+
+from drivers.machine_wide import address
 
 _held: dict[Path, int] = {}
 """What this process has reserved, and by which open socket; the kernel closes it with the process."""
@@ -21,8 +22,8 @@ def reserved(path: Path) -> bool:
         mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     except OSError:
         return True
-    try:  # a name of its own space, that leaves no file behind
-        mark.bind(b"\0hexapod-hil." + hashlib.sha256(os.fsencode(place)).hexdigest().encode())
+    try:
+        mark.bind(address(str(place)))
     except OSError as error:
         mark.close()
         return error.errno != errno.EADDRINUSE

@@ -18,7 +18,9 @@ from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import replay_log
 from hil.app.sim import command
 from hil.app.sim.command import run_identity
+from hil.app.sim.commands import LATEST_S
 from hil.cli import main
+from hil.cli.shared import DURATION
 from hil.loop.run_end import Ending
 from hil.record.log import Log
 from plant_fmu.faults.encoder import EncoderJump
@@ -218,3 +220,7 @@ def test_a_log_that_was_closed_and_cannot_be_read_again_ends_in_a_summary_that_s
     assert not summary["success"]
     assert summary["trouble"] == f"{tmp_path}/a.mcap: damaged at byte 4711"
     assert "replay" not in summary
+
+
+def test_the_command_line_and_the_package_allow_runs_of_one_length():
+    assert DURATION.max == LATEST_S

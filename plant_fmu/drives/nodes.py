@@ -102,8 +102,8 @@ class Nodes:
         self._calm_ns = t0_ns
         """No watchdog, brake, edge or heartbeat is due before this instant."""
         self._schedule = Schedule(self._faults, t0_ns)
-        touches = self._faults.touches_frames
-        self._gateway = Gateway(self._schedule, self._protocol, t0_ns) if touches else None
+        gateway = Gateway(self._schedule, self._protocol, t0_ns)
+        self._gateway = gateway if self._faults.touches_frames else None
         self._reading = Reading()
         self._missed: list[Received] = []
         self._edges, self._present = self._schedule.edges_ns(t0_ns + 1), self._schedule.present(t0_ns)
@@ -387,8 +387,8 @@ class Nodes:
 
     def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]], *, due: bool = False) -> None:
         drives = self._drives
-        said = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
-        holds = said if drives.configured[leg] else None
+        set_up = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
+        holds = set_up if drives.configured[leg] else None
         status = Status(leg, int(drives.state[leg]), int(drives.fault[leg]), holds, due)
         self._memory, frames = self._protocol.report(self._memory, status)
         self._send(leg, t, frames, out)

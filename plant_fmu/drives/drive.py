@@ -115,8 +115,9 @@ class Drives:
         reals, integers = self._reals, self._integers
         self.drift(present, t_ns)
         self._scale(present, length)
-        integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
+        integers[kernels.LOST] = 0  # one that is lost freezes at what it would read
         reads, _, _ = self.encoders(length, rate)
+        integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
         frozen = reals[kernels.FROZEN]
         frozen[:] = np.where(present.frozen, np.where(np.isnan(frozen), reads, frozen), nan)
         reals[kernels.GAIN], reals[kernels.MOST] = present.gain, present.saturation_N

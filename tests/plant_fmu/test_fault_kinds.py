@@ -95,6 +95,13 @@ def test_a_scaled_or_frozen_encoder_goes_on_as_it_began_whatever_else_begins():
     assert read(rig, 6, leg=3) == pytest.approx((since, 0.0), abs=1e-9)
 
 
+@pytest.mark.parametrize("lost_s", [2e-3, 3e-3])
+def test_an_encoder_that_freezes_while_it_is_lost_reads_the_length_of_that_moment_afterwards(lost_s):
+    frozen, lost = EncoderFreeze(leg=3, at_s=3e-3), EncoderLost(leg=3, at_s=lost_s, for_s=5e-3 - lost_s)
+    rig = accelerating(frozen, lost)
+    assert read(rig, 6, leg=3) == pytest.approx((motion(3)[0], 0.0), abs=1e-9)
+
+
 def test_an_encoder_that_counts_backwards_starts_where_it_is():
     rig = accelerating(EncoderSign(leg=2, at_s=2e-3))
     since, rate = motion(2)

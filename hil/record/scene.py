@@ -21,7 +21,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from drivers.arrays import Array, Rows
 from hil.record.recording import Scene
-from hil.robot.joints import around
+from hil.robot.around import around
 
 BASE = "base"
 _POSES = (("platform", "p", "R"), ("reference", "p_d", "R_d"))

@@ -1,17 +1,14 @@
-"""Joint centres: on a circle, from a radius and angles, and in the order in which they go round."""
+"""Joint centres: on a circle, from a radius and angles."""
 
 import math
 from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arrays import Array
 from hil.mathematics.rotations import rotation_from_vector
 
-PLANES = ((0, 1), (1, 2), (2, 0))
-"""Of the axes of a frame, each from one towards the next."""
 PairsBegin = Literal["first_leg", "second_leg"]
 
 
@@ -61,16 +58,3 @@ def in_pairs(
         for side in (-half, half)
     ]
     return np.array(rows if begin == "first_leg" else [rows[-1], *rows[:-1]])
-
-
-def around(joints: Array) -> NDArray[np.intp]:
-    """Return the order (n,) of joints (n, 3) m by their angle about their centre, whatever plane they lie in.
-
-    As seen along the axis of the frame along which they cover the largest area; from x towards y of a ring
-    that is level.
-    """
-    x = joints - joints.mean(axis=0)
-    moments = (x[:, :, None] * x[:, None, :]).sum(axis=0)
-    areas = [moments[i, i] * moments[j, j] - moments[i, j] ** 2 for i, j in PLANES]
-    i, j = PLANES[int(np.argmax(areas))]
-    return np.argsort(np.arctan2(x[:, j], x[:, i]))

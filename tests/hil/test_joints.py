@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.robot import joints
+from hil.robot.around import around
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())["geometry"]
 
@@ -63,11 +64,11 @@ def test_a_ring_is_gone_round_in_its_own_plane_whichever_that_is(turn, wide):
     """Leg order mixed up; a ring has no first corner and no direction."""
     ring = joints.on_circle(2.0, [10, 50, 120, 170, 240, 290]) * [1.0, wide, 1.0]
     mixed = np.array([3, 0, 5, 1, 4, 2])
-    order = mixed[joints.around(ring[mixed] @ turn.T + [3.0, -1.0, 2.0])]
+    order = mixed[around(ring[mixed] @ turn.T + [3.0, -1.0, 2.0])]
     steps = np.diff(order, append=order[0]) % 6
     assert steps.tolist() in ([1] * 6, [5] * 6)
 
 
 def test_a_level_ring_is_gone_round_from_x_towards_y():
     ring = joints.on_circle(2.0, [170, 10, -120, 50, 120, -70])
-    assert joints.around(ring).tolist() == [2, 5, 1, 3, 4, 0]
+    assert around(ring).tolist() == [2, 5, 1, 3, 4, 0]

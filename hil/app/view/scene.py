@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from hil.app.report.scene import has_pose
-from hil.robot.joints import around
+from hil.robot.around import around
 
 THICKNESS = 0.03
 """Of a plate, as a share of the base's radius."""

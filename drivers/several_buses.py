@@ -276,11 +276,8 @@ class SeveralBuses:
                 return Answer(leg, on_bus(frame, bus)) if leg in there else None
             case Configure(leg=leg):
                 return message if leg in there else None
-            case DeviceCommand(legs=named):
-                legs = tuple(leg for leg in named if leg in there)
-                if legs == named or not legs:
-                    return message if legs else None
-                return message._replace(legs=legs, force=message.force[[leg in there for leg in named]])
+            case DeviceCommand(legs=named):  # of one bus: a frame has one leg, or slots of its own bus
+                return message if named and named[0] in there else None
             case Sync(legs=named) | Alive(legs=named) | EmergencyStop(legs=named):
                 legs = tuple(leg for leg in named if leg in there)
                 return message._replace(legs=legs) if legs or not named else None

@@ -501,6 +501,15 @@ def test_a_drive_whose_ranges_are_others_is_not_set_up_and_says_which():
     assert other.set_up_lacks(ends.dialogue)[0] == "PMAX (register 21) is 95.5 in the drive, 100 here"
 
 
+def test_a_range_that_no_number_of_single_precision_holds_is_confirmed_by_what_comes_nearest():
+    ends = Ends(
+        MitProtocol("damiao", WIDE._replace(position=95.3, velocity=400.1, torque=143.9), NODES, 16, GEAR)
+    )
+    for _ in range(100):
+        ends.step()
+    assert all(ends.protocol.legs_set_up(ends.dialogue))
+
+
 def test_a_position_at_the_end_of_its_range_is_no_reading():
     protocol = damiao()
     ends = Ends(protocol)

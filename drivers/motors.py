@@ -263,7 +263,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
                     said[leg] = number
                 if heard.feedback:
                     answers[leg] = heard
-        if answers or late or tuple(power) != dialogue.power:
+        if answers or late or (tuple(power), tuple(said)) != (dialogue.power, dialogue.said):
             dialogue = dialogue._replace(power=tuple(power), said=tuple(said))
             dialogue = self._measure(dialogue, late | answers, tick)
             for leg in late.keys() - answers.keys():

@@ -6,6 +6,7 @@ given a name of its own is never touched.
 
 import re
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -78,8 +79,18 @@ def dated_logs(folder: Path, name: str) -> list[Dated]:
     """Return the logs of a configuration that got their names from its runs, the oldest first."""
     pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6}(?:-\d+)?)(?:-plant)?\.mcap")
     found = ((pattern.fullmatch(path.name), path) for path in folder.glob("*.mcap"))
-    logs = [Dated(m[1], path, path.stat().st_size) for m, path in found if m and path.is_file()]
+    sizes = ((m[1], path, _size(path)) for m, path in found if m)
+    logs = [Dated(stamp, path, size) for stamp, path, size in sizes if size is not None]
     return sorted(logs, key=lambda log: (log.stamp.split("-")[0], int(log.stamp.partition("-")[2] or 1)))
+
+
+def _size(path: Path) -> int | None:
+    """Return the bytes of a regular file; None of what is none, or is gone meanwhile."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_size if stat.S_ISREG(found.st_mode) else None
 
 
 def _going(logs: list[Dated]) -> Iterator[Dated]:

@@ -134,3 +134,11 @@ def test_the_emulated_axis_sends_its_heartbeat_by_a_timer_and_none_with_a_change
     assert len(told) > 3 * LEGS
     assert set(np.diff(times)) == {BEAT_TICKS * PERIOD_NS // LEGS}
     assert {node for _, node in told[:LEGS]} == set(NODES)
+
+
+def test_an_axis_whose_heartbeats_go_on_is_none_that_starts_anew_although_no_other_frame_comes():
+    ends = line()
+    ends.to_hear = lambda frames: [each for each in frames if each.frame.id & 0x1F == HEARTBEAT]
+    for _ in range(12 * BEAT_TICKS):
+        ends.step(READY, set_up=False)
+        assert DriveState.BOOT not in ends.dialogue.power

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -159,3 +160,14 @@ def test_a_log_that_another_run_has_removed_meanwhile_is_no_reason_to_refuse_thi
     monkeypatch.setattr(log_budget, "_had_trouble", looked)
     make_room(configured(runs, 1e-6), 0)
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
+
+
+def test_a_log_that_goes_while_the_folder_is_looked_at_counts_for_nothing(runs, monkeypatch):
+    gone, stat = runs / "virtual-20260101T000000.mcap", Path.stat
+
+    def going(path, **options):
+        gone.unlink(missing_ok=True)
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "stat", going)
+    assert gone not in [log.path for log in dated_logs(runs, "virtual")]

@@ -162,12 +162,17 @@ def test_a_log_that_another_run_has_removed_meanwhile_is_no_reason_to_refuse_thi
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
 
 
-def test_a_log_that_goes_while_the_folder_is_looked_at_counts_for_nothing(runs, monkeypatch):
-    gone, stat = runs / "virtual-20260101T000000.mcap", Path.stat
+def test_logs_that_go_while_the_folder_is_looked_at_are_no_reason_to_refuse_a_run(runs, monkeypatch):
+    there, once = Path.stat, set(runs.glob("virtual-2*.mcap"))
 
-    def going(path, **options):
-        gone.unlink(missing_ok=True)
-        return stat(path, **options)
+    def looked(path, **options):
+        found = there(path, **options)
+        if path in once:
+            path.unlink()
+            once.remove(path)
+        return found
 
-    monkeypatch.setattr(Path, "stat", going)
-    assert gone not in [log.path for log in dated_logs(runs, "virtual")]
+    monkeypatch.setattr(Path, "stat", looked)
+    dated_logs(runs, "virtual")
+    assert not once
+    assert dated_logs(runs, "virtual") == []

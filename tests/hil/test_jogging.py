@@ -285,6 +285,21 @@ def test_start_goes_back_to_where_the_path_was_left_and_on_from_there():
     assert np.abs(np.diff(p, axis=0) * 1e3 - 0.5 * (v[1:, :3] + v[:-1, :3])).max() < 1e-5, "no jump"
 
 
+@pytest.mark.parametrize("name", ["x", "ry", "leg1"])
+def test_a_jog_is_judged_where_it_is_however_far_along_the_path_it_began(name):
+    box = Box(0.002)
+    held = Held(box)
+    held.say(START)
+    held.run(2000)
+    held.say(HOLD)
+    held.run(600)
+    assert held.motion.time(held.tick) > 1.0
+    answers, samples = held.run(1500, jog(name))
+    q = np.array([lengths(s.p, s.R) for s in samples])
+    assert answers[0] == ""
+    assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "it uses what room there is"
+
+
 def test_at_full_speed_a_jog_is_not_on_the_clock_of_the_path():
     held = Held(Box(1.0))
     held.run(600, jog("x"))

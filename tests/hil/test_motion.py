@@ -83,6 +83,18 @@ def test_the_look_ahead_of_a_stop_is_the_stop():
     assert motion.ahead(499, AHEAD)[0].p[0] < 0.1, "the next trajectory is off"
 
 
+def test_after_a_stop_on_the_approach_nothing_comes_next():
+    motion, path = Motion(T, HERE, EYE, 0.5), next_path()
+    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=path)
+    motion.stop(480, 0.01)
+    stands = motion.trajectory.sample(1.0).p
+    for tick in range(480, 500):
+        assert motion.before(tick, path) is None
+        sample, along = motion.ahead(tick, 0.05)
+        assert along is None
+        np.testing.assert_allclose(sample.p, stands, atol=1e-12)
+
+
 def test_the_look_ahead_past_the_last_end_is_rest():
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(next_path(), 0)

@@ -296,6 +296,16 @@ def test_without_its_recorder_a_lockstep_run_fails(tmp_path):
     assert not recording.close().complete
 
 
+def test_a_log_that_lacks_a_tick_is_not_complete_though_its_recorder_says_nothing_of_it(
+    tmp_path, monkeypatch
+):
+    recording = Recording.start(tmp_path / "a.mcap", configuration="")
+    record(recording, random_ticks(5))
+    monkeypatch.setattr(recording, "_last_words", lambda _: {"ticks": 4, "messages": 9})
+    summary = recording.close()
+    assert (summary.ticks, summary.lost, summary.error, summary.complete) == (4, 1, "", False)
+
+
 def test_an_existing_file_is_refused_and_stays_as_it_is(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"precious")

@@ -168,7 +168,7 @@ AREAS = {
     ),
     "salvage": Area(
         ("hil/record/salvage.py", "hil/record/surviving.py", "hil/record/mcap_parse.py"),
-        ("tests/hil/test_salvage.py", "tests/hil/test_log*.py"),
+        ("tests/hil/test_salvage*.py", "tests/hil/test_log*.py"),
     ),
     "log": Area(
         tuple(

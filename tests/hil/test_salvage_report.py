@@ -1,0 +1,168 @@
+"""What a salvage says of itself, what it keeps of a foreign file, and where records of a damaged file begin."""
+
+import struct
+from itertools import accumulate
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
+
+from drivers.errors import LogError
+from hil.record import salvage as salvaging
+from hil.record.mcap_file import MAGIC, record_bytes
+from hil.record.mcap_read import Record
+from hil.record.salvage import salvage
+from hil.record.surviving import Lost, surviving
+from tests.hil.rewrite import mcap_summary
+from tests.hil.samples import log_of, random_ticks
+
+TICKS = random_ticks(40, seed=6)
+DATA_END = record_bytes(DataEnd(data_section_crc=0))
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return log_of(TICKS, tmp_path_factory)
+
+
+def metadata(name, **values):
+    return record_bytes(Metadata(name=name, metadata=values))
+
+
+def message(channel=99, data=b""):
+    return record_bytes(Message(channel_id=channel, log_time=1, data=data, publish_time=1, sequence=0))
+
+
+def placed(tmp_path, *records):
+    """A file of these records, and where each begins."""
+    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
+    file = tmp_path / "records.mcap"
+    file.write_bytes(MAGIC + b"".join(records))
+    return file, starts
+
+
+def inserted(path, tmp_path, *records):
+    """The log with records before its first chunk, and where the first of them begins."""
+    data, at = path.read_bytes(), mcap_summary(path).chunk_indexes[0].chunk_start_offset
+    file = tmp_path / "inserted.mcap"
+    file.write_bytes(data[:at] + b"".join(records) + data[at:])
+    return file, at
+
+
+def test_the_report_names_both_files_and_counts_every_byte_that_was_read(path, tmp_path):
+    report = salvage(path, tmp_path / "out.mcap")
+    assert (report.path, report.out) == (path, tmp_path / "out.mcap")
+    assert (report.bytes_read, report.bytes_lost) == (path.stat().st_size, 0)
+    with (tmp_path / "out.mcap").open("rb") as file:
+        (said,) = [m.metadata for m in make_reader(file).iter_metadata() if m.name == salvaging.SALVAGE]
+    assert (said["original"], said["original_bytes"]) == (path.name, str(path.stat().st_size))
+
+
+def test_bytes_that_are_left_out_are_said_from_the_first_to_the_last(path, tmp_path):
+    bad, at = inserted(path, tmp_path, b"\xff" * 37)
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert report.bytes_lost == 37
+    assert f"bytes {at} to {at + 37} are damaged and left out" in report.remarks
+    assert report.ticks == len(TICKS)
+
+
+def test_a_name_that_came_to_be_meanwhile_is_not_taken_and_nothing_is_said_to_be_saved(
+    path, tmp_path, monkeypatch
+):
+    out, close = tmp_path / "out.mcap", salvaging._close
+
+    def slow(*given):
+        out.write_bytes(b"precious")
+        return close(*given)
+
+    monkeypatch.setattr(salvaging, "_close", slow)
+    with pytest.raises(LogError, match="never overwritten"):
+        salvage(path, out)
+    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
+    assert out.read_bytes() == b"precious"
+
+
+def test_schemas_and_channels_that_another_program_wrote_into_a_chunk_come_with_its_messages(path, tmp_path):
+    schema = record_bytes(Schema(id=77, name="theirs", encoding="jsonschema", data=b"{}"))
+    channel = record_bytes(
+        Channel(id=99, topic="/theirs", message_encoding="json", metadata={}, schema_id=77)
+    )
+    content = schema + channel + message(99, b"{}")
+    chunk = record_bytes(
+        Chunk(
+            message_start_time=1, message_end_time=1, uncompressed_size=len(content), uncompressed_crc=0,
+            compression="", data=content,
+        )
+    )  # fmt: skip
+    theirs, _ = inserted(path, tmp_path, chunk)
+    report = salvage(theirs, tmp_path / "out.mcap")
+    assert report.ticks == len(TICKS)
+    with (tmp_path / "out.mcap").open("rb") as file:
+        found = [(s.name, c.topic, m.data) for s, c, m in make_reader(file).iter_messages("/theirs")]
+    assert found == [("theirs", "/theirs", b"{}")]
+
+
+def test_a_message_without_a_byte_of_data_is_whole(tmp_path):
+    empty, more = message(), message(data=b"1")
+    file, starts = placed(tmp_path, metadata("a", a="1"), b"\xff" * 9, empty, more)
+    *_, lost, first, second = surviving(file)
+    assert lost == Lost(starts[1], starts[2])
+    assert [each[1] for each in (first, second)] == starts[2:4]
+
+
+@pytest.mark.parametrize(
+    "least",
+    [
+        Schema(id=0, name="", encoding="", data=b""),
+        Channel(id=0, topic="", message_encoding="", metadata={}, schema_id=0),
+        Message(channel_id=0, log_time=0, data=b"", publish_time=0, sequence=0),
+        Chunk(
+            message_start_time=0, message_end_time=0, uncompressed_size=0, uncompressed_crc=0, compression="",
+            data=b"",
+        ),
+        Attachment(log_time=0, create_time=0, name="", media_type="", data=b""),
+        Metadata(name="", metadata={}),
+    ],
+    ids=lambda record: type(record).__name__,
+)  # fmt: skip
+def test_the_least_record_of_a_kind_is_one_and_with_a_byte_less_it_is_none(tmp_path, least):
+    whole = record_bytes(least)
+    short = struct.pack("<BQ", whole[0], len(whole) - 10) + whole[9:-1]
+    for record, is_one in ((whole, True), (short, False)):
+        file, starts = placed(tmp_path, metadata("a", a="1"), record, metadata("b", b="2"), metadata("c"))
+        found = list(surviving(file))
+        assert [each[1] for each in found if isinstance(each, Record)] == [
+            starts[k] for k in range(4) if is_one or k != 1
+        ]
+
+
+def test_a_record_as_long_as_a_footer_is_no_end(tmp_path):
+    same = metadata("ab", a="1")
+    assert len(same) == 9 + 20
+    file, starts = placed(tmp_path, same, metadata("b", b="2"))
+    assert [each[1] for each in surviving(file)] == starts[:2]
+
+
+@pytest.mark.parametrize("size", [1, 5, 8])
+def test_bytes_at_the_end_that_are_too_few_for_a_record_are_lost(tmp_path, size):
+    file, starts = placed(tmp_path, metadata("a", a="1"), b"\x01" * size)
+    assert list(surviving(file))[-1] == Lost(starts[1], starts[1] + size)
+
+
+def test_the_last_record_before_the_end_of_the_data_is_whole_whatever_records_its_text_resembles(tmp_path):
+    inner = (metadata("x" * 40) + metadata("y" * 40)).decode("latin-1")
+    file, starts = placed(tmp_path, metadata("a", a="1"), metadata("b", b=inner), DATA_END)
+    found = list(surviving(file))
+    assert [each[1] for each in found] == starts[:2]
+    assert all(isinstance(each, Record) and each.complete for each in found)
+
+
+def test_a_damaged_length_is_none_though_it_ends_at_a_record_that_would_go_on_beyond_the_file(tmp_path):
+    trap = struct.pack("<BQ", 0x0C, 0x1313)
+    damaged, last = bytearray(metadata("a", a="1")), metadata("c", c="3" + trap.decode() + "3")
+    file, starts = placed(tmp_path, bytes(damaged), metadata("b", b="2"), last)
+    damaged[1] = starts[2] + last.index(trap) - starts[0] - 9
+    file.write_bytes(MAGIC + damaged + file.read_bytes()[starts[1] :])
+    lost, *whole = surviving(file)
+    assert lost == Lost(starts[0], starts[1])
+    assert [each[1] for each in whole] == starts[1:3]

@@ -12,6 +12,7 @@ from hil.record import salvage as salvaging
 from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.mcap_read import Record
 from hil.record.salvage import salvage
+from hil.record.schema import SALVAGE
 from hil.record.surviving import Lost, surviving
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import log_of, random_ticks
@@ -54,7 +55,7 @@ def test_the_report_names_both_files_and_counts_every_byte_that_was_read(path, t
     assert (report.path, report.out) == (path, tmp_path / "out.mcap")
     assert (report.bytes_read, report.bytes_lost) == (path.stat().st_size, 0)
     with (tmp_path / "out.mcap").open("rb") as file:
-        (said,) = [m.metadata for m in make_reader(file).iter_metadata() if m.name == salvaging.SALVAGE]
+        (said,) = [m.metadata for m in make_reader(file).iter_metadata() if m.name == SALVAGE]
     assert (said["original"], said["original_bytes"]) == (path.name, str(path.stat().st_size))
 
 
@@ -98,7 +99,7 @@ def test_schemas_and_channels_that_another_program_wrote_into_a_chunk_come_with_
     report = salvage(theirs, tmp_path / "out.mcap")
     assert report.ticks == len(TICKS)
     with (tmp_path / "out.mcap").open("rb") as file:
-        found = [(s.name, c.topic, m.data) for s, c, m in make_reader(file).iter_messages("/theirs")]
+        found = [(s and s.name, c.topic, m.data) for s, c, m in make_reader(file).iter_messages("/theirs")]
     assert found == [("theirs", "/theirs", b"{}")]
 
 

@@ -227,6 +227,40 @@ def test_a_reference_that_stands_is_at_hold_a_tenth_of_a_second_later():
     assert lockstep.tick - cycle.mode_tick == pytest.approx(100, abs=1)
 
 
+class Stirred:
+    """The cycle, whose reference moves in this tick."""
+
+    def __init__(self, cycle):
+        self._cycle = cycle
+
+    def __getattr__(self, name):
+        return getattr(self._cycle, name)
+
+    @property
+    def tick(self):
+        moving = self._cycle.tick.copy()
+        moving["dq_d"] = [0, 0, 0, 0, 0, -1e-3]
+        return moving
+
+
+def test_rests_between_which_the_reference_moves_are_not_added_up():
+    c = cases(load("virtual"), ["encoder_noise/HOLD"])[0].configuration
+    cycle = build_cycle(c, 1000.0, 0.01)
+    nodes, plant = build_nodes(with_faults(c, ["encoder_noise leg=0 sigma=0 mode=HOLD"]))
+    lockstep, course = build_lockstep(c, cycle, nodes), Course(cycle)
+    moved = 0
+    while nodes.waiting:
+        at_rest = lockstep.tick - cycle.mode_tick if cycle.mode is Mode.TRACKING else 0
+        if not moved and at_rest == 60:
+            lockstep.cycle, moved = Stirred(cycle), lockstep.tick + 1
+        else:
+            lockstep.cycle = cycle
+        lockstep.step(course.commands(lockstep.tick + 1))
+        assert lockstep.tick < 3000
+    plant.close()
+    assert lockstep.tick - moved == pytest.approx(100, abs=1)
+
+
 def test_the_shipped_path_never_stands_still_and_the_run_says_so(tmp_path):
     arguments = [
         "sim",

@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 from itertools import permutations
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from hil.bringup.context import StoppedError
 from hil.bringup.steps import brakes, force, mounted
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.bringup.kit import Rehearsal
@@ -43,6 +46,24 @@ def test_brakes_that_open_for_another_drive_are_named_with_all_their_drives(cont
             assert (finding.name, finding.legs) == ("brake_crossed", tuple(sorted(cycle)))
             assert f"drive {a} opens the brake of leg {b}" in finding.text
             assert "Exchange the brakes' cables" in finding.mend
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_leg_that_goes_too_far_is_stopped_whichever_way_it_goes(leg, way):
+    off = []
+    gone = {k: way * force.TRAVEL_M * (1.01 if k == leg else -0.3) for k in LEGS}
+    c: Any = SimpleNamespace(
+        travelled=lambda _: gone,
+        drives=SimpleNamespace(off=lambda: off.append(True)),
+        reads=lambda: {k: [k] for k in LEGS},
+    )
+    with pytest.raises(StoppedError) as stopped:
+        force.guard(c, leg, np.zeros(6), np.zeros(6))
+    assert off
+    assert (stopped.value.finding.name, stopped.value.finding.legs) == ("runaway", (leg,))
+    gone[leg] *= 0.98
+    assert force.guard(c, leg, np.zeros(6), np.zeros(6)) == (leg, gone[leg])
 
 
 def found_with(context, counts, opens):

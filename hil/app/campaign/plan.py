@@ -256,8 +256,10 @@ def _problems(subject: Subject, values: Values) -> list[str]:
 
 def _seed(subject: Subject, values: Values) -> int:
     for name, axis in subject.axes.items():
-        if SEED in keys(axis) and not (isinstance(values[name], int) and values[name] >= 0):
-            raise ConfigurationError(f"{SEED}: allowed: whole numbers of at least 0, given: {values[name]!r}")
+        if SEED not in keys(axis):
+            continue
+        if type(value := values[name]) is not int or not 0 <= value < 2**63:  # the table has 64 bits for it
+            raise ConfigurationError(f"{SEED}: allowed: whole numbers from 0 to 2**63 - 1, given: {value!r}")
     return row_seed(subject.axes, values, 0)
 
 

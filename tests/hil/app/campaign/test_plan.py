@@ -76,9 +76,12 @@ def test_rows_of_one_sample_share_their_chance(plan):
 
 def test_the_key_seed_sets_the_chance_of_a_row(tmp_path):
     plan = read_plan(
-        written(tmp_path, "kind: campaign\ngrid: {s: {key: seed, values: [4, 9]}}\nduration_s: 1\n")
+        written(
+            tmp_path,
+            "kind: campaign\ngrid: {s: {key: seed, values: [4, 9223372036854775807]}}\nduration_s: 1\n",
+        )
     )
-    assert [plan.job(k).seed for k in range(2)] == [4, 9]
+    assert [plan.job(k).seed for k in range(2)] == [4, 2**63 - 1]
 
 
 def axis(**words):
@@ -198,7 +201,19 @@ WRONG = [
             ),
         )
     ),
-    ("kind: campaign\ngrid: {a: {key: seed, values: [x]}}\n", "seed: allowed: whole numbers of at least 0"),
+    *(
+        (f"kind: campaign\n{axes}\n", f"seed: allowed: whole numbers from 0 to 2**63 - 1, given: {given}")
+        for axes, given in (
+            ("grid: {a: {key: seed, values: [1, x]}}", "'x'"),
+            ("grid: {a: {key: [seed], values: [true]}}", "True"),
+            ("list: {a: {key: seed, values: [1, -1]}}", "-1"),
+            ("list: {a: {key: seed, values: [1, 9223372036854775808]}}", "9223372036854775808"),
+            (
+                "sample: {method: halton, count: 1, axes: {a: {key: seed, integers: [0, 9223372036854775808]}}}",
+                "9223372036854775808",
+            ),
+        )
+    ),
     ("kind: campaing\ngrid: {}\n", "is of kind 'campaing'; allowed: a file with `kind: campaign`"),
 ]
 

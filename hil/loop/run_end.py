@@ -142,10 +142,11 @@ class Course:
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
-        if tick >= self._stop_tick or Operator.END in operator:
+        over = tick >= self._stop_tick
+        if over or Operator.END in operator:
             self._stop_tick = inf
             self.goes_on = False
-            self._late = self.cycle.mode is Mode.WAITING
+            self._late = self._late or (over and self.cycle.mode is Mode.WAITING)
             operator = (Operator.STOP, *operator)
         if self.cycle.mode is Mode.FAULT:
             self._armed = False  # what follows a RESET is the operator's to begin

@@ -273,7 +273,7 @@ def test_a_stale_fault_names_the_legs_that_reached_its_limit(ages, said):
     assert said in ending.reason
 
 
-@pytest.mark.parametrize("asked", [(), (Operator.STOP,)])
+@pytest.mark.parametrize("asked", [(), (Operator.STOP,), (Operator.STOP, Operator.END)])
 def test_a_run_that_was_over_before_its_drives_were_ready_is_no_success_but_on_request(asked):
     now = cycle(Mode.WAITING, age=NEVER)
     course = Course(now, duration_s=None if asked else 1.0)

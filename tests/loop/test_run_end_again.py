@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.signals import Fault, Mode
+from drivers.signals import NEVER, Fault, Mode
 from hil.loop.run_end import Course
 from hil.signals import Operator
 from tests.loop.test_run_end import cycle, first_end
@@ -45,3 +45,14 @@ def test_a_platform_that_is_held_again_after_a_reset_is_held_for_as_long_as_the_
     ending = next((found for tick in range(1500, 3000) if (found := course.ending(tick))), None)
     assert ending is not None
     assert ending.ticks == ends
+
+
+def test_an_end_that_is_asked_for_later_does_not_make_good_that_the_drives_were_never_ready():
+    now = cycle(Mode.WAITING, age=NEVER)
+    course = Course(now, duration_s=1.0, goes_on=True)
+    course.commands(100)
+    now.mode, now.mode_tick = Mode.PARKED, 100
+    course.commands(101, (Operator.STOP, Operator.END))
+    ending = first_end(course, 200)
+    assert ending is not None
+    assert "drive 0 never answered" in ending.reason

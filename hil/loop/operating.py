@@ -63,7 +63,7 @@ class Operating:
         self._way_back: GeodesicMove | None = None
         self._inspection: Inspection | None = None
         self.trouble = ""
-        """Why a way back cannot be followed, until the next order."""
+        """Why a way back cannot be followed, until the next order, or until it moves anew."""
         self.key_tick: int | None = None
         self.answers: list[str] = []
         """Why each order of the last tick was refused, in their order; empty where it was taken."""
@@ -130,8 +130,10 @@ class Operating:
                 motion.leave(move, tick)
 
     def engage(self, tick: int, motion: Motion) -> None:
-        """Begin to move, where the key is held."""
+        """Begin to move, where the key is held; no way back of the motion before counts any more."""
         self.parks, self.go = False, self.holds_key(tick)
+        self._way_back = self._inspection = None
+        self.trouble = ""
         motion.settle(tick, self.speed if self.go else 0.0)
 
     def enter(self, mode: Mode, tick: int, motion: Motion) -> None:

@@ -152,6 +152,9 @@ def test_an_order_meanwhile_lets_the_way_be_judged_anew():
     operating.step([HOLD], 2, Mode.TRACKING, motion)
     operating.way("park", 2, motion, there)
     assert len(made_of) == 2
+    operating.engage(3, motion)
+    operating.way("park", 3, motion, there)
+    assert len(made_of) == 3, "the way of the motion before began elsewhere"
 
 
 def test_operator_and_log_are_told_once_why_a_way_is_not_followed():
@@ -168,3 +171,18 @@ def test_operator_and_log_are_told_once_why_a_way_is_not_followed():
     stub: Any = SimpleNamespace(cycle=cycle)
     cycle.operating.trouble = ""
     assert waits_for(stub) == "start"
+
+
+def test_armed_again_nobody_is_told_why_a_way_was_not_followed_before_and_the_log_is_told_it_anew():
+    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
+    told: list[str] = []
+    course = Course(cycle, event=lambda _t, _level, text: told.append(text))
+    cycle.mode = Mode.TRACKING
+    for tick in (10, 20):
+        cycle.operating.engage(tick, cycle.motion)
+        cycle.operating.go = False
+        assert waits_for(course) == "start"
+        course._tell()
+        cycle.operating.trouble = "park: not followed, since it is so"
+        course._tell()
+    assert told == ["park: not followed, since it is so"] * 2

@@ -227,12 +227,12 @@ class Cycle:
         """Tell whether the motion has ended, with nothing to follow, and the legs are at rest."""
         motion = self.motion
         ended = motion.finished(int(tick["tick"])) and not motion.away
-        return ended and not self.operating.to_return(self.mode) and max(abs(tick["dq"]).tolist()) < REST_m_s
+        return ended and not self.operating.stays(self.mode) and max(abs(tick["dq"]).tolist()) < REST_m_s
 
     def _restless(self, tick: Record) -> bool:
         """Tell whether the legs are not at rest long after the motion has ended, with nothing to follow."""
         ended = self.mode in ENDING and self.motion.overdue(int(tick["tick"]), REST_PATIENCE_S)
-        return ended and not self.operating.to_return(self.mode) and not self._finished(tick)
+        return ended and not self.operating.stays(self.mode) and not self._finished(tick)
 
     def _provable(self, tick: Record) -> bool:
         """Tell whether a test could prove the brakes: all legs are heard, believed and at rest."""

@@ -77,7 +77,7 @@ class Facts(NamedTuple):
     elapsed: float
     """s since the present mode was entered."""
     finished: bool
-    """The present motion (approach, reference, stop) has ended and the legs are at rest."""
+    """The present motion (approach, reference, stop) has ended, not on hold, and the legs are at rest."""
     stop: bool
     """Safety asks for a controlled stop."""
     provable: bool = False

@@ -78,13 +78,20 @@ class Operating:
         """Tell whether the operator decides in a mode how the platform goes on."""
         return mode in {Mode.APPROACH, Mode.TRACKING} or (mode is Mode.STOPPING and self.parks)
 
-    def to_return(self, mode: Mode) -> bool:
-        """Tell whether the way back to the first pose is still to begin."""
-        return self.parks and mode is Mode.TRACKING
+    def stays(self, mode: Mode) -> bool:
+        """Tell whether the brakes stay open where the motion has ended.
+
+        On hold, and where the way back to the first pose is still to begin.
+        """
+        if mode is Mode.TRACKING:
+            return self.parks or not self.go
+        return mode is Mode.STOPPING and self.parks and not self.go
 
     def step(self, orders: Sequence[Order], tick: int, mode: Mode, motion: Motion) -> None:
         """Go on to a tick along the motion, take its orders, look at the key, and set the speed from here."""
         motion.advance(tick)
+        if not self.go and self.stays(mode) and not motion.away and motion.finished(tick):
+            motion.settle(tick, 0.0)  # the motion is over: so is its time
         if not orders and self.patience is None and not motion.away:
             if self.answers:
                 self.answers = []

@@ -125,7 +125,7 @@ def test_park_waits_for_rest_and_hold_takes_it_back():
     operating, motion = made()
     run((operating, motion), 700, {100: [PARK]})
     assert operating.parks
-    assert operating.to_return(Mode.TRACKING)
+    assert operating.stays(Mode.TRACKING)
     assert motion.resting
     operating.step([HOLD], 700, Mode.TRACKING, motion)
     assert not operating.parks

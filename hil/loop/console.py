@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 from drivers.signals import Mode
 from hil.loop.panel import OperatorPanel
+from hil.loop.refusals import REFUSED, refusal, setpoint_refusals
 from hil.loop.run_end import Course
 from hil.loop.status import status_text
 from hil.operate.channel import Heard, OperatorChannel
 from hil.record import Recording
 from hil.signals import Operator, explain
 
-NOT_LIVE = "the reference takes no set-points: reference.type has to be live"
 STATUS_S = 0.01
 """How old a status may be: composing one takes some 50 us."""
 
@@ -57,7 +57,7 @@ class Console:
         if not heard.operator:
             return heard._replace(operator=operator)
         self._refusals = [
-            self._refusal(each, mode, was_held=was_held and k not in self.channel.old)
+            refusal(each, mode, was_held=was_held and k not in self.channel.old, goes_on=course.goes_on)
             for k, each in enumerate(heard.operator)
         ]
         taken = [each for each, why in zip(heard.operator, self._refusals, strict=True) if not why]
@@ -72,28 +72,11 @@ class Console:
             recording.event(t_ns, "warning", f"set-point refused: {explain(steering.counts.refusal)}")
         if channel is None or not channel.waited_for:
             return
-        if steering is None:
-            setpoints = [NOT_LIVE] * self._not_live
-        else:
-            setpoints = [explain(each) for each in steering.answers]
+        setpoints = setpoint_refusals(cycle, self._not_live)
         refused = [why for why in (*self._refusals, *operating.answers) if why]
         if refused:
-            recording.event(t_ns, "warning", f"operator's command refused: {'; '.join(refused)}")
+            recording.event(t_ns, "warning", REFUSED + "; ".join(refused))
         channel.answer(self._refusals, operating.answers, setpoints, self._status_text)
-
-    def _refusal(self, command: Operator, mode: Mode, *, was_held: bool) -> str:
-        """Return why a command cannot be taken now; empty where it can."""
-        match command:
-            case Operator.ENGAGE if mode is not Mode.IDLE:
-                return f"there is nothing to arm in mode {mode.name}: all drives have to be ready (IDLE)"
-            case Operator.RELEASE if not (mode is Mode.HELD and was_held):
-                return "nothing is held: no platform whose brakes failed"
-            case Operator.RESET if mode not in {Mode.FAULT, Mode.WAITING} and not (
-                mode is Mode.PARKED and self.course.goes_on
-            ):
-                return f"there is nothing to reset in mode {mode.name}"
-            case _:
-                return ""
 
     def _status_text(self) -> str:
         tick = int(self.course.cycle.tick["tick"])

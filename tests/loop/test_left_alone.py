@@ -15,6 +15,9 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript
+from hil.loop.jogging import ON_HOLD
+from hil.loop.operating import NOT_MOVING
+from hil.loop.refusals import NOT_LIVE, REFUSED
 from hil.loop.run_end import LEFT_ALONE, Course
 from hil.signals import Operator
 from tests.broad import broad
@@ -125,10 +128,23 @@ def test_commands_that_leave_the_run_waiting_let_it_end(
 
 
 def test_a_simulation_whose_arm_comes_too_early_does_not_record_for_ever(tmp_path: Any) -> None:
-    """Nobody arms it any more once its drives are ready."""
-    run, rows = simulated(tmp_path, [(0.0, "arm")], check_replay=False)
+    """Nobody arms it any more once its drives are ready; the log says of each word why it did not count."""
+    commands = [
+        *[(0.0, "arm"), (0.0, "speed 50"), (0.001, "start"), (0.002, "jog x 1 for 0.03")],
+        *[(0.003, "setpoint 0 0 1"), (0.003, "release"), (0.004, "reset")],
+    ]
+    run, rows = simulated(tmp_path, commands, check_replay=False)
     assert run.success
     assert modes(rows) == ["WAITING", "IDLE", "PARKED"]
+    assert run.summary["commands"] == {"given": 7, "refused": 5, "not_reached": 0}
+    told = [event for event in run.log.events() if event.text.startswith(REFUSED)]
+    assert {event.level for event in told} == {"warning"}
+    assert [(event.t_ns // 1_000_000, event.text.removeprefix(REFUSED)) for event in told] == [
+        (0, "there is nothing to arm in mode WAITING: all drives have to be ready (IDLE)"),
+        (1, NOT_MOVING.format("WAITING")),
+        (2, ON_HOLD),
+        (3, f"{NOT_LIVE}; nothing is held: no platform whose brakes failed"),
+    ]
 
 
 def test_a_simulation_without_commands_goes_along_its_path_whatever_an_operator_would_have_to_do(

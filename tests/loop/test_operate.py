@@ -38,7 +38,7 @@ def test_hold_speed_start_and_park_end_parked_at_the_first_pose_and_replay_to_th
     run, rows = operated
     assert run.success, run.summary
     assert run.summary["replay"]["different_ticks"] == 0
-    assert run.summary["commands"] == {"given": 7, "not_reached": 0}
+    assert run.summary["commands"] == {"given": 7, "refused": 0, "not_reached": 0}
     assert modes(rows) == AS_ALWAYS + PARKING
     np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
     assert set(run.summary["limited_ticks"].values()) == {0}

@@ -30,6 +30,7 @@ from hil.app.sim.lockstep import Given, Lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
+from hil.loop.refusals import REFUSED
 from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures
@@ -96,9 +97,16 @@ def _run(
         given = script(tick)
         return given if setpoints is None else given._replace(setpoints=setpoints(tick) + given.setpoints)
 
+    def answered(operator: Sequence[str], orders: Sequence[str], answers: Sequence[str]) -> None:
+        refused = script.answered(operator, orders, answers)
+        if refused:
+            recording.event(lockstep.tick * lockstep.period_ns, "warning", REFUSED + "; ".join(refused))
+
     observer = observe if truth is None else observe_both
     event, over = recording.event, (lambda: script.over)
-    return lockstep.run(duration_s, observer, event, said, armed=not script.arms, over=over)
+    return lockstep.run(
+        duration_s, observer, event, said, armed=not script.arms, over=over, answered=answered
+    )
 
 
 def run_identity(
@@ -246,10 +254,12 @@ def _injected(c: Configuration, nodes: Nodes) -> dict[str, Any]:
 
 
 def _commands(commands: Sequence[TimedCommand], operator: CommandScript) -> dict[str, Any]:
-    """Return how much of what the operator was to say was said."""
+    """Return how much of what the operator was to say was said, and how much of that did not count."""
     if not commands:
         return {}
-    return {"commands": {"given": len(commands) - operator.left, "not_reached": operator.left}}
+    left = operator.left
+    said = {"given": len(commands) - left, "refused": operator.refused, "not_reached": left}
+    return {"commands": said}
 
 
 def _run_to_end(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from drivers.errors import ConfigurationError
@@ -25,7 +25,8 @@ client repeats has its length behind it, as (2.5, "jog x 1 for 1.5")."""
 class CommandScript:
     """What the operator says in each tick of a simulation.
 
-    Mutable state: how many commands have been given. Raises ConfigurationError for a command that the
+    Mutable state: how many words have been given, before the last tick, too; which commands were refused, and
+    why each was in its last tick. Raises ConfigurationError for a command that the
     operator channel would not take.
     """
 
@@ -36,7 +37,9 @@ class CommandScript:
             for at, word in _repeated(t, text, source, n)
         ]
         self._said = sorted(said, key=lambda each: each[0])
-        self._given = 0
+        self._before = self._given = 0
+        self._refused: set[int] = set()
+        self._why: dict[int, str] = {}
         self.arms = any(each.operator is Operator.ENGAGE for _, each, _ in said)
         """Whether the script itself lets the platform move."""
 
@@ -47,13 +50,18 @@ class CommandScript:
         return len({n for _, _, n in self._said[self._given :]} - begun)
 
     @property
+    def refused(self) -> int:
+        """How many commands were refused, a word of one that is repeated at least."""
+        return len(self._refused)
+
+    @property
     def over(self) -> bool:
         """Whether all has been said."""
         return self._given == len(self._said)
 
     def __call__(self, tick: int) -> Given:
         """Return the commands of a tick, in their order."""
-        first = self._given
+        self._before = first = self._given
         while self._given < len(self._said) and self._said[self._given][0] <= tick:
             self._given += 1
         if first == self._given:
@@ -64,6 +72,24 @@ class CommandScript:
             tuple(each.order for each in said if each.order is not None),
             tuple(each.setpoint for each in said if each.setpoint is not None),
         )
+
+    def answered(self, operator: Sequence[str], orders: Sequence[str], setpoints: Sequence[str]) -> list[str]:
+        """Take why each word of the last tick was refused, empty where it was taken; return what is news.
+
+        By their kinds, in their order. What a repeated command was refused for in its last tick is no news.
+        """
+        said = self._said[self._before : self._given]
+        own = sum(each.setpoint is not None for _, each, _ in said)
+        whys = iter(operator), iter(orders), iter(setpoints[len(setpoints) - own :])
+        news = []
+        for _, each, n in said:
+            why = next(whys[0 if each.operator is not None else 1 if each.order is not None else 2])
+            if why:
+                self._refused.add(n)
+                if why != self._why.get(n):
+                    news.append(why)
+            self._why[n] = why
+        return news
 
 
 def read_commands(path: Path) -> list[TimedCommand]:

@@ -15,6 +15,7 @@ from drivers.protocol import ALWAYS, Frame, Received
 from drivers.signals import BusState, Mode
 from hil.loop.cycle import Cycle
 from hil.loop.latches import latch_ns
+from hil.loop.refusals import refusal, setpoint_refusals
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
@@ -49,6 +50,10 @@ def nothing_given(tick: int) -> Given:
     """Return the commands of a tick where there are none."""
     del tick
     return NOTHING
+
+
+def nobody_answered(operator: Sequence[str], orders: Sequence[str], setpoints: Sequence[str]) -> None:
+    """Take what became of a tick's commands where nobody asks."""
 
 
 Shape = tuple[int, int, int]
@@ -276,24 +281,35 @@ class Lockstep:
         *,
         armed: bool = True,
         over: Callable[[], bool] = lambda: False,
+        answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = nobody_answered,
     ) -> Ending:
         """Engage, run the reference, park. Return how the run ended.
 
-        `commands` gives all that the operator says in a tick; armed: it engages by itself; over: whether the
-        operator has said all. It ends with its plant, too. `event` takes what each fault tells in its tick.
+        `commands` gives all that the operator says in a tick, and `answered` takes after it why each of these
+        was refused, empty where it was taken; armed: it engages by itself; over: whether the operator has
+        said all. It ends with its plant, too. `event` takes what each fault tells in its tick.
         """
         goes_on = self.cycle.parts.operator.stays
         course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=goes_on)
-        ending = None
+        ending, held = None, False
         while ending is None:
             tick = self.tick + 1
             said = commands(tick)
             silent = over() and not said.operator and not said.orders
-            operator = course.commands(tick, course.left_alone() if silent else said.operator)
+            mode = self.cycle.mode
+            was_held, held = held, mode is Mode.HELD
+            refused = [
+                refusal(each, mode, was_held=was_held, goes_on=course.goes_on) for each in said.operator
+            ]
+            taken = tuple(each for each, why in zip(said.operator, refused, strict=True) if not why)
+            operator = course.commands(tick, course.left_alone() if silent else taken)
             try:
                 stepped = self.step(operator, said.setpoints, said.orders)
             except PlantError as error:
                 return course.failed(str(error), tick)
             observe(*stepped)
+            if any(said):
+                setpoints = setpoint_refusals(self.cycle, len(said.setpoints))
+                answered(refused, self.cycle.operating.answers, setpoints)
             ending = course.ending(tick)
         return ending

@@ -1,4 +1,5 @@
-"""When the commands of a simulation are given: in the first tick at or after their time, each once."""
+"""When the commands of a simulation are given: in the first tick at or after their time, each once; and what is said
+of those that are refused."""
 
 from __future__ import annotations
 
@@ -45,4 +46,30 @@ def test_a_command_whose_tick_is_skipped_is_given_in_the_next_one(skipped: int) 
     assert script(4).operator == ()
     assert script(skipped).operator == (Operator.STOP,)
     assert script(skipped + 1).operator == ()
+    assert script.left == 0
+
+
+def test_what_was_refused_is_told_of_its_command_whatever_the_kinds_in_a_tick() -> None:
+    words = ["start", "arm", "setpoint 0 0 1", "reset", "hold", "setpoint 0 0 2"]
+    script = CommandScript([(0.0, word) for word in words], 1000.0)
+    script(0)
+    assert script.answered(["no arm", ""], ["", "no hold"], ["of a file", "no first", "no second"]) == [
+        "no arm", "no first", "no hold", "no second",
+    ]  # fmt: skip
+    assert script.refused == 4
+    script(1)
+    assert script.answered([], [], ["of a file"]) == []
+
+
+def test_a_repeated_command_is_refused_once_and_each_new_reason_is_told_and_each_after_it_was_taken() -> None:
+    script = CommandScript([(0.0, "jog x 1 for 0.12"), (0.05, "hold"), (0.2, "jog x 1 for 0.02")], 1000.0)
+    told = []
+    for tick, why in ((0, "a"), (20, "a"), (40, "b"), (60, ""), (80, "b"), (100, "b"), (200, "b")):
+        if tick == 60:
+            script(50)
+            assert script.answered([], [""], []) == []
+        assert script(tick).orders
+        told.append(script.answered([], [why], []))
+    assert told == [["a"], [], ["b"], [], ["b"], [], ["b"]]
+    assert script.refused == 2
     assert script.left == 0

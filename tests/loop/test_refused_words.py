@@ -1,0 +1,72 @@
+"""In a simulation words count where they do at a robot: which are refused, and that these change nothing."""
+
+from types import SimpleNamespace
+from typing import Any
+
+from drivers.signals import DriveState, Fault, Mode
+from hil.app.sim.lockstep import NOTHING, Given, Lockstep
+from hil.signals import Operator, Order, SetPoint
+from tests.loop.test_run_end import cycle, states
+
+COURSE: list[tuple[Mode, Operator | None, bool]] = [
+    (Mode.TRACKING, Operator.RELEASE, False),
+    (Mode.HELD, Operator.RELEASE, False),  # it was said before anybody could know
+    (Mode.HELD, Operator.RELEASE, True),
+    (Mode.FAULT, Operator.RELEASE, False),
+    (Mode.FAULT, Operator.RESET, True),
+    (Mode.WAITING, Operator.ENGAGE, False),
+    (Mode.IDLE, None, True),
+    (Mode.IDLE, Operator.ENGAGE, True),
+    (Mode.LOADING, Operator.ENGAGE, False),
+    (Mode.PARKED, Operator.RESET, True),
+    (Mode.PARKED, Operator.END, True),
+    (Mode.PARKED, Operator.RESET, False),
+]
+"""By tick: the mode, what is said, and whether it is taken."""
+
+
+def test_each_word_of_a_script_is_judged_in_its_mode_and_one_that_is_refused_is_not_given():
+    now: Any = cycle(Mode.WAITING, drive_state=states(DriveState.BOOT))
+    now.parts.operator, now.parts.steering = SimpleNamespace(stays=True), None
+    now.operating.answers = []
+    given: list[Any] = []
+    answers: list[tuple[Any, ...]] = []
+
+    def commands(tick: int) -> Given:
+        if tick >= len(COURSE):
+            return NOTHING
+        now.mode, word, _ = COURSE[tick]
+        now.faults = Fault.ESTOP if now.mode in {Mode.HELD, Mode.FAULT} else Fault.NONE
+        now.mode_tick = tick
+        return Given(() if word is None else (word,))
+
+    def step(operator: Any, _setpoints: Any, _orders: Any) -> tuple[None, None, None]:
+        given.append(operator)
+        bench.tick += 1
+        return None, None, None
+
+    bench: Any = SimpleNamespace(cycle=now, tick=-1, step=step)
+    Lockstep.run(
+        bench, None, lambda *_: None, commands=commands, armed=False,
+        answered=lambda *each: answers.append(each),
+    )  # fmt: skip
+    words = [(word, taken) for _, word, taken in COURSE if word is not None]
+    assert [not why for (why,), _, _ in answers] == [taken for _, taken in words]
+    said = [each for tick in given for each in tick if each is not Operator.STOP]
+    assert said == [word for word, taken in words if taken]
+
+
+def test_what_the_controller_answers_to_orders_and_to_set_points_of_a_path_is_passed_on():
+    now: Any = cycle(Mode.PARKED)
+    now.parts.operator, now.parts.steering = SimpleNamespace(stays=False), None
+    now.operating.answers = ["it does not move"]
+    answers: list[tuple[Any, ...]] = []
+    bench: Any = SimpleNamespace(cycle=now, tick=-1, step=lambda *_: (None, None, None))
+    given = Given((), (Order(Operator.START),), (SetPoint(0, 0, 1, 0, 0, 0),) * 2)
+    Lockstep.run(
+        bench, None, lambda *_: None, commands=lambda _: given, answered=lambda *each: answers.append(each)
+    )
+    ((operator, orders, setpoints),) = answers
+    assert (operator, orders) == ([], ["it does not move"])
+    assert len(setpoints) == 2
+    assert all("reference.type has to be live" in why for why in setpoints)

@@ -79,7 +79,7 @@ def test_legs_that_shake_at_the_start_after_such_a_hold_have_their_time_to_come_
 
 def parks(cycle: Cycle, first: int) -> list[Mode]:
     """Tick on until the brakes shut, without a fault; the modes on the way there."""
-    modes = []
+    modes: list[Mode] = []
     for number in range(first, first + 8000):
         ticked(cycle, number)
         assert not cycle.faults

@@ -29,6 +29,7 @@ def plant(rest_m: float = 1.6, **drives: float) -> PlantSettings:
         (EngageSettings(brake_release_s=0.049, brake_close_s=0.03), ["brake_open_ms"]),
         (EngageSettings(brake_release_s=0.05, brake_close_s=0.029), ["brake_close_ms"]),
         (EngageSettings(brake_release_s=0.05), []),
+        (EngageSettings(brake_release_s=0.05, brake_close_s=0.0), ["brake_close_ms"]),
         (EngageSettings(brake_release_s=0.029), ["brake_open_ms", "brake_close_ms"]),
         (EngageSettings(brake_release_s=0.04), ["brake_open_ms"]),
     ],

@@ -3,8 +3,9 @@
 from typing import Any
 
 from hil.app.configuration.controller_file import controller_of
+from hil.app.stability.judged import Inertia
 from hil.app.stability.linearising import assumed
-from hil.app.stability.subject import SURVEYED, Inertia, Subject
+from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import bound_lines, describe, unstable, worst
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
@@ -34,8 +35,8 @@ def designed(
         return [analyse(subject.axis._replace(gain=gain), sampled)] * 6
 
     judged = subject.judged(model, controller.axes, loops)
-    loop, bound = judged.loop, judged.bound
-    lines, figures = describe(loop)
+    loop, bound = judged.slowest, judged.bound
+    lines, figures = describe(judged.every)
     figures |= {"axes": controller.axes, "order": len(controller.A)}
     if not loop.stable:
         return Assessment("unstable", unstable(subject, loop), [], lines, figures)

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.app.stability.judged import Inertia, Judged
 from hil.app.stability.linearising import assumed, bounded
-from hil.app.stability.subject import SURVEYED, Inertia, Judged, Subject
+from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import bound_lines, describe, reaching_lines, unstable
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
@@ -117,8 +118,8 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     if law.error_dynamics().layer <= 0.0:
         return _without_layer(one, conditions)
     judged = one.bounded()
-    if not judged.loop.stable:
-        return Assessment("unstable", unstable(subject, judged.loop), [], *describe(judged.loop))
+    if not judged.slowest.stable:
+        return Assessment("unstable", unstable(subject, judged.slowest), [], *describe(judged.every))
     if isinstance(judged.bound, str):
         return Assessment("not proven", f"with what is stated: {judged.bound}", conditions, [], {})
     if subject.nothing:
@@ -130,7 +131,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     if isinstance(found, str):
         return Assessment("not proven", found, conditions, [], {})
     reaching, lines, figures = found
-    for more, numbers in (describe(judged.loop), bound_lines(judged, "joint")):
+    for more, numbers in (describe(judged.every), bound_lines(judged, "joint")):
         lines, figures = lines + more, {**figures, **numbers}
     if reaching.surplus <= 0.0:
         return Assessment("not proven", _short(one, figures), conditions, lines, figures)

@@ -1,13 +1,13 @@
 """Assessment of laws that linearise the robot: joint and pose inverse dynamics, without H."""
 
 from drivers.arrays import Array
-from hil.app.stability.subject import SURVEYED, Judged, Subject, Unknown
+from hil.app.stability.judged import Judged, Unknown
+from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import bound_lines, certificate_lines, describe, unstable, worst
 from hil.config.axis_model import AxisSpace
 from hil.control.law import ErrorDynamics, LawSettings
 from hil.mathematics.linear_system import LinearSystem
 from hil.stability.assessment import Assessment, unless
-from hil.stability.error_dynamics import certificate
 from hil.stability.prediction import predicting
 from hil.stability.sampled import Sampled, analyse, gains
 
@@ -17,16 +17,15 @@ def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Asses
     axes: AxisSpace = "pose" if dynamics.pose else "joint"
     K_P, K_D = dynamics.K_P, dynamics.K_D
     judged = bounded(subject, law, axes, K_P, K_D)
-    loop, bound = judged.loop, judged.bound
-    lines, figures = describe(loop)
+    loop, bound = judged.slowest, judged.bound
+    lines, figures = describe(judged.every)
     if not loop.stable:
         return Assessment("unstable", unstable(subject, loop), [], lines, figures)
     conditions = assumed(subject, law)
     if isinstance(bound, str):
         return Assessment("not proven", bound, conditions, lines, figures)
-    proof = certificate(bound.gamma * K_P, bound.gamma * K_D)
     more, numbers = bound_lines(judged, axes)
-    first, values = certificate_lines(proof)
+    first, values = certificate_lines(judged, K_P, K_D)
     lines, figures = first + more + lines, {**values, **numbers, **figures}
     if subject.undisturbed(bound):
         claim = f"at the reference's pose small errors die out, the slowest as exp(-{loop.decay_rate:.3g} t)"

@@ -16,6 +16,7 @@ from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
 from hil.app.stability.imperfect_drives import Disturbed, Drives
 from hil.app.stability.instants import instants
+from hil.app.stability.judged import NOTHING, Inertia, Judged, Unknown
 from hil.config.axis_model import AxisSpace
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
@@ -53,63 +54,6 @@ SURVEYED = (
     "what disturbs the loop, delay and stale J and M included, is no more than at the instants and extremes "
     "looked at: surveyed, not enclosed"
 )
-
-
-class Unknown(NamedTuple):
-    """What a law's own section says that its model does not know."""
-
-    d: float = 0.0
-    """m/s^2, of each leg."""
-    alpha: float = 0.0
-    """Norm of Gamma - I."""
-
-
-NOTHING = Unknown()
-
-
-class Inertia(NamedTuple):
-    """What a wrong inertia makes of the accelerations that a law asks for: Gamma = J M^-1 M_believed J^-1."""
-
-    alpha: float = 0.0
-    """Norm of Gamma - I by rows, largest."""
-    alpha_2: float = 0.0
-    """Spectral norm of Gamma - I, largest."""
-    dominance: float = 1.0
-    """Gamma_ii less the rest of its row, least."""
-    definite: float = 1.0
-    """Eigenvalue of the symmetric part of Gamma, least."""
-    eigenvalues: tuple[float, float] = (1.0, 1.0)
-    """Of Gamma, least and largest: real, as it is similar to M^-1 M_believed."""
-
-    @classmethod
-    def of(cls, found: list[Local]) -> Self:
-        """Return what covers all of them."""
-        Gamma = np.array([local.Gamma for local in found])
-        off = Gamma - np.eye(6)
-        diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
-        rest = np.abs(Gamma).sum(axis=2) - np.abs(diagonal)
-        return cls(
-            float(np.abs(off).sum(axis=2).max()),
-            float(np.linalg.norm(off, ord=2, axis=(1, 2)).max()),
-            float((diagonal - rest).min()),
-            float(np.linalg.eigvalsh(0.5 * (Gamma + Gamma.transpose(0, 2, 1))).min()),
-            (float((values := np.linalg.eigvals(Gamma).real).min()), float(values.max())),
-        )
-
-
-class Judged(NamedTuple):
-    """The loop that runs, and what bounds it."""
-
-    loop: Sampled
-    """Of the axis with the least delay margin, or of one that is not stable."""
-    loops: list[Sampled]
-    """Of each axis."""
-    bound: Ultimate | str
-    inertia: Inertia = Inertia()
-    bounds: tuple[tuple[list[Sampled], Ultimate], ...] = ()
-    """Loops and bound at each end of what is stated of the inertia."""
-    carried: str = ""
-    """With what the bound is the largest, or there is none; nothing where only one thing is carried."""
 
 
 @dataclass(frozen=True)
@@ -272,34 +216,33 @@ class Subject:
         ahead_s: float = 0.0,
         unknown: Unknown = NOTHING,
     ) -> Judged:
-        """Return loop and bound of a law with this model, each at its worse end of what is stated.
+        """Return loops and bound of a law with this model: all loops, and the worst bound, of what is stated.
 
         loops_of: the loop of each axis with a gain. ahead_s: how far the law looks ahead.
         """
-        ends: list[tuple[list[Sampled], Ultimate]] = []
-        weakest: list[Sampled] = []
-        seen: list[Local] = []
-        words: list[str] = []
         stale = stale_s(self.axis, ahead_s)
+        looked = []
+        every: dict[int, Sampled] = {}
         for linearised, carried in self._ends(model, axes):
             found = along(linearised, self.path, stale)
-            seen += found
-            survey = summary(found)
-            loops = loops_of(survey.gamma)
-            least = min(loops, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
-            if not least.stable:
-                return Judged(least, loops, f"the loop is not stable{carried}", carried=carried)
+            loops = loops_of(summary(found).gamma)
+            looked.append((linearised, carried, found, loops))
+            every |= {id(loop): loop for loop in loops}
+        all_loops = list(every.values())
+        for _, carried, _, loops in looked:
+            if not all(loop.stable for loop in loops):
+                return Judged(loops, all_loops, f"the loop is not stable{carried}", carried=carried)
+        ends: list[tuple[list[Sampled], Ultimate]] = []
+        for linearised, carried, found, loops in looked:
             late = self._late(linearised, loops, ahead_s)
             bound = self._least(linearised, loops, late, unknown, found)
             if isinstance(bound, str):
-                return Judged(least, loops, bound + carried, carried=carried)
-            weakest.append(least)
+                return Judged(loops, all_loops, bound + carried, carried=carried)
             ends.append((loops, bound))
-            words.append(carried)
         worst = max(range(len(ends)), key=lambda k: float(ends[k][1].error.max()))
         loops, bound = ends[worst]
-        least = min(weakest, key=lambda loop: -1.0 if loop.margins is None else loop.margins.delay_s)
-        return Judged(least, loops, bound, Inertia.of(seen), tuple(ends), words[worst])
+        inertia = Inertia.of([local for _, _, found, _ in looked for local in found])
+        return Judged(loops, all_loops, bound, inertia, tuple(ends), looked[worst][1])
 
     def _ends(self, model: ModelSettings, axes: AxisSpace) -> list[tuple[Linearised, str]]:
         """Return `linearised`, each with the words for what it carries where that is not one thing."""

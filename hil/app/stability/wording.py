@@ -1,14 +1,16 @@
 """Lines and figures of assessed laws that linearise the robot."""
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from hil.app.stability.subject import Judged, Subject
+from hil.app.stability.judged import Judged, slowest_of
+from hil.app.stability.subject import Subject
 from hil.config.axis_model import AxisSpace
-from hil.stability.error_dynamics import Certificate, decay_rate
+from hil.stability.error_dynamics import certificate, decay_rate
 from hil.stability.reaching import Reaching
 from hil.stability.sampled import Sampled
 from hil.stability.ultimate import Ultimate, in_words
@@ -17,25 +19,29 @@ NEGLIGIBLE = 0.01
 """Share of a disturbance that is not worth a line."""
 
 
-def describe(loop: Sampled) -> tuple[list[str], dict[str, Any]]:
-    """Return the sampled loop as lines and figures."""
-    largest = float(np.abs(loop.poles).max())
-    figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": float(loop.decay_rate)}}
-    margins = loop.margins
-    if margins is None:
+def describe(loops: Sequence[Sampled]) -> tuple[list[str], dict[str, Any]]:
+    """Return the sampled loops of the axes as lines and figures, of each figure the worst of all axes."""
+    slowest = slowest_of(loops)
+    largest, rate = float(np.abs(slowest.poles).max()), float(slowest.decay_rate)
+    figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": rate}}
+    margins = [loop.margins for loop in loops if loop.margins is not None]
+    if not slowest.stable or not margins:
         return [f"sampled loop   unstable, largest |z| {largest:.4f}"], figures
+    phase, gain = min(one.phase_deg for one in margins), min(one.gain_up for one in margins)
+    delay, crossover = min(one.delay_s for one in margins), max(one.crossover_rad_s for one in margins)
     figures["sampled"] |= {
-        "phase_margin_deg": margins.phase_deg,
-        "delay_margin_ms": 1e3 * margins.delay_s,
-        "gain_margin": margins.gain_up,
-        "cross_over_rad_s": margins.crossover_rad_s,
-        "peak_gain_s2": loop.peak_gain,
+        "phase_margin_deg": phase,
+        "delay_margin_ms": 1e3 * delay,
+        "gain_margin": gain,
+        "cross_over_rad_s": crossover,
+        "peak_gain_s2": max(loop.peak_gain for loop in loops),
     }
+    fastest = ", the fastest axis" if len({one.crossover_rad_s for one in margins}) > 1 else ""
     return [
-        f"sampled loop   largest |z| {largest:.4f}, slowest mode exp(-{loop.decay_rate:.3g} t)",
+        f"sampled loop   largest |z| {largest:.4f}, slowest mode exp(-{rate:.3g} t)",
         (
-            f"margins        phase {margins.phase_deg:.0f} deg, gain x {margins.gain_up:.3g}, further delay "
-            f"{1e3 * margins.delay_s:.3g} ms; crosses over at {margins.crossover_rad_s:.0f} rad/s"
+            f"margins        phase {phase:.0f} deg, gain x {gain:.3g}, further delay "
+            f"{1e3 * delay:.3g} ms; crosses over at {crossover:.0f} rad/s{fastest}"
         ),
     ], figures
 
@@ -53,10 +59,17 @@ def worst(bound: Ultimate, axes: AxisSpace) -> str:
     return in_words(bound.error, axes)
 
 
-def certificate_lines(proved: Certificate) -> tuple[list[str], dict[str, Any]]:
-    """Return the Lyapunov function of the loop without sampling and delay as lines and figures."""
+def certificate_lines(judged: Judged, K_P: Array, K_D: Array) -> tuple[list[str], dict[str, Any]]:
+    """Return the Lyapunov function of the loop without sampling and delay as lines and figures.
+
+    K_P and K_D (6,): the gains of the law; the axes have gamma times these.
+    """
+    assert isinstance(judged.bound, Ultimate)
+    proved = certificate(judged.bound.gamma * K_P, judged.bound.gamma * K_D)
     P = proved.P[0]
-    slowest = min(decay_rate(float(p), float(d)) for p, d in zip(proved.K_P, proved.K_D, strict=True))
+    pairs = [(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True)]
+    slowest = min(decay_rate(b.gamma * p, b.gamma * d) for _, b in judged.bounds for p, d in pairs)
+    without = "without delay" if all(b.exact for _, b in judged.bounds) else "without delay and coupling"
     figures = {
         "K_P_1_s2": proved.K_P.tolist(),
         "K_D_1_s": proved.K_D.tolist(),
@@ -70,7 +83,7 @@ def certificate_lines(proved: Certificate) -> tuple[list[str], dict[str, Any]]:
             f"dV/dt <= -{2 * proved.alpha[0]:.3g} (V - d^2)"
         ),
         (
-            f"gains          K_P {_range(proved.K_P)} 1/s^2, K_D {_range(proved.K_D)} 1/s; without delay "
+            f"gains          K_P {_range(proved.K_P)} 1/s^2, K_D {_range(proved.K_D)} 1/s; {without} "
             f"errors die out as exp(-{slowest:.3g} t)"
         ),
     ]

@@ -77,4 +77,5 @@ def assumed(subject: Subject, law: LawSettings) -> list[str]:
     conditions = []
     if law.lookahead is not None:
         conditions.append("the delays are those of delay_compensation")
-    return conditions + subject.wrench + subject.unseen + subject.live
+    wrench = subject.wrench if law.compensates_wrench else []
+    return conditions + wrench + subject.unseen + subject.live

@@ -81,6 +81,13 @@ def test_where_an_estimated_wrench_is_taken_off_nothing_is_proven_without_saying
         assert among(found, "the estimated wrench is right") == (source == "observer"), law
 
 
+def test_a_law_that_takes_no_wrench_off_needs_none_to_be_right():
+    law = "  law: partial_linearisation\n  wn_rad_s: 20\n"
+    for source in ("none", "observer"):
+        found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
+        assert (found.status, found.conditions) == ("proven", []), source
+
+
 @pytest.mark.parametrize("evaluation", ["online", "offline"])
 def test_a_feed_forward_that_takes_an_estimated_wrench_off_says_so(evaluation):
     law = f"{SPRINGS['feedforward_pd']}  evaluation: {evaluation}\n"

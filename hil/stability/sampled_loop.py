@@ -43,30 +43,40 @@ def sampled_axis(transport_s: float, drive: LinearSystem, period_s: float, gain:
 
     `drive` is the force loop, continuous: `hil.mathematics.linear_system.lag`, or one of higher order.
     """
-    whole = ceil(transport_s / period_s - 1e-9)
-    late = max(whole * period_s - transport_s, 0.0)  # so long before the sample the newer input already acts
     n = 2 + drive.order
     A, B = np.zeros((n, n)), np.zeros((n, 1))  # of position, rate, and the drives
     A[0, 1] = 1.0
     A[1, 2:], B[1] = gain * drive.C[0], gain * drive.D[0]
     A[2:, 2:], B[2:] = drive.A, drive.B
+    return late_states(A, B, 2, transport_s, period_s)
+
+
+def late_states(A: Array, B: Array, outputs: int, transport_s: float, period_s: float) -> LinearSystem:
+    """Return dx/dt = A x + B u of held inputs, `transport_s` late, at the samples, to its first states.
+
+    A (n, n), B (n, m); outputs: how many of the states.
+    """
+    whole = ceil(transport_s / period_s - 1e-9)
+    late = max(whole * period_s - transport_s, 0.0)  # so long before the sample the newer input already acts
+    n, m = B.shape
     _, newer = held(A, B, late)
     Phi, both = held(A, B, period_s)
     older = both - newer
     # the last inputs, the newest first
-    F, G = np.zeros((n + whole, n + whole)), np.zeros((n + whole, 1))
+    size = n + whole * m
+    F, G = np.zeros((size, size)), np.zeros((size, m))
     F[:n, :n] = Phi
     if whole == 0:
         G[:n] = both
     else:
-        F[:n, n + whole - 1 :] += older
+        F[:n, size - m :] += older
         if whole == 1:
             G[:n] += newer
         else:
-            F[:n, n + whole - 2 : n + whole - 1] += newer
-        F[n + 1 :, n:-1] = np.eye(whole - 1)
-        G[n] = 1.0
-    return LinearSystem(F, G, np.eye(2, n + whole), np.zeros((2, 1)), period_s)
+            F[:n, size - 2 * m : size - m] += newer
+        F[n + m :, n : size - m] = np.eye((whole - 1) * m)
+        G[n : n + m] = np.eye(m)
+    return LinearSystem(F, G, np.eye(outputs, size), np.zeros((outputs, m)), period_s)
 
 
 def disturbed(axis: LinearSystem) -> LinearSystem:

@@ -28,7 +28,7 @@ _delay_margin = _sampled("delay_margin_ms")
 _FIGURES = (
     _Figure("largest_pole", _sampled("largest_pole"), "largest |z| {:.4f}", 1),
     _Figure("delay_margin_ms", _delay_margin, "further delay {:.3g} ms", -1),
-    _Figure("sag_mm", lambda figures: figures.get("energy", {}).get("sag_mm"), "sag {:.3g} mm", 1),
+    _Figure("sag_mm", lambda figures: figures.get("energy", figures).get("sag_mm"), "sag {:.3g} mm", 1),
     _Figure(
         "stiffness_N_m",
         lambda figures: min(figures.get("energy", {}).get("stiffness_N_m", []), default=None),

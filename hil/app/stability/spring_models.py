@@ -4,15 +4,15 @@ What is proven of these laws is proven of a reference at rest; of a moving one n
 says so.
 """
 
-from dataclasses import replace
-from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ModelError
-from hil.app.stability.subject import NO_PAYLOAD, Subject
+from hil.app.stability.first_order import cartesian_forces, gravity_forces, of_first_order
+from hil.app.stability.spring_loop import at_rest, inertia, sampled_loop, unstable
+from hil.app.stability.subject import Subject
 from hil.config.model import ModelSettings
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.feedforward_pd import FeedforwardPDSettings
@@ -23,9 +23,9 @@ from hil.control.pid import PIDSettings
 from hil.mathematics.linear_system import LinearSystem
 from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian, leg_lengths
+from hil.robot.kinematics import leg_lengths
 from hil.stability.assessment import Assessment
-from hil.stability.coupled import delay_margin_s, growth, integrating, proportional
+from hil.stability.coupled import integrating, proportional
 from hil.stability.energy import Potential, Well, basin, leg_springs, stiffness_matrix, total, weight, well
 from plant_fmu.config import BenchPlant
 
@@ -35,6 +35,9 @@ AT_ONCE = (
     "forces answer at once: V knows no sampling, delay or lag; what these do to small errors at the "
     "reference's start is in the sampled loop"
 )
+
+
+FROZEN = "a weight that is frozen while the robot moves has no potential"
 
 
 class Held(NamedTuple):
@@ -56,16 +59,19 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Assessment:
     p, R = subject.path[0].p, subject.path[0].R
     q = leg_lengths(subject.platform, p, R)
     K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
-    compensated = believed = None
-    tau = np.zeros(6)
-    if isinstance(law, PDGravitySettings):
-        compensated = believed = _weighing(subject, law.model)
-    elif isinstance(law, FeedforwardPDSettings):
-        believed = _weighing(subject, law.model)
-        tau = believed.inverse_dynamics(p, R, _STILL, _STILL)
+    compensated = None
+    tau = _STILL
+    if isinstance(law, PDGravitySettings) and law.model.variant == "constant_MG":
+        return of_first_order(subject, gravity_forces(subject, law), FROZEN)
+    if isinstance(law, FeedforwardPDSettings) or (
+        isinstance(law, PDGravitySettings) and law.model.variant == "constant"
+    ):  # the same forces wherever the robot is
+        tau = subject.believed(law.model).inverse_dynamics(p, R, _STILL, _STILL)
+    elif isinstance(law, PDGravitySettings):
+        compensated = _weighing(subject, law.model)
     S = total(leg_springs(subject.platform, q, K_p, tau), weight(subject.robot, compensated))
     exact = compensated is not None and _same_weight(subject, compensated)
-    J, mobility = _mobility(subject, p, R)
+    J, mobility = inertia(subject, p, R)
     controller = proportional(K_p, K_v, subject.axis.period_s)
     stiffness = float(K_p.sum()) if exact else None
     held = Held(S, exact, controller, J @ mobility @ J.T, "dq^T K_v dq", stiffness)
@@ -79,19 +85,11 @@ def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Ass
     """Judge a PD on the pose by its energy, where it has one."""
     p, R = subject.path[0].p, subject.path[0].R
     K_p, K_v = law.gains()
-    _, mobility = _mobility(subject, p, R)
+    reason = _without_energy(law, K_p)
+    if reason is not None:
+        return of_first_order(subject, cartesian_forces(subject, law), reason)
+    _, mobility = inertia(subject, p, R)
     controller = proportional(K_p, K_v, subject.axis.period_s)
-    if law.rotation_error == "vector_difference" or len(set(K_p[3:])) > 1:
-        reason = (
-            "the stiffness of vector_difference is not symmetric"
-            if law.rotation_error == "vector_difference"
-            else "three stiffnesses of rotation have an energy to first order only"
-        )
-        lines, figures, radius = _sampled(subject, controller, mobility)
-        if radius >= 1.0:
-            return Assessment("unstable", _unstable(subject, radius), [], lines, figures)
-        claim = f"{reason}: no energy function; small errors at the reference's start die out"
-        return Assessment("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
     compensated = None if law.model is None else _weighing(subject, law.model)
 
     def springs(at_p: Array, at_R: Array) -> float:
@@ -104,49 +102,62 @@ def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Ass
     return _judge(subject, Held(S, exact, controller, mobility, "t^T K_v t"), quick=quick)
 
 
+def _without_energy(law: CartesianPDSettings, K_p: Array) -> str | None:
+    """Say why a PD on the pose has no energy function; None where it has one."""
+    if law.rotation_error == "vector_difference":
+        return "the stiffness of vector_difference is not symmetric"
+    if law.model is not None and law.model.variant in {"constant", "constant_MG"}:
+        return FROZEN
+    return (
+        "three stiffnesses of rotation have an energy to first order only" if len(set(K_p[3:])) > 1 else None
+    )
+
+
 def pid(subject: Subject, law: PIDSettings) -> Assessment:
     """Judge a PID by its eigenvalues at the reference's start (Lyapunov's indirect method)."""
     p, R = subject.path[0].p, subject.path[0].R
     K_p, K_v, K_i = (per_leg(gain) for gain in (law.kp_N_m, law.kv_N_s_m, law.ki_N_m_s))
-    J, mobility = _mobility(subject, p, R)
+    J, mobility = inertia(subject, p, R)
     tau = subject.robot.inverse_dynamics(p, R, _STILL, _STILL)
     q = leg_lengths(subject.platform, p, R)
-    stiffness = stiffness_matrix(
-        total(leg_springs(subject.platform, q, K_p, tau), weight(subject.robot)), p, R
-    )
+    own = stiffness_matrix(total(leg_springs(subject.platform, q, _STILL, tau), weight(subject.robot)), p, R)
     nothing, unit = np.zeros((6, 6)), np.eye(6)
     A = np.block(
         [
             [nothing, unit, nothing],
-            [-mobility @ stiffness, -mobility @ J.T @ (K_v[:, None] * J), mobility @ J.T],
+            [
+                -mobility @ (own + J.T @ (K_p[:, None] * J)),
+                -mobility @ J.T @ (K_v[:, None] * J),
+                mobility @ J.T,
+            ],
             [-K_i[:, None] * J, nothing, nothing],
         ]
     )
     slowest = float(np.linalg.eigvals(A).real.max())
     controller = integrating(K_p, K_v, K_i, subject.axis.period_s)
-    lines, figures, radius = _sampled(subject, controller, J @ mobility @ J.T)
+    of_legs = np.linalg.solve(J.T, own) @ np.linalg.inv(J)
+    lines, figures, radius = sampled_loop(subject, controller, J @ mobility @ J.T, of_legs)
     lines.insert(0, f"eigenvalues    slowest exp({slowest:+.3g} t) of 18, the weight's stiffness included")
     figures["slowest_eigenvalue_1_s"] = slowest
     short = float((np.abs(tau) / per_leg(law.integral_limit_N)).max())
     if slowest >= 0.0 or radius >= 1.0:
-        claim = (
-            _unstable(subject, radius) if radius >= 1.0 else f"an eigenvalue grows as exp({slowest:.3g} t)"
-        )
+        claim = unstable(subject, radius) if radius >= 1.0 else f"an eigenvalue grows as exp({slowest:.3g} t)"
         return Assessment("unstable", claim, [], lines, figures)
     if short > 1.0:
         claim = f"the integral cannot carry the weight: {100 * short:.0f} % of integral_limit_N"
-        return Assessment("not proven", claim, _motion(subject), lines, figures)
-    claim = f"at the reference's start small errors die out as exp({slowest:.3g} t)"
-    return Assessment("conditional", claim, [*_motion(subject), "errors are small"], lines, figures)
+        return Assessment("not proven", claim, at_rest(subject), lines, figures)
+    rate = -np.log(radius) / subject.axis.period_s
+    claim = f"at the reference's start small errors die out as exp(-{rate:.3g} t)"
+    return Assessment("conditional", claim, [*at_rest(subject), "errors are small"], lines, figures)
 
 
 def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
     """Judge a PD on six uncoupled legs with springs and dampers of their own."""
     controller = proportional(per_leg(law.kp_N_m), per_leg(law.kv_N_s_m), subject.axis.period_s)
-    lines, figures, radius = _sampled(subject, controller, np.eye(6) / plant.mass_kg)
+    lines, figures, radius = sampled_loop(subject, controller, np.eye(6) / plant.mass_kg)
     if radius >= 1.0:
-        return Assessment("unstable", _unstable(subject, radius), [], lines, figures)
-    conditions = [*_motion(subject), AT_ONCE]
+        return Assessment("unstable", unstable(subject, radius), [], lines, figures)
+    conditions = [*at_rest(subject), AT_ONCE]
     claim = (
         "each leg's V = m dq^2 / 2 + K_p e^2 / 2 + its own springs falls by K_v dq^2 + b |dq|^3 and grows "
         "without bound: its rest is globally asymptotically stable (LaSalle)"
@@ -156,10 +167,10 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
 
 def _judge(subject: Subject, held: Held, *, quick: bool) -> Assessment:
     s = subject.path[0]
-    lines, figures, radius = _sampled(subject, held.controller, held.mobility)
+    lines, figures, radius = sampled_loop(subject, held.controller, held.mobility)
     if radius >= 1.0:
-        return Assessment("unstable", _unstable(subject, radius), [], lines, figures)
-    conditions = [*_motion(subject), AT_ONCE]
+        return Assessment("unstable", unstable(subject, radius), [], lines, figures)
+    conditions = [*at_rest(subject), AT_ONCE]
     try:
         rest = well(held.S, s.p, s.R, subject.platform.radius)
     except ModelError as error:
@@ -208,47 +219,8 @@ def _basin(subject: Subject, held: Held, rest: Well, lines: list[str], figures: 
     }
 
 
-def _motion(subject: Subject) -> list[str]:
-    """Return what a proof of a set-point asks of the reference."""
-    rests = subject.rest and not subject.live
-    conditions = [] if rests else ["the reference rests; while it moves nothing is proven"]
-    conditions += subject.unseen
-    if subject.c.drives.transmission is not None:
-        conditions.append("the drives give what is asked: their steps and losses are left out")
-    elif subject.drives.stepped:
-        conditions.append("forces and readings have no steps")
-    if not replace(subject.stated, payload=NO_PAYLOAD).nothing:
-        conditions.append("no load: of these laws no ultimate bound is computed")
-    return conditions
-
-
-def _sampled(
-    subject: Subject, controller: LinearSystem, mobility: Array
-) -> tuple[list[str], dict[str, Any], float]:
-    radius = growth(subject.axis, controller, mobility)
-    figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
-    line = f"sampled loop   largest |z| {radius:.4f} at the reference's start, all axes together"
-    if radius < 1.0:
-        margin = delay_margin_s(subject.axis, controller, mobility)
-        figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
-        line += f"; bears {1e3 * margin:.3g} ms of further delay"
-    return [line], figures, radius
-
-
-def _unstable(subject: Subject, radius: float) -> str:
-    return (
-        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains"
-    )
-
-
-def _mobility(subject: Subject, p: Array, R: Array) -> tuple[Array, Array]:
-    """Return J and M^-1."""
-    M = subject.robot.mass_matrix(p, R)
-    return jacobian(subject.platform, p, R), np.asarray(np.linalg.inv(M), float)
-
-
 def _weighing(subject: Subject, settings: ModelSettings) -> Model:
-    """Return what the law believes, in full: of the constant variants only the gravity would be another."""
+    """Return what a law believes that compensates the weight where the robot is: no frozen variant."""
     variant = "massless_legs" if settings.variant == "massless_legs" else "full"
     return subject.believed(settings.model_copy(update={"variant": variant, "frozen_at": None}))
 

@@ -1,0 +1,184 @@
+"""What `hil stability` says of springs without an energy is what the eigenvalues of the robot under them say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from drivers.arrays import Array
+from hil.app.configuration.configuration import Configuration
+from hil.app.stability.command import judge
+from hil.app.stability.subject import Stated, Subject
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.kinematics import jacobian, leg_lengths
+from tests.hil.app.test_stability_command import LEGS, POSE
+from tests.hil.app.test_stability_conditions import held
+
+STILL = np.zeros(6)
+WEIGHTLESS = {"platform": {"gravity_m_s2": [0, 0, 0]}}
+AT = {"position_m": [0.05, -0.1, 1.1], "rotation_vector_deg": [3, -8, 5]}
+FROZEN = "{variant: %s, frozen_at: {position_m: [0, 0, 1]}}"
+
+
+def at(pose: dict[str, Any]) -> dict[str, Any]:
+    """Return what makes a configuration rest at a pose."""
+    return {"reference": {"pose": pose}}
+
+
+def cartesian(ratio: float, *changes: dict[str, Any], more: str = "") -> Configuration:
+    """Return a PD on the pose whose rates are damped by a ratio of a loop of 1150 kg and 450 kg m^2."""
+    return held(
+        f"  law: cartesian_pd\n  kp_position_N_m: 4e5\n  kv_position_N_s_m: {2 * ratio * np.sqrt(4e5 * 1150)}\n"
+        f"  kp_rotation_N_m_rad: 2e5\n  kv_rotation_N_m_s_rad: {2 * ratio * np.sqrt(2e5 * 450)}\n{more}",
+        *changes,
+    )
+
+
+def cross(x: Array) -> Array:
+    """Return the matrix of x times."""
+    return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
+
+
+def by_hand(c: Configuration, stiffness: Array) -> float:
+    """Return the slowest eigenvalue of M x'' = -K_v x' - K x at the reference, 1/s."""
+    subject = Subject(c, Stated())
+    p, R = subject.path[0].p, subject.path[0].R
+    M = subject.robot.mass_matrix(p, R)
+    _, K_v = c.controller.gains()  # type: ignore[union-attr]
+    A = np.zeros((12, 12))
+    A[:6, 6:] = np.eye(6)
+    A[6:, :6], A[6:, 6:] = -np.linalg.solve(M, stiffness), -np.linalg.solve(M, np.diag(K_v))
+    return float(np.linalg.eigvals(A).real.max())
+
+
+VECTORS = "  rotation_error: vector_difference\n"
+
+
+@pytest.mark.parametrize(
+    ("degrees", "ratio", "status"),
+    [(0, 0.1, "conditional"), (30, 0.05, "unstable"), (30, 0.5, "conditional"), (-30, 0.05, "unstable")],
+)
+def test_a_difference_of_rotation_vectors_swings_up_where_the_platform_is_turned(degrees, ratio, status):
+    """d(phi_d - phi) = -(1 - [phi]x / 2 + ...) dtheta: across phi a spring of 0.977 +- 0.262 i at 30 deg."""
+    turned = at({"position_m": [0, 0, 1], "rotation_vector_deg": [0, degrees, 0]})
+    c = cartesian(ratio, WEIGHTLESS, turned, more=VECTORS)
+    phi = np.radians([0.0, degrees, 0.0])
+    half = np.radians(abs(degrees)) / 2.0
+    along = 0.0 if degrees == 0 else (1.0 - half / np.tan(half)) / (phi @ phi)
+    K = np.zeros((6, 6))
+    K[:3, :3] = 4e5 * np.eye(3)
+    K[3:, 3:] = 2e5 * (np.eye(3) - cross(phi) / 2.0 + along * cross(phi) @ cross(phi))
+    slowest = by_hand(c, K)
+    found = judge(c)
+    assert found.figures["slowest_eigenvalue_1_s"] == pytest.approx(slowest, rel=1e-5)
+    assert found.status == status
+    assert (slowest > 0.0) == (status == "unstable")
+    assert (f"an eigenvalue grows as exp({slowest:.3g} t)" in found.claim) == (status == "unstable")
+
+
+def test_the_delay_is_in_the_rate_at_which_errors_are_said_to_die_out():
+    found = judge(cartesian(1.0, WEIGHTLESS, more=VECTORS))
+    rate = -np.log(found.figures["sampled"]["largest_pole"]) / 1e-3
+    assert found.claim.endswith(f"small errors from the set-point die out as exp(-{rate:.3g} t)")
+    assert rate != pytest.approx(-found.figures["slowest_eigenvalue_1_s"], rel=1e-3)
+
+
+ON_A_POST = {
+    "mass_kg": 300, "com_m": [0, 0, 1], "shape": {"type": "point"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("stiffness", ["[1e3, 1e3, 1.001e3]", "[1e3, 1e3, 1e3]"])
+@pytest.mark.parametrize("error", ["", VECTORS])
+def test_a_weight_that_is_stiffer_than_the_springs_is_not_said_to_be_held_by_them(stiffness, error):
+    """300 kg on a post of 1 m have 2943 N m/rad."""
+    pose = POSE.replace("kp_rotation_N_m_rad: 2e5", f"kp_rotation_N_m_rad: {stiffness}").partition("  model")[
+        0
+    ]
+    c = held(f"  law: cartesian_pd\n{pose}{error}", {"platform": {"platform": {"payload": [ON_A_POST]}}})
+    found = judge(c, quick=True)
+    assert found.status in {"unstable", "not proven"}
+    assert "die out" not in found.claim
+
+
+@pytest.mark.parametrize("more", [VECTORS, "  model: {inertia_scale: 0.9}\n" + VECTORS])
+def test_without_exact_compensation_it_rests_beside_the_set_point_and_is_said_to(more):
+    c = cartesian(1.0, at(AT), more=more)
+    deepest = sag_mm(c)
+    found = judge(c)
+    assert deepest > 0.5
+    assert found.figures["sag_mm"] == pytest.approx(deepest, rel=1e-5)
+    assert f"small errors from a pose {deepest:.3g} mm of leg length off the set-point die out" in found.claim
+    exact = judge(cartesian(1.0, at(AT), more="  model: {}\n" + VECTORS))
+    assert "small errors from the set-point die out" in exact.claim
+
+
+def sag_mm(c: Configuration) -> float:
+    """Return how far the leg lengths are off where the forces that the law sends at rest hold the weight."""
+    subject, law = Subject(c, Stated()), c.controller
+    p_d, R_d = subject.path[0].p, subject.path[0].R
+    q_d = leg_lengths(subject.platform, p_d, R_d)
+    believed = getattr(law, "model", None)
+    model = None if believed is None else subject.believed(believed)
+
+    def compensated(p: Array, R: Array) -> Array:
+        return STILL if model is None else model.inverse_dynamics(p, R, STILL, STILL)
+
+    def left(x: Array) -> Array:
+        p, R = p_d + x[:3], rotation_from_vector(x[3:]) @ R_d
+        J = jacobian(subject.platform, p, R)
+        if law.law == "cartesian_pd":
+            K_p, _ = law.gains()
+            if law.rotation_error == "vector_difference":
+                e_R = vector_of(R_d) - vector_of(R)
+            else:
+                e_R = vector_of(R_d @ R.T)
+            pull = K_p * np.concatenate([p_d - p, e_R])
+            if model is None:
+                tau = np.linalg.solve(J.T, pull)
+            else:
+                tau = model.inverse_dynamics(p, R, STILL, STILL, -pull)
+        else:
+            e = q_d - leg_lengths(subject.platform, p, R)
+            at_p, at_R = (p_d, R_d) if law.law == "feedforward_pd" else (p, R)
+            tau = np.asarray(law.kp_N_m) * e + compensated(at_p, at_R)
+        return J.T @ tau - subject.robot.gravity(p, R)
+
+    x = root(left, STILL, tol=1e-13).x
+    assert np.abs(left(x)).max() < 1e-4
+    q = leg_lengths(subject.platform, p_d + x[:3], rotation_from_vector(x[3:]) @ R_d)
+    return 1e3 * float(np.abs(q - q_d).max())
+
+
+def vector_of(R: Array) -> Array:
+    """Return the rotation vector of a turn below 180 deg."""
+    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    size = float(np.linalg.norm(axis))
+    return axis if size == 0.0 else axis / size * np.arctan2(size, 0.5 * (np.trace(R) - 1.0))
+
+
+@pytest.mark.parametrize("variant", ["constant", "constant_MG"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        f"  law: pd_gravity\n{LEGS}",
+        f"  law: feedforward_pd\n{LEGS}",
+        f"  law: cartesian_pd\n{POSE.partition('  model')[0]}",
+    ],
+)
+def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, variant):
+    """Frozen 0.15 m and 10 deg away."""
+    c = held(f"{law}  model: {FROZEN % variant}\n", at(AT))
+    deepest = sag_mm(c)
+    assert deepest > 0.05
+    found = judge(c, quick=True)
+    assert found.status == "conditional"
+    sag = found.figures.get("energy", found.figures)["sag_mm"]
+    assert sag == pytest.approx(deepest, rel=1e-4)
+    assert f"a pose {deepest:.3g} mm of leg length off the set-point" in found.claim
+    without = "has no potential" in found.claim
+    assert without == any(one == "errors are small" for one in found.conditions)
+    assert without != any("no other equilibrium" in one for one in found.conditions)

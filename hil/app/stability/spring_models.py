@@ -153,8 +153,12 @@ def pid(subject: Subject, law: PIDSettings) -> Assessment:
 
 def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
     """Judge a PD on six uncoupled legs with springs and dampers of their own."""
-    controller = proportional(per_leg(law.kp_N_m), per_leg(law.kv_N_s_m), subject.axis.period_s)
-    lines, figures, radius = sampled_loop(subject, controller, np.eye(6) / plant.mass_kg)
+    K_p = per_leg(law.kp_N_m)
+    controller = proportional(K_p, per_leg(law.kv_N_s_m), subject.axis.period_s)
+    q = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R)
+    x = _bench_rest(q - plant.rest_length_m, K_p, plant)
+    springs = np.diag(plant.stiffness_N_m + 3.0 * plant.stiffness_N_m3 * x * x)
+    lines, figures, radius = sampled_loop(subject, controller, np.eye(6) / plant.mass_kg, springs)
     if radius >= 1.0:
         return Assessment("unstable", unstable(subject, radius), [], lines, figures)
     conditions = [*at_rest(subject), AT_ONCE]
@@ -163,6 +167,16 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
         "without bound: its rest is globally asymptotically stable (LaSalle)"
     )
     return Assessment("conditional", claim, conditions, lines, figures)
+
+
+def _bench_rest(x_d: Array, K_p: Array, plant: BenchPlant) -> Array:
+    """Return where legs (6,) m come to rest, k0 x + k1 x^3 = K_p (x_d - x), from their springs' rest."""
+    low, high = np.minimum(x_d, 0.0), np.maximum(x_d, 0.0)
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        pulled = plant.stiffness_N_m * x + plant.stiffness_N_m3 * x**3 > K_p * (x_d - x)
+        low, high = np.where(pulled, low, x), np.where(pulled, x, high)
+    return np.asarray(0.5 * (low + high), np.float64)
 
 
 def _judge(subject: Subject, held: Held, *, quick: bool) -> Assessment:

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
+from hil.app.loop_delay import loop_delay
 from hil.app.stability.command import JUDGES, judge
 from hil.app.stability.payloads import WORST_FIRST
 from hil.app.stability.subject import Stated, Subject
 from hil.config.model import ModelSettings
+from hil.robot.kinematics import leg_lengths
 from hil.stability.assessment import Assessment
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 
@@ -149,3 +152,46 @@ def test_a_pd_of_unlike_stiffnesses_of_rotation_has_no_energy_and_is_judged_by_s
     assert ("three stiffnesses of rotation" in found.claim) == (not alike)
     assert ("errors are small" in found.conditions) == (not alike)
     assert np.isfinite(found.figures["sampled"]["largest_pole"])
+
+
+@pytest.mark.parametrize(("springs", "cubic"), [(1e8, 0.0), (1e6, 0.0), (0.0, 0.0), (0.0, 2e10), (5e3, 2e4)])
+def test_what_late_damping_makes_of_the_benchs_own_springs_is_in_its_verdict(springs, cubic):
+    """m p'' = -k p + u of a period before, by sine and cosine; k of a cubic spring is that of where it rests."""
+    m, K_p, K_v, T = 20.0, 1e4, 1e3, 1e-3
+    text = load("bench").text
+    text = with_changes(
+        text,
+        {
+            "plant": {
+                "model": {"mass_kg": m, "stiffness_N_m": springs, "stiffness_N_m3": cubic},
+                "drives": {"force_bandwidth_Hz": 0},
+            },
+            "controller": {"kp_N_m": K_p, "kv_N_s_m": K_v},
+        },
+    )
+    c = loads(text, "bench.yaml", Path())
+    assert (loop_delay(c).transport_s, loop_delay(c).lag_s) == (T, 0.0)
+    subject = Subject(c, Stated())
+    x_d = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R) - c.plant.model.rest_length_m
+    largest = 0.0
+    for x in x_d:
+        rest = np.roots([cubic, 0.0, springs + K_p, -K_p * x])
+        (at,) = rest[np.abs(rest.imag) < 1e-9].real
+        k = springs + 3.0 * cubic * at**2
+        w = np.sqrt(max(k, 1e-9) / m)
+        A = np.array(
+            [
+                [
+                    np.cos(w * T),
+                    np.sin(w * T) / w,
+                    T * T / (2.0 * m) if k < 1.0 else (1.0 - np.cos(w * T)) / k,
+                ],
+                [-w * np.sin(w * T), np.cos(w * T), np.sin(w * T) / (m * w)],
+                [-K_p, -K_v, 0.0],
+            ]
+        )
+        largest = max(largest, float(np.abs(np.linalg.eigvals(A)).max()))
+    found = judge(c)
+    assert found.figures["sampled"]["largest_pole"] == pytest.approx(largest, abs=1e-6)
+    assert found.status == ("unstable" if largest >= 1.0 else "conditional")
+    assert (springs == 1e8) <= (found.status == "unstable")

@@ -22,6 +22,7 @@ from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
 from hil.mathematics.linear_system import LinearSystem
 from hil.mathematics.rotations import relative_rotation
+from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import leg_lengths
 from hil.stability.assessment import Assessment
@@ -240,8 +241,14 @@ def _weighing(subject: Subject, settings: ModelSettings) -> Model:
 
 
 def _same_weight(subject: Subject, believed: Model) -> bool:
-    """Tell whether two models weigh the same along the reference."""
-    return all(
-        np.allclose(believed.gravity(s.p, s.R), subject.robot.gravity(s.p, s.R), rtol=1e-9, atol=1e-6)
-        for s in subject.path[::10]
-    )
+    """Tell whether two models weigh the same wherever the robot is, however it is turned."""
+    return bool(np.allclose(_moments(believed), _moments(subject.robot), rtol=1e-9, atol=1e-9))
+
+
+def _moments(model: Model) -> Array:
+    """Return what weight and its potential are made of beside the place, N and N m."""
+    c = model.constants
+    mass, cylinder, rod = c[kernels.MASS], c[kernels.CYLINDER_MASS], c[kernels.ROD_MASS]
+    along = cylinder * c[kernels.CYLINDER_COM] - rod * c[kernels.ROD_COM]
+    parts = np.array([mass, *(mass * c[kernels.COM : kernels.COM + 3]), rod, along])
+    return np.asarray(np.linalg.norm(c[kernels.GRAVITY : kernels.GRAVITY + 3]) * parts, np.float64)

@@ -11,13 +11,16 @@ import pytest
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.loop_delay import loop_delay
+from hil.app.stability import spring_models
 from hil.app.stability.command import JUDGES, judge
 from hil.app.stability.payloads import WORST_FIRST
 from hil.app.stability.subject import Stated, Subject
 from hil.config.model import ModelSettings
 from hil.robot.kinematics import leg_lengths
 from hil.stability.assessment import Assessment
+from hil.stability.energy import Basin
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
+from tests.hil.app.test_stability_conditions import held
 
 BODY = (
     "    payload:\n      - {mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}, mass_range_kg: [0, 80], "
@@ -152,6 +155,41 @@ def test_a_pd_of_unlike_stiffnesses_of_rotation_has_no_energy_and_is_judged_by_s
     assert ("three stiffnesses of rotation" in found.claim) == (not alike)
     assert ("errors are small" in found.conditions) == (not alike)
     assert np.isfinite(found.figures["sampled"]["largest_pole"])
+
+
+MOVED = {
+    "mass_kg": 200, "com_m": [0, 0, 0.1], "shape": {"type": "point"}, "com_range_m": [[0, 0], [0, 0], [0.1, 1.0]],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("law", [f"  law: pd_gravity\n{LEGS}", f"  law: cartesian_pd\n{POSE}"])
+def test_a_weight_that_is_the_same_at_the_reference_alone_is_not_compensated_exactly(law, monkeypatch):
+    """A body that is higher up than the law believes weighs the same while the platform is level."""
+    edge = Basin(72.0, np.zeros(3), "somewhere")
+    monkeypatch.setattr(spring_models, "basin", lambda *_: edge)
+    c = held(law, {"platform": {"platform": {"payload": [MOVED]}}})
+    subject = Subject(c, Stated())
+    level = subject.path[0]
+    low, high = (robot.gravity(level.p, level.R) for robot in (subject.robots[0], subject.robots[-1]))
+    assert low == pytest.approx(high)
+    for one in subject.alone():
+        found = JUDGES[c.controller.law](one, c.controller, False)
+        (robot,) = one.robots
+        exact = robot is subject.robots[0] or np.allclose(robot.constants, subject.robots[0].constants)
+        assert found.status == "conditional"
+        assert (
+            "no other equilibrium lies in the sublevel set: not searched for" in found.conditions
+        ) != exact
+        assert (found.figures["energy"]["start_mm"] is None) == (
+            not exact or c.controller.law != "pd_gravity"
+        )
+
+
+def test_legs_without_mass_weigh_as_the_law_believes_only_where_they_have_none():
+    c = held(f"  law: pd_gravity\n{LEGS}  model: {{variant: massless_legs}}\n")
+    found = judge(c, quick=True)
+    assert "no other equilibrium lies in the sublevel set: not searched for" in found.conditions
+    assert found.figures["energy"]["sag_mm"] > 0.1
 
 
 @pytest.mark.parametrize(("springs", "cubic"), [(1e8, 0.0), (1e6, 0.0), (0.0, 0.0), (0.0, 2e10), (5e3, 2e4)])

@@ -77,13 +77,16 @@ def excited(configuration: Configuration, force_N: float | None, duration_s: flo
     return excited_by(c, reference, force)
 
 
-def refuse_fused(c: Configuration, where: object) -> None:
-    """Raise ConfigurationError where a log has another motion than that of the encoders; it lacks theirs."""
+def refuse_fused(c: Configuration, where: object, task: str = "identify") -> None:
+    """Raise ConfigurationError where a log has another motion than that of the encoders; it lacks theirs.
+
+    task: what is done from the run.
+    """
     if c.estimation.pose == "fused":
         raise ConfigurationError(
             f"{where}: estimation.pose: fused, so that lengths, pose and rates of the log are the filter's, "
             "drawn to what the controller believes of masses and forces; allowed: legs, in the run to "
-            "identify from"
+            f"{task} from"
         )
 
 

@@ -9,6 +9,7 @@ from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.unattended import unattended
+from hil.app.identify.delay import refuse_fused
 from hil.app.learn.command import Knowledge, Outcome, Step, learned, limit_of
 from hil.app.learn.runs import LearningRun, learning_run
 from hil.app.sim.command import simulate
@@ -40,6 +41,7 @@ def rehearse(
     ModelError, OSError.
     """
     c.require("sim")
+    refuse_fused(c, c.source, "learn")
     c = unattended(c)
     refuse_unreachable(c)
     if known.limit_N is None and c.feedforward is not None:

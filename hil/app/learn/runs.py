@@ -12,7 +12,7 @@ from drivers.signals import Fault, Mode, Warn
 from hil.app.compose import FEEDFORWARD_CSV
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.feedforward_file import made_for, read_feedforward
-from hil.app.identify.delay import recorded_run
+from hil.app.identify.delay import recorded_run, refuse_fused
 from hil.app.identify.linearised import linearised_law
 from hil.app.learn.model import decay_rate, force_per_acceleration
 from hil.app.recorded_files import with_attachments
@@ -53,9 +53,11 @@ def learning_run(path: Path) -> LearningRun:
     """Return the run of a log.
 
     Raises LogError: no log of a run, or one that cannot teach: a fault, ticks missing, a hold, a stop or
-    another speed than the clock's, forces that a limit cut. ConfigurationError: a law of another kind.
+    another speed than the clock's, forces that a limit cut. ConfigurationError: a law of another kind, a
+    fused pose.
     """
     recorded = recorded_run(path)
+    refuse_fused(recorded.configuration, path, "learn")
     with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder:
         c = with_attachments(recorded.configuration, recorded.attachments, Path(folder))
         prints = made_for(c.reference, c.controller, c.platform, c.folder)

@@ -96,27 +96,35 @@ def _no_folder(path: Path) -> str:
     return ""
 
 
-def picture_path(folder: str, stem: str, given: Path | None) -> Path:
+def picture_path(folder: str, stem: str, given: Path | None, option: str = "--picture") -> Path:
     """Return the PNG file to write: the given one, or a new dated one in the given or the recordings folder.
 
-    Raises LogError: it exists and is no PNG picture, or its folder cannot be made or written.
+    option: what the file was named with. Raises LogError: it exists and is no PNG picture, or its folder
+    cannot be made or written.
     """
     path = Path(folder) if given is None else given
     if given is None or given.is_dir():
         path = _dated(path, stem, ".png")
     if path.suffix.lower() != ".png":
-        raise LogError(f"--picture {path}: the picture is a PNG file; let its name end in .png")
+        raise LogError(f"{option} {path}: the picture is a PNG file; let its name end in .png")
     try:
         if path.exists() and path.stat().st_size and not path.read_bytes().startswith(PNG):
-            raise LogError(f"--picture {path}: exists, is no PNG picture and is not overwritten")
+            raise LogError(f"{option} {path}: exists, is no PNG picture and is not overwritten")
     except OSError as error:
-        raise LogError(f"--picture {path}: {error.strerror}") from None
+        raise LogError(f"{option} {path}: {error.strerror}") from None
     trouble = _no_folder(path.parent)
     if trouble:
-        raise LogError(f"--picture {path}: {path.parent} {trouble}; name another file with --picture")
+        raise LogError(f"{option} {path}: {path.parent} {trouble}; name another file with {option}")
     if not may_write(path):
-        raise LogError(f"--picture {path}: no right to write there; name another file")
+        raise LogError(f"{option} {path}: no right to write there; name another file")
     return path
+
+
+def picture_beside(file: Path, option: str) -> Path:
+    """Return the PNG file beside another output, which `option` names. Raises LogError, as `picture_path`."""
+    if file.suffix.lower() == ".png":
+        raise LogError(f"{option} {file}: its picture takes a name in .png; let this one end otherwise")
+    return picture_path("", "", file.with_suffix(".png"), f"{option} {file}: the picture")
 
 
 def check_json_path(path: Path, *inputs: Path) -> None:

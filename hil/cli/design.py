@@ -104,7 +104,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
 
         if out is not None:
             check_section_path("-o", out, LinearController)
-        picture = None if plot is None else picture_path(".", Path(design).stem, plot)
+        picture = None if plot is None else picture_path(".", Path(design).stem, plot, "--plot")
         with console.status("reading") as status:
             controller, made, settings, axis = app.run_design(name, design, model, status.update, robot)
         show_lines(app.report(controller))

@@ -26,7 +26,7 @@ from hil.app.identify.delay import (
 )
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.app.identify.plot import NAMES, draw
-from hil.app.output import picture_path
+from hil.app.output import picture_beside
 from hil.app.recorded_files import with_attachments
 from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
@@ -76,7 +76,7 @@ def outputs(log: Path, model: Path | None) -> Outputs:
     """
     path = model or log.with_name(f"{log.stem}-axes.yaml")
     check_section_path("--model", path, AxisModel)
-    return Outputs(path, picture_path("", "", path.with_suffix(".png")))
+    return Outputs(path, picture_beside(path, "--model"))
 
 
 def axes_of_log(path: Path) -> Identified:

@@ -21,7 +21,7 @@ from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
 from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import closing, console, log_path, told, warn
+from hil.app.output import closing, console, log_path, picture_beside, told, warn
 from hil.app.replay import replay_log
 from hil.app.run.consent import EnterKey
 from hil.app.run.plant_process import SupervisedPlant
@@ -66,7 +66,7 @@ def run_daemon(
     arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for, or, with
     wait_for_arm, the operator channel's word alone. `faults` are words for its plant. with_watch: serve the
     live page beside it. on_bench: a rehearsal bench that another process serves is on the bus.
-    Raises ConfigurationError, BusError, PlantError or RunError before anything moves.
+    Raises ConfigurationError, BusError, PlantError, LogError or RunError before anything moves.
     """
     c = configuration
     c.require("run")
@@ -82,6 +82,7 @@ def run_daemon(
         keeper = Keeper(c, emulated=with_plant, on_bench=on_bench)
         cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)
         path = log_path(c.recording.folder, c.name, log)
+        drawn = picture_beside(path, "--log") if draw else None
         removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         plant = None
         if with_watch:
@@ -131,8 +132,8 @@ def run_daemon(
     with leaving(lambda: _what_there_is(ending, trouble, closed)):
         result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
         result |= keeper.summary(cycle)
-        if draw and result.get("tracking", {}).get("ticks"):
-            _draw(result, c, closed.path)
+        if drawn is not None and result.get("tracking", {}).get("ticks"):
+            _draw(result, c, closed.path, drawn)
     if interrupted:
         warn(f"hil: {STRANGER}")
     if removed:
@@ -151,11 +152,11 @@ def _what_there_is(ending: Ending, trouble: str, closed: LogSummary) -> str:
     return f"{ended}; its log, not replayed: {closed.path}"
 
 
-def _draw(result: dict[str, Any], c: Configuration, log: Path) -> None:
-    """Draw the picture of a run beside its log."""
+def _draw(result: dict[str, Any], c: Configuration, log: Path, file: Path) -> None:
+    """Draw the picture of a run into a PNG file."""
     title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
     try:
-        result["picture"] = str(picture(Log.open(log).rows(), log.with_suffix(".png"), title))
+        result["picture"] = str(picture(Log.open(log).rows(), file, title))
     except OSError as error:
         result["picture"] = f"none: {error.strerror}"
 

@@ -63,6 +63,13 @@ def test_a_file_that_is_no_axis_model_is_not_overwritten(tmp_path):
     assert mine.read_text() == "name: mine\n"
 
 
+def test_an_axis_model_whose_picture_would_take_its_place_is_refused_before_anything_runs(tmp_path):
+    result = identify("virtual", "-o", tmp_path / "axes.png", "--log", tmp_path / "a.mcap")
+    assert result.exit_code == 2
+    assert f"--model {tmp_path / 'axes.png'}: its picture takes a name in .png" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_designed_controller_is_identified_in_the_axes_of_its_file(tmp_path):
     gains = "A: []\nB: []\nC: [[]]\nD: [[400.0, 40.0]]\nanti_windup: []\ndesign: {}\n"
     kind = "kind: linear-controller\nmethod: hinf\naxes: pose\nrate_Hz: 1000\ninputs: [error, rate_error]\n"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import Configuration, load
@@ -81,7 +82,8 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         }
         for name, stand_in in stand_ins.items():
             monkeypatch.setattr(command, name, stand_in)
-        summary = command.run_daemon(c, log=tmp_path / "a.mcap", arm=True, draw=False, **options)
+        given: dict[str, Any] = {"log": tmp_path / "a.mcap", "draw": False} | options
+        summary = command.run_daemon(c, arm=True, **given)
         ((course, shell),) = begun
         return course, shell, windows, summary
 
@@ -131,6 +133,35 @@ def test_a_run_with_its_plant_is_a_success_where_both_have_ended_well(
 def test_a_run_without_a_plant_of_its_own_is_a_success_where_it_has_parked(ran: Ran, ending: Ending) -> None:
     *_, summary = ran(ending=ending)
     assert summary["success"] is (ending is PARKED)
+
+
+@pytest.mark.parametrize("name", ["run.png", "run.PNG", "lab.mcap", "lab", "linked.log"])
+def test_a_run_whose_picture_would_replace_its_log_or_a_file_of_the_user_does_not_begin(
+    ran: Ran, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / "lab.png").write_text("notes")
+    (tmp_path / "linked.png").symlink_to("lab.png")
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(LogError, match=rf"--log .*{name}: "):
+        ran(log=tmp_path / name, draw=True)
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "lab.png").read_text() == "notes"
+
+
+def test_a_run_that_draws_nothing_asks_for_no_picture_beside_its_log(ran: Ran, tmp_path: Path) -> None:
+    (tmp_path / "lab.png").write_text("notes")
+    *_, summary = ran(log=tmp_path / "lab.mcap")
+    assert summary["success"]
+
+
+@pytest.mark.parametrize("earlier", [None, b"", b"\x89PNG\r\n\x1a\n of before"])
+def test_an_earlier_picture_beside_a_new_log_is_in_nobodys_way(
+    ran: Ran, tmp_path: Path, earlier: bytes | None
+) -> None:
+    if earlier is not None:
+        (tmp_path / "lab.png").write_bytes(earlier)
+    *_, summary = ran(log=tmp_path / "lab.mcap", draw=True)
+    assert summary["success"]
 
 
 @pytest.mark.parametrize(

@@ -178,6 +178,16 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def fail(summary: dict[str, Any], why: str) -> None:
+    """Make a run that is over no success, and say why beside what else was wrong; nothing where why is empty.
+
+    Its summary is written in any case: it moved, and that is what there is to read of it.
+    """
+    if why:
+        trouble = "; ".join(filter(None, (summary.get("trouble"), why)))
+        summary |= {"success": False, "trouble": trouble}
+
+
 def told(ending: Ending) -> dict[str, Any] | None:
     """Return the story of a run's faults for its summary; None without a fault."""
     return None if ending.story is None else ending.story.fields()

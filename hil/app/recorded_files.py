@@ -1,6 +1,8 @@
 """The files that a log carries, in the place of those that its configuration names."""
 
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,26 @@ from hil.app.configuration.configuration import Configuration
 from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
 from hil.control.state_space import StateSpaceSettings
+
+_NAMED = (
+    (REFERENCE_CSV, "reference", "path", SampledReference),
+    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
+    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
+)
+"""Name in a log, section and key of each file that a configuration may name, and with which settings."""
+
+
+@contextmanager
+def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterator[Configuration]:
+    """Yield what `with_attachments` returns; nothing is written where the configuration names no file.
+
+    Raises LogError, as that does; OSError where the disk of temporary files takes none.
+    """
+    if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind in _NAMED):
+        yield configuration
+        return
+    with tempfile.TemporaryDirectory(prefix="hil-log-files-") as folder:
+        yield with_attachments(configuration, files, Path(folder))
 
 
 def with_attachments(configuration: Configuration, files: Mapping[str, bytes], folder: Path) -> Configuration:
@@ -21,11 +43,7 @@ def with_attachments(configuration: Configuration, files: Mapping[str, bytes], f
     Raises LogError where the configuration names a file that the log does not carry.
     """
     changes: dict[str, Any] = {}
-    for name, section, key, kind in (
-        (REFERENCE_CSV, "reference", "path", SampledReference),
-        (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
-        (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
-    ):
+    for name, section, key, kind in _NAMED:
         settings = getattr(configuration, section)
         if not isinstance(settings, kind):
             continue

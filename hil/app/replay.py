@@ -1,18 +1,17 @@
 """`hil replay`: a log's recorded inputs through the same code, compared to the bit."""
 
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import LogError
+from drivers.errors import HilError, LogError
 from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.readable import lacking
-from hil.app.recorded_files import with_attachments
+from hil.app.recorded_files import attached
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment
@@ -89,11 +88,11 @@ def replay_log(
 
     `progress` is called with the number of ticks done, every thousand.
 
-    Raises LogError for a file that is no such log, and for one of other columns or another protocol.
+    Raises LogError for a file that is no such log, and for one of other columns or another protocol; OSError
+    where the files that it carries cannot be written to the disk of temporary files.
     """
     log, run, configuration = open_replayable(path)
-    with tempfile.TemporaryDirectory(prefix="hil-replay-") as folder:
-        configuration = with_attachments(configuration, log.attachments, Path(folder))
+    with attached(configuration, log.attachments) as configuration:
         plan = log.attachments.get(REFERENCE_PLAN)
         last_pose = recorded(path, log.attachments.get(HOMING_JSON))
         cycle = build_cycle(configuration, run["rate_Hz"], run["watchdog_s"], plan, last_pose=last_pose)
@@ -110,6 +109,14 @@ def replay_log(
     if remark:
         result["remark"] = remark
     return comparison, result
+
+
+def not_replayed(error: HilError | OSError) -> str:
+    """Say why a run that is over could not be replayed."""
+    why = str(error)
+    if isinstance(error, OSError):
+        why = ": ".join(filter(None, (error.filename, error.strerror or why)))
+    return f"the log was not replayed: {why}"
 
 
 def _versions(log: Log, name: str, own: bytes) -> str:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from drivers.errors import ConfigurationError
 from drivers.signals import Mode
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_moved, write_homing
+from hil.app.homing.file import HomingFile, homing_file, homing_path, read_homing, refuse_moved, write_homing
 from hil.app.homing.last_pose import last_pose_of
 from hil.loop import modes
 from hil.loop.cycle import Cycle
@@ -38,6 +40,8 @@ class Keeper:
         self._path = None if without else homing_path(c, emulated=emulated)
         self._file = None
         self._cycle: Cycle | None = None
+        self.trouble = ""
+        """Why the file does not say where the legs came to rest; empty where it does, or they did not."""
         if self._path is not None:
             self._file = read_homing(c, self._path)
             refuse_moved(c, self._path, self._file)
@@ -57,12 +61,23 @@ class Keeper:
             write_homing(self._c, self._path, marked)
 
     def close(self) -> None:
-        """Say where the legs are; the same as before if the brakes have not been open. Once."""
+        """Say where the legs are; the same as before if the brakes have not been open. Once.
+
+        A file that cannot be written stays marked, and `trouble` says why: the run that is over is told.
+        """
         try:
             self._say()
         except KeyboardInterrupt:
             self._say()  # no further press disturbs it
             raise
+
+    def _write(self, path: Path, file: HomingFile) -> None:
+        try:
+            write_homing(self._c, path, file)
+        except ConfigurationError as error:
+            self.trouble = (
+                f"{error}; it still says that the legs have moved: say where they are with `hil homing`"
+            )
 
     def _say(self) -> None:
         cycle = self._cycle
@@ -75,9 +90,9 @@ class Keeper:
             assert gear is not None
             turns = Transmission.of(gear).turns(cycle.homing.raw).tolist()
             parked = homing_file(self._c, "parked", cycle.tick["length"].tolist(), turns)
-            write_homing(self._c, self._path, parked)
+            self._write(self._path, parked)
         elif not cycle.homing.opened:
-            write_homing(self._c, self._path, self._file)
+            self._write(self._path, self._file)
         self._cycle = None
 
     def summary(self, cycle: Cycle) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
 
-import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +26,7 @@ from hil.app.identify.delay import (
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.app.identify.plot import NAMES, draw
 from hil.app.output import picture_beside
-from hil.app.recorded_files import with_attachments
+from hil.app.recorded_files import attached
 from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
 from hil.identify.axis_fit import Fit, Uncertainty, fit_axes, uncertainty
@@ -88,8 +87,7 @@ def axes_of_log(path: Path) -> Identified:
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            c = with_attachments(recorded.configuration, recorded.attachments, Path(folder))
+        with attached(recorded.configuration, recorded.attachments) as c:
             return _identified(path, c, recorded.rows, recorded.rate_Hz)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None

@@ -1,6 +1,5 @@
 """A log as a period of learning: whole, undisturbed, along the reference's own time."""
 
-import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from hil.app.configuration.feedforward_file import made_for, read_feedforward
 from hil.app.identify.delay import recorded_run, refuse_fused
 from hil.app.identify.linearised import linearised_law
 from hil.app.learn.model import decay_rate, force_per_acceleration
-from hil.app.recorded_files import with_attachments
+from hil.app.recorded_files import attached
 from hil.config.feedforward import FeedforwardHead, MadeFor
 from hil.learning.trial import LEAD_S, Trial, trial
 from hil.trajectory.build import build_trajectory
@@ -58,8 +57,7 @@ def learning_run(path: Path) -> LearningRun:
     """
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path, "learn")
-    with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder:
-        c = with_attachments(recorded.configuration, recorded.attachments, Path(folder))
+    with attached(recorded.configuration, recorded.attachments) as c:
         prints = made_for(c.reference, c.controller, c.platform, c.folder)
         law = linearised_law(c)
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder)

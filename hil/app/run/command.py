@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
-from drivers.errors import LogError, RunError
+from drivers.errors import HilError, LogError, RunError
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_names, loads, shortest_answer_ns
@@ -21,8 +21,8 @@ from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
 from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import closing, console, log_path, picture_beside, told, warn
-from hil.app.replay import replay_log
+from hil.app.output import closing, console, fail, log_path, picture_beside, told, warn
+from hil.app.replay import not_replayed, replay_log
 from hil.app.run.consent import EnterKey
 from hil.app.run.plant_process import SupervisedPlant
 from hil.app.run.rate_selection import select_rate
@@ -132,6 +132,7 @@ def run_daemon(
     with leaving(lambda: _what_there_is(ending, trouble, closed)):
         result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
         result |= keeper.summary(cycle)
+        fail(result, keeper.trouble)
         if drawn is not None and result.get("tracking", {}).get("ticks"):
             _draw(result, c, closed.path, drawn)
     if interrupted:
@@ -157,8 +158,8 @@ def _draw(result: dict[str, Any], c: Configuration, log: Path, file: Path) -> No
     title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
     try:
         result["picture"] = str(picture(Log.open(log).rows(), file, title))
-    except OSError as error:
-        result["picture"] = f"none: {error.strerror}"
+    except (LogError, OSError) as error:
+        result["picture"] = f"none: {error.strerror if isinstance(error, OSError) else error}"
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:
@@ -242,8 +243,7 @@ def _summary(
     if not closed.complete:
         result["recorder"] = f"{closed.error or 'too slow'}: {dropped} ticks are not in the log"
     if closed.gave_up:
-        result["success"] = False
-        result["trouble"] = "; ".join(filter(None, (trouble, result["recorder"])))
+        fail(result, result["recorder"])
     if not closed.ticks:
         return result | {"dropped_ticks": dropped}
     try:
@@ -252,15 +252,19 @@ def _summary(
         if closed.error:
             result["recorder"] += f"; {error}"
         else:  # it was closed, and nothing proves what is in it
-            result |= {"success": False, "trouble": "; ".join(filter(None, (trouble, str(error))))}
+            fail(result, str(error))
         return result | {"dropped_ticks": dropped}
     result |= figures(rows)
     if stretching:
         result["bench_time"] = stretches(rows["stretched_ns"])
     result["dropped_ticks"] = dropped
-    _, result["replay"] = replay_log(closed.path)
-    lossy = _missing(rows) == closed.dropped > 0 and not result["replay"]["different_ticks"]
-    result["success"] = result["success"] and (result["replay"]["agrees"] or lossy)
+    try:
+        _, result["replay"] = replay_log(closed.path)
+    except (HilError, OSError) as error:  # the platform has moved: what is known of that is told
+        fail(result, not_replayed(error))
+    else:
+        lossy = _missing(rows) == closed.dropped > 0 and not result["replay"]["different_ticks"]
+        result["success"] = result["success"] and (result["replay"]["agrees"] or lossy)
     if ending.fault_tick >= 0:
         result["last_ticks"] = _tail(rows, ending.fault_tick)
     return result

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError, HilError, LogError
 from drivers.protocol import Frame
 from drivers.regular_file import open_regular
 from drivers.signals import Mode
@@ -20,10 +20,10 @@ from hil.app.configuration.unattended import without_operator
 from hil.app.homing.keeping import Keeper
 from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import closing, log_path, told
+from hil.app.output import closing, fail, log_path, told
 from hil.app.plant_columns import PLANT
 from hil.app.plant_rows import plant_row
-from hil.app.replay import replay_log
+from hil.app.replay import not_replayed, replay_log
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.app.sim.lockstep import Given, Lockstep
@@ -231,16 +231,21 @@ def simulate(
     with leaving(lambda: f"after the run, which {_ended(ending)}; its log is whole: {path}"):
         measured, unreadable = _figures(path, rate, wall)
         result |= measured | keeper.summary(cycle)
+        fail(result, keeper.trouble)
         if unreadable and not lost:
             lost = unreadable
-            result |= {"success": False, "trouble": "; ".join(filter(None, (ending.trouble, lost)))}
+            fail(result, lost)
         result["recorder_cpu_s"] = recorder.recorder_cpu_s
         result |= _injected(c, nodes) | _commands(commands, operator)
         if script is not None and script.left:
             result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
         if check_replay and not lost:
-            _, result["replay"] = replay_log(path)
-            result["success"] = result["success"] and result["replay"]["agrees"]
+            try:
+                _, result["replay"] = replay_log(path)
+            except (HilError, OSError) as error:
+                fail(result, not_replayed(error))
+            else:
+                result["success"] = result["success"] and result["replay"]["agrees"]
     return result
 
 

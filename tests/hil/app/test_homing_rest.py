@@ -1,5 +1,6 @@
 """A run's last lengths are written as parked where every leg was measured and believed, and else are not."""
 
+import errno
 from types import SimpleNamespace
 
 import numpy as np
@@ -56,6 +57,29 @@ def test_lengths_that_a_fault_has_made_doubtful_are_not_believed_by_the_next_run
 def test_lengths_at_rest_after_another_fault_are_kept(ended, fault):
     file = ended(fault)
     assert (file.state, list(file.lengths_m)) == ("parked", [0.33] * 6)
+
+
+@pytest.mark.parametrize("opened", [True, False])
+def test_a_run_whose_homing_file_cannot_be_written_in_the_end_is_told_and_the_file_stays_marked(
+    tmp_path, monkeypatch, opened
+):
+    def full(path, _):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    c = configuration(tmp_path)
+    state(c)
+    tick = new_record()
+    tick["age"], tick["rate"], tick["length"] = 0, 0.0, 0.33
+    tick["drive_state"] = DriveState.OFF
+    homing = SimpleNamespace(known=True, raw=np.full(6, 0.5), opened=opened)
+    keeper = Keeper(c, emulated=True)
+    mode = Mode.PARKED if opened else Mode.LOADING
+    keeper.begin(SimpleNamespace(tick=tick, homing=homing, faults=Fault.NONE, mode=mode))  # type: ignore[arg-type]
+    assert keeper.trouble == ""
+    monkeypatch.setattr("hil.app.configuration.section_file.write_whole", full)
+    keeper.close()
+    assert "bench.yaml: cannot be written: No space left on device" in keeper.trouble
+    assert read_homing(c, tmp_path / "bench.yaml").state == "moved"
 
 
 def test_legs_whose_turns_were_never_found_are_not_written_as_parked(ended):

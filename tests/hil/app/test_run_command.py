@@ -41,6 +41,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         *,
         rate_Hz: float = 1000.0,
         plant_success: bool = True,
+        unsaid: str = "",
         **options: Any,
     ) -> tuple[Course, Shell, list[int], dict[str, Any]]:
         begun: list[tuple[Course, Shell]] = []
@@ -56,7 +57,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         finished = {"success": plant_success, "trouble": None}
         plant = SimpleNamespace(trouble=lambda: "", finish=lambda: finished)
         keeper = SimpleNamespace(
-            last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}
+            last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=unsaid
         )
 
         def run(course: Course, shell: Shell) -> Ending:
@@ -133,6 +134,15 @@ def test_a_run_with_its_plant_is_a_success_where_both_have_ended_well(
 def test_a_run_without_a_plant_of_its_own_is_a_success_where_it_has_parked(ran: Ran, ending: Ending) -> None:
     *_, summary = ran(ending=ending)
     assert summary["success"] is (ending is PARKED)
+
+
+def test_a_run_that_could_not_say_where_the_legs_rest_is_no_success_and_its_summary_says_why(
+    ran: Ran,
+) -> None:
+    *_, summary = ran(unsaid="lab.yaml: cannot be written")
+    assert (summary["success"], summary["trouble"]) == (False, "lab.yaml: cannot be written")
+    *_, summary = ran(ending=STOPPED, unsaid="lab.yaml: cannot be written")
+    assert summary["trouble"] == "latched fault ESTOP; lab.yaml: cannot be written"
 
 
 @pytest.mark.parametrize("name", ["run.png", "run.PNG", "lab.mcap", "lab", "linked.log"])

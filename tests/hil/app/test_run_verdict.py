@@ -1,12 +1,14 @@
 """When a run is a success: with a whole log that replays, or one whose only lack was counted."""
 
+import errno
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.errors import LogError
+from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.run import command
@@ -37,7 +39,14 @@ def verdict(tmp_path, monkeypatch):
         ticks=TICKS,
         trouble="",
         unreadable="",
+        fails=None,
+        ending=PARKED,
     ):
+        def replayed(_):
+            if fails is not None:
+                raise fails
+            return None, {"agrees": agrees, "different_ticks": different}
+
         def opened(_):
             if unreadable:
                 raise LogError(unreadable)
@@ -46,9 +55,8 @@ def verdict(tmp_path, monkeypatch):
         rows = np.zeros(ticks, ROW)
         rows["tick"] = np.arange(ticks)
         rows["tick"][ticks // 2 :] += missing
-        replay = {"agrees": agrees, "different_ticks": different}
         monkeypatch.setattr(Log, "open", opened)
-        monkeypatch.setattr(command, "replay_log", lambda _: (None, replay))
+        monkeypatch.setattr(command, "replay_log", replayed)
         for name in ("figures", "law_figures", "loads"):
             monkeypatch.setattr(command, name, lambda *_: {})
         whole = not (dropped or lost or error)
@@ -58,7 +66,7 @@ def verdict(tmp_path, monkeypatch):
         return command._summary(
             C,
             CYCLE,
-            PARKED,
+            ending,
             trouble,
             RealTime([], []),
             closed,
@@ -120,6 +128,46 @@ def test_a_log_that_was_closed_and_cannot_be_read_again_is_no_success_and_its_su
     assert (found["success"], found["trouble"], found["dropped_ticks"]) == (False, damaged, dropped)
     also = verdict(unreadable=damaged, dropped=dropped, trouble="a fault")
     assert also["trouble"] == f"a fault; {damaged}"
+
+
+@pytest.mark.parametrize(
+    ("fails", "why"),
+    [
+        (LogError("a.mcap: no such file"), "a.mcap: no such file"),
+        (ConfigurationError("a.mcap:config.yaml:3: no law"), "a.mcap:config.yaml:3: no law"),
+        (OSError(errno.ENOSPC, "No space left on device", "/t/x"), "/t/x: No space left on device"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+    ],
+)
+@pytest.mark.parametrize("error", ["", FULL])
+def test_a_run_that_cannot_be_replayed_in_the_end_has_its_summary_and_last_ticks_all_the_same(
+    verdict, fails, why, error
+):
+    stopped = replace(PARKED, mode=Mode.FAULT, faults=Fault.ESTOP, fault_tick=7)
+    found = verdict(fails=fails, error=error, ending=stopped, trouble="a fault")
+    full = f"{FULL}: 0 ticks are not in the log" if error else ""
+    said = f"the log was not replayed: {why}"
+    assert found["trouble"] == "; ".join(filter(None, ("a fault", full, said)))
+    assert not found["success"]
+    assert not verdict(fails=fails)["success"]
+    assert found["last_ticks"][-1]["tick"] == 7
+    assert "replay" not in found
+
+
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [(LogError("a.mcap: no such file"), "a.mcap: no such file"), (OSError(28, "No space"), "No space")],
+)
+def test_a_picture_that_cannot_be_drawn_in_the_end_is_a_figure_that_says_why(
+    monkeypatch, tmp_path, error, why
+):
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr(Log, "open", fails)
+    result: dict[str, Any] = {"tracking": {"ticks": 3}, "rate_Hz": 1000.0}
+    command._draw(result, SimpleNamespace(name="a"), tmp_path / "a.mcap", tmp_path / "a.png")  # type: ignore[arg-type]
+    assert result["picture"] == f"none: {why}"
 
 
 def test_a_log_whose_recorder_died_is_said_to_be_cut_beside_the_reason(verdict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import LogError
 from drivers.signals import Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
@@ -32,11 +34,18 @@ def simulated(
     plant: str | None = None,
     *,
     agrees: bool = True,
+    fails: Exception | None = None,
 ) -> dict[str, Any]:
     """Return the summary of a simulation of no tick.
 
-    own, plant: why its log, and that of the plant, is not whole; plant None: there is none.
+    own, plant: why its log, and that of the plant, is not whole; plant None: there is none. fails: what its
+    replay raises.
     """
+
+    def replayed(_: Path) -> tuple[None, dict[str, Any]]:
+        if fails is not None:
+            raise fails
+        return None, {"agrees": agrees}
 
     def recording(error: str) -> Any:
         closed = SimpleNamespace(error=error, recorder_cpu_s=0.0)
@@ -47,7 +56,7 @@ def simulated(
     monkeypatch.setattr(command, "_record_plant", recording(plant or ""))
     monkeypatch.setattr(command, "_run_to_end", lambda *_: ending)
     monkeypatch.setattr(command, "_figures", lambda *_: ({}, ""))
-    monkeypatch.setattr(command, "replay_log", lambda _: (None, {"agrees": agrees}))
+    monkeypatch.setattr(command, "replay_log", replayed)
     return command.simulate(VIRTUAL, log=folder / "a.mcap", duration_s=0.1, plant_log=plant is not None)
 
 
@@ -73,6 +82,26 @@ def test_a_simulation_whose_log_or_plant_log_is_not_whole_is_no_success_and_says
 def test_a_simulation_of_two_whole_logs_is_a_success(monkeypatch, tmp_path):
     found = simulated(monkeypatch, tmp_path, PARKED, "", "")
     assert (found["success"], found["trouble"]) == (True, None)
+
+
+@pytest.mark.parametrize(
+    ("fails", "why"),
+    [
+        (LogError("a.mcap: no such file"), "a.mcap: no such file"),
+        (OSError(errno.ENOSPC, "No space left on device", "/t/x"), "/t/x: No space left on device"),
+    ],
+)
+@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
+def test_a_simulation_that_cannot_be_replayed_in_the_end_has_its_summary_all_the_same(
+    monkeypatch, tmp_path, ending, fails, why
+):
+    found = simulated(monkeypatch, tmp_path, ending, fails=fails)
+    said = f"the log was not replayed: {why}"
+    assert (found["success"], found["trouble"]) == (
+        False,
+        "; ".join(filter(None, (ending.trouble, said))),
+    )
+    assert found["log"] == str(tmp_path / "a.mcap")
 
 
 FILES: list[list[tuple[str, bytes]]] = [
@@ -133,7 +162,9 @@ def test_the_identity_of_a_run_is_asked_for_with_where_its_legs_stand(monkeypatc
         return "a"
 
     stood = object()
-    keeper = SimpleNamespace(last_pose=stood, begin=lambda _: None, close=lambda: None, summary=lambda _: {})
+    keeper = SimpleNamespace(
+        last_pose=stood, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=""
+    )
     monkeypatch.setattr(command, "Keeper", lambda *_, **__: keeper)
     monkeypatch.setattr(command, "run_identity", identity)
     parts = SimpleNamespace(trajectory=SimpleNamespace(duration_s=1.0), law=None)

@@ -16,6 +16,8 @@ from drivers.regular_file import read_regular
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
+from hil.app.files import made_whole
+from hil.app.output import further
 from hil.config.values import AXES
 from hil.robot.calibration import (
     NAMES,
@@ -69,7 +71,7 @@ def run_calibration(
     """Fit, report, and write the fragment to `out`, which must not exist; `json_file` must be another.
 
     Raises ConfigurationError (configuration, CSV file, units, poses out of reach), CalibrationError (too few
-    pairs, no convergence), LogError (`out`).
+    pairs, no convergence), LogError (`out`). Where that fails in the end, the figures say so: `further`.
     """
     if out is not None:
         _check_out(out, json_file)
@@ -80,11 +82,8 @@ def run_calibration(
     fit = calibrate(robot, pairs.measured)
     report = describe(configuration, robot, pairs, poses, fit)
     if out is not None:
-        try:
-            with out.open("x", encoding="utf-8") as file:
-                file.write(report.fragment)
-        except OSError as error:
-            raise LogError(f"--out {out}: cannot be written: {error.strerror}") from None
+        with further(report.figures), made_whole(out, overwrite=False) as file:
+            file.write_text(report.fragment, encoding="utf-8")
     return report
 
 

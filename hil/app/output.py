@@ -8,7 +8,8 @@ import math
 import os
 import textwrap
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from drivers.errors import LogError
+from drivers.errors import HilError, LogError
 from drivers.own_folder import made_folder
 from drivers.signals import Mode
 from hil.app.files import may_write, printable, write_whole
@@ -188,6 +189,26 @@ def fail(summary: dict[str, Any], why: str) -> None:
         summary |= {"success": False, "trouble": trouble}
 
 
+@contextmanager
+def further(summary: dict[str, Any]) -> Iterator[None]:
+    """Have one more output written when the work is done.
+
+    Where it cannot be, its summary says why in `unwritten` and is no success; the work is not lost.
+    """
+    try:
+        yield
+    except (HilError, OSError) as error:
+        summary["success"] = False
+        summary["unwritten"] = [*summary.get("unwritten", ()), reason(error)]
+
+
+def reason(error: HilError | OSError) -> str:
+    """Return what an error says, with the file that it is about."""
+    if isinstance(error, OSError):
+        return ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
+    return str(error)
+
+
 def told(ending: Ending) -> dict[str, Any] | None:
     """Return the story of a run's faults for its summary; None without a fault."""
     return None if ending.story is None else ending.story.fields()
@@ -218,7 +239,7 @@ UNITS = {
     "_percent": "%",
 }
 """End of a key -> unit of its value, the longest first."""
-_SILENT = frozenset({"success", "kind", "last_ticks", "story"})
+_SILENT = frozenset({"success", "kind", "last_ticks", "story", "unwritten"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 

@@ -10,6 +10,7 @@ from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing.last_pose import HOMING_JSON, recorded
+from hil.app.output import reason
 from hil.app.readable import lacking
 from hil.app.recorded_files import attached
 from hil.loop.clock import collector_paused
@@ -113,10 +114,7 @@ def replay_log(
 
 def not_replayed(error: HilError | OSError) -> str:
     """Say why a run that is over could not be replayed."""
-    why = str(error)
-    if isinstance(error, OSError):
-        why = ": ".join(filter(None, (error.filename, error.strerror or why)))
-    return f"the log was not replayed: {why}"
+    return f"the log was not replayed: {reason(error)}"
 
 
 def _versions(log: Log, name: str, own: bytes) -> str:

@@ -30,6 +30,7 @@ def command(configuration: str, poses: Path, out: Path | None, json_file: Path |
     \b
     Exit code:
       0  fitted; read the warnings
+      1  fitted, and the file could not be written in the end
       2  not fitted: configuration, CSV file, units, too few poses; the message says what
     """
     from hil.app.calibrate import run_calibration
@@ -37,6 +38,6 @@ def command(configuration: str, poses: Path, out: Path | None, json_file: Path |
 
     report = run_calibration(configuration, poses, out, json_file)
     show_lines(report.lines)
-    if out is None:
+    if out is None or "unwritten" in report.figures:
         click.echo(report.fragment, nl=False)
     finish_lines((), {"success": True, "kind": "calibrate", **report.figures}, json_file)

@@ -115,7 +115,7 @@ def command(
     \b
     Exit code:
       0  every row is within the limits
-      1  some are not; the tables say which
+      1  some are not, and the tables say which; or an output file could not be written in the end
       2  not begun, or ended before all rows: campaign file, configuration, a file that it names, folder or
          cluster; the message says what
     """
@@ -129,7 +129,7 @@ def command(
     from hil.app.campaign.show import show, summary_lines, verdicts
     from hil.app.files import new_file
     from hil.app.junit import check_junit_path, write_junit
-    from hil.app.output import console
+    from hil.app.output import console, further
 
     if junit is not None:
         check_junit_path(junit)
@@ -162,8 +162,10 @@ def command(
         summary = run_campaign(plan, folder, jobs=jobs, scheduler=scheduler, fresh=fresh, progress=progress)
     show(plan, summary, out)
     target = folder / "report.html" if page is None else page
-    write_page(target, plan, summary, out)
-    summary["page"] = str(target)
+    with further(summary):
+        write_page(target, plan, summary, out)
+        summary["page"] = str(target)
     if junit is not None:
-        write_junit(junit, f"hil campaign {plan.name}", verdicts(plan, summary, out))
+        with further(summary):
+            write_junit(junit, f"hil campaign {plan.name}", verdicts(plan, summary, out))
     finish("campaign", summary, json_file, summary_lines(plan, summary))

@@ -108,7 +108,7 @@ def command(
     \b
     Exit code:
       0  compared; laws other than the configuration's own may have faulted, the table says which
-      1  the configuration's own law faulted, or a run could not be made
+      1  the configuration's own law faulted, a run could not be made, or the picture not be written
       2  not begun: configuration, unknown law, FMU or file; the message says what
     """
     if wrench_at is not None and wrench is None:

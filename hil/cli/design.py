@@ -57,6 +57,7 @@ EXIT = """
     \b
     Exit code:
       0  designed
+      1  designed, and a file could not be written in the end
       2  not designed: file, weights, or no controller that can be used; the message says why
     """
 
@@ -99,7 +100,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
         from hil.app.configuration.section_file import check_section_path
         from hil.app.design import command as app
         from hil.app.files import write_whole
-        from hil.app.output import console, picture_path, show_lines
+        from hil.app.output import console, further, picture_path, show_lines
         from hil.config.linear_controller import LinearController
 
         if out is not None:
@@ -108,14 +109,17 @@ def _command(name: str, short: str, text: str) -> click.Command:
         with console.status("reading") as status:
             controller, made, settings, axis = app.run_design(name, design, model, status.update, robot)
         show_lines(app.report(controller))
+        summary = app.summary(controller, design)
         if out is not None:
-            write_whole(out, app.controller_text(controller, design))
-            click.echo(f"written: {out}")
+            with further(summary):
+                write_whole(out, app.controller_text(controller, design))
+                click.echo(f"written: {out}")
         if picture is not None:
             from hil.app.design.plot import draw
 
-            click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
-        finish_lines((), app.summary(controller, design), json_file)
+            with further(summary):
+                click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
+        finish_lines((), summary, json_file)
 
     return command
 

@@ -70,7 +70,7 @@ def command(
     \b
     Exit code:
       0  every case is within its bound
-      1  a case is not; the table says which
+      1  a case is not, and the table says which; or an output file could not be written in the end
       2  not begun: configuration, pattern, FMU or file; the message says what
     """
     loaded = load(configuration, "sim")
@@ -79,7 +79,7 @@ def command(
     from hil.app.faults.command import run_matrix
     from hil.app.faults.report import show, shown, verdicts
     from hil.app.junit import check_junit_path, write_junit
-    from hil.app.output import console
+    from hil.app.output import console, further
 
     if junit is not None:
         check_junit_path(junit)
@@ -97,5 +97,6 @@ def command(
     show(summary)
     if junit is not None:
         name = f"hil faults {summary['configuration']}"
-        write_junit(junit, name, verdicts(summary), summary["wall_s"])
+        with further(summary):
+            write_junit(junit, name, verdicts(summary), summary["wall_s"])
     finish("faults", summary, json_file, shown(summary))

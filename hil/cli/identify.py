@@ -61,24 +61,27 @@ def payload(
     \b
     Exit code:
       0  identified
+      1  identified, and the file could not be written in the end
       2  not identified: no log, or too little motion; the message says what
     """
     from hil.app.files import new_file, write_whole
     from hil.app.identify import payload_block, payload_report
     from hil.app.identify.payload import identify_payload
-    from hil.app.output import console, show_lines
+    from hil.app.output import console, further, show_lines
 
     if out is not None:
         new_file(out, force=False, option="-o", own=payload_block.REMARK.encode())
     with console.status("reading") as status:
         found = identify_payload(list(logs), reflected, status.update)
     show_lines(payload_report.report(found))
+    summary = payload_report.summary(found)
     block = payload_block.block_text(found)
     click.echo(f"\n{block}" if block else "Nothing to paste", nl=not block)
     if out is not None:
-        write_whole(out, payload_block.file_text(found))
-        click.echo(f"\nwritten: {out}")
-    finish_lines((), payload_report.summary(found), json_file)
+        with further(summary):
+            write_whole(out, payload_block.file_text(found))
+            click.echo(f"\nwritten: {out}")
+    finish_lines((), summary, json_file)
 
 
 class _OrPayload(click.Command):
@@ -179,7 +182,7 @@ def command(
     \b
     Exit code:
       0  measured
-      1  the run for it ended in a fault; its log tells
+      1  the run for it ended in a fault, and its log tells; or a file could not be written in the end
       2  not measured: configuration, log, or too little excitation; the message says what
     """
     from hil.app.identify import axes
@@ -216,8 +219,7 @@ def command(
         lines = delay_of.report(result)
     else:
         found = axes.axes_of_log(log)
-        axes.save(found, files, log.stem)
-        result = axes.summary(found, log, files)
+        result = axes.summary(found, log, axes.save(found, files, log.stem))
         lines = axes.report(result, found.model)
     if made is not None:
         result |= {"excitation_N": made.force_N, "run": run}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -101,7 +101,8 @@ def command(
     \b
     Exit code:
       0  learned, or learned out: the floor is reached and nothing is written
-      1  refused, as a run contradicts the stated uncertainty; or a run of --runs failed
+      1  refused, as a run contradicts the stated uncertainty; or a run of --runs failed;
+         or the file could not be written in the end
       2  not begun: configuration, logs or uncertainty; the message says what
     """
     from hil.app.configuration.feedforward_file import BEGINNING
@@ -135,12 +136,16 @@ def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None, json_
     from hil.app.files import write_whole
     from hil.app.learn import report
     from hil.app.learn.command import learn, limit_of
+    from hil.app.output import further
 
     outcome = learn(logs, known)
+    unwritten: dict[str, Any] = {}
     if outcome.text and out is not None:
-        write_whole(out, outcome.text)
-    lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), out)
-    finish_lines(lines, report.summary(outcome, out), json_file)
+        with further(unwritten):
+            write_whole(out, outcome.text)
+    written = None if unwritten else out
+    lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), written)
+    finish_lines(lines, report.summary(outcome, written) | unwritten, json_file)
 
 
 def _rehearse(
@@ -155,7 +160,7 @@ def _rehearse(
     from hil.app.files import write_whole
     from hil.app.learn import report
     from hil.app.learn.rehearsal import rehearse, with_scale
-    from hil.app.output import console
+    from hil.app.output import console, further
     from hil.cli.shared import load
 
     runs, scale, logs = how
@@ -166,6 +171,10 @@ def _rehearse(
         made = rehearse(
             c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
         )
+    unwritten: dict[str, Any] = {}
     if made.best and out is not None:
-        write_whole(out, made.best)
-    finish_lines(report.series(made, out), report.series_summary(made, out), json_file)
+        with further(unwritten):
+            write_whole(out, made.best)
+    written = None if unwritten else out
+    summary = report.series_summary(made, written) | unwritten
+    finish_lines(report.series(made, written), summary, json_file)

@@ -92,7 +92,8 @@ def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     Exit code:
       0  all ticks identical to the bit (on another CPU: all frames, columns to 1e-9); two logs the same
          within the tolerances; all logs of a folder; a what-if: answered, whatever differs
-      1  differences, or ticks missing from the log; a what-if: the log could not be read to its end
+      1  differences, or ticks missing from the log; a what-if: the log could not be read to its end;
+         or an output file could not be written in the end
       2  not begun: no such file, no log, made by another version, cut (then use --salvage), or a
          configuration to which its inputs mean something else
     """

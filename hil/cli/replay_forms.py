@@ -94,7 +94,7 @@ def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from hil.app.junit import check_junit_path, write_junit
-    from hil.app.output import console
+    from hil.app.output import console, further
     from hil.app.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
     if given["junit"] is not None:
@@ -117,6 +117,7 @@ def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     show(folder, cases)
     result = summary(folder, cases, wall_s)
     if given["junit"] is not None:
-        write_junit(given["junit"], f"hil replay {folder}", verdicts(folder, cases), wall_s)
+        with further(result):
+            write_junit(given["junit"], f"hil replay {folder}", verdicts(folder, cases), wall_s)
     shown = {key: value for key, value in result.items() if key != "cases"}
     finish("replay of a folder", result, json_file, shown)

@@ -137,25 +137,26 @@ def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path 
     _end(summary, unwritten)
 
 
-def _write_twin(json_file: Path | None, summary: dict[str, Any]) -> str:
-    """Write the JSON, before anything is printed that nobody may read; return why not, or nothing."""
+def _write_twin(json_file: Path | None, summary: dict[str, Any]) -> list[str]:
+    """Write the JSON, before anything is printed that nobody may read; return what is not written."""
+    unwritten = list(summary.get("unwritten", ()))
     if json_file is None:
-        return ""
+        return unwritten
     from drivers.errors import LogError
     from hil.app.output import write_json
 
     try:
         write_json(json_file, summary)
     except LogError as error:
-        return str(error)
-    return ""
+        unwritten.append(str(error))
+    return unwritten
 
 
-def _end(summary: dict[str, Any], unwritten: str) -> NoReturn:
+def _end(summary: dict[str, Any], unwritten: list[str]) -> NoReturn:
     if unwritten:
         from hil.app.terminal import one_line
 
-        _refuse(one_line(unwritten), _RAN)
+        _refuse("\nhil: ".join(map(one_line, unwritten)), _RAN)
     sys.exit(0 if summary["success"] else _RAN)
 
 

@@ -79,6 +79,7 @@ def command(
     \b
     Exit code:
       0  mapped
+      1  mapped, and the picture could not be written in the end
       2  not begun: configuration, home outside a limit, position not reached, file
     """
     from hil.app.output import console

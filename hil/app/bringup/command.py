@@ -28,7 +28,7 @@ from hil.app.bringup.words import wiring_of
 from hil.app.compose import attachments, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
-from hil.app.output import log_path
+from hil.app.output import further, log_path
 from hil.app.run.command import run_daemon
 from hil.app.run.stretching import stood_still_line, stretches
 from hil.bringup.context import Context, Finding, RefusedError, Request
@@ -136,7 +136,10 @@ def run_bringup(
         lines = [*checklist(context, outcome, together.lines), *filter(None, [stood_still_line(bench_time)])]
         if outcome.findings:
             lines += _write_mended(c, context, files.found, text, outcome.findings, said, rehearsal=rehearsal)
-        write_whole(files.checklist, "\n".join([*_head(c, path, rehearsed=rehearsed), *lines]) + "\n")
+        unwritten: dict[str, Any] = {}
+        with further(unwritten):
+            page = "\n".join([*_head(c, path, rehearsed=rehearsed), *lines])
+            write_whole(files.checklist, f"{page}\n")
         for line in lines:
             said.event(line)
         store.forget(outcome.findings)
@@ -145,6 +148,7 @@ def run_bringup(
         cut = f"{closed.error}: {closed.dropped + closed.lost} ticks are not in the log"
         reason = "; ".join(filter(None, (reason, cut)))
     summary = _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
+    summary |= unwritten
     return summary | ({"bench_time": bench_time} if bench_time["stretches"] else {})
 
 

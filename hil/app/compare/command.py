@@ -19,7 +19,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_rules import not_brought_about
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.unattended import unattended
-from hil.app.output import picture_path
+from hil.app.output import further, picture_path
 from hil.app.reachability import span_s
 from hil.app.workers import Progress, perform
 from hil.control import ControllerSettings
@@ -55,7 +55,8 @@ def compare(
     jobs : processes at once; default one a processor, 1 is this one.
 
     A law that faults keeps its row. Raises ConfigurationError for what cannot run, PlantError for a plant
-    that cannot be opened, LogError where the picture cannot be written.
+    that cannot be opened, LogError where the picture could not be written. One that cannot be in the end
+    leaves the figures: `further`.
     """
     begun = time.perf_counter()
     c.require("sim")
@@ -76,9 +77,8 @@ def compare(
     platform = not isinstance(c.plant.model, BenchPlant)  # six legs that carry none say nothing about one
     shares = _shares(c, duration) if platform else {}
     claims = judge(Evidence(own, believed, shares)) if platform else []
-    draw(own, losses, target, _title(c, lift_limits=lift_limits))
     ours = own.get(c.controller.law)
-    return {
+    result = {
         "success": not any(o.fault and not o.figures for o in done.values()) and not (ours and ours.fault),
         "kind": "compare",
         "configuration": c.source,
@@ -91,9 +91,11 @@ def compare(
         "paths": {name: {path: _plain(o) for path, o in found.items()} for name, found in losses.items()},
         "force_shares": {name: {"share": s.share, "force_N": s.force_N} for name, s in shares.items()},
         "claims": claims,
-        "picture": str(target),
-        "wall_s": time.perf_counter() - begun,
+        "picture": None,
     }
+    with further(result):
+        result["picture"] = str(draw(own, losses, target, _title(c, lift_limits=lift_limits)))
+    return result | {"wall_s": time.perf_counter() - begun}
 
 
 def with_options(

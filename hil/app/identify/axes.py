@@ -1,5 +1,6 @@
 """`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from hil.app.identify.delay import (
 )
 from hil.app.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.app.identify.plot import NAMES, draw
-from hil.app.output import picture_beside
+from hil.app.output import further, picture_beside
 from hil.app.recorded_files import attached
 from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
@@ -148,22 +149,27 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def save(identified: Identified, files: Outputs, title: str) -> None:
-    """Write the model and its picture."""
-    write_section(files.model, identified.model, REMARK)
-    draw(identified.model, files.picture, title)
+def save(identified: Identified, files: Outputs, title: str) -> dict[str, Any]:
+    """Write the model and its picture; return where they are, and which of them could not be written."""
+    written: dict[str, Any] = {"model": None, "picture": None}
+    with further(written):
+        write_section(files.model, identified.model, REMARK)
+        written["model"] = str(files.model)
+    with further(written):
+        draw(identified.model, files.picture, title)
+        written["picture"] = str(files.picture)
+    return written
 
 
-def summary(identified: Identified, path: Path, files: Outputs) -> dict[str, Any]:
-    """Return the result as plain values."""
+def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the result as plain values; written: what `save` returned."""
     fit, model = identified.fit, identified.model
     coherent = [int(n) for n in fit.used.sum(axis=0)]
     return {
         "success": True,
         "kind": "identify",
         "log": str(path),
-        "model": str(files.model),
-        "picture": str(files.picture),
+        **written,
         "axes": model.axes,
         **delay_figures(fit, 0.5 / model.rate_Hz),
         "delay_compensation": compensation(fit, 0.5 / model.rate_Hz),
@@ -204,5 +210,5 @@ def report(result: dict[str, Any], model: AxisModel) -> list[str]:
             "coupling is not in the bound there. `hil identify CONFIG` moves each by itself; "
             "more --force drowns friction."
         )
-    lines += [f"model    {result['model']}", f"picture  {result['picture']}"]
+    lines += [f"{key:<7}  {result[key]}" for key in ("model", "picture") if result[key]]
     return [*lines, *compensation_lines(result["delay_compensation"])]

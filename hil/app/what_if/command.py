@@ -24,7 +24,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.files import new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
-from hil.app.output import PNG, log_path
+from hil.app.output import PNG, further, log_path
 from hil.app.plot.command import SUFFIXES
 from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
@@ -98,10 +98,11 @@ def what_if_log(
         "picture": None,
     }
     if forces is not None and picture is not None and answer.ticks:
-        forces.draw(
-            picture, f"{printable(path.name)}: recorded, and what {_named(here, words)} would have sent"
-        )
-        result["picture"] = str(picture)
+        with further(result):
+            forces.draw(
+                picture, f"{printable(path.name)}: recorded, and what {_named(here, words)} would have sent"
+            )
+            result["picture"] = str(picture)
     return result
 
 

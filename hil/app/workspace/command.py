@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Problem, parse
-from hil.app.output import picture_path
+from hil.app.output import further, picture_path
 from hil.app.workspace.plot import draw
 from hil.workspace.explore import Workspace, explore
 from hil.workspace.kernels import FORCE, LENGTH
@@ -46,8 +46,11 @@ def map_workspace(
         **figures(w),
     }
     progress("drawing")
-    draw(w, path, f"{c.name}: workspace within stroke, joint angle and force limits")
-    return {**result, "picture": str(path), "wall_s": time.perf_counter() - begun}
+    result["picture"] = None
+    with further(result):
+        draw(w, path, f"{c.name}: workspace within stroke, joint angle and force limits")
+        result["picture"] = str(path)
+    return {**result, "wall_s": time.perf_counter() - begun}
 
 
 def build_surveyor(

@@ -12,6 +12,9 @@ from hil.record.log import Log
 from hil.record.salvage import salvage
 from hil.record.schema import CLEAN, SALVAGE, SUMMARY
 
+MOST_RATE_HZ = 1e5
+"""Of what a log says of its run: windows of ticks grow with it."""
+
 
 class Readable(NamedTuple):
     """A log that can be read to its end."""

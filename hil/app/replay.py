@@ -11,7 +11,7 @@ from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import reason
-from hil.app.readable import lacking
+from hil.app.readable import MOST_RATE_HZ, lacking
 from hil.app.recorded_files import attached
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
@@ -21,7 +21,7 @@ from hil.record.schema import ENVIRONMENT
 
 WHAT_IF = "what-if"
 """Kind of a log that holds what another controller would have answered: no run."""
-MOST = {"rate_Hz": 1e5, "watchdog_s": 3600.0}
+MOST = {"rate_Hz": MOST_RATE_HZ, "watchdog_s": 3600.0}
 """Of what a log says of its run."""
 
 

@@ -19,7 +19,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import new_file, printable, write_whole
 from hil.app.log_columns import seconds
 from hil.app.output import figure_rows
-from hil.app.readable import Readable, readable
+from hil.app.readable import MOST_RATE_HZ, Readable, readable
 from hil.app.report import sections
 from hil.app.report.charts import Chart, charts
 from hil.app.report.html import Html, tag
@@ -85,9 +85,10 @@ def _rate(log: Log, path: Path) -> float:
         rate_Hz = float(run.get("rate_Hz", "nan"))
     except ValueError:
         rate_Hz = float("nan")
-    if not 0.0 < rate_Hz < float("inf"):
+    if not 0.0 < rate_Hz <= MOST_RATE_HZ:
         raise LogError(
-            f"{path}: metadata record {IDENTITY!r} has rate_Hz: {run.get('rate_Hz')!r}, allowed: a number > 0"
+            f"{path}: metadata record {IDENTITY!r} has rate_Hz: {run.get('rate_Hz')!r:.60}, "
+            f"allowed: a number > 0, at most {MOST_RATE_HZ:g}"
         )
     return rate_Hz
 

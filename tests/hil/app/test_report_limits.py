@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,14 +11,17 @@ import numpy as np
 import pytest
 
 from drivers.can.bus_time import BitTiming
+from drivers.errors import LogError
 from drivers.protocol import BUS, Frame
 from drivers.signals import Mode
+from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import load
 from hil.app.report import sections
 from hil.app.report.charts import charts
-from hil.app.report.command import _subtitle
+from hil.app.report.command import _rate, _subtitle
 from hil.app.report.story import told
 from hil.app.report.timing import Traffic, traffic
+from hil.record.schema import IDENTITY
 from tests.hil.app.test_report_figures import nearest, rows_of
 
 
@@ -45,6 +49,17 @@ def test_residual_and_condition_have_each_its_own_limit(column, key):
     rows[column][4] = 0.3
     found = nearest(rows, f"limits.{key}", {"consistency_m": 2.0, "condition": 4.0, key: 1.5})
     assert (found.value, found.limit, found.row) == (0.3, 1.5, 4)
+
+
+@pytest.mark.parametrize("said", ["0", "-1", "nan", "inf", "1e300", "1e9", "100001", "fast", "9" * 400])
+def test_a_rate_that_no_loop_has_is_refused_in_short_as_windows_of_ticks_grow_with_it(said):
+    run = {"kind": "sim", "rate_Hz": said}
+    log: Any = SimpleNamespace(metadata={IDENTITY: run}, columns=RECORDED)
+    with pytest.raises(LogError, match=r"^a\.mcap: .*rate_Hz: .*at most 100000$") as caught:
+        _rate(log, Path("a.mcap"))
+    assert len(str(caught.value)) < 200
+    run["rate_Hz"] = "1e5"
+    assert _rate(log, Path("a.mcap")) == 1e5
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ def _drives_of_row(
     rows: Rows, found: Sequence[Found], rate_Hz: float, protocol: DriveProtocol | None
 ) -> list[str]:
     times = [each.time_s for each in found if each.time_s is not None]
-    at: Any = np.flatnonzero(rows["tick"] >= round(min(times) * rate_Hz)) if times else []
+    at: Any = np.flatnonzero(rows["tick"] >= np.rint(min(times) * rate_Hz)) if times else []
     if not len(at):
         return []
     row = rows[at[0]]
@@ -203,8 +203,13 @@ def _text(value: Any) -> str:
 
 
 def _number(value: Any) -> float | None:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-    return float(value) if good else None
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # JSON's whole numbers have no end
+        return None
+    return number if isfinite(number) else None
 
 
 def _quantity(value: Any, unit: str) -> str:

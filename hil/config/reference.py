@@ -9,6 +9,8 @@ from hil.config.values import Axis, Pose, Positive, Vector3
 
 LONGEST_S = 86_400.0
 """Of what does not repeat: it is looked at from end to end before it runs."""
+LONGEST_HOLD_S = 1e9
+"""As the longest --duration; without an end it holds until it is stopped."""
 MOST_PERIODS = 1_000_000
 MOST_POINTS = 10_000
 """Of a path in the configuration; a longer one is for a CSV file."""
@@ -33,7 +35,7 @@ class HoldReference(Evaluated):
     type: Literal["hold"]
     pose: Pose | None = None
     """Default: home."""
-    duration_s: Positive | None = None
+    duration_s: Annotated[float, Field(gt=0, le=LONGEST_HOLD_S)] | None = None
     """Default: until stopped."""
 
 

@@ -51,6 +51,6 @@ class RecordingSettings(Section):
     """Length of the shared-memory ring: all of it is memory that is taken, some 3 kB a tick."""
     websocket: WebsocketSettings | None = None
     """In real time: the messages of the log to viewers as they are written (extra `viewers`)."""
-    budget_GB: Positive | None = None
+    budget_GB: Annotated[float, Field(gt=0, le=1e9)] | None = None
     """Before a run the oldest logs of this configuration in `folder` are removed, those with faults last and
     the newest never, until its logs and this run fit. Default: nothing is ever removed."""

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.regular_file import read_regular
-from hil.config.reference import SampledReference
+from hil.config.reference import LONGEST_S, SampledReference
 from hil.config.values import AXES
 from hil.trajectory.path import require_half_turn
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
@@ -112,12 +112,17 @@ def spline_coefficients(t: Array, y: Array) -> Array:
 def sampled_trajectory(settings: SampledReference, folder: Path) -> PiecewisePolynomial:
     """Return the spline through the rows of `settings.path` (relative to `folder`), at rest at both ends.
 
-    The first row's time is taken as 0. Raises ConfigurationError; see `read_poses`; also when a repeated path
-    does not close.
+    The first row's time is taken as 0. Raises ConfigurationError; see `read_poses`; also for a path longer
+    than LONGEST_S, and when a repeated path does not close.
     """
     path = folder / settings.path
     t, chi = read_poses(path, at_least=2)
-    t = t - t[0]
+    first, last = float(t[0]), float(t[-1])
+    if last - first > LONGEST_S:
+        raise ConfigurationError(
+            f"{path}: t_s goes from {first:.15g} to {last:.15g}, allowed: a path of {LONGEST_S:g} s at most."
+        )
+    t = t - first
     require_half_turn(float(np.linalg.norm(chi[:, 3:], axis=1).max()), str(path))
     require_closed(chi, settings.periods, str(path))
     return PiecewisePolynomial(t, spline_coefficients(t, chi), settings.periods)

@@ -44,6 +44,20 @@ def test_two_rows_are_one_segment_from_rest_to_rest(tmp_path):
     assert sample.twist[0] == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize(
+    ("first", "last"), [(0, 86_401), (0, 1e20), (-1e20, 0), (-1.7e308, 1.7e308), (1.6e9, 1.7e9)]
+)
+def test_a_path_longer_than_a_day_is_refused_with_its_times(tmp_path, first, last):
+    write(tmp_path, f"{HEADER}{first},0,0,1,0,0,0\n{last},0,0,1,0,0,0\n")
+    with pytest.raises(ConfigurationError, match=r"path\.csv: t_s goes from .* to .*, allowed: .* 86400 s"):
+        build(tmp_path)
+
+
+def test_a_path_of_a_day_is_taken_whenever_it_begins(tmp_path):
+    write(tmp_path, f"{HEADER}1e9,0,0,1,0,0,0\n{10**9 + 86_400},0,0,1,0,0,0\n")
+    assert build(tmp_path).duration_s == 86_400.0
+
+
 def test_time_counts_from_the_first_row_and_bom_and_blank_lines_do_not_matter(tmp_path):
     write(
         tmp_path, "\ufeff" + HEADER + ROWS.replace("0,0,0,1", "5,0,0,1", 1).replace("1,0.1", "6,0.1") + "\n"

@@ -59,6 +59,11 @@ ABSURD = {
     "limits.stale_fault_ticks": [edited(("fault_ticks: 5\n", f"fault_ticks: {10**30}\n")), "at most 1000"],
     "reference.periods": [edited(("periods: 10\n", f"periods: {10**30}\n")), "at least 1 and at most 1e+06"],
     "reference.points[1].t_s": [waypoints(2, 86_401.0), "at most 86400"],
+    "reference.duration_s": [reference("{type: hold, duration_s: 1e20}"), "at most 1e+09"],
+    "recording.budget_GB": [
+        edited(("  folder: runs\n", "  folder: runs\n  budget_GB: 1e300\n")),
+        "at most 1e+09",
+    ],
     "reference.axes[0].lines": [multisine(lines=1001), "at most 1000"],
     "reference.axes[0].band_Hz": [multisine(period_s=1000, band_Hz=[1, 400]), "allowed: up to 200 Hz"],
     "reference.components[0].frequency_Hz": [
@@ -91,6 +96,8 @@ def test_an_absurd_figure_is_refused_at_once_with_its_key_and_what_is_allowed(ke
         edited(("periods: 10\n", "periods: 1000000\n")),
         edited(("stop_s: 0.5 ", "stop_s: 60 ")),
         waypoints(2, 86_400.0),
+        reference("{type: hold, duration_s: 1e9}"),
+        edited(("  folder: runs\n", "  folder: runs\n  budget_GB: 1e9\n")),
     ],
 )
 def test_the_last_figure_that_is_allowed_is_taken(text):

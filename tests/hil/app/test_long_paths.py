@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,14 @@ from hil.app import reachability
 from hil.app.check.progress import line
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
+from hil.app.log_budget import TICK_BYTES, needed_bytes
 from hil.app.reachability import SAMPLES, span_s, violations, walk
+from hil.config.reference import HoldReference
 from hil.robot.dynamics import Model
 from hil.trajectory.build import build_trajectory
 
-VIRTUAL = load("virtual").text
+VIRTUAL_C = load("virtual")
+VIRTUAL = VIRTUAL_C.text
 PERIOD_S = 1e-3
 
 
@@ -29,6 +34,18 @@ def walked(points, interpolation="cubic", force_step_N=4000):
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
     w = walk(platform, Model(platform), trajectory, span_s(trajectory), PERIOD_S, c.plant)
     return w, [v.message for v in violations(w, c.platform, c.limits, PERIOD_S)]
+
+
+@pytest.mark.parametrize("duration_s", [1.0, 86_400.0, 1e9])
+def test_a_hold_of_any_length_that_is_allowed_is_looked_at(duration_s):
+    hold = build_trajectory(
+        HoldReference(type="hold", duration_s=duration_s), VIRTUAL_C.platform.home, Path()
+    )
+    platform = build_platform(VIRTUAL_C.platform)
+    w = walk(platform, Model(platform), hold, span_s(hold), PERIOD_S, VIRTUAL_C.plant)
+    assert w.t[-1] == duration_s
+    assert not np.abs(w.dq).max()
+    assert needed_bytes(VIRTUAL_C, duration_s, None) == round((duration_s + 30.0) * 1000.0 * TICK_BYTES)
 
 
 LATE = [(0, 1.0), (40.0, 1.0), (40.5, 1.05), (80.0, 1.05)]

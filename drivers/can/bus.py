@@ -189,9 +189,11 @@ class Bus:
 
     def close(self) -> None:
         """Leave the bus and give the role back."""
-        self._link.close()
-        if self._role is not None:
-            self._role.close()
+        try:
+            self._link.close()
+        finally:
+            if self._role is not None:
+                self._role.close()
 
     def __enter__(self) -> Self:
         return self

@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import ExitStack
 from operator import itemgetter
 from typing import Protocol
 
@@ -231,5 +232,6 @@ class LinkGroup:
 
     def close(self) -> None:
         """Leave all buses."""
-        for link in self._links:
-            link.close()
+        with ExitStack() as opened:
+            for link in reversed(self._links):
+                opened.callback(link.close)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from typing import Any
+from typing import Any, Literal
 
 import can
 
@@ -27,19 +27,27 @@ does not know when this machine's is set. A stamp that lags by more than a drive
 answer one to an older SYNC.
 """
 _WIRELESS = frozenset({"udp_multicast"})
+_BATCH = 512
+"""Looks of one `receive`: where frames come all the time it ends, too."""
+_FAILURES = 8
+"""Looks that fail one after the other: the interface is gone. A single one is a frame that is lost."""
+_UNREADABLE = (can.CanError, OSError, ValueError, IndexError, KeyError)
+"""What `recv` raises where the interface is gone, has lost frames, or has read what is no frame."""
 
 
 class PythonCan(NoController):
     """One bus of python-can. interface: its name there.
 
-    Mutable state: the bus, whether its last call failed, what came, and when it had taken the last frames.
+    Mutable state: the bus, whether it has failed, how many looks in a row have, what came, how many frames
+    were lost, and when it had taken the last frames.
     """
 
-    overflow = 0
     clock = MONOTONIC
 
     def __init__(self, bus: can.BusABC, interface: str = "") -> None:
         self.off = False
+        self.overflow = 0
+        self._failures = 0
         self.virtual = interface in _WIRELESS
         self._stamps = interface in _STAMPING
         self._bus = bus
@@ -47,7 +55,7 @@ class PythonCan(NoController):
         self._taken_ns: list[int] = []
         try:
             self._selectable = bus.fileno() >= 0
-        except NotImplementedError:
+        except (NotImplementedError, can.CanError, OSError):
             self._selectable = False
 
     def send(self, frames: Sequence[Frame]) -> int:
@@ -62,6 +70,7 @@ class PythonCan(NoController):
                 return i
             self._taken_ns.append(time.monotonic_ns())
         self.off = False
+        self._failures = 0
         return len(frames)
 
     def first_sent_ns(self) -> None:
@@ -74,7 +83,13 @@ class PythonCan(NoController):
 
     def fileno(self) -> int:
         """Return the interface's descriptor, readable when something has come; -1 where it has none."""
-        return self._bus.fileno() if self._selectable else -1
+        if not self._selectable:
+            return -1
+        try:
+            return self._bus.fileno()
+        except (can.CanError, OSError):
+            self.off = True
+            return -1
 
     def foresee(self) -> None:
         """Return None: what is under way is not known."""
@@ -85,24 +100,56 @@ class PythonCan(NoController):
         del idle
         return True
 
-    def _take(self, timeout_s: float) -> bool:
+    def _take(self, timeout_s: float) -> Literal["frame", "nothing", "failure"]:
+        """Look once; a frame of our own that the interface hands back is none that has come."""
         try:
             message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError):
-            self.off = True
-            return False
+        except _UNREADABLE as error:
+            self.overflow += not self.off
+            self._failures += 1
+            self.off = self.off or self._failures >= _FAILURES
+            if isinstance(error.__cause__, UnicodeDecodeError):
+                self._forget()
+            return "failure"
+        self._failures = 0
         if message is None:
-            return False
+            return "nothing"
+        if not message.is_rx:
+            return "frame"
         now = time.monotonic_ns()
         age = time.time_ns() - int(message.timestamp * 1e9) if self._stamps else 0
         # an older stamp is one from before the clock was set
         self._held.append(Received(now - age if 0 <= age < 1_000_000_000 else now, from_message(message)))
-        return True
+        return "frame"
+
+    def _forget(self) -> None:
+        """Have slcan drop what it has read: it keeps a line that it cannot decode, and adds to it."""
+        flush = getattr(self._bus, "flush", None)
+        if flush is not None:
+            with suppress(can.CanError, OSError):
+                flush()
+
+    def _readable(self, seconds: float) -> bool:
+        """Wait until the descriptor is readable; one that is gone is off."""
+        file = self.fileno()
+        if file < 0:
+            return False
+        try:
+            return bool(select.select([file], [], [], seconds)[0])
+        except (OSError, ValueError):
+            self.off = True
+            return False
 
     def receive(self) -> list[Received]:
-        """Return what is there."""
-        while self._take(0.0):
-            pass
+        """Return what is there, up to a batch.
+
+        An interface that has read a line or datagram that is no frame says that there is none, though others
+        may wait behind it: its descriptor tells.
+        """
+        for _ in range(_BATCH):
+            found = self._take(0.0)
+            if (found == "failure" and self.off) or (found == "nothing" and not self._readable(0.0)):
+                break
         received, self._held = self._held, []
         return received
 
@@ -112,18 +159,23 @@ class PythonCan(NoController):
         if self.off:
             time.sleep(min(seconds, 1e-3))
         elif self._selectable:
-            select.select([self._bus], [], [], seconds)
+            self._readable(seconds)
         else:
             self._take(seconds)
 
     def flush_tx(self) -> None:
-        """Drop frames that wait to be sent, where the interface can."""
-        with suppress(NotImplementedError):
+        """Drop frames that wait to be sent, where the interface can. Raises BusError where it fails."""
+        try:
             self._bus.flush_tx_buffer()
+        except NotImplementedError:
+            return
+        except Exception as error:  # each interface has its own
+            raise BusError(f"bus: what waits to be sent cannot be dropped: {error}") from error
 
     def close(self) -> None:
-        """Shut the bus down."""
-        self._bus.shutdown()
+        """Shut the bus down; an interface that is gone has nothing left to shut."""
+        with suppress(Exception):
+            self._bus.shutdown()
 
 
 def open_python_can(settings: BusSettings) -> PythonCan:

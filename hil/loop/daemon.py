@@ -212,7 +212,10 @@ def _ask(
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:
-    """Wait for the six feedbacks of a tick whose first frames were given to the bus from `begun_ns` on."""
+    """Wait for the six feedbacks of a tick whose first frames were given to the bus from `begun_ns` on.
+
+    No longer than until the deadline, however many other frames come.
+    """
     protocol = cycle.parts.protocol
     wanted, fresh, awaited = protocol.feedback_ids, protocol.fresh, protocol.awaited
     answers: list[Received] = []
@@ -223,4 +226,6 @@ def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int)
             break
         answers += heard  # of a node, maybe an answer to an older tick, or one that is damaged or forged
         missing = missing.difference([awaited(each.frame) for each in heard if fresh(each, tick, begun_ns)])
+        if bus.clock.now() >= deadline_ns:
+            break
     return answers

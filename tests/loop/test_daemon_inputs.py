@@ -253,8 +253,29 @@ def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_
         wait=next_one if shared else refusing, drain=refusing if shared else next_one,
     )  # fmt: skip
     cycle = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
-    shell = Shell(bus, None, None, OperatorPanel(), 75)  # type: ignore[arg-type]
+    shell = Shell(bus, None, None, OperatorPanel(), 175)  # type: ignore[arg-type]
     heard, _, _ = _ask(cycle, shell, Wake(0, 0, 90, 0), (frame(0),))  # type: ignore[arg-type]
     assert [each.t_ns for each in heard] == [10, 120, 130]
     assert len(coming) == 1
-    assert set(deadlines) == {75}
+    assert set(deadlines) == {175}
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared):
+    clock, looks = [100], list[int]()
+
+    def next_one(deadline_ns: int, _wanted: Any = None) -> list[Received]:
+        clock[0] += 10
+        looks.append(clock[0])
+        assert len(looks) < 20, "it waits on"
+        return [Received(clock[0], Frame(7, bytes([7]))), Received(clock[0], Frame(1, b"\1"))]
+
+    bus = SimpleNamespace(
+        clock=SimpleNamespace(now=lambda: clock[0]), drain_now=list, send=lambda _: 0, sent_ns=list,
+        wait=next_one, drain=next_one,
+    )  # fmt: skip
+    cycle = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
+    shell = Shell(bus, None, None, OperatorPanel(), 145)  # type: ignore[arg-type]
+    heard, _, _ = _ask(cycle, shell, Wake(0, 0, 0, 0), (Frame(1, b""),))  # type: ignore[arg-type]
+    assert looks == [110, 120, 130, 140, 150]
+    assert len(heard) == 2 * len(looks), "what has come by then counts"

@@ -5,13 +5,15 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from drivers.cia402.set_up import Cia402Dialogue
+from drivers.cia402.states import State
 from drivers.config import MAX_BUSES
+from drivers.motors import MotorDialogue
 from drivers.protocol import BUS, Dialogue, DriveProtocol, DriveSetup, Frame
-from drivers.signals import LEGS, Command, DriveMode, Reaction
+from drivers.signals import LEGS, Command, DriveMode, DriveState
 from plant_fmu.faults.fault import LastingFault, Passage, Passed, Place, Present
 
 BusIndex = Annotated[int, Field(ge=0, lt=MAX_BUSES)]
-_SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 _DATA = bytes(8)
 EVERY_BUS = (1 << MAX_BUSES) - 1
 
@@ -69,17 +71,27 @@ class BusSecondController(SenderFault):
     force_N: float = 0.0
 
     def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
-        """Return what starts its tick, and its command."""
-        dialogue = protocol.start(_SETUP)
-        frames = protocol.begin(dialogue, number) + command(protocol, dialogue, self.force_N, number)
+        """Return what starts its tick, and its command; where the poll is the command, that alone."""
+        frames = forged(protocol, self.force_N, number)
+        if not protocol.command_delay_ticks:
+            frames = protocol.begin(_dialogue(protocol), number) + frames
         return tuple(frame for frame in frames if frame.bus == self.bus)
 
 
-def command(protocol: DriveProtocol, dialogue: Dialogue, force_N: float, tick: int) -> tuple[Frame, ...]:
-    """Return a foreign command of a tick: RUN, the same force in each leg."""
-    return protocol.command(dialogue, Command(DriveMode.RUN, np.full(LEGS, force_N)), tick)[1]
+def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
+    """Return a stranger's command of a tick: RUN, the same force in each leg.
+
+    He takes all drives for enabled. Raises ProtocolError if the force does not fit.
+    """
+    dialogue = _dialogue(protocol)
+    if isinstance(dialogue, Cia402Dialogue):
+        dialogue = dialogue._replace(states=(State.ENABLED,) * LEGS)
+    elif isinstance(dialogue, MotorDialogue):
+        dialogue = dialogue._replace(power=(int(DriveState.RUN),) * LEGS)
+    dialogue, frames = protocol.command(dialogue, Command(DriveMode.RUN, np.full(LEGS, force_N)), tick)
+    return protocol.begin(dialogue, tick) if protocol.command_delay_ticks else frames
 
 
-def forged(protocol: DriveProtocol, force_N: float, counter: int) -> tuple[Frame, ...]:
-    """Return the command of a forger to a SYNC."""
-    return command(protocol, protocol.start(_SETUP), force_N, counter)
+def _dialogue(protocol: DriveProtocol) -> Dialogue:
+    """Return that of a controller that has heard nothing."""
+    return protocol.start(DriveSetup(0.01, protocol.reactions[0], 1000.0))

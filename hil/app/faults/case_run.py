@@ -7,11 +7,12 @@ import numpy as np
 
 from drivers import build_protocol
 from drivers.errors import HilError, PlantError, RunError
+from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS, Doubt, Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.fault_words import show_fault
 from hil.app.faults.cases import Case
-from hil.app.faults.expected import COMMANDS_LOST
+from hil.app.faults.expected import COMMANDS_LOST, STRANGERS
 from hil.app.faults.verdict import REST_S, Bounds, Trace, judge, see
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
@@ -26,6 +27,8 @@ LONGEST_S = 60.0
 """A case that has not ended is a failure after so long, and what its configuration asks for, s."""
 HELD_S = 3.0
 """A platform that is held with force is watched for so long, s."""
+NO_LATCH = "obey whoever commands: no stop of ours latches"
+"""Of families whose `stop_latches` is False."""
 _NAMED_IN = {
     Fault.BRAKE: "legs_moved",
     Fault.ENCODER: "legs_doubted",
@@ -78,8 +81,7 @@ def _judged(job: Job) -> dict[str, Any]:
     seen = see(kind, trace)
     good, verdict = judge(kind, trace, seen, job.bounds)
     c = case.configuration
-    if not good and kind in COMMANDS_LOST and not build_protocol(c.bus, c.drives).has_watchdog:
-        verdict = f"{verdict}; the drives {NO_WATCHDOG}"
+    verdict += "" if good else _why_of_drives(kind, build_protocol(c.bus, c.drives))
     after_ms = None if seen.declared is None else 1e3 * seen.declared / trace.rate_Hz
     return _head(case) | {
         "success": good,
@@ -95,6 +97,13 @@ def _judged(job: Job) -> dict[str, Any]:
         "motion_mm": 1e3 * max(seen.error_m, seen.travel_m),
         "last_mm": 1e3 * seen.last_m,
     }
+
+
+def _why_of_drives(kind: str, protocol: DriveProtocol) -> str:
+    """Say what such drives cannot do that would have kept the motion within its bound; empty for nothing."""
+    if kind in COMMANDS_LOST and not protocol.has_watchdog:
+        return f"; the drives {NO_WATCHDOG}"
+    return f"; the drives {NO_LATCH}" if kind in STRANGERS and not protocol.stop_latches else ""
 
 
 class _Named:

@@ -28,6 +28,8 @@ COMMANDS_LOST = frozenset(
     {"bus_off", "bus_flood", "frames_loss", "frames_delay", "frames_reorder", "frames_corrupt"}
 )
 """Kinds under which drives may not hear that they are to switch off."""
+STRANGERS = frozenset({"frames_forged_command", "bus_second_controller"})
+"""Kinds whose RUN comes after each of our own commands, as long as they last."""
 NAMES_NO_LEG = frozenset({"CERTIFICATE", "KINEMATICS", "ASSEMBLY", "CONDITION", "REFUSED_FRAMES"})
 """Faults of the platform or the bus as a whole: which leg they come from cannot be told."""
 _FORCE = "DRIVE FOLLOWING SPEED CERTIFICATE ENCODER/LEAP"

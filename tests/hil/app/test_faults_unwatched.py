@@ -1,4 +1,4 @@
-"""What `hil faults` says of drives that nothing stops which hear no frame."""
+"""What `hil faults` says of drives that nothing stops: which hear no frame, or obey a stranger."""
 
 from __future__ import annotations
 
@@ -26,3 +26,13 @@ def test_a_dead_bus_in_motion_is_a_failure_of_drives_without_a_watchdog_and_says
     )
     assert told is not watched
     assert watched or "have no watchdog that is set from here" in found["verdict"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "stands"), [("moteus_stopped", False), ("damiao", True)])
+def test_drives_that_a_strangers_torque_enables_again_are_a_failure_and_it_says_why(name, stands):
+    (case,) = cases(family(name), ["frames_forged_command/HOLD"])
+    found = run_case(Job(case, BOUNDS))
+    assert found["faults"] == ["SECOND_CONTROLLER"]
+    assert found["success"] is stands, found["verdict"]
+    assert ("obey whoever commands" in found["verdict"]) is not stands

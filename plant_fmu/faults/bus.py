@@ -2,15 +2,10 @@
 
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
-from drivers.cia402.set_up import Cia402Dialogue
-from drivers.cia402.states import State
 from drivers.config import MAX_BUSES
-from drivers.motors import MotorDialogue
-from drivers.protocol import BUS, Dialogue, DriveProtocol, DriveSetup, Frame
-from drivers.signals import LEGS, Command, DriveMode, DriveState
+from drivers.protocol import BUS, DriveProtocol, Frame
 from plant_fmu.faults.fault import LastingFault, Passage, Passed, Place, Present
 
 BusIndex = Annotated[int, Field(ge=0, lt=MAX_BUSES)]
@@ -72,26 +67,6 @@ class BusSecondController(SenderFault):
 
     def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
         """Return what starts its tick, and its command; where the poll is the command, that alone."""
-        frames = forged(protocol, self.force_N, number)
-        if not protocol.command_delay_ticks:
-            frames = protocol.begin(_dialogue(protocol), number) + frames
-        return tuple(frame for frame in frames if frame.bus == self.bus)
+        from plant_fmu.faults.stranger import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
 
-
-def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
-    """Return a stranger's command of a tick: RUN, the same force in each leg.
-
-    He takes all drives for enabled. Raises ProtocolError if the force does not fit.
-    """
-    dialogue = _dialogue(protocol)
-    if isinstance(dialogue, Cia402Dialogue):
-        dialogue = dialogue._replace(states=(State.ENABLED,) * LEGS)
-    elif isinstance(dialogue, MotorDialogue):
-        dialogue = dialogue._replace(power=(int(DriveState.RUN),) * LEGS)
-    dialogue, frames = protocol.command(dialogue, Command(DriveMode.RUN, np.full(LEGS, force_N)), tick)
-    return protocol.begin(dialogue, tick) if protocol.command_delay_ticks else frames
-
-
-def _dialogue(protocol: DriveProtocol) -> Dialogue:
-    """Return that of a controller that has heard nothing."""
-    return protocol.start(DriveSetup(0.01, protocol.reactions[0], 1000.0))
+        return tuple(frame for frame in opened(protocol, self.force_N, number) if frame.bus == self.bus)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from operator import itemgetter
 
 from drivers.protocol import DriveProtocol, Frame, Received, Sync
-from plant_fmu.faults.bus import forged
 from plant_fmu.faults.frames import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
+from plant_fmu.faults.stranger import forged
 
 _TIME = itemgetter(0)
 AHEAD_NS = 2_000_000

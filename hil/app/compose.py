@@ -20,7 +20,7 @@ from drivers.signals import Reaction
 from hil.app.configuration.bus_budget import bus_names
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
-from hil.app.configuration.fault_rules import refuse_of_no_bus
+from hil.app.configuration.fault_rules import refuse_what_no_bus_has
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import encoder_limits, read_noise
@@ -273,7 +273,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
         more, seed = ((), 0) if faults is None else (faults.faults, faults.seed)
-        refuse_of_no_bus([*c.plant.faults, *more], c.bus)
+        refuse_what_no_bus_has([*c.plant.faults, *more], c.bus, c.drives)
         plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)
         drives = (plant, build_protocol(c), c.plant.drives, c.drives, plan)
         sensors = build_sensors(c)

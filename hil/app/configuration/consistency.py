@@ -19,7 +19,7 @@ from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable
 from hil.app.configuration.drive_rules import data_sheet, homing, own_reaction, reported_stroke
-from hil.app.configuration.fault_rules import faulty_buses, platform_loads
+from hil.app.configuration.fault_rules import carried_forces, faulty_buses, platform_loads
 from hil.app.configuration.feedforward_file import usable_feedforward
 from hil.app.configuration.plant_step import plant_steps
 from hil.app.configuration.platform import build_platform, pose_arrays
@@ -364,7 +364,7 @@ RULES: tuple[Rule, ...] = (
     watchdog, rated_force, feedback_window, bit_rates, bus_load, node_numbers, sensor_rates,
     fusion_sources, measured_wrench, live_preview, geometry, stroke, reference_poses, reference_path,
     endless_reference, designed_controllers, certified_law, plant_steps, emulated_sensors, plant_lag,
-    brake_times, standstill, fmu_file, bench_rest, platform_loads, faulty_buses, own_reaction,
+    brake_times, standstill, fmu_file, bench_rest, platform_loads, faulty_buses, carried_forces, own_reaction,
     reported_stroke, data_sheet, homing, frequencies, usable_feedforward,
 )  # fmt: skip
 """A parameter has the name of its section; the last one is the folder."""

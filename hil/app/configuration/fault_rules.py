@@ -3,13 +3,16 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 
-from drivers.config import BusSettings
-from drivers.errors import ConfigurationError
+from drivers import build_protocol
+from drivers.config import BusSettings, DriveSettings
+from drivers.errors import ConfigurationError, HilError, ProtocolError
 from hil.app.configuration.yaml_positions import Path
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.brake import BRAKES
+from plant_fmu.faults.bus import BusSecondController
 from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.frames import FramesForgedCommand
 from plant_fmu.faults.load import LOADS, PayloadStep, WrenchStep
 from plant_fmu.faults.process import PROCESS
 
@@ -50,6 +53,33 @@ def faulty_buses(
             yield ("plant", "faults", n, "bus"), message
 
 
+def carried_forces(
+    plant: PlantSettings | None, bus: BusSettings, drives: DriveSettings, _: FilePath | None
+) -> Iterator[tuple[Path, str]]:
+    """Refuse a foreign command whose force no frame of these drives carries."""
+    for n, fault in enumerate(() if plant is None else plant.faults):
+        message = not_carried(fault, bus, drives)
+        if message:
+            yield ("plant", "faults", n, "force_N"), message
+
+
+def not_carried(fault: Fault, bus: BusSettings, drives: DriveSettings) -> str:
+    """Return why a foreign command cannot be sent with its force; empty where it can, or is none."""
+    if not isinstance(fault, (BusSecondController, FramesForgedCommand)):
+        return ""
+    from plant_fmu.faults.stranger import forged  # noqa: PLC0415 - compiled code, where it is needed alone
+
+    try:
+        protocol = build_protocol(bus, drives)
+    except HilError:  # which the rule on the bus load says
+        return ""
+    try:
+        forged(protocol, fault.force_N, 0)
+    except ProtocolError as error:
+        return f"{str(error).partition(';')[0]}, given: {fault.force_N:g}"
+    return ""
+
+
 def of_no_bus(fault: Fault, bus: BusSettings) -> str:
     """Return what is wrong with the bus that a fault names; empty where there is such a bus, or none."""
     last, given = len(bus.buses) - 1, getattr(fault, "bus", None) or 0
@@ -59,9 +89,13 @@ def of_no_bus(fault: Fault, bus: BusSettings) -> str:
     return f"no such bus, allowed: {allowed}, given: {given}"
 
 
-def refuse_of_no_bus(faults: Sequence[Fault], bus: BusSettings) -> None:
-    """Raise ConfigurationError where a fault names a bus that there is not."""
-    wrong = [f"{fault.kind}: {text}" for fault in faults if (text := of_no_bus(fault, bus))]
+def refuse_what_no_bus_has(faults: Sequence[Fault], bus: BusSettings, drives: DriveSettings) -> None:
+    """Raise ConfigurationError for a bus that there is not, and for a force that no frame carries."""
+    wrong = [
+        f"{fault.kind}: {text}"
+        for fault in faults
+        if (text := of_no_bus(fault, bus) or not_carried(fault, bus, drives))
+    ]
     if wrong:
         raise ConfigurationError(*wrong)
 

@@ -15,7 +15,7 @@ from tests.hil.bringup.families import FAMILIES
 
 KINDS = ["frames_forged_command", "bus_second_controller"]
 MOST = {
-    "legs_fd": "does not fit layout fd: .* N are allowed",
+    "legs_classic": "does not fit layout classic: .* N are allowed",
     "cia402_pdo": "does not fit 0x6071: six of up to .* N are allowed",
     "damiao": "up to .* N m are allowed",
     "odrive": "up to 10000 N m are allowed",

@@ -35,6 +35,7 @@ from hil.cli.shared import (
 )
 @click.option("--supervisor", type=int, hidden=True)
 @click.option("--report", type=int, hidden=True)
+@click.option("--watchdog", "watchdog_s", type=float, hidden=True)
 @reporting
 def command(
     configuration: str,
@@ -46,6 +47,7 @@ def command(
     json_file: Path | None,
     supervisor: int | None,
     report: int | None,
+    watchdog_s: float | None,
 ) -> None:
     """Serve six emulated drives and the plant behind them on the bus, in real time.
 
@@ -76,6 +78,9 @@ def command(
     if mistakes and not with_bench:
         raise click.UsageError("--mistake wires the bench: add --bench.")
     loaded = with_faults(loaded, faults)
+    if watchdog_s is not None:  # a slowed loop's, as if set with the maker's tool
+        drives = loaded.drives.model_copy(update={"watchdog_ms": 1e3 * watchdog_s})
+        loaded = loaded.model_copy(update={"drives": drives})
 
     def tell() -> None:
         if report is not None:

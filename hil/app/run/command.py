@@ -88,7 +88,8 @@ def run_daemon(
         if with_watch:
             stack.enter_context(WatchProcess(c))  # first: its link comes before the question to move
         if with_plant:
-            plant = stack.enter_context(SupervisedPlant(c, path.with_name(f"{path.stem}-plant.mcap"), faults))
+            plant_log = path.with_name(f"{path.stem}-plant.mcap")
+            plant = stack.enter_context(SupervisedPlant(c, plant_log, faults, watchdog_s))
         recording = stack.enter_context(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
         )

@@ -35,7 +35,14 @@ class SupervisedPlant:
     Mutable state: the process, the pipes, how it was found when it was first asked about.
     """
 
-    def __init__(self, configuration: Configuration, log: Path, faults: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        configuration: Configuration,
+        log: Path,
+        faults: Iterable[str] = (),
+        watchdog_s: float | None = None,
+    ) -> None:
+        """Start it. watchdog_s: of drives that no frame tells theirs; default: the configured one."""
         self._said = b""
         self._trouble: str | None = None
         alive_read, self._alive = os.pipe()
@@ -48,6 +55,7 @@ class SupervisedPlant:
             "hil.cli", "plant", configuration.source, "--log", str(log),
             "--supervisor", str(alive_read), "--report", str(report_write),
             *(word for fault in faults for word in ("--fault", fault)),
+            *(() if watchdog_s is None else ("--watchdog", repr(watchdog_s))),
             pass_fds=(alive_read, report_write),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

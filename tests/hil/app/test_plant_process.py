@@ -7,16 +7,26 @@ import os
 import signal
 import subprocess
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from drivers import build_protocol
 from drivers.errors import PlantError
+from drivers.protocol import Configure, DriveSetup
+from drivers.signals import Command, DriveMode, Reaction
 from hil.app import plant
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import plant_process
 from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
+from hil.cli import main
+from tests.hil.bringup.families import FAMILIES
 
 Begin = Callable[[str], SupervisedPlant]
 SERVES = "echo >&$report; "
@@ -40,6 +50,38 @@ def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
         return SupervisedPlant(c, Path("x-plant.mcap"))
 
     return run
+
+
+@pytest.mark.parametrize(("given_s", "held_s"), [(0.2, 0.2), (None, 0.01)])
+def test_axes_that_no_frame_tells_their_watchdog_have_the_one_that_the_run_has_chosen(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given_s: float | None, held_s: float
+) -> None:
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "desk.yaml"
+    file.write_text(with_changes(text, FAMILIES["odrive"]), encoding="utf-8")
+    served: list[Configuration] = []
+
+    def serve(c: Configuration, *, ready: Callable[[], None], **_: Any) -> dict[str, Any]:
+        served.append(c)
+        ready()
+        return {"success": True}
+
+    def start(_module: str, *words: str, **options: Any) -> subprocess.Popen[bytes]:
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 0, done.output
+        return subprocess.Popen(["/bin/true"], **options)
+
+    monkeypatch.setattr(plant, "run_plant", serve)
+    monkeypatch.setattr(plant_process, "start", start)
+    with SupervisedPlant(load(str(file)), tmp_path / "x-plant.mcap", watchdog_s=given_s):
+        (c,) = served
+    protocol = build_protocol(c.bus, c.drives)
+    dialogue = protocol.start(DriveSetup(held_s, Reaction.BRAKE, 312.5))
+    _, frames = protocol.command(dialogue, Command(DriveMode.OFF, np.zeros(6)), 0)
+    said = [each for frame in frames for each in protocol.parse(protocol.power_up(), frame)[1]]
+    told = [each.watchdog_s for each in said if isinstance(each, Configure)]
+    assert told == pytest.approx([held_s] * 6)
+    assert c.drives.watchdog_ms == pytest.approx(1e3 * held_s)
 
 
 @pytest.mark.parametrize("said", ["", "it compiles"])

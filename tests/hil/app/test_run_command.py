@@ -46,6 +46,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
     ) -> tuple[Course, Shell, list[int], dict[str, Any]]:
         begun: list[tuple[Course, Shell]] = []
         windows: list[int] = []
+        watchdogs: list[float] = []
         clock = SimpleNamespace(now=lambda: 0, leave=lambda: None, interrupted=False)
         bus = SimpleNamespace(
             clock=clock, facts="", virtual=True, knows_ends=True, flush_tx=lambda: 0, drain_now=list
@@ -64,16 +65,20 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
             begun.append((course, shell))
             return ending
 
+        def supervised(_c: Any, _log: Any, _faults: Any, watchdog_s: float) -> Any:
+            watchdogs.append(watchdog_s)
+            return contextlib.nullcontext(plant)
+
         stand_ins = {
             "Bus": SimpleNamespace(open=lambda *_, **__: contextlib.nullcontext(bus)),
             "bench_clock": lambda *_: clock,
             "begin": lambda *given: windows.append(given[-1]),
-            "select_rate": lambda *_, **__: (rate_Hz, 0.01),
+            "select_rate": lambda *_, **__: (rate_Hz, 0.2),
             "Keeper": lambda *_, **__: keeper,
             "build_cycle": lambda *_, **__: cycle,
             "make_room": lambda *_: [],
             "needed_bytes": lambda *_: 0,
-            "SupervisedPlant": lambda *_: contextlib.nullcontext(plant),
+            "SupervisedPlant": supervised,
             "record": lambda *_, **__: contextlib.nullcontext(recording),
             "OperatorChannel": lambda *_: contextlib.nullcontext(None),
             "real_time": lambda *_: contextlib.nullcontext(RealTime()),
@@ -86,6 +91,9 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         given: dict[str, Any] = {"log": tmp_path / "a.mcap", "draw": False} | options
         summary = command.run_daemon(c, arm=True, **given)
         ((course, shell),) = begun
+        assert watchdogs == [0.2] * bool(options.get("with_plant")), (
+            "that of the rate, not the configured one"
+        )
         return course, shell, windows, summary
 
     return run_daemon
